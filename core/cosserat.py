@@ -1,0 +1,236 @@
+"""The exact rod in another formulation: what the fast model is measured against.
+
+Geometrically exact Cosserat rods (Rucker, Jones, Webster 2010) in the frame of the innermost
+tube: a quaternion for the orientation, moment and force in the moving frame,
+
+    m' = -u x m - e_z x n,   n = R^T F,   m_z = sum_i GJ_i u_iz,   psi_i' = u_iz - u_1z,
+
+integrated by classical Runge-Kutta steps far finer than the truncation error matters, and shot
+at the tip by Newton. It shares neither variables, frames, integrator nor derivatives with
+`propagation`, only the description of the robot. The virtual lab's plant runs on it, too.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from core.compiled import compiled
+from core.errors import NoSolution, NotFinite
+from core.robot import Array, Layout, Robot
+
+
+class Rod(NamedTuple):
+    """An exactly solved robot; world frame."""
+
+    tip: Array  #: (3,) [m]
+    rotation: Array  #: (3, 3) frame of the innermost tube at the tip
+    torsion: Array  #: (q,) u_iz(0) [1/m]
+    unknowns: Array  #: (q + 2,) m_x, m_y [N m] and u_iz [1/m] at the plate; the next warm start
+    chord: Array  #: (q + 2, q + 2) inverse of the end conditions' derivative, for the next Newton
+    iterations: int
+
+
+@dataclass(frozen=True)
+class ExactRod:
+    """Exact solver of one robot."""
+
+    robot: Robot
+    step: float = 0.002  #: longest Runge-Kutta step [m]; 2 mm leaves less than 1e-9 m
+    tolerance: float = 1e-9  #: of the end conditions [1/m and N m]
+
+    def solve(self, joints: Array, wrench: Array, near: Rod | None = None) -> Rod:
+        """Solve for joints (n,) [rad or m] under a tip force and moment (6,), world frame [N, N m].
+
+        Raises:
+            PoseError: the tubes cannot stand so.
+            NotFinite: the wrench is not finite.
+            NoSolution: no solution was reached, not even with the load applied in 64 steps.
+        """
+        self.robot.check_pose(joints)
+        alpha, beta = self.robot.tube_poses(joints)
+        return self.solve_tubes(alpha, beta, wrench, near)
+
+    def solve_tubes(self, alpha: Array, beta: Array, wrench: Array, near: Rod | None = None) -> Rod:
+        """The same for the tubes' rotations (q,) [rad] and proximal ends (q,) [m]."""
+        if not np.isfinite(wrench).all():
+            raise NotFinite(f"tip wrench {wrench.tolist()} is not finite; it needs six finite numbers [N, N m]")
+        size = len(self.robot.tubes) + 2
+        if near is not None:
+            rod = self._shoot(alpha, beta, wrench, near.unknowns, near.chord)
+            if rod is not None:
+                return rod
+        for increments in (1, 4, 16, 64):
+            unknowns, rod = np.zeros(size), None
+            for number in range(1, increments + 1):
+                rod = self._shoot(alpha, beta, wrench * (number / increments), unknowns, np.zeros((size, size)))
+                if rod is None:
+                    break
+                unknowns = rod.unknowns
+            if rod is not None:
+                return rod
+        raise NoSolution(f"the exact rod found no shape under {wrench[:3].tolist()} N, {wrench[3:].tolist()} N m")
+
+    def _shoot(self, alpha: Array, beta: Array, wrench: Array, guess: Array, chord: Array) -> Rod | None:
+        unknowns, inverse, end, iterations, residual = _shoot(
+            self.robot.layout, alpha, beta, wrench, guess, chord, self.step, self.tolerance
+        )
+        if not residual <= self.tolerance:
+            return None
+        rotation = np.empty((3, 3))
+        _rotation(end, rotation)
+        return Rod(end[4:7], rotation, unknowns[2:], unknowns, inverse, iterations)
+
+
+@compiled
+def _rotation(y: Array, out: Array) -> None:
+    """Rotation matrix of the quaternion y[:4] (w, x, y, z), normalised on the way."""
+    w, a, b, c = y[0], y[1], y[2], y[3]
+    scale = 2.0 / (w * w + a * a + b * b + c * c)
+    out[0, 0], out[0, 1], out[0, 2] = 1.0 - scale * (b * b + c * c), scale * (a * b - w * c), scale * (a * c + w * b)
+    out[1, 0], out[1, 1], out[1, 2] = scale * (a * b + w * c), 1.0 - scale * (a * a + c * c), scale * (b * c - w * a)
+    out[2, 0], out[2, 1], out[2, 2] = scale * (a * c - w * b), scale * (b * c + w * a), 1.0 - scale * (a * a + b * b)
+
+
+@compiled
+def _slope(
+    y: Array, out: Array, q: int, stiffness: Array, ratio: Array, curvature: Array, total: float, force: Array
+) -> None:
+    """y = quaternion (4), r (3), m_x, m_y, u_iz (q), psi_i (q); an absent tube has ratio 0."""
+    w, a, b, c = y[0], y[1], y[2], y[3]
+    scale = 2.0 / (w * w + a * a + b * b + c * c)
+    dx, dy, dz = scale * (a * c + w * b), scale * (b * c - w * a), 1.0 - scale * (a * a + b * b)
+    nx = force[0] * (1.0 - scale * (b * b + c * c)) + force[1] * scale * (a * b + w * c) + force[2] * scale * (a * c - w * b)
+    ny = force[0] * scale * (a * b - w * c) + force[1] * (1.0 - scale * (a * a + c * c)) + force[2] * scale * (b * c + w * a)
+    ux, uy, mz = y[7], y[8], 0.0
+    for i in range(q):
+        if ratio[i] > 0.0:
+            cos, sin = np.cos(y[9 + q + i]), np.sin(y[9 + q + i])
+            ux += stiffness[i] * (cos * curvature[i, 0] - sin * curvature[i, 1])
+            uy += stiffness[i] * (sin * curvature[i, 0] + cos * curvature[i, 1])
+            mz += stiffness[i] / ratio[i] * y[9 + i]
+    ux, uy, uz = ux / total, uy / total, y[9]
+    out[0] = 0.5 * (-a * ux - b * uy - c * uz)
+    out[1] = 0.5 * (w * ux + b * uz - c * uy)
+    out[2] = 0.5 * (w * uy - a * uz + c * ux)
+    out[3] = 0.5 * (w * uz + a * uy - b * ux)
+    out[4], out[5], out[6] = dx, dy, dz
+    out[7] = -(uy * mz - uz * y[8]) + ny
+    out[8] = -(uz * y[7] - ux * mz) - nx
+    for i in range(q):
+        out[9 + i], out[9 + q + i] = 0.0, 0.0
+        if ratio[i] > 0.0:
+            cos, sin = np.cos(y[9 + q + i]), np.sin(y[9 + q + i])
+            uix, uiy = cos * ux + sin * uy, cos * uy - sin * ux
+            out[9 + i] = ratio[i] * (uix * curvature[i, 1] - uiy * curvature[i, 0])
+            out[9 + q + i] = y[9 + i] - uz
+
+
+@compiled
+def _integrate(
+    layout: Layout, alpha: Array, beta: Array, wrench: Array, unknowns: Array, step: float, y: Array, ends: Array
+) -> None:
+    """From the plate to the tip; `ends` (q + 2) receives what must vanish."""
+    q = layout.counts.shape[0]
+    theta = alpha[0] - beta[0] * unknowns[2]
+    y[:] = 0.0
+    y[0], y[3] = np.cos(0.5 * theta), np.sin(0.5 * theta)
+    # The unknown moment is in the plate's axes, so that a turn of the innermost tube leaves it alone.
+    y[7] = np.cos(theta) * unknowns[0] + np.sin(theta) * unknowns[1]
+    y[8] = np.cos(theta) * unknowns[1] - np.sin(theta) * unknowns[0]
+    section, ratio, stiffness, curvature = np.zeros(q, np.int64), np.zeros(q), np.zeros(q), np.zeros((q, 2))
+    for i in range(q):
+        y[9 + i] = unknowns[2 + i]
+        y[9 + q + i] = alpha[i] - beta[i] * unknowns[2 + i] - theta
+        while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
+            section[i] += 1
+    k1, k2, k3, k4, at = np.empty_like(y), np.empty_like(y), np.empty_like(y), np.empty_like(y), np.empty_like(y)
+    start = 0.0
+    while True:
+        end, end_tube, total = np.inf, -1, 0.0
+        for i in range(q):
+            ratio[i] = 0.0
+            if section[i] < layout.counts[i]:
+                place = beta[i] + layout.ends[i, section[i]]
+                if place < end:
+                    end, end_tube = place, i
+                stiffness[i], ratio[i] = layout.stiffness[i, 0], layout.stiffness[i, 1]
+                curvature[i, 0] = layout.curvatures[i, section[i], 0]
+                curvature[i, 1] = layout.curvatures[i, section[i], 1]
+                total += stiffness[i]
+        if end_tube < 0:
+            break
+        steps = int(np.ceil((end - start) / step))
+        h = (end - start) / max(steps, 1)
+        for _ in range(steps):
+            _slope(y, k1, q, stiffness, ratio, curvature, total, wrench)
+            for i in range(y.size):
+                at[i] = y[i] + 0.5 * h * k1[i]
+            _slope(at, k2, q, stiffness, ratio, curvature, total, wrench)
+            for i in range(y.size):
+                at[i] = y[i] + 0.5 * h * k2[i]
+            _slope(at, k3, q, stiffness, ratio, curvature, total, wrench)
+            for i in range(y.size):
+                at[i] = y[i] + h * k3[i]
+            _slope(at, k4, q, stiffness, ratio, curvature, total, wrench)
+            for i in range(y.size):
+                y[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+        start = end
+        section[end_tube] += 1
+    rotation = np.empty((3, 3))
+    _rotation(y, rotation)
+    for i in range(2):
+        moment = rotation[0, i] * wrench[3] + rotation[1, i] * wrench[4] + rotation[2, i] * wrench[5]
+        ends[i] = y[7 + i] - moment
+    for i in range(q):
+        ends[2 + i] = y[9 + i]
+    axial = rotation[0, 2] * wrench[3] + rotation[1, 2] * wrench[4] + rotation[2, 2] * wrench[5]
+    ends[2] -= axial * layout.stiffness[0, 1] / layout.stiffness[0, 0]
+
+
+@compiled
+def _shoot(
+    layout: Layout, alpha: Array, beta: Array, wrench: Array, guess: Array, chord: Array, step: float, tolerance: float
+) -> tuple[Array, Array, Array, int, float]:
+    """Chord Newton: the derivative (by differences: it only steers) is renewed when progress is slow."""
+    q = layout.counts.shape[0]
+    size = q + 2
+    y, ends, moved = np.empty(9 + 2 * q), np.empty(size), np.empty(size)
+    unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
+    _integrate(layout, alpha, beta, wrench, unknowns, step, y, ends)
+    residual = np.abs(ends).max()
+    iterations = 1
+    fresh = not inverse.any()
+    while residual > tolerance and iterations < 60:
+        if fresh:
+            matrix = np.empty((size, size))
+            for k in range(size):
+                trial[:] = unknowns
+                trial[k] += 1e-6
+                _integrate(layout, alpha, beta, wrench, trial, step, y, moved)
+                for i in range(size):
+                    matrix[i, k] = (moved[i] - ends[i]) / 1e-6
+            if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-30:
+                return unknowns, inverse, y, iterations, np.inf
+            inverse = np.ascontiguousarray(np.linalg.inv(matrix))
+        correction = inverse @ ends
+        fraction = 1.0
+        while True:
+            for i in range(size):
+                trial[i] = unknowns[i] - fraction * correction[i]
+            _integrate(layout, alpha, beta, wrench, trial, step, y, moved)
+            iterations += 1
+            after = np.abs(moved).max()
+            if after < residual or (not fresh) or fraction < 1e-3:
+                break
+            fraction *= 0.5
+        if after < residual:
+            fresh = after > 0.1 * residual
+            unknowns[:] = trial
+            ends[:] = moved
+            residual = after
+        elif fresh:
+            break
+        else:
+            fresh = True
+    return unknowns, inverse, y, iterations, residual

@@ -1,0 +1,21 @@
+"""What can go wrong, as types. Every message names the thing, the value, the bound and the unit."""
+
+
+class CtrError(Exception):
+    """Base of every error this project raises on purpose; its text is one line for a person."""
+
+
+class DescriptionError(CtrError):
+    """A robot, trajectory or controller that cannot be, refused by the name of the wrong value."""
+
+
+class PoseError(CtrError):
+    """Joint positions at which this robot cannot stand."""
+
+
+class NoSolution(CtrError):
+    """The loaded model has no solution that the solver could reach; never returned as a wrong answer."""
+
+
+class NotFinite(CtrError):
+    """A NaN or an infinity where a number is required."""

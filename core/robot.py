@@ -1,0 +1,180 @@
+"""What a concentric-tube robot is: tubes from the innermost outward, and the joints that move them.
+
+Conventions: world origin at the front plate, +z along the straight tubes, arc length 0 at the
+plate. `beta` of a tube is the position of its proximal end along z (never positive): what lies
+behind the plate is held straight by a rigid guide. A precurvature (1/r, 0) at rotation 0 bends
+the free tube toward -y.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import DescriptionError, PoseError
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A piece of a tube whose shape when free is a circular arc or straight."""
+
+    length: float  #: [m]
+    curvature: tuple[float, float] = (0.0, 0.0)  #: x, y in the tube's frame [1/m]
+
+
+@dataclass(frozen=True)
+class Tube:
+    """One elastic tube; sections run from its proximal end."""
+
+    name: str
+    sections: tuple[Section, ...]
+    bending_stiffness: float  #: EI [N m^2], equal in both directions
+    poisson_ratio: float = 0.30  #: GJ = EI / (1 + nu)
+    outer_diameter: float = 2e-3  #: [m], for drawing and fit
+    inner_diameter: float = 1e-3  #: [m]
+
+    def __post_init__(self) -> None:
+        _positive(f"tube '{self.name}': bending_stiffness", self.bending_stiffness, "N m^2")
+        if not -1.0 < self.poisson_ratio <= 0.5:
+            raise DescriptionError(f"tube '{self.name}': poisson_ratio {self.poisson_ratio:g} is outside -1 ... 0.5")
+        if not self.sections:
+            raise DescriptionError(f"tube '{self.name}' has no sections; it needs at least one")
+        for number, section in enumerate(self.sections, 1):
+            _positive(f"tube '{self.name}': length of section {number}", section.length, "m")
+            if not all(math.isfinite(u) for u in section.curvature):
+                raise DescriptionError(f"tube '{self.name}': curvature of section {number} is not finite")
+        _positive(f"tube '{self.name}': outer_diameter", self.outer_diameter, "m")
+        if not 0.0 <= self.inner_diameter < self.outer_diameter:
+            raise DescriptionError(
+                f"tube '{self.name}': inner_diameter {1e3 * self.inner_diameter:g} mm is outside"
+                f" 0 ... {1e3 * self.outer_diameter:g} mm (its outer diameter)"
+            )
+
+    @property
+    def length(self) -> float:
+        """Whole length, straight and curved [m]."""
+        return sum(section.length for section in self.sections)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One motor: it turns or slides one tube at its proximal end."""
+
+    name: str
+    tube: int  #: index, 0 = innermost
+    motion: Literal["rotation", "translation"]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the joint's position."""
+        return "rad" if self.motion == "rotation" else "m"
+
+
+class Layout(NamedTuple):
+    """The robot as the compiled code reads it; q tubes, n joints, at most k sections a tube."""
+
+    ends: Array  #: (q, k) arc offset of each section's end from the tube's proximal end [m]
+    curvatures: Array  #: (q, k, 2) [1/m]
+    counts: Indices  #: (q,) sections of each tube
+    stiffness: Array  #: (q, 2) EI and EI / GJ
+    joint_tube: Indices  #: (n,)
+    joint_slides: Indices  #: (n,) 1 for a translation
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Tubes from the innermost outward and the joints in the order every vector uses."""
+
+    name: str
+    tubes: tuple[Tube, ...]
+    joints: tuple[Joint, ...]
+
+    def __post_init__(self) -> None:
+        if not self.tubes:
+            raise DescriptionError(f"robot '{self.name}' has no tubes; it needs at least one")
+        for inner, outer in zip(self.tubes, self.tubes[1:], strict=False):
+            if inner.outer_diameter > outer.inner_diameter:
+                raise DescriptionError(
+                    f"tube '{inner.name}' of {1e3 * inner.outer_diameter:g} mm does not fit into"
+                    f" tube '{outer.name}', which is open for {1e3 * outer.inner_diameter:g} mm"
+                )
+        seen: set[tuple[int, str]] = set()
+        for joint in self.joints:
+            if not 0 <= joint.tube < len(self.tubes):
+                raise DescriptionError(
+                    f"joint '{joint.name}': tube {joint.tube} is outside 0 ... {len(self.tubes) - 1}"
+                )
+            if (joint.tube, joint.motion) in seen:
+                raise DescriptionError(f"joint '{joint.name}': {joint.motion} of tube {joint.tube} is moved twice")
+            seen.add((joint.tube, joint.motion))
+        if len({joint.name for joint in self.joints}) < len(self.joints):
+            raise DescriptionError(f"robot '{self.name}': two joints have the same name")
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in the order of every joint vector."""
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Arrays for the compiled functions."""
+        q, k = len(self.tubes), max(len(tube.sections) for tube in self.tubes)
+        ends, curvatures = np.zeros((q, k)), np.zeros((q, k, 2))
+        for i, tube in enumerate(self.tubes):
+            ends[i, : len(tube.sections)] = np.cumsum([section.length for section in tube.sections])
+            curvatures[i, : len(tube.sections)] = [section.curvature for section in tube.sections]
+        return Layout(
+            ends,
+            curvatures,
+            np.array([len(tube.sections) for tube in self.tubes], dtype=np.int64),
+            np.array([[tube.bending_stiffness, 1.0 + tube.poisson_ratio] for tube in self.tubes]),
+            np.array([joint.tube for joint in self.joints], dtype=np.int64),
+            np.array([joint.motion == "translation" for joint in self.joints], dtype=np.int64),
+        )
+
+    def tube_poses(self, joints: Array) -> tuple[Array, Array]:
+        """Rotation alpha (q,) [rad] and proximal end beta (q,) [m] of every tube at `joints` (n,)."""
+        alpha, beta = np.zeros(len(self.tubes)), np.zeros(len(self.tubes))
+        for joint, value in zip(self.joints, joints, strict=True):
+            (alpha if joint.motion == "rotation" else beta)[joint.tube] = value
+        return alpha, beta
+
+    def check_pose(self, joints: Array) -> None:
+        """Refuse joint positions at which the tubes cannot stand.
+
+        Raises:
+            PoseError: not finite, a proximal end in front of the plate or of the next outer
+                tube's, or a tube that ends behind the plate or inside the tube around it.
+        """
+        if joints.shape != (len(self.joints),):
+            raise PoseError(f"joints have shape {joints.shape}; '{self.name}' needs ({len(self.joints)},)")
+        for joint, value in zip(self.joints, joints, strict=True):
+            if not math.isfinite(value):
+                raise PoseError(f"{joint.name} is {value}; it must be a finite number of {joint.unit}")
+        _, beta = self.tube_poses(joints)
+        bound, around = 0.0, "the plate"
+        for tube, start in zip(reversed(self.tubes), reversed(beta), strict=True):
+            if start > bound:
+                raise PoseError(
+                    f"tube '{tube.name}' starts at {1e3 * start:g} mm, in front of {around} at {1e3 * bound:g} mm"
+                )
+            bound, around = start, f"tube '{tube.name}'"
+        bound, around = 0.0, "the plate"
+        for tube, start in zip(reversed(self.tubes), reversed(beta), strict=True):
+            end = start + tube.length
+            if end <= bound:
+                raise PoseError(
+                    f"tube '{tube.name}' ends at {1e3 * end:g} mm, not beyond {around} at {1e3 * bound:g} mm"
+                )
+            bound, around = end, f"the end of tube '{tube.name}'"
+
+
+def _positive(what: str, value: float, unit: str) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise DescriptionError(f"{what} {value:g} {unit} must be finite and greater than 0")

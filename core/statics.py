@@ -1,0 +1,249 @@
+"""The loaded model solved: base unknowns by Newton, then J and C of the solved problem, eq. (20).
+
+Unknown at the plate are u_iz of every tube and M(0). Known at the far end: u_iz = 0 at each
+tube's own end (the innermost carries the axial part of a tip moment) and M = the tip moment. The derivative columns of the pass give the
+Newton step, and by the implicit function theorem the way the unknowns themselves move with joints
+and load; J and C contain both parts, so that they are the derivatives of the *solved* tip.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from core.compiled import compiled
+from core.errors import NoSolution, NotFinite
+from core.propagation import FRAME_ROWS, propagate
+from core.robot import Array, Layout, Robot
+
+#: A pose counts as solved when the end conditions hold to this, in 1/m and N m.
+TOLERANCE = 1e-9
+#: Newton passes before a solve gives up; a warm start takes two or three.
+MAX_PASSES = 40
+#: The paper's sub-link [m].
+PAPER_SUBLINK = 0.010
+
+
+class Solution(NamedTuple):
+    """The loaded robot at one pose. World frame; rows of J and C: position, then rotation."""
+
+    tip: Array  #: (3,) [m]
+    rotation: Array  #: (3, 3) frame of the innermost tube at the tip
+    jacobian: Array  #: (6, n) by the joints [m or rad per rad or m]
+    compliance: Array  #: (6, 6) by tip force and tip moment [m or rad per N or N m]
+    unknowns: Array  #: (q + 3,) u_iz(0) [1/m] and M(0) [N m]; the next warm start
+    sensitivity: Array  #: (q + 3, n + 6) of the unknowns by joints, force and moment
+    joints: Array  #: (n,) the pose solved for
+    wrench: Array  #: (6,) the load solved for [N, N m]
+    iterations: int
+    residual: float  #: largest violation of an end condition [1/m or N m]
+
+
+@dataclass(frozen=True)
+class Statics:
+    """The paper's model of one robot at one sub-link length."""
+
+    robot: Robot
+    sublink: float = PAPER_SUBLINK  #: [m]
+
+    def solve(self, joints: Array, wrench: Array, near: Solution | None = None) -> Solution:
+        """Shape under a tip wrench.
+
+        Args:
+            joints: positions (n,) [rad or m], in the order of `robot.joints`.
+            wrench: force and moment at the tip (6,), world frame [N, N m].
+            near: a solution nearby, whose branch is followed; without it the load is applied
+                in steps when the direct way fails.
+
+        Raises:
+            PoseError: the tubes cannot stand so.
+            NotFinite: the wrench is not finite.
+            NoSolution: no solution was reached.
+        """
+        self.robot.check_pose(joints)
+        if not np.isfinite(wrench).all():
+            raise NotFinite(f"tip wrench {wrench.tolist()} is not finite; it needs six finite numbers [N, N m]")
+        if near is not None:
+            step = np.concatenate([joints - near.joints, wrench - near.wrench])
+            solution = self._newton(joints, wrench, near.unknowns + near.sensitivity @ step)
+            if solution is not None:
+                return solution
+        for increments in (1, 4, 16, 64):
+            solution = self._load_in_steps(joints, wrench, increments)
+            if solution is not None:
+                return solution
+        raise NoSolution(
+            f"no shape found for {dict(zip(self.robot.joint_names, joints.tolist(), strict=True))}"
+            f" under {wrench[:3].tolist()} N, {wrench[3:].tolist()} N m; is the load within reach of the tubes?"
+        )
+
+    def shape(self, solution: Solution) -> Array:
+        """Cross-sections from the plate to the tip (m, 13 + 2q).
+
+        A row holds arc length [m], the frame by rows (9), position (3) [m], theta_i [rad], u_iz [1/m].
+        """
+        q = len(self.robot.tubes)
+        alpha, beta = self.robot.tube_poses(solution.joints)
+        length = float(beta[0]) + self.robot.tubes[0].length
+        rows = int(length / self.sublink) + 2 + int(self.robot.layout.counts.sum())
+        path = np.empty((rows, 13 + 2 * q))
+        state, rates = np.empty(12 + 2 * q), np.empty(0)
+        passed = propagate(
+            self.robot.layout, alpha, beta, solution.wrench[:3], solution.unknowns, self.sublink,
+            (0.0,) * q, (), state, rates, path,
+        )  # fmt: skip
+        return path[:passed]
+
+    def _load_in_steps(self, joints: Array, wrench: Array, increments: int) -> Solution | None:
+        guess, solution = np.zeros(len(self.robot.tubes) + 3), None
+        for number in range(1, increments + 1):
+            solution = self._newton(joints, wrench * (number / increments), guess)
+            if solution is None:
+                return None
+            guess = solution.unknowns + solution.sensitivity[:, -6:] @ (wrench / increments)
+        return solution
+
+    def _newton(self, joints: Array, wrench: Array, guess: Array) -> Solution | None:
+        q, n = len(self.robot.tubes), len(self.robot.joints)
+        columns = -(-(q + 3 + n + 3) // 4) * 4  # whole vector registers
+        alpha, beta = self.robot.tube_poses(joints)
+        found = _newton(
+            self.robot.layout, alpha, beta, wrench, guess, self.sublink, (0.0,) * q, (0.0,) * columns, TOLERANCE
+        )
+        unknowns, state, jacobian, compliance, sensitivity, iterations, residual = found
+        if not residual <= TOLERANCE:
+            return None
+        cos, sin = math.cos(state[12]), math.sin(state[12])
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return Solution(
+            state[9:12], state[:9].reshape(3, 3) @ turn, jacobian, compliance, unknowns, sensitivity,
+            joints, wrench, iterations, residual,
+        )  # fmt: skip
+
+
+@compiled
+def _newton(
+    layout: Layout, alpha: Array, beta: Array, wrench: Array, guess: Array, sublink: float,
+    tubes: tuple[float, ...], columns: tuple[float, ...], tolerance: float,
+) -> tuple[Array, Array, Array, Array, Array, int, float]:  # fmt: skip
+    """Newton on the base unknowns with a step check: a step that does not help is halved."""
+    q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
+    size = q + 3
+    state, rates = np.empty(12 + 2 * q), np.empty((FRAME_ROWS + 2 * q) * width)
+    path = np.empty((0, 13 + 2 * q))
+    force = wrench[:3]
+    unknowns, trial = guess.copy(), guess.copy()
+    matrix, right = np.empty((size, size)), np.empty((size, n + 7))
+    best, iterations, fraction = np.inf, 0, 1.0
+    step = np.zeros(size)
+    twist = layout.stiffness[0, 1] / layout.stiffness[0, 0]  # 1 / GJ of the tube that carries the tip
+    while iterations < MAX_PASSES:
+        propagate(layout, alpha, beta, force, trial, sublink, tubes, columns, state, rates, path)
+        iterations += 1
+        # End conditions: u_iz at each tube's end, and M(0) - r x F - M_tip.
+        x, y, z = state[9], state[10], state[11]
+        right[:q, 0] = state[12 + q :]
+        right[0, 0] -= twist * (state[2] * wrench[3] + state[5] * wrench[4] + state[8] * wrench[5])
+        right[q, 0] = trial[q] - (y * force[2] - z * force[1]) - wrench[3]
+        right[q + 1, 0] = trial[q + 1] - (z * force[0] - x * force[2]) - wrench[4]
+        right[q + 2, 0] = trial[q + 2] - (x * force[1] - y * force[0]) - wrench[5]
+        residual = np.abs(right[:, 0]).max()
+        if not np.isfinite(residual) or (residual > best and residual > tolerance):
+            fraction *= 0.5
+            if fraction < 1e-4:
+                break
+            for i in range(size):
+                trial[i] = unknowns[i] - fraction * step[i]
+            continue
+        best, fraction = residual, 1.0
+        unknowns[:] = trial
+        _end_condition_rates(rates, wrench, state, twist, q, n, width, matrix, right)
+        if not _solve_in_place(matrix, right):
+            break
+        if residual <= tolerance:
+            sensitivity = -right[:, 1:]
+            jacobian, compliance = np.empty((6, n)), np.empty((6, 6))
+            for row in range(6):
+                out = row + 3 if row < 3 else row - 3  # the pass has rotation first
+                axis = state[2 + 3 * row] if row < 3 else 0.0  # the tube turns about it in that frame
+                for col in range(n + 6):
+                    value = 0.0
+                    if col < n + 3:
+                        value = rates[row * width + size + col] + axis * rates[FRAME_ROWS * width + size + col]
+                    for k in range(size):
+                        value += (rates[row * width + k] + axis * rates[FRAME_ROWS * width + k]) * sensitivity[k, col]
+                    if col < n:
+                        jacobian[out, col] = value
+                    else:
+                        compliance[out, col - n] = value
+            return unknowns, state, jacobian, compliance, sensitivity, iterations, residual
+        step[:] = right[:, 0]
+        for i in range(size):
+            trial[i] = unknowns[i] - step[i]
+    return unknowns, state, np.empty((6, n)), np.empty((6, 6)), np.empty((size, n + 6)), iterations, np.inf
+
+
+@compiled
+def _end_condition_rates(
+    rates: Array, wrench: Array, state: Array, twist: float, q: int, n: int, width: int, matrix: Array, right: Array
+) -> None:
+    """Derivatives of the end conditions by the unknowns (`matrix`) and by joints and load (`right`)."""
+    size = q + 3
+    force, tip, tangent, moment = wrench[:3], state[9:12], state[2:9:3], wrench[3:]
+    ax = twist * (tangent[1] * moment[2] - tangent[2] * moment[1])
+    ay = twist * (tangent[2] * moment[0] - tangent[0] * moment[2])
+    az = twist * (tangent[0] * moment[1] - tangent[1] * moment[0])
+    for col in range(size + n + 3):
+        dx, dy, dz = rates[3 * width + col], rates[4 * width + col], rates[5 * width + col]
+        target, place = (matrix, col) if col < size else (right, col - size + 1)
+        for i in range(q):
+            target[i, place] = rates[(FRAME_ROWS + q + i) * width + col]
+        target[0, place] -= ax * rates[col] + ay * rates[width + col] + az * rates[2 * width + col]
+        target[q, place] = -(dy * force[2] - dz * force[1])
+        target[q + 1, place] = -(dz * force[0] - dx * force[2])
+        target[q + 2, place] = -(dx * force[1] - dy * force[0])
+    for k in range(3):
+        matrix[q + k, q + k] += 1.0
+        right[:, n + 4 + k] = 0.0
+        right[0, n + 4 + k] = -twist * tangent[k]
+        right[q + k, n + 4 + k] = -1.0
+    # -r x dF
+    right[q, n + 2] += tip[2]
+    right[q, n + 3] -= tip[1]
+    right[q + 1, n + 1] -= tip[2]
+    right[q + 1, n + 3] += tip[0]
+    right[q + 2, n + 1] += tip[1]
+    right[q + 2, n + 2] -= tip[0]
+
+
+@compiled
+def _solve_in_place(matrix: Array, right: Array) -> bool:
+    """Gaussian elimination with row pivoting; `right` becomes the solution. False when singular."""
+    size, count = right.shape
+    for k in range(size):
+        pivot = k
+        for i in range(k + 1, size):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        if not abs(matrix[pivot, k]) > 1e-300:
+            return False
+        if pivot != k:
+            for j in range(size):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+            for j in range(count):
+                right[k, j], right[pivot, j] = right[pivot, j], right[k, j]
+        inverse = 1.0 / matrix[k, k]
+        for i in range(size):
+            if i != k:
+                factor = matrix[i, k] * inverse
+                if factor != 0.0:
+                    for j in range(k, size):
+                        matrix[i, j] -= factor * matrix[k, j]
+                    for j in range(count):
+                        right[i, j] -= factor * right[k, j]
+    for k in range(size):
+        inverse = 1.0 / matrix[k, k]
+        for j in range(count):
+            right[k, j] *= inverse
+    return True
