@@ -9,7 +9,6 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numba  # pyright: ignore[reportMissingTypeStubs]
 
-
 P = ParamSpec("P")
 R = TypeVar("R")
 

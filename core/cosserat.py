@@ -46,6 +46,7 @@ class ExactRod:
             PoseError: the tubes cannot stand so.
             NotFinite: the wrench is not finite.
             NoSolution: no solution was reached, not even with the load applied in 64 steps.
+
         """
         self.robot.check_pose(joints)
         alpha, beta = self.robot.tube_poses(joints)
@@ -96,12 +97,13 @@ def _rotation(y: Array, out: Array) -> None:
 def _slope(
     y: Array, out: Array, q: int, stiffness: Array, ratio: Array, curvature: Array, total: float, force: Array
 ) -> None:
-    """y = quaternion (4), r (3), m_x, m_y, u_iz (q), psi_i (q); an absent tube has ratio 0."""
+    """Y = quaternion (4), r (3), m_x, m_y, u_iz (q), psi_i (q); an absent tube has ratio 0."""
     w, a, b, c = y[0], y[1], y[2], y[3]
     scale = 2.0 / (w * w + a * a + b * b + c * c)
     dx, dy, dz = scale * (a * c + w * b), scale * (b * c - w * a), 1.0 - scale * (a * a + b * b)
-    nx = force[0] * (1.0 - scale * (b * b + c * c)) + force[1] * scale * (a * b + w * c) + force[2] * scale * (a * c - w * b)
-    ny = force[0] * scale * (a * b - w * c) + force[1] * (1.0 - scale * (a * a + c * c)) + force[2] * scale * (b * c + w * a)
+    fx, fy, fz = force[0], force[1], force[2]
+    nx = fx + scale * (-fx * (b * b + c * c) + fy * (a * b + w * c) + fz * (a * c - w * b))
+    ny = fy + scale * (fx * (a * b - w * c) - fy * (a * a + c * c) + fz * (b * c + w * a))
     ux, uy, mz = y[7], y[8], 0.0
     for i in range(q):
         if ratio[i] > 0.0:
@@ -212,7 +214,7 @@ def _shoot(
                     matrix[i, k] = (moved[i] - ends[i]) / 1e-6
             if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-30:
                 return unknowns, inverse, y, iterations, np.inf
-            inverse = np.ascontiguousarray(np.linalg.inv(matrix))
+            inverse[:] = np.linalg.inv(matrix)
         correction = inverse @ ends
         fraction = 1.0
         while True:

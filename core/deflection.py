@@ -71,6 +71,7 @@ class RateFilter:
 
         Raises:
             NotFinite: a NaN would stay in the filter for ever.
+
         """
         value = last.value + self.period * last.rate
         if measured is None:

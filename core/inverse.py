@@ -34,6 +34,7 @@ def inverse(jacobian: Array, wanted: Array, speed: Array, lower: Array, upper: A
         wanted: (3,) [m/s].
         speed: top speeds (n,), the joints' units of measure [rad/s or m/s].
         lower, upper: bounds (n,) that contain zero [rad/s or m/s].
+
     """
     return Inverse(*_inverse(np.ascontiguousarray(jacobian), wanted, speed, lower, upper, SIGMA_FLOOR))
 

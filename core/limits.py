@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from core.compiled import compiled
 from core.errors import DescriptionError, PoseError
 from core.robot import Array
 
@@ -58,14 +59,22 @@ class Limits:
 
     def velocity_bounds(self, joints: Array) -> tuple[Array, Array]:
         """Lowest and highest velocity (n,) from which each joint can still stop inside its travel."""
-        lower, upper, speed, acceleration = self._arrays
-        return -_braking(joints - lower, speed, acceleration, self.reaction), _braking(
-            upper - joints, speed, acceleration, self.reaction
-        )
+        return _velocity_bounds(joints, *self._arrays, self.reaction)
 
 
-def _braking(room: Array, speed: Array, acceleration: Array, reaction: float) -> Array:
-    """Largest v with v * reaction + v^2 / (2 a) <= room, and at most `speed`."""
-    room = np.maximum(room, 0.0)
-    lag = acceleration * reaction
-    return np.minimum(speed, np.sqrt(lag * lag + 2.0 * acceleration * room) - lag)
+@compiled
+def _velocity_bounds(
+    joints: Array, lower: Array, upper: Array, speed: Array, acceleration: Array, reaction: float
+) -> tuple[Array, Array]:
+    lowest, highest = np.empty_like(joints), np.empty_like(joints)
+    for i in range(joints.shape[0]):
+        lag = acceleration[i] * reaction
+        lowest[i] = -min(speed[i], _braking(joints[i] - lower[i], acceleration[i], lag))
+        highest[i] = min(speed[i], _braking(upper[i] - joints[i], acceleration[i], lag))
+    return lowest, highest
+
+
+@compiled
+def _braking(room: float, acceleration: float, lag: float) -> float:
+    """Largest v with v * reaction + v^2 / (2 a) <= room; `lag` is a * reaction."""
+    return np.sqrt(lag * lag + 2.0 * acceleration * max(room, 0.0)) - lag

@@ -55,6 +55,7 @@ def propagate(
 
     Returns:
         Number of cross-sections passed, the plate's included.
+
     """
     q = len(tubes)
     width = len(columns)
@@ -288,17 +289,27 @@ def _series(pp: float) -> tuple[float, float, float]:
     if pp > 0.25:
         p = np.sqrt(pp)
         return np.sin(p) / p, (1.0 - np.cos(p)) / pp, (p - np.sin(p)) / (p * pp)
-    a = 1.0 - pp / 6.0 * (1.0 - pp / 20.0 * (1.0 - pp / 42.0 * (1.0 - pp / 72.0 * (1.0 - pp / 110.0 * (1.0 - pp / 156.0)))))
     b = 0.5 * (1.0 - pp / 12.0 * (1.0 - pp / 30.0 * (1.0 - pp / 56.0 * (1.0 - pp / 90.0 * (1.0 - pp / 132.0)))))
     c = (1.0 - pp / 20.0 * (1.0 - pp / 42.0 * (1.0 - pp / 72.0 * (1.0 - pp / 110.0 * (1.0 - pp / 156.0))))) / 6.0
-    return a, b, c
+    return 1.0 - pp * c, b, c
 
 
 @compiled
 def _record(
-    row: Array, s: float,
-    r11: float, r12: float, r13: float, r21: float, r22: float, r23: float, r31: float, r32: float, r33: float,
-    x: float, y: float, z: float,
+    row: Array,
+    s: float,
+    r11: float,
+    r12: float,
+    r13: float,
+    r21: float,
+    r22: float,
+    r23: float,
+    r31: float,
+    r32: float,
+    r33: float,
+    x: float,
+    y: float,
+    z: float,
 ) -> None:
     row[0] = s
     row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9] = r11, r12, r13, r21, r22, r23, r31, r32, r33

@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from core.compiled import compiled
 from core.errors import DescriptionError, PoseError
 
 Array = NDArray[np.float64]
@@ -140,9 +141,7 @@ class Robot:
 
     def tube_poses(self, joints: Array) -> tuple[Array, Array]:
         """Rotation alpha (q,) [rad] and proximal end beta (q,) [m] of every tube at `joints` (n,)."""
-        alpha, beta = np.zeros(len(self.tubes)), np.zeros(len(self.tubes))
-        for joint, value in zip(self.joints, joints, strict=True):
-            (alpha if joint.motion == "rotation" else beta)[joint.tube] = value
+        alpha, beta, _ = tube_poses(self.layout, joints)
         return alpha, beta
 
     def check_pose(self, joints: Array) -> None:
@@ -151,6 +150,7 @@ class Robot:
         Raises:
             PoseError: not finite, a proximal end in front of the plate or of the next outer
                 tube's, or a tube that ends behind the plate or inside the tube around it.
+
         """
         if joints.shape != (len(self.joints),):
             raise PoseError(f"joints have shape {joints.shape}; '{self.name}' needs ({len(self.joints)},)")
@@ -173,6 +173,27 @@ class Robot:
                     f"tube '{tube.name}' ends at {1e3 * end:g} mm, not beyond {around} at {1e3 * bound:g} mm"
                 )
             bound, around = end, f"the end of tube '{tube.name}'"
+
+
+@compiled
+def tube_poses(layout: Layout, joints: Array) -> tuple[Array, Array, bool]:
+    """Rotation alpha (q,) [rad] and proximal end beta (q,) [m] of every tube at `joints` (n,).
+
+    The third answer is whether the tubes can stand so; `Robot.check_pose` says why not.
+    """
+    q = layout.counts.shape[0]
+    alpha, beta = np.zeros(q), np.zeros(q)
+    for j in range(joints.shape[0]):
+        if layout.joint_slides[j]:
+            beta[layout.joint_tube[j]] = joints[j]
+        else:
+            alpha[layout.joint_tube[j]] = joints[j]
+    start, end, stands = 0.0, 0.0, True
+    for i in range(q - 1, -1, -1):
+        far = beta[i] + layout.ends[i, layout.counts[i] - 1]
+        stands = stands and beta[i] <= start and far > end and np.isfinite(alpha[i])
+        start, end = beta[i], far
+    return alpha, beta, stands
 
 
 def _positive(what: str, value: float, unit: str) -> None:

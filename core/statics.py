@@ -1,13 +1,14 @@
 """The loaded model solved: base unknowns by Newton, then J and C of the solved problem, eq. (20).
 
 Unknown at the plate are u_iz of every tube and M(0). Known at the far end: u_iz = 0 at each
-tube's own end (the innermost carries the axial part of a tip moment) and M = the tip moment. The derivative columns of the pass give the
-Newton step, and by the implicit function theorem the way the unknowns themselves move with joints
-and load; J and C contain both parts, so that they are the derivatives of the *solved* tip.
+tube's own end (the innermost carries the axial part of a tip moment) and M = the tip moment.
+The derivative columns of the pass give the Newton step, and by the implicit function theorem the
+way the unknowns themselves move with joints and load; J and C contain both parts, so that they
+are the derivatives of the *solved* tip.
 """
 
-import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from core.compiled import compiled
 from core.errors import NoSolution, NotFinite
 from core.propagation import FRAME_ROWS, propagate
-from core.robot import Array, Layout, Robot
+from core.robot import Array, Layout, Robot, tube_poses
 
 #: A pose counts as solved when the end conditions hold to this, in 1/m and N m.
 TOLERANCE = 1e-9
@@ -60,17 +61,21 @@ class Statics:
             PoseError: the tubes cannot stand so.
             NotFinite: the wrench is not finite.
             NoSolution: no solution was reached.
+
         """
+        if near is not None:
+            solution = self._newton(joints, wrench, near)
+            if solution is not None:
+                return solution
         self.robot.check_pose(joints)
         if not np.isfinite(wrench).all():
             raise NotFinite(f"tip wrench {wrench.tolist()} is not finite; it needs six finite numbers [N, N m]")
-        if near is not None:
-            step = np.concatenate([joints - near.joints, wrench - near.wrench])
-            solution = self._newton(joints, wrench, near.unknowns + near.sensitivity @ step)
-            if solution is not None:
-                return solution
         for increments in (1, 4, 16, 64):
-            solution = self._load_in_steps(joints, wrench, increments)
+            solution = self._straight(joints)
+            for number in range(1, increments + 1):
+                solution = self._newton(joints, wrench * (number / increments), solution)
+                if solution is None:
+                    break
             if solution is not None:
                 return solution
         raise NoSolution(
@@ -95,49 +100,63 @@ class Statics:
         )  # fmt: skip
         return path[:passed]
 
-    def _load_in_steps(self, joints: Array, wrench: Array, increments: int) -> Solution | None:
-        guess, solution = np.zeros(len(self.robot.tubes) + 3), None
-        for number in range(1, increments + 1):
-            solution = self._newton(joints, wrench * (number / increments), guess)
-            if solution is None:
-                return None
-            guess = solution.unknowns + solution.sensitivity[:, -6:] @ (wrench / increments)
-        return solution
-
-    def _newton(self, joints: Array, wrench: Array, guess: Array) -> Solution | None:
+    def _straight(self, joints: Array) -> Solution:
+        """Where a cold start begins: no twist, no moment, no load."""
         q, n = len(self.robot.tubes), len(self.robot.joints)
-        columns = -(-(q + 3 + n + 3) // 4) * 4  # whole vector registers
-        alpha, beta = self.robot.tube_poses(joints)
-        found = _newton(
-            self.robot.layout, alpha, beta, wrench, guess, self.sublink, (0.0,) * q, (0.0,) * columns, TOLERANCE
+        empty = np.zeros(0)
+        return Solution(
+            empty, empty, empty, empty, np.zeros(q + 3), np.zeros((q + 3, n + 6)), joints, np.zeros(6), 0, 0.0
         )
-        unknowns, state, jacobian, compliance, sensitivity, iterations, residual = found
+
+    def _newton(self, joints: Array, wrench: Array, near: Solution) -> Solution | None:
+        tubes, columns = self._widths
+        tip, rotation, jacobian, compliance, unknowns, sensitivity, iterations, residual = _newton(
+            self.robot.layout, joints, wrench, near.joints, near.wrench, near.unknowns, near.sensitivity,
+            self.sublink, tubes, columns, TOLERANCE,
+        )  # fmt: skip
         if not residual <= TOLERANCE:
             return None
-        cos, sin = math.cos(state[12]), math.sin(state[12])
-        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return Solution(
-            state[9:12], state[:9].reshape(3, 3) @ turn, jacobian, compliance, unknowns, sensitivity,
-            joints, wrench, iterations, residual,
-        )  # fmt: skip
+            tip, rotation, jacobian, compliance, unknowns, sensitivity, joints, wrench, iterations, residual
+        )
+
+    @cached_property
+    def _widths(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Numbers of tubes and of derivative columns (in whole vector registers), for the compiler."""
+        q, n = len(self.robot.tubes), len(self.robot.joints)
+        return (0.0,) * q, (0.0,) * (-(-(q + 3 + n + 3) // 4) * 4)
 
 
 @compiled
 def _newton(
-    layout: Layout, alpha: Array, beta: Array, wrench: Array, guess: Array, sublink: float,
-    tubes: tuple[float, ...], columns: tuple[float, ...], tolerance: float,
-) -> tuple[Array, Array, Array, Array, Array, int, float]:  # fmt: skip
-    """Newton on the base unknowns with a step check: a step that does not help is halved."""
+    layout: Layout, joints: Array, wrench: Array,
+    near_joints: Array, near_wrench: Array, near_unknowns: Array, near_sensitivity: Array,
+    sublink: float, tubes: tuple[float, ...], columns: tuple[float, ...], tolerance: float,
+) -> tuple[Array, Array, Array, Array, Array, Array, int, float]:  # fmt: skip
+    """Newton on the base unknowns with a step check: a step that does not help is halved.
+
+    It starts from the unknowns nearby, moved on to this pose and load by their sensitivity.
+    """
     q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
     size = q + 3
+    alpha, beta, stands = tube_poses(layout, joints)
     state, rates = np.empty(12 + 2 * q), np.empty((FRAME_ROWS + 2 * q) * width)
     path = np.empty((0, 13 + 2 * q))
+    tip, rotation = np.empty(3), np.empty((3, 3))
+    jacobian, compliance, sensitivity = np.empty((6, n)), np.empty((6, 6)), np.empty((size, n + 6))
     force = wrench[:3]
-    unknowns, trial = guess.copy(), guess.copy()
+    unknowns, trial = near_unknowns.copy(), near_unknowns.copy()
+    for i in range(size):
+        for j in range(n):
+            trial[i] += near_sensitivity[i, j] * (joints[j] - near_joints[j])
+        for j in range(6):
+            trial[i] += near_sensitivity[i, n + j] * (wrench[j] - near_wrench[j])
     matrix, right = np.empty((size, size)), np.empty((size, n + 7))
     best, iterations, fraction = np.inf, 0, 1.0
     step = np.zeros(size)
     twist = layout.stiffness[0, 1] / layout.stiffness[0, 0]  # 1 / GJ of the tube that carries the tip
+    if not stands:
+        return tip, rotation, jacobian, compliance, unknowns, sensitivity, 0, np.inf
     while iterations < MAX_PASSES:
         propagate(layout, alpha, beta, force, trial, sublink, tubes, columns, state, rates, path)
         iterations += 1
@@ -162,26 +181,43 @@ def _newton(
         if not _solve_in_place(matrix, right):
             break
         if residual <= tolerance:
-            sensitivity = -right[:, 1:]
-            jacobian, compliance = np.empty((6, n)), np.empty((6, 6))
-            for row in range(6):
-                out = row + 3 if row < 3 else row - 3  # the pass has rotation first
-                axis = state[2 + 3 * row] if row < 3 else 0.0  # the tube turns about it in that frame
-                for col in range(n + 6):
-                    value = 0.0
-                    if col < n + 3:
-                        value = rates[row * width + size + col] + axis * rates[FRAME_ROWS * width + size + col]
-                    for k in range(size):
-                        value += (rates[row * width + k] + axis * rates[FRAME_ROWS * width + k]) * sensitivity[k, col]
-                    if col < n:
-                        jacobian[out, col] = value
-                    else:
-                        compliance[out, col - n] = value
-            return unknowns, state, jacobian, compliance, sensitivity, iterations, residual
+            for i in range(size):
+                for j in range(n + 6):
+                    sensitivity[i, j] = -right[i, j + 1]
+            _tip_derivatives(rates, state, sensitivity, q, n, width, jacobian, compliance)
+            cos, sin = np.cos(state[12]), np.sin(state[12])
+            for i in range(3):
+                tip[i] = state[9 + i]
+                rotation[i, 0] = cos * state[3 * i] + sin * state[3 * i + 1]
+                rotation[i, 1] = cos * state[3 * i + 1] - sin * state[3 * i]
+                rotation[i, 2] = state[3 * i + 2]
+            return tip, rotation, jacobian, compliance, unknowns, sensitivity, iterations, residual
         step[:] = right[:, 0]
         for i in range(size):
             trial[i] = unknowns[i] - step[i]
-    return unknowns, state, np.empty((6, n)), np.empty((6, 6)), np.empty((size, n + 6)), iterations, np.inf
+    return tip, rotation, jacobian, compliance, unknowns, sensitivity, iterations, np.inf
+
+
+@compiled
+def _tip_derivatives(
+    rates: Array, state: Array, sensitivity: Array, q: int, n: int, width: int, jacobian: Array, compliance: Array
+) -> None:
+    """J and C of the solved problem: the direct part and the part through the base unknowns."""
+    size = q + 3
+    theta = FRAME_ROWS * width
+    for row in range(6):
+        out = row + 3 if row < 3 else row - 3  # the pass has rotation first
+        axis = state[2 + 3 * row] if row < 3 else 0.0  # the tube turns about it in that frame
+        for col in range(n + 6):
+            value = 0.0
+            if col < n + 3:
+                value = rates[row * width + size + col] + axis * rates[theta + size + col]
+            for k in range(size):
+                value += (rates[row * width + k] + axis * rates[theta + k]) * sensitivity[k, col]
+            if col < n:
+                jacobian[out, col] = value
+            else:
+                compliance[out, col - n] = value
 
 
 @compiled

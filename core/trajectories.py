@@ -17,6 +17,12 @@ class Setpoint(NamedTuple):
     velocity: Array  #: (3,) [m/s]
 
 
+class JointMotion(NamedTuple):
+    """Joint velocities asked for directly: approach, jog, a sweep of one joint."""
+
+    velocity: Array  #: (n,) [rad/s or m/s]
+
+
 class Trajectory(Protocol):
     """A motion of the tip over time."""
 
@@ -29,7 +35,7 @@ class Trajectory(Protocol):
 class Hold:
     """Stay at the start tip (regulation)."""
 
-    def setpoint(self, time: float) -> Setpoint:
+    def setpoint(self, time: float) -> Setpoint:  # noqa: ARG002 - the same at any time
         """Zero at any time."""
         return Setpoint(np.zeros(3), np.zeros(3))
 
@@ -48,7 +54,7 @@ class Sinusoid:
         _unit("sinusoid", self.direction)
 
     def setpoint(self, time: float) -> Setpoint:
-        """amplitude * sin(2 pi f t) along the direction."""
+        """Amplitude * sin(2 pi f t) along the direction."""
         axis, rate = _unit("sinusoid", self.direction), 2.0 * math.pi * self.frequency
         return Setpoint(
             axis * (self.amplitude * math.sin(rate * time)), axis * (self.amplitude * rate * math.cos(rate * time))
@@ -72,20 +78,24 @@ class Circle:
         """Starts at offset zero; the centre lies `radius` away, square to the normal."""
         normal = _unit("circle", self.normal)
         # The axis least along the normal gives the plane's first direction.
-        first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+        first = _cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
         first /= np.linalg.norm(first)
-        second = np.cross(normal, first)
+        second = _cross(normal, first)
         rate = 2.0 * math.pi / self.period
         cos, sin = math.cos(rate * time), math.sin(rate * time)
         return Setpoint(
-            self.radius * (first * (cos - 1.0) + second * sin),
-            self.radius * rate * (second * cos - first * sin),
+            first * (self.radius * (cos - 1.0)) + second * (self.radius * sin),
+            second * (self.radius * rate * cos) - first * (self.radius * rate * sin),
         )
 
 
 def _positive(what: str, value: float, name: str, unit: str) -> None:
     if not (math.isfinite(value) and value > 0.0):
         raise DescriptionError(f"{what}: {name} {value:g} {unit} must be finite and greater than 0")
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _unit(what: str, direction: tuple[float, float, float]) -> Array:

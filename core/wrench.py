@@ -27,6 +27,7 @@ def fuse(wrenches: Array, alpha: Array, beta: Array) -> Fused:
             axes [N, N m]. Sensor i sits at (0, 0, beta_i) and turns with tube i.
         alpha: rotation of each tube (q,) [rad].
         beta: proximal end of each tube (q,) [m].
+
     """
     total = _fuse(wrenches, alpha, beta)
     return Fused(total[:3], total[3:])

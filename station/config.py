@@ -1,0 +1,111 @@
+"""Strict configuration: TOML files read into frozen models that refuse what they do not know.
+
+A message names the file, the key, the value and what was expected. Values are SI.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from core.errors import CtrError
+
+
+class ConfigError(CtrError):
+    """A configuration that cannot be, refused before anything starts."""
+
+
+class Strict(BaseModel):
+    """Base of every configuration model: frozen, no unknown key, no NaN, no infinity."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
+
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Vector = tuple[float, float, float]
+Model = TypeVar("Model", bound=BaseModel)
+
+PRESETS = Path(str(files("station"))) / "presets"
+
+
+def preset_names(kind: str) -> list[str]:
+    """Names of the presets of a kind (`robots`, `labs`, `experiments`) that come with the station."""
+    return sorted(path.stem for path in (PRESETS / kind).glob("*.toml"))
+
+
+def preset(kind: str, name: str) -> Path:
+    """The preset's file; a path to a file of one's own is taken as it is.
+
+    Raises:
+        ConfigError: neither a preset nor a file.
+    """
+    own = Path(name)
+    if own.suffix == ".toml":
+        if not own.is_file():
+            raise ConfigError(f"{own}: no such file")
+        return own
+    if name not in preset_names(kind):
+        raise ConfigError(f"'{name}' is not one of the {kind}: {', '.join(preset_names(kind))}; or give a .toml file")
+    return PRESETS / kind / f"{name}.toml"
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The file's table.
+
+    Raises:
+        ConfigError: unreadable, or not TOML; with the line.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+
+
+def check(model: type[Model], table: Mapping[str, Any], source: str) -> Model:
+    """`table` as a `model`.
+
+    Raises:
+        ConfigError: the first wrong key, its value and what was expected; `source` is the file.
+    """
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(f"{source}: {explain(error)}") from None
+    except CtrError as error:
+        raise ConfigError(f"{source}: {error}") from None
+
+
+def explain(error: ValidationError) -> str:
+    """The first complaint of pydantic's in one line: key, value, what was expected."""
+    first = error.errors(include_url=False)[0]
+    key = ".".join(str(part) for part in first["loc"])
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    if first["type"] == "extra_forbidden":
+        return f"unknown key '{key}'{more}"
+    if first["type"] == "missing":
+        return f"'{key}' is missing{more}"
+    text = str(first.get("ctx", {}).get("error", first["msg"]))
+    shown = repr(first["input"])
+    return f"{key} = {shown if len(shown) < 80 else shown[:77] + '...'}: {text}{more}"
+
+
+def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with `over` laid on top, table by table; a table with another `kind` replaces the old one."""
+    result = dict(base)
+    for key, value in over.items():
+        old = result.get(key)
+        if (
+            isinstance(old, Mapping)
+            and isinstance(value, Mapping)
+            and value.get("kind", old.get("kind")) == old.get("kind")
+        ):
+            result[key] = merged(old, value)
+        else:
+            result[key] = value
+    return result

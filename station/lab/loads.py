@@ -1,0 +1,110 @@
+"""What pulls at the tip, as a force over time. Gravity points along +x."""
+
+import bisect
+import math
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from core.robot import Array
+from station.config import NotNegative, Positive, Strict, Vector
+
+GRAVITY = (1.0, 0.0, 0.0)
+
+
+class _Directed(Strict):
+    direction: Vector = GRAVITY
+    """world frame; its length does not matter"""
+
+    @field_validator("direction")
+    @classmethod
+    def _has_length(cls, direction: Vector) -> Vector:
+        if not any(direction):
+            raise ValueError("a direction needs one component that is not 0")
+        return direction
+
+    def _along(self, magnitude: float) -> Array:
+        vector = np.array(self.direction)
+        return vector * (magnitude / float(np.linalg.norm(vector)))
+
+
+class NoLoad(Strict):
+    """Nothing."""
+
+    kind: Literal["none"] = "none"
+
+    def force(self, time: float) -> Array:  # noqa: ARG002 - none at any time
+        """(3,) [N]."""
+        return np.zeros(3)
+
+
+class ConstantLoad(_Directed):
+    """A weight that always hangs."""
+
+    kind: Literal["constant"] = "constant"
+    magnitude: NotNegative
+    """[N]"""
+
+    def force(self, time: float) -> Array:
+        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        return self._along(self.magnitude if time >= 0.0 else 0.0)
+
+
+class SineLoad(_Directed):
+    """amplitude * sin(2 pi frequency t)."""
+
+    kind: Literal["sine"] = "sine"
+    amplitude: NotNegative
+    """[N]"""
+    frequency: Positive
+    """[Hz]"""
+
+    def force(self, time: float) -> Array:
+        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        return self._along(self.amplitude * math.sin(2.0 * math.pi * self.frequency * max(time, 0.0)))
+
+
+class RaisedCosineLoad(_Directed):
+    """Up to `peak` and back every period, starting from nothing: peak / 2 (1 - cos(2 pi t / period))."""
+
+    kind: Literal["raised_cosine"] = "raised_cosine"
+    peak: NotNegative
+    """[N]"""
+    period: Positive
+    """[s]"""
+
+    def force(self, time: float) -> Array:
+        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        return self._along(0.5 * self.peak * (1.0 - math.cos(2.0 * math.pi * max(time, 0.0) / self.period)))
+
+
+class RampLoad(_Directed):
+    """Straight lines between points in time; constant after the last."""
+
+    kind: Literal["ramps"] = "ramps"
+    times: tuple[NotNegative, ...] = Field(min_length=1)
+    """rising [s]"""
+    magnitudes: tuple[float, ...]
+    """[N]"""
+
+    @model_validator(mode="after")
+    def _match(self) -> Self:
+        if len(self.times) != len(self.magnitudes):
+            raise ValueError(f"{len(self.times)} times but {len(self.magnitudes)} magnitudes")
+        if any(b <= a for a, b in zip(self.times, self.times[1:], strict=False)):
+            raise ValueError("times must rise")
+        return self
+
+    def force(self, time: float) -> Array:
+        """(3,) [N] at `time` [s] since the motion's start; nothing before the first point."""
+        after = bisect.bisect_right(self.times, time)
+        if after == 0:
+            return np.zeros(3)
+        if after == len(self.times):
+            return self._along(self.magnitudes[-1])
+        (t0, t1), (f0, f1) = self.times[after - 1 : after + 1], self.magnitudes[after - 1 : after + 1]
+        return self._along(f0 + (f1 - f0) * (time - t0) / (t1 - t0))
+
+
+Load = Annotated[NoLoad | ConstantLoad | SineLoad | RaisedCosineLoad | RampLoad, Field(discriminator="kind")]

@@ -1,0 +1,116 @@
+"""Robot files: the TOML description of tubes, joints and the stages that move them."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from core.limits import JointLimit, Limits
+from core.robot import Joint, Robot, Section, Tube
+from station.config import ConfigError, Positive, Strict, check, preset, read_toml
+
+
+class SectionFile(Strict):
+    """One piece of a tube, from the proximal end."""
+
+    length: Positive
+    """[m]"""
+    curvature: tuple[float, float] = (0.0, 0.0)
+    """x, y in the tube's frame [1/m]; an arc of radius r that bends toward -y is [1/r, 0]"""
+
+
+class TubeFile(Strict):
+    """One tube; innermost first in the file."""
+
+    name: str
+    bending_stiffness: float
+    """EI [N m^2]"""
+    poisson_ratio: float = 0.30
+    """GJ = EI / (1 + poisson_ratio)"""
+    outer_diameter: float
+    """[m]"""
+    inner_diameter: float
+    """[m]"""
+    sections: tuple[SectionFile, ...]
+
+
+class JointFile(Strict):
+    """One stage and the tube it moves."""
+
+    name: str
+    tube: str
+    motion: Literal["rotation", "translation"]
+    lower: float
+    """[rad or m]"""
+    upper: float
+    """[rad or m]"""
+    speed: float
+    """[rad/s or m/s]"""
+    acceleration: float
+    """[rad/s^2 or m/s^2]"""
+    microstep: Positive
+    """resolution of the stage [rad or m]"""
+
+
+class RobotFile(Strict):
+    """A robot and its stages."""
+
+    name: str
+    source: str = ""
+    """where the numbers come from"""
+    tubes: tuple[TubeFile, ...]
+    joints: tuple[JointFile, ...] = Field(min_length=1)
+
+    def robot(self) -> Robot:
+        """The description that the model works on."""
+        index = {tube.name: i for i, tube in enumerate(self.tubes)}
+        for joint in self.joints:
+            if joint.tube not in index:
+                raise ConfigError(f"joint '{joint.name}' moves tube '{joint.tube}', which is not one of {list(index)}")
+        return Robot(
+            self.name,
+            tuple(
+                Tube(
+                    tube.name,
+                    tuple(Section(section.length, section.curvature) for section in tube.sections),
+                    tube.bending_stiffness,
+                    tube.poisson_ratio,
+                    tube.outer_diameter,
+                    tube.inner_diameter,
+                )
+                for tube in self.tubes
+            ),
+            tuple(Joint(joint.name, index[joint.tube], joint.motion) for joint in self.joints),
+        )
+
+    def limits(self) -> Limits:
+        """What the stages allow."""
+        return Limits(
+            tuple(
+                JointLimit(
+                    joint.name,
+                    "rad" if joint.motion == "rotation" else "m",
+                    joint.lower,
+                    joint.upper,
+                    joint.speed,
+                    joint.acceleration,
+                )
+                for joint in self.joints
+            )
+        )
+
+
+def load_robot(name: str) -> RobotFile:
+    """A robot by preset name or by file; building it checks what pydantic cannot.
+
+    Raises:
+        ConfigError: with file, key and value.
+    """
+    path = preset("robots", name)
+    table = read_toml(path)
+    file = check(RobotFile, table, str(path))
+    try:
+        file.robot()
+        file.limits()
+    except Exception as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return file

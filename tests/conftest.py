@@ -1,0 +1,71 @@
+"""What every test shares: the paper's robot, and the rule that a test leaves nothing running behind.
+
+A thread, a child process or a listening port that outlives its test fails that test. What was there
+before it (a server that a whole module shares, say) is not the test's.
+"""
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from multiprocessing import resource_tracker
+
+import psutil
+import pytest
+
+from core.robot import Joint, Robot, Section, Tube
+
+
+@pytest.fixture(scope="session")
+def paper_robot() -> Robot:
+    """The two tubes of the paper's Table I and their three motors."""
+    curved = Section(0.153, curvature=(4.0, 0.0))
+    inner = Tube("inner", (Section(0.150), curved), 0.0413, 0.30, outer_diameter=2.0e-3, inner_diameter=1.2e-3)
+    outer = Tube("outer", (Section(0.012), curved), 0.0480, 0.30, outer_diameter=2.45e-3, inner_diameter=2.1e-3)
+    joints = (
+        Joint("outer_rotation", 1, "rotation"),
+        Joint("inner_rotation", 0, "rotation"),
+        Joint("inner_translation", 0, "translation"),
+    )
+    return Robot("paper", (inner, outer), joints)
+
+
+@pytest.fixture
+def grace() -> float:
+    """Seconds in which what a test has stopped may still be going; a module may override it."""
+    return 2.0
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_behind(grace: float) -> Iterator[None]:
+    """Fail a test that leaves a thread, a child process or a listening port."""
+    before = running()
+    yield
+    left = running() - before
+    give_up = time.monotonic() + grace
+    while left and time.monotonic() < give_up:
+        time.sleep(0.02)
+        left = running() - before
+    if left:
+        pytest.fail("left behind: " + ", ".join(sorted(f"{kind} {name}" for kind, _, name in left)), pytrace=False)
+
+
+def running() -> set[tuple[str, int, str]]:
+    """Threads, child processes and ports open to others, each as kind, identity and name."""
+    found = {("thread", thread.ident or 0, thread.name) for thread in threading.enumerate()}
+    # The interpreter's own tracker of shared memory stays until the interpreter ends.
+    tracker = getattr(resource_tracker._resource_tracker, "_pid", None)
+    myself = psutil.Process()
+    children = [child for child in myself.children(recursive=True) if child.pid != tracker]
+    for process in (myself, *children):
+        try:
+            if process != myself:
+                found.add(("process", process.pid, f"{process.pid} ({process.name()})"))
+            for connection in process.net_connections():
+                serves = connection.status == psutil.CONN_LISTEN
+                receives = connection.type == socket.SOCK_DGRAM and connection.laddr and not connection.raddr
+                if serves or receives:
+                    found.add(("port", connection.laddr.port, str(connection.laddr.port)))
+        except psutil.NoSuchProcess:
+            continue  # ended while it was looked at
+    return found
