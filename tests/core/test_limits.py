@@ -76,6 +76,13 @@ def test_outside_its_travel_a_joint_may_only_come_back():
     assert lower[1] == -0.020
 
 
+def test_a_position_that_is_not_a_number_gives_no_leave_to_move():
+    lower, upper = LIMITS.velocity_bounds(np.array([math.nan, math.nan]))
+
+    assert not (lower < 0.0).any()
+    assert not (upper > 0.0).any()
+
+
 @pytest.mark.parametrize(
     ("joints", "words"),
     [

@@ -286,34 +286,53 @@ class TestPlacesWhereSectionsMeet:
 
 
 class TestRefusals:
+    """Cold and warm: a good neighbour must not let a bad pose or load through."""
+
     JOINTS = np.array([0.0, 1.0, -0.1])
 
     @pytest.fixture(params=[Statics, ExactRod])
     def solver(self, paper_robot, request):
         return request.param(paper_robot)
 
+    @pytest.fixture(params=["cold", "warm"])
+    def near(self, solver, request):
+        return solver.solve(self.JOINTS, UNLOADED) if request.param == "warm" else None
+
     @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
     @pytest.mark.parametrize("place", [0, 5])
-    def test_a_wrench_that_is_not_finite_is_refused(self, solver, bad, place):
+    def test_a_wrench_that_is_not_finite_is_refused(self, solver, near, bad, place):
         wrench = np.zeros(6)
         wrench[place] = bad
 
         with pytest.raises(NotFinite, match=rf"tip wrench .*{bad}.*six finite numbers"):
-            solver.solve(self.JOINTS, wrench)
+            solver.solve(self.JOINTS, wrench, near)
 
     @pytest.mark.parametrize("shape", [(3,), (7,), (1, 6)])
-    def test_a_wrench_of_another_shape_is_refused_by_its_shape(self, solver, shape):
-        with pytest.raises(NotFinite, match=r"tip wrench .*six"):
-            solver.solve(self.JOINTS, np.zeros(shape))
+    def test_a_wrench_of_another_shape_is_refused(self, solver, near, shape):
+        with pytest.raises(NotFinite, match=r"tip wrench .*six finite numbers"):
+            solver.solve(self.JOINTS, np.zeros(shape), near)
+
+    @pytest.mark.parametrize("count", [2, 7])
+    def test_a_wrong_number_of_joints_is_refused(self, solver, near, count):
+        with pytest.raises(PoseError, match=rf"shape \({count},\); 'paper' needs \(3,\)"):
+            solver.solve(np.full(count, -0.1), UNLOADED, near)
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf])
-    def test_a_pose_that_is_not_finite_is_refused_by_joint(self, solver, bad):
-        with pytest.raises(PoseError, match=f"inner_rotation is {bad}"):
-            solver.solve(np.array([0.0, bad, -0.1]), UNLOADED)
+    @pytest.mark.parametrize("place", [1, 2])
+    def test_a_pose_that_is_not_finite_is_refused_by_joint(self, solver, near, bad, place):
+        joints = self.JOINTS.copy()
+        joints[place] = bad
 
-    def test_a_pose_in_which_the_tubes_cannot_stand_is_refused(self, solver):
-        with pytest.raises(PoseError, match="'inner' starts at 5 mm"):
-            solver.solve(np.array([0.0, 0.0, 0.005]), UNLOADED)
+        with pytest.raises(PoseError, match=f"{solver.robot.joint_names[place]} is {bad}"):
+            solver.solve(joints, UNLOADED, near)
+
+    @pytest.mark.parametrize(
+        ("translation", "words"),
+        [(0.005, "'inner' starts at 5 mm"), (-0.138, "'inner' ends at 165 mm"), (-0.4, "'inner' ends at -97 mm")],
+    )
+    def test_a_pose_in_which_the_tubes_cannot_stand_is_refused(self, solver, near, translation, words):
+        with pytest.raises(PoseError, match=words):
+            solver.solve(np.array([0.0, 0.0, translation]), UNLOADED, near)
 
     @pytest.mark.parametrize("step", [0.0, -0.010, math.nan, math.inf])
     @pytest.mark.parametrize(("kind", "name"), [(Statics, "sublink"), (ExactRod, "step")])
@@ -321,6 +340,6 @@ class TestRefusals:
         with pytest.raises(DescriptionError, match=f"{name} {step:g} m must be finite and greater than 0"):
             kind(paper_robot, step)
 
-    def test_a_load_out_of_reach_is_no_solution_and_says_pose_and_load(self, solver):
+    def test_a_load_out_of_reach_is_no_solution_and_says_so(self, solver, near):
         with pytest.raises(NoSolution, match=r"1000000000\.0"):
-            solver.solve(self.JOINTS, np.array([0.0, 0.0, 0.0, 1e9, 0.0, 0.0]))
+            solver.solve(self.JOINTS, np.array([0.0, 0.0, 0.0, 1e9, 0.0, 0.0]), near)

@@ -1,0 +1,159 @@
+"""The command line without a browser: `python -m station`, and `ctr-station` adds `serve`."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from core.errors import CtrError
+from core.statics import PAPER_SUBLINK
+from station.config import ConfigError, preset_names
+
+
+def parser() -> tuple[argparse.ArgumentParser, "argparse._SubParsersAction[argparse.ArgumentParser]"]:
+    """The parser and its commands, for `web` to add its own."""
+    top = argparse.ArgumentParser(
+        prog="ctr-station",
+        description="Lab station for externally loaded concentric-tube robots.",
+        epilog=f"experiments: {', '.join(preset_names('experiments'))}",
+    )
+    commands = top.add_subparsers(title="commands", metavar="COMMAND")
+
+    run = commands.add_parser("run", help="carry out an experiment with simulated devices and print how well it went")
+    run.add_argument("experiment", metavar="EXPERIMENT", help="name of a preset or a .toml file")
+    run.add_argument("--seed", type=_seed, default=0, metavar="N", help="of everything random in the lab (0)")
+    run.add_argument("--out", type=Path, default=Path("runs"), metavar="DIR", help="where results go (runs)")
+    run.add_argument("--realtime", action="store_true", help="at the pace of the clock instead of as fast as it goes")
+    run.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    run.set_defaults(command=_run)
+
+    solve = commands.add_parser("solve", help="the loaded model: JSON lines in, JSON lines out")
+    solve.add_argument("--robot", default="paper", metavar="FILE", help="preset or .toml file (paper)")
+    solve.add_argument(
+        "--sublink", type=_sublink, default=PAPER_SUBLINK, metavar="M", help="sub-link length [m] (0.01)"
+    )
+    solve.add_argument("--exact", action="store_true", help="the exact rod instead of the paper's model; tip only")
+    solve.set_defaults(command=_solve)
+
+    bench = commands.add_parser("bench", help="measure this machine")
+    bench.add_argument("what", choices=("model", "headless"))
+    bench.add_argument("--json", action="store_true", help="print one JSON object")
+    bench.set_defaults(command=_bench)
+    return top, commands
+
+
+def execute(top: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
+    """Parse and run; 0 done, 1 not completed, 2 bad input, 130 interrupted."""
+    parsed = top.parse_args(arguments)
+    if not hasattr(parsed, "command"):
+        top.print_help()
+        return 2
+    command: Callable[[argparse.Namespace], int] = parsed.command
+    try:
+        return command(parsed)
+    except CtrError as error:
+        Console(stderr=True, highlight=False, soft_wrap=True).print(f"ctr-station: {error}", markup=False)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        # Whoever read our output has gone; there is nobody left to tell.
+        sys.stderr.close()
+        return 1
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of `python -m station`."""
+    return execute(parser()[0], arguments)
+
+
+def _run(parsed: argparse.Namespace) -> int:
+    from station.clock import RealClock, VirtualClock
+    from station.experiments.experiment import load_experiment
+    from station.experiments.output import ResultFolder, result_table
+    from station.experiments.results import summarise
+    from station.experiments.runner import run_case
+
+    experiment = load_experiment(parsed.experiment)
+    folder = ResultFolder(parsed.out, experiment.name, parsed.seed)
+    console = Console(stderr=True, highlight=False)
+    cases = {}
+    try:
+        with Progress(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
+            TimeRemainingColumn(), console=console, disable=not console.is_terminal,
+        ) as bar:  # fmt: skip
+            for case in experiment.cases:
+                task = bar.add_task(f"{experiment.name} {case.name}", total=1.0)
+                clock = RealClock() if parsed.realtime else VirtualClock()
+                recording = run_case(case, parsed.seed, clock, lambda done, task=task: bar.update(task, completed=done))
+                folder.write_case(recording)
+                cases[case.name] = summarise(recording)
+                bar.update(task, completed=1.0 if recording.completed else None)
+                if not recording.completed:
+                    break
+        completed = len(cases) == len(experiment.cases) and all(case["completed"] for case in cases.values())
+        summary = {
+            "experiment": experiment.name,
+            "seed": parsed.seed,
+            "lab": experiment.cases[0].lab.title,
+            "completed": completed,
+            "simulated_s": round(sum(case["simulated_s"] for case in cases.values()), 3),
+            "wall_s": round(sum(case["wall_s"] for case in cases.values()), 3),
+            "recording": str(folder.path),
+            "cases": cases,
+        }
+        folder.finish(experiment, summary)
+    except BaseException:
+        folder.discard()
+        raise
+    if parsed.json:
+        print(json.dumps(summary))  # noqa: T201
+    else:
+        out = Console(highlight=False)
+        out.print(result_table(experiment, summary))
+        speed = summary["simulated_s"] / summary["wall_s"]
+        out.print(
+            f"{summary['simulated_s']:.0f} s simulated in {summary['wall_s']:.1f} s ({speed:.0f} times real time),"
+            f" seed {parsed.seed}\n{folder.path}",
+            soft_wrap=True,
+        )
+    return 0 if completed else 1
+
+
+def _solve(parsed: argparse.Namespace) -> int:
+    from station.robots import load_robot
+    from station.solve import solve_lines
+
+    for answer in solve_lines(sys.stdin, load_robot(parsed.robot).robot(), parsed.sublink, parsed.exact):
+        print(answer, flush=True)  # noqa: T201
+    return 0
+
+
+def _bench(parsed: argparse.Namespace) -> int:
+    from station import bench
+
+    result = {"model": bench.model, "headless": bench.headless}[parsed.what]()
+    if parsed.json:
+        print(json.dumps(result))  # noqa: T201
+    else:
+        Console(highlight=False).print(bench.table(parsed.what, result))
+    return 0
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"{text} is outside 0 ... 2^63 - 1")
+    return value
+
+
+def _sublink(text: str) -> float:
+    value = float(text)
+    if not 0.0001 <= value <= 0.1:
+        raise ConfigError(f"--sublink {text} m is outside 0.0001 ... 0.1 m")
+    return value

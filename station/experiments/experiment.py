@@ -1,0 +1,152 @@
+"""Experiments as TOML files: a start pose, a motion, a load, a controller, and cases that vary them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from core.controllers import strategy
+from core.deflection import RateFilter
+from core.errors import CtrError
+from core.robot import Array
+from core.statics import PAPER_SUBLINK, Statics
+from core.step import Controller
+from station.config import ConfigError, NotNegative, Strict, check, merged, preset, read_toml
+from station.lab.config import LabConfig
+from station.lab.loads import Load, NoLoad
+from station.motions import Motion, Orders
+from station.robots import RobotFile, load_robot
+
+#: The inner loop's period [s].
+PERIOD = 0.002
+
+
+class ControllerFile(Strict):
+    """How the tip is controlled."""
+
+    strategy: str = "dual_layer"
+    k1: float = 2.5
+    """[1/s]"""
+    k2: float = 2.5
+    """[1/s]"""
+    feedforward: bool = False
+    filter_bandwidth: float = 1.0
+    """of the deflection's rate [Hz]"""
+    sublink: Annotated[float, Field(ge=0.0005, le=0.05)] = PAPER_SUBLINK
+    """[m]"""
+
+    def controller(self, robot: RobotFile) -> Controller:
+        """The controller of a robot.
+
+        Raises:
+            DescriptionError: unknown strategy, gain or bandwidth out of range.
+        """
+        return Controller(
+            Statics(robot.robot(), self.sublink),
+            strategy(self.strategy, self.k1, self.k2, self.feedforward),
+            robot.limits(),
+            RateFilter(PERIOD, self.filter_bandwidth),
+        )
+
+
+class PaperNumbers(Strict):
+    """What the paper reports, by axis or model; only what it reports."""
+
+    max_abs_error_mm: Mapping[str, float] = {}
+    model_error_mm: Mapping[str, float] = {}
+
+
+class CaseFile(Strict):
+    """One case of an experiment, everything filled in."""
+
+    title: str
+    robot: str = "paper"
+    lab: str = "default"
+    """virtual lab: preset or file"""
+    start: Mapping[str, float]
+    """joint positions [rad or m]"""
+    duration: Annotated[float, Field(gt=0.0, le=86400.0)]
+    """[s]"""
+    settling: NotNegative
+    """errors count from here on [s]"""
+    trajectory: Motion
+    load: Load = NoLoad()
+    controller: ControllerFile = ControllerFile()
+
+
+class Case(NamedTuple):
+    """A case ready to run."""
+
+    name: str
+    file: CaseFile
+    robot: RobotFile
+    lab: LabConfig
+    controller: Controller
+    orders: Orders
+    start: Array  #: (n,) [rad or m]
+
+
+class Experiment(NamedTuple):
+    """An experiment ready to run."""
+
+    name: str
+    title: str
+    cases: tuple[Case, ...]
+    paper: Mapping[str, PaperNumbers]  #: by case
+    source: str  #: the file's text, kept with the results
+
+
+class _PaperTable(Strict):
+    paper: Mapping[str, PaperNumbers] = {}
+
+
+def load_experiment(name: str) -> Experiment:
+    """An experiment by preset name or by file, all of it checked before anything runs.
+
+    Raises:
+        ConfigError: with file, case, key, value and what was expected.
+    """
+    path = preset("experiments", name)
+    table = read_toml(path)
+    paper = check(_PaperTable, {"paper": table.pop("paper", {})}, str(path)).paper
+    variations: Any = table.pop("cases", {}) or {path.stem: {}}
+    if not isinstance(variations, Mapping):
+        raise ConfigError(f"{path}: cases = {variations!r}: expected tables, one for each case")
+    cases: list[Case] = []
+    for case, changes in variations.items():
+        if not isinstance(changes, Mapping):
+            raise ConfigError(f"{path}: cases.{case} = {changes!r}: expected a table of what differs")
+        cases.append(_case(path, str(case), merged(table, changes)))
+    if unknown := [case for case in paper if case not in variations]:
+        raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
+    return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, path.read_text(encoding="utf-8"))
+
+
+def _case(path: Path, name: str, table: Mapping[str, Any]) -> Case:
+    source = f"{path}: case '{name}'"
+    file = check(CaseFile, table, source)
+    robot = load_robot(file.robot)
+    lab_path = preset("labs", file.lab)
+    lab = check(LabConfig, read_toml(lab_path), str(lab_path))
+    try:
+        start = _start(file.start, robot)
+        controller = file.controller.controller(robot)
+        controller.limits.check(start)
+        controller.statics.robot.check_pose(start)
+        orders = Orders(file.trajectory, controller.statics.robot)
+    except CtrError as error:
+        raise ConfigError(f"{source}: {error}") from None
+    return Case(name, file, robot, lab, controller, orders, start)
+
+
+def _start(start: Mapping[str, float], robot: RobotFile) -> Array:
+    names = [joint.name for joint in robot.joints]
+    for name in start:
+        if name not in names:
+            raise ConfigError(f"start.{name}: robot '{robot.name}' has no such joint; it has {', '.join(names)}")
+    for name in names:
+        if name not in start:
+            raise ConfigError(f"start.{name} is missing")
+    return np.array([start[name] for name in names])

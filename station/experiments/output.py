@@ -1,0 +1,94 @@
+"""Results on disk and on the screen."""
+
+import json
+import shutil
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from core.errors import CtrError
+from station.experiments.experiment import Experiment
+from station.experiments.runner import Recording
+
+
+class OutputError(CtrError):
+    """Results that cannot be written."""
+
+
+class ResultFolder:
+    """A folder of its own for each run; it gets its name only when everything is in it."""
+
+    def __init__(self, out: Path, experiment: str, seed: int) -> None:
+        """Make the folder under a provisional name, before anything runs.
+
+        Raises:
+            OutputError: `out` cannot be written to.
+        """
+        name = f"{experiment}-seed{seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+        self.path = out / name
+        number = 1
+        while self.path.exists():
+            number += 1
+            self.path = out / f"{name}-{number}"
+        self._partial = self.path.with_name(self.path.name + ".partial")
+        try:
+            self._partial.mkdir(parents=True)
+        except OSError as error:
+            raise OutputError(f"{out}: cannot write results there: {error.strerror}") from None
+
+    def write_case(self, recording: Recording) -> None:
+        """All channels of a case as CSV, units in the column names."""
+        with (self._partial / f"{recording.case.name}.csv").open("w", encoding="ascii") as file:
+            file.write(",".join(channel.column for channel in recording.channels.all) + "\n")
+            line = ",".join(["%.9g"] * len(recording.channels)) + "\n"
+            file.writelines(line % tuple(row) for row in recording.rows.tolist())
+
+    def finish(self, experiment: Experiment, summary: Mapping[str, Any]) -> None:
+        """The experiment's file and the summary; then the folder gets its name."""
+        (self._partial / "experiment.toml").write_text(experiment.source, encoding="utf-8")
+        (self._partial / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+        self._partial.rename(self.path)
+
+    def discard(self) -> None:
+        """Leave nothing behind."""
+        shutil.rmtree(self._partial, ignore_errors=True)
+
+
+def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:
+    """The paper's numbers beside ours."""
+    table = Table(title=f"{experiment.title}\n{experiment.cases[0].lab.title}", title_style="", caption_style="")
+    table.add_column("case")
+    table.add_column("quantity")
+    for axis in ("x", "y", "z"):
+        table.add_column(axis, justify="right")
+    table.add_column("paper", justify="right")
+    for name, case in summary["cases"].items():
+        paper = experiment.paper.get(name)
+        reported = dict(paper.max_abs_error_mm) if paper else {}
+        shown = "  ".join(f"{axis} {value:g}" for axis, value in reported.items())
+        label = name if case["completed"] else f"{name} (not completed)"
+        for key, title in (
+            ("max_abs_error_mm", "max |error|, measured tip [mm]"),
+            ("true_max_abs_error_mm", "max |error|, true tip [mm]"),
+            ("true_rms_error_mm", "RMS error, true tip [mm]"),
+        ):
+            if key in case:
+                table.add_row(label, title, *(f"{value:.3f}" for value in case[key]), shown if key[0] == "m" else "")
+                label = ""
+        if case.get("model_error_mm") and "max_abs_error_mm" not in case:
+            models = dict(paper.model_error_mm) if paper else {}
+            for model, value in case["model_error_mm"].items():
+                reference = f"{models[model]:g}" if model in models else ""
+                table.add_row(label, f"mean distance to the {model} model [mm]", "", "", f"{value:.3f}", reference)
+                label = ""
+        for key, title in (("deflection", "Delta_total"), ("delta_1", "Delta_1"), ("delta_2", "Delta_2")):
+            if experiment.name == "fig4" and "deflection_max_mm" in case:
+                values = case["deflection_max_mm"][key]
+                table.add_row(label, f"max |{title}| [mm]", *(f"{value:.3f}" for value in values), "")
+        if not case["completed"]:
+            table.add_row("", case["cause"], "", "", "", "")
+        table.add_section()
+    return table

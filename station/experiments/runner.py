@@ -1,0 +1,71 @@
+"""Carries out one case in the virtual lab: the same control loop as at a bench, on any clock."""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from core.errors import CtrError
+from core.robot import Array
+from station.clock import Clock
+from station.experiments.experiment import PERIOD, Case
+from station.lab.virtual_lab import VirtualLab
+from station.loop import ControlLoop, Phase
+from station.states import Event, State
+from station.telemetry import Channels
+
+
+class Recording(NamedTuple):
+    """What a case left behind."""
+
+    case: Case
+    channels: Channels
+    rows: Array  #: (ticks, channels) of the motion, its preparation left out; time counts from its start
+    completed: bool
+    cause: str  #: why it did not complete
+    simulated_s: float  #: preparation included
+    wall_s: float
+
+
+def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], None]) -> Recording:
+    """Run to the end, to a stop, or to Ctrl-C.
+
+    Args:
+        case: what to run.
+        seed: of everything random in the virtual lab.
+        clock: real or virtual.
+        progress: told the fraction done, twice a simulated second.
+    """
+    wall = time.perf_counter()
+    lab = VirtualLab(case.robot, case.lab, seed, case.start)
+    loop = ControlLoop(case.controller, lab.devices)
+    rows: list[Array] = []
+    tick, motion_start, cause = 0, 0.0, ""
+    try:
+        while True:
+            now = tick * PERIOD
+            clock.wait_until(now)
+            row = loop.tick(now, lab.advance(now))
+            if loop.state is State.OFF and row is not None:
+                for event in (Event.CONNECT, Event.HOME, Event.PREPARE):
+                    loop.request(event)
+                run = loop.start(case.orders, case.file.duration, now)
+                motion_start = run.motion_start
+                lab.pull(case.file.load, motion_start)
+            elif loop.state is not State.OFF and loop.run is None:
+                cause = loop.cause
+                break
+            elif loop.phase is Phase.MOVING and row is not None:
+                rows.append(row)
+            tick += 1
+            if tick % 250 == 0:
+                progress(min(1.0, max(0.0, now - motion_start) / case.file.duration))
+    except KeyboardInterrupt:
+        cause = "interrupted"
+    except CtrError as error:
+        cause = str(error)
+    table = np.array(rows) if rows else np.empty((0, len(loop.channels)))
+    for group in ("time", "tip_time"):
+        loop.channels.of(table, group)[:] -= motion_start
+    return Recording(case, loop.channels, table, not cause, cause, tick * PERIOD, time.perf_counter() - wall)
