@@ -44,10 +44,9 @@ def parse(line: str, robot: Robot) -> tuple[Array, Array]:
     given = request.get("joints")
     if not isinstance(given, Mapping):
         raise ConfigError(f"joints: expected an object with {', '.join(robot.joint_names)}")
+    known = ", ".join(robot.joint_names)
     if unknown := [key for key in given if key not in robot.joint_names]:
-        raise ConfigError(
-            f"joints.{unknown[0]}: '{robot.name}' has no such joint; it has {', '.join(robot.joint_names)}"
-        )
+        raise ConfigError(f"joints.{unknown[0]}: '{robot.name}' has no such joint; it has {known}")
     joints: list[float] = []
     for name in robot.joint_names:
         if name not in given:

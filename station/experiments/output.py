@@ -71,9 +71,9 @@ def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:
         shown = "  ".join(f"{axis} {value:g}" for axis, value in reported.items())
         label = name if case["completed"] else f"{name} (not completed)"
         for key, title in (
-            ("max_abs_error_mm", "max |error|, measured tip [mm]"),
-            ("true_max_abs_error_mm", "max |error|, true tip [mm]"),
-            ("true_rms_error_mm", "RMS error, true tip [mm]"),
+            ("max_abs_error_mm", "max |E| measured [mm]"),
+            ("true_max_abs_error_mm", "max |E| true [mm]"),
+            ("true_rms_error_mm", "RMS E true [mm]"),
         ):
             if key in case:
                 table.add_row(label, title, *(f"{value:.3f}" for value in case[key]), shown if key[0] == "m" else "")
@@ -82,7 +82,7 @@ def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:
             models = dict(paper.model_error_mm) if paper else {}
             for model, value in case["model_error_mm"].items():
                 reference = f"{models[model]:g}" if model in models else ""
-                table.add_row(label, f"mean distance to the {model} model [mm]", "", "", f"{value:.3f}", reference)
+                table.add_row(label, f"mean |tip - {model} model| [mm]", "", "", f"{value:.3f}", reference)
                 label = ""
         for key, title in (("deflection", "Delta_total"), ("delta_1", "Delta_1"), ("delta_2", "Delta_2")):
             if experiment.name == "fig4" and "deflection_max_mm" in case:
