@@ -5,18 +5,27 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from core.errors import CtrError
 from core.statics import PAPER_SUBLINK
-from station.config import ConfigError, preset_names
+from station.config import preset_names
 
 
-def parser() -> tuple[argparse.ArgumentParser, "argparse._SubParsersAction[argparse.ArgumentParser]"]:
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line; `--help` has the rest."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with status 2."""
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     """The parser and its commands, for `web` to add its own."""
-    top = argparse.ArgumentParser(
+    top = Parser(
         prog="ctr-station",
         description="Lab station for externally loaded concentric-tube robots.",
         epilog=f"experiments: {', '.join(preset_names('experiments'))}",
@@ -155,5 +164,5 @@ def _seed(text: str) -> int:
 def _sublink(text: str) -> float:
     value = float(text)
     if not 0.0001 <= value <= 0.1:
-        raise ConfigError(f"--sublink {text} m is outside 0.0001 ... 0.1 m")
+        raise argparse.ArgumentTypeError(f"{text} m is outside 0.0001 ... 0.1 m")
     return value
