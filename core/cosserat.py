@@ -17,7 +17,7 @@ import numpy as np
 
 from core.compiled import compiled
 from core.errors import NoSolution, NotFinite
-from core.robot import Array, Layout, Robot
+from core.robot import Array, Layout, Robot, positive
 
 
 class Rod(NamedTuple):
@@ -39,6 +39,9 @@ class ExactRod:
     step: float = 0.002  #: longest Runge-Kutta step [m]; 2 mm leaves less than 1e-9 m
     tolerance: float = 1e-9  #: of the end conditions [1/m and N m]
 
+    def __post_init__(self) -> None:
+        positive("step", self.step, "m")
+
     def solve(self, joints: Array, wrench: Array, near: Rod | None = None) -> Rod:
         """Solve for joints (n,) [rad or m] under a tip force and moment (6,), world frame [N, N m].
 
@@ -54,8 +57,8 @@ class ExactRod:
 
     def solve_tubes(self, alpha: Array, beta: Array, wrench: Array, near: Rod | None = None) -> Rod:
         """The same for the tubes' rotations (q,) [rad] and proximal ends (q,) [m]."""
-        if not np.isfinite(wrench).all():
-            raise NotFinite(f"tip wrench {wrench.tolist()} is not finite; it needs six finite numbers [N, N m]")
+        if wrench.shape != (6,) or not np.isfinite(wrench).all():
+            raise NotFinite(f"tip wrench {wrench.tolist()} [N, N m] must be six finite numbers")
         size = len(self.robot.tubes) + 2
         if near is not None:
             rod = self._shoot(alpha, beta, wrench, near.unknowns, near.chord)

@@ -34,6 +34,8 @@ class RateFilter:
     bandwidth: float = 1.0  #: [Hz]; sets the ratio of process to measurement noise
 
     def __post_init__(self) -> None:
+        if not (math.isfinite(self.period) and self.period > 0.0):
+            raise DescriptionError(f"filter period {self.period:g} s must be finite and greater than 0")
         nyquist = 0.5 / self.period
         if not 0.0 < self.bandwidth < nyquist:
             raise DescriptionError(f"filter bandwidth {self.bandwidth:g} Hz is outside 0 ... {nyquist:g} Hz")
@@ -64,7 +66,7 @@ class RateFilter:
 
     def start(self, measured: Array) -> Rate:
         """At rest at the measured value (3,)."""
-        return Rate(measured.copy(), np.zeros(3))
+        return Rate(_finite(measured).copy(), np.zeros(3))
 
     def update(self, last: Rate, measured: Array | None) -> Rate:
         """One period on; `None` for a missing measurement lets the estimate coast.
@@ -76,8 +78,12 @@ class RateFilter:
         value = last.value + self.period * last.rate
         if measured is None:
             return Rate(value, last.rate)
-        if not np.isfinite(measured).all():
-            raise NotFinite(f"deflection {measured.tolist()} m is not finite; the force or the joints are not")
         k_value, k_rate = self.gain
-        surprise = measured - value
+        surprise = _finite(measured) - value
         return Rate(value + k_value * surprise, last.rate + k_rate * surprise)
+
+
+def _finite(measured: Array) -> Array:
+    if not np.isfinite(measured).all():
+        raise NotFinite(f"deflection {measured.tolist()} m is not finite; the force or the joints are not")
+    return measured

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled
+from core.errors import NotFinite
 from core.robot import Array
 
 #: Tip speed in the worst direction below which the inverse is damped [m/s].
@@ -36,6 +37,10 @@ def inverse(jacobian: Array, wanted: Array, speed: Array, lower: Array, upper: A
         lower, upper: bounds (n,) that contain zero [rad/s or m/s].
 
     """
+    if not np.isfinite(wanted).all():
+        raise NotFinite(f"wanted tip velocity {wanted.tolist()} m/s is not finite")
+    if not np.isfinite(jacobian).all():
+        raise NotFinite(f"Jacobian {jacobian.tolist()} is not finite")
     return Inverse(*_inverse(np.ascontiguousarray(jacobian), wanted, speed, lower, upper, SIGMA_FLOOR))
 
 
@@ -48,6 +53,8 @@ def _inverse(
     sigma = np.linalg.svd(scaled)[1]
     ratio = sigma[-1] / floor
     damping = floor * floor * (1.0 - ratio * ratio) if ratio < 1.0 else 0.0
+    # More joints than directions leave a null space: a ridge far below the damping keeps it still.
+    damping += 1e-10 * sigma[0] * sigma[0] if n > 3 else 0.0
     normal, right = np.zeros((n, n)), np.zeros(n)
     for i in range(n):
         for j in range(n):
@@ -55,8 +62,7 @@ def _inverse(
                 normal[i, j] += scaled[k, i] * scaled[k, j]
         for k in range(3):
             right[i] += scaled[k, i] * wanted[k]
-        # more joints than directions leave a null space: the floor of rounding keeps it still
-        normal[i, i] += damping + 1e-12 * floor * floor
+        normal[i, i] += damping
     at_bound = np.zeros(n)
     x = np.zeros(n)
     # Active set: hold the joint that leaves its bounds most, let go one that pulls inward.

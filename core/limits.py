@@ -25,9 +25,9 @@ class JointLimit:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower < self.upper):
             raise DescriptionError(f"{self.name}: travel {self.lower:g} ... {self.upper:g} {self.unit} is empty")
-        for what, value in (("speed", self.speed), ("acceleration", self.acceleration)):
+        for what, value, per in (("speed", self.speed, "s"), ("acceleration", self.acceleration, "s^2")):
             if not (math.isfinite(value) and value > 0.0):
-                raise DescriptionError(f"{self.name}: {what} limit {value:g} {self.unit} must be greater than 0")
+                raise DescriptionError(f"{self.name}: {what} limit {value:g} {self.unit}/{per} must be greater than 0")
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,11 @@ class Limits:
     """Limits of all joints in the robot's order."""
 
     joints: tuple[JointLimit, ...]
-    reaction: float = 0.050  #: time from a command to its effect, counted as travel still to come [s]
+    reaction: float = 0.075  #: time from a command to its effect, counted as travel still to come [s]
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.reaction) and self.reaction >= 0.0):
+            raise DescriptionError(f"reaction {self.reaction:g} s must be finite and at least 0")
 
     @cached_property
     def _arrays(self) -> tuple[Array, Array, Array, Array]:
@@ -77,4 +81,6 @@ def _velocity_bounds(
 @compiled
 def _braking(room: float, acceleration: float, lag: float) -> float:
     """Largest v with v * reaction + v^2 / (2 a) <= room; `lag` is a * reaction."""
-    return np.sqrt(lag * lag + 2.0 * acceleration * max(room, 0.0)) - lag
+    if not room > 0.0:  # NaN included: min and max would let it pass as full speed
+        return 0.0
+    return np.sqrt(lag * lag + 2.0 * acceleration * room) - lag

@@ -41,16 +41,16 @@ class Tube:
     inner_diameter: float = 1e-3  #: [m]
 
     def __post_init__(self) -> None:
-        _positive(f"tube '{self.name}': bending_stiffness", self.bending_stiffness, "N m^2")
+        positive(f"tube '{self.name}': bending_stiffness", self.bending_stiffness, "N m^2")
         if not -1.0 < self.poisson_ratio <= 0.5:
             raise DescriptionError(f"tube '{self.name}': poisson_ratio {self.poisson_ratio:g} is outside -1 ... 0.5")
         if not self.sections:
             raise DescriptionError(f"tube '{self.name}' has no sections; it needs at least one")
         for number, section in enumerate(self.sections, 1):
-            _positive(f"tube '{self.name}': length of section {number}", section.length, "m")
+            positive(f"tube '{self.name}': length of section {number}", section.length, "m")
             if not all(math.isfinite(u) for u in section.curvature):
                 raise DescriptionError(f"tube '{self.name}': curvature of section {number} is not finite")
-        _positive(f"tube '{self.name}': outer_diameter", self.outer_diameter, "m")
+        positive(f"tube '{self.name}': outer_diameter", self.outer_diameter, "m")
         if not 0.0 <= self.inner_diameter < self.outer_diameter:
             raise DescriptionError(
                 f"tube '{self.name}': inner_diameter {1e3 * self.inner_diameter:g} mm is outside"
@@ -111,6 +111,8 @@ class Robot:
                 raise DescriptionError(
                     f"joint '{joint.name}': tube {joint.tube} is outside 0 ... {len(self.tubes) - 1}"
                 )
+            if joint.motion not in ("rotation", "translation"):
+                raise DescriptionError(f"joint '{joint.name}': motion '{joint.motion}' is not rotation or translation")
             if (joint.tube, joint.motion) in seen:
                 raise DescriptionError(f"joint '{joint.name}': {joint.motion} of tube {joint.tube} is moved twice")
             seen.add((joint.tube, joint.motion))
@@ -196,6 +198,7 @@ def tube_poses(layout: Layout, joints: Array) -> tuple[Array, Array, bool]:
     return alpha, beta, stands
 
 
-def _positive(what: str, value: float, unit: str) -> None:
+def positive(what: str, value: float, unit: str) -> None:
+    """Refuse by name a value that is not finite and greater than 0."""
     if not (math.isfinite(value) and value > 0.0):
         raise DescriptionError(f"{what} {value:g} {unit} must be finite and greater than 0")

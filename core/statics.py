@@ -16,7 +16,7 @@ import numpy as np
 from core.compiled import compiled
 from core.errors import NoSolution, NotFinite
 from core.propagation import FRAME_ROWS, propagate
-from core.robot import Array, Layout, Robot, tube_poses
+from core.robot import Array, Layout, Robot, positive, tube_poses
 
 #: A pose counts as solved when the end conditions hold to this, in 1/m and N m.
 TOLERANCE = 1e-9
@@ -48,6 +48,9 @@ class Statics:
     robot: Robot
     sublink: float = PAPER_SUBLINK  #: [m]
 
+    def __post_init__(self) -> None:
+        positive("sublink", self.sublink, "m")
+
     def solve(self, joints: Array, wrench: Array, near: Solution | None = None) -> Solution:
         """Shape under a tip wrench.
 
@@ -63,13 +66,14 @@ class Statics:
             NoSolution: no solution was reached.
 
         """
-        if near is not None:
+        # The compiled code does not look at lengths; what else is wrong fails to converge and is named below.
+        if near is not None and wrench.shape == (6,) and joints.shape == near.joints.shape:
             solution = self._newton(joints, wrench, near)
             if solution is not None:
                 return solution
         self.robot.check_pose(joints)
-        if not np.isfinite(wrench).all():
-            raise NotFinite(f"tip wrench {wrench.tolist()} is not finite; it needs six finite numbers [N, N m]")
+        if wrench.shape != (6,) or not np.isfinite(wrench).all():
+            raise NotFinite(f"tip wrench {wrench.tolist()} [N, N m] must be six finite numbers")
         for increments in (1, 4, 16, 64):
             solution = self._straight(joints)
             for number in range(1, increments + 1):
@@ -117,8 +121,9 @@ class Statics:
         if not residual <= TOLERANCE:
             return None
         return Solution(
-            tip, rotation, jacobian, compliance, unknowns, sensitivity, joints, wrench, iterations, residual
-        )
+            tip, rotation, jacobian, compliance, unknowns, sensitivity,
+            joints.copy(), wrench.copy(), iterations, residual,
+        )  # fmt: skip
 
     @cached_property
     def _widths(self) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -11,7 +11,7 @@ from core.robot import Array
 from station.clock import Clock
 from station.experiments.experiment import PERIOD, Case
 from station.lab.virtual_lab import VirtualLab
-from station.loop import ControlLoop, Phase
+from station.loop import ControlLoop, Phase, Task
 from station.states import Event, State
 from station.telemetry import Channels
 
@@ -50,17 +50,18 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
             if loop.state is State.OFF and row is not None:
                 for event in (Event.CONNECT, Event.HOME, Event.PREPARE):
                     loop.request(event)
-                run = loop.start(case.orders, case.file.duration, now)
-                motion_start = run.motion_start
-                lab.pull(case.file.load, motion_start)
-            elif loop.state is not State.OFF and loop.run is None:
+                loop.start(Task(case.controller, case.orders, case.file.duration, case.start))
+            elif loop.state is not State.OFF and loop.progress is None:
                 cause = loop.cause
                 break
+            elif loop.phase is Phase.SETTLING and motion_start == 0.0 and loop.progress is not None:
+                motion_start = loop.progress.motion_start
+                lab.pull(case.file.load, motion_start)
             elif loop.phase is Phase.MOVING and row is not None:
                 rows.append(row)
             tick += 1
             if tick % 250 == 0:
-                progress(min(1.0, max(0.0, now - motion_start) / case.file.duration))
+                progress(loop.part_done(now))
     except KeyboardInterrupt:
         cause = "interrupted"
     except CtrError as error:
