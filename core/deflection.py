@@ -6,8 +6,8 @@ it is computed once with filterpy; a tick then costs two multiplications an axis
 """
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -32,6 +32,7 @@ class RateFilter:
 
     period: float  #: [s]
     bandwidth: float = 1.0  #: [Hz]; sets the ratio of process to measurement noise
+    gain: tuple[float, float] = field(init=False)  #: for value [1] and rate [1/s]
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.period) and self.period > 0.0):
@@ -39,30 +40,7 @@ class RateFilter:
         nyquist = 0.5 / self.period
         if not 0.0 < self.bandwidth < nyquist:
             raise DescriptionError(f"filter bandwidth {self.bandwidth:g} Hz is outside 0 ... {nyquist:g} Hz")
-
-    @cached_property
-    def gain(self) -> tuple[float, float]:
-        """Kalman gain for value [1] and rate [1/s], from filterpy's recursion run until it stands."""
-        from filterpy.common import Q_continuous_white_noise  # pyright: ignore
-        from filterpy.kalman import KalmanFilter  # pyright: ignore
-
-        kalman = cast(Any, KalmanFilter)(dim_x=2, dim_z=1)
-        kalman.F = np.array([[1.0, self.period], [0.0, 1.0]])
-        kalman.H = np.array([[1.0, 0.0]])
-        kalman.R *= 1.0
-        # Continuous white acceleration of density w^4 R T gives a filter of bandwidth w.
-        density = (2.0 * math.pi * self.bandwidth) ** 4 * self.period
-        kalman.Q = cast(Any, Q_continuous_white_noise)(dim=2, dt=self.period, spectral_density=density)
-        kalman.P = np.diag([1.0, density / self.period])
-        gain = np.zeros(2)
-        for _ in range(100_000):
-            kalman.predict()
-            kalman.update(np.zeros(1))
-            settled = np.abs(kalman.K[:, 0] - gain).max() <= 1e-13 * np.abs(gain).max()
-            gain = kalman.K[:, 0].copy()
-            if settled:
-                break
-        return float(gain[0]), float(gain[1])
+        object.__setattr__(self, "gain", _steady_gain(self.period, self.bandwidth))
 
     def start(self, measured: Array) -> Rate:
         """At rest at the measured value (3,)."""
@@ -81,6 +59,30 @@ class RateFilter:
         k_value, k_rate = self.gain
         surprise = _finite(measured) - value
         return Rate(value + k_value * surprise, last.rate + k_rate * surprise)
+
+
+@cache
+def _steady_gain(period: float, bandwidth: float) -> tuple[float, float]:
+    """Kalman gain for value [1] and rate [1/s], from filterpy's recursion run until it stands."""
+    from filterpy.common import Q_continuous_white_noise  # pyright: ignore
+    from filterpy.kalman import KalmanFilter  # pyright: ignore
+
+    kalman = cast(Any, KalmanFilter)(dim_x=2, dim_z=1)
+    kalman.F = np.array([[1.0, period], [0.0, 1.0]])
+    kalman.H = np.array([[1.0, 0.0]])
+    # Continuous white acceleration of density w^4 R T gives a filter of bandwidth w.
+    density = (2.0 * math.pi * bandwidth) ** 4 * period
+    kalman.Q = cast(Any, Q_continuous_white_noise)(dim=2, dt=period, spectral_density=density)
+    kalman.P = np.diag([1.0, density / period])
+    gain = np.zeros(2)
+    for _ in range(100_000):
+        kalman.predict()
+        kalman.update(np.zeros(1))
+        settled = np.abs(kalman.K[:, 0] - gain).max() <= 1e-13 * np.abs(gain).max()
+        gain = kalman.K[:, 0].copy()
+        if settled:
+            break
+    return float(gain[0]), float(gain[1])
 
 
 def _finite(measured: Array) -> Array:

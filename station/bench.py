@@ -43,7 +43,7 @@ def model(solves: int = 20_000) -> dict[str, Any]:
         start = time.perf_counter()
         near = statics.solve(joints, wrench, near)
         times[index], passes[index] = time.perf_counter() - start, near.iterations
-        if index % (solves // 200) == 0:
+        if index % max(1, solves // 200) == 0:
             errors.append(float(np.linalg.norm(near.tip - exact.solve(joints, wrench).tip)))
     return {
         "solves": solves,

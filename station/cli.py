@@ -1,7 +1,9 @@
 """The command line without a browser: `python -m station`, and `ctr-station` adds `serve`."""
 
 import argparse
+import io
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,7 +22,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2."""
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(2, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
 
 
 def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
@@ -49,9 +51,14 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     solve.set_defaults(command=_solve)
 
     bench = commands.add_parser("bench", help="measure this machine")
-    bench.add_argument("what", choices=("model", "headless"))
+    bench.add_argument("what", choices=("model", "loop", "headless"))
+    bench.add_argument("--seconds", type=_seconds, default=60.0, metavar="S", help="of 'loop' (60)")
+    bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
     bench.set_defaults(command=_bench)
+
+    doctor = commands.add_parser("doctor", help="what this machine offers, in plain words")
+    doctor.set_defaults(command=_doctor)
     return top, commands
 
 
@@ -65,13 +72,14 @@ def execute(top: argparse.ArgumentParser, arguments: Sequence[str] | None) -> in
     try:
         return command(parsed)
     except CtrError as error:
-        Console(stderr=True, highlight=False, soft_wrap=True).print(f"ctr-station: {error}", markup=False)
+        # One line, whatever was quoted in it.
+        sys.stderr.write(f"ctr-station: {' '.join(str(error).split())}\n")
         return 2
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # Whoever read our output has gone; there is nobody left to tell.
-        sys.stderr.close()
+        # Whoever read our output has gone; what is left in the buffer must not fail once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
 
 
@@ -89,13 +97,9 @@ def _run(parsed: argparse.Namespace) -> int:
 
     experiment = load_experiment(parsed.experiment)
     folder = ResultFolder(parsed.out, experiment.name, parsed.seed)
-    console = Console(stderr=True, highlight=False)
     cases = {}
     try:
-        with Progress(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
-            TimeRemainingColumn(), console=console, disable=not console.is_terminal,
-        ) as bar:  # fmt: skip
+        with _bar() as bar:
             for case in experiment.cases:
                 task = bar.add_task(f"{experiment.name} {case.name}", total=1.0)
                 clock = RealClock() if parsed.realtime else VirtualClock()
@@ -123,9 +127,9 @@ def _run(parsed: argparse.Namespace) -> int:
     if parsed.json:
         print(json.dumps(summary))  # noqa: T201
     else:
-        out = Console(highlight=False)
+        out = Console(highlight=False, markup=False)
         out.print(result_table(experiment, summary))
-        speed = summary["simulated_s"] / summary["wall_s"]
+        speed = summary["simulated_s"] / max(summary["wall_s"], 1e-3)
         out.print(
             f"{summary['simulated_s']:.0f} s simulated in {summary['wall_s']:.1f} s ({speed:.0f} times real time),"
             f" seed {parsed.seed}\n{folder.path}",
@@ -138,7 +142,10 @@ def _solve(parsed: argparse.Namespace) -> int:
     from station.robots import load_robot
     from station.solve import solve_lines
 
-    for answer in solve_lines(sys.stdin, load_robot(parsed.robot).robot(), parsed.sublink, parsed.exact):
+    lines = sys.stdin or ()  # none at all when the shell closed it
+    if isinstance(lines, io.TextIOWrapper):
+        lines.reconfigure(errors="replace")  # a byte that is no text spoils its own line only
+    for answer in solve_lines(lines, load_robot(parsed.robot).robot(), parsed.sublink, parsed.exact):
         print(answer, flush=True)  # noqa: T201
     return 0
 
@@ -146,7 +153,14 @@ def _solve(parsed: argparse.Namespace) -> int:
 def _bench(parsed: argparse.Namespace) -> int:
     from station import bench
 
-    result = {"model": bench.model, "headless": bench.headless}[parsed.what]()
+    if parsed.what == "loop":
+        from station.bench_loop import loop
+
+        with _bar() as bar:
+            task = bar.add_task("bench loop", total=1.0)
+            result = loop(parsed.seconds, lambda done: bar.update(task, completed=done), fifo=not parsed.no_fifo)
+    else:
+        result = {"model": bench.model, "headless": bench.headless}[parsed.what]()
     if parsed.json:
         print(json.dumps(result))  # noqa: T201
     else:
@@ -154,15 +168,51 @@ def _bench(parsed: argparse.Namespace) -> int:
     return 0
 
 
+def _doctor(parsed: argparse.Namespace) -> int:  # noqa: ARG001 - it takes no options
+    from station.doctor import findings
+
+    console = Console(highlight=False, soft_wrap=True)
+    for finding in findings():
+        mark = "[green]ok  [/]" if finding.good else "[yellow]look[/]"
+        console.print(f"{mark} [bold]{finding.subject}[/]: ", end="")
+        console.print(finding.text, markup=False)
+    return 0
+
+
+def _bar() -> Progress:
+    """A progress bar on a terminal, nothing elsewhere."""
+    console = Console(stderr=True, highlight=False)
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
+        TimeRemainingColumn(), console=console, disable=not console.is_terminal,
+    )  # fmt: skip
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time, 1 ... 86400 s") from None
+    if not 1.0 <= value <= 86400.0:
+        raise argparse.ArgumentTypeError(f"{text} s is outside 1 ... 86400 s")
+    return value
+
+
 def _seed(text: str) -> int:
-    value = int(text)
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 ... 2^63 - 1") from None
     if not 0 <= value < 2**63:
         raise argparse.ArgumentTypeError(f"{text} is outside 0 ... 2^63 - 1")
     return value
 
 
 def _sublink(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a length, 0.0001 ... 0.1 m") from None
     if not 0.0001 <= value <= 0.1:
         raise argparse.ArgumentTypeError(f"{text} m is outside 0.0001 ... 0.1 m")
     return value

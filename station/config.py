@@ -3,13 +3,14 @@
 A message names the file, the key, the value and what was expected. Values are SI.
 """
 
+import math
 import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from core.errors import CtrError
 
@@ -19,15 +20,31 @@ class ConfigError(CtrError):
 
 
 class Strict(BaseModel):
-    """Base of every configuration model: frozen, no unknown key, no NaN, no infinity."""
+    """Base of every configuration model: frozen, no unknown key, no NaN, no infinity, no text for a number."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
-Vector = tuple[float, float, float]
+# Files and requests have arrays where the models have tuples: strict goes for what is inside.
+Row = Field(strict=False)
+Vector = Annotated[tuple[float, float, float], Row]
 Model = TypeVar("Model", bound=BaseModel)
+
+
+def _has_length(direction: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not 1e-9 <= math.hypot(*direction) <= 1e9:
+        raise ValueError("a direction needs a length, 1e-9 ... 1e9")
+    return direction
+
+
+#: World frame; its length does not matter.
+Direction = Annotated[Vector, AfterValidator(_has_length)]
+#: Of tubes, joints and cases, as they stand in column and file names.
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]*$", max_length=60)]
 
 PRESETS = Path(str(files("station"))) / "presets"
 
@@ -60,10 +77,15 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: unreadable, or not TOML; with the line.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text: {error}") from None
+    try:
+        return tomllib.loads(text)
+    # A number of 5000 digits is a plain ValueError, a deep nest of brackets a RecursionError.
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
 
 
@@ -76,15 +98,15 @@ def check(model: type[Model], table: Mapping[str, Any], source: str) -> Model:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise ConfigError(f"{source}: {explain(error)}") from None
+        raise ConfigError(f"{source}: {explain(error, table)}") from None
     except CtrError as error:
         raise ConfigError(f"{source}: {error}") from None
 
 
-def explain(error: ValidationError) -> str:
-    """The first complaint of pydantic's in one line: key, value, what was expected."""
+def explain(error: ValidationError, table: Mapping[str, Any]) -> str:
+    """The first complaint of pydantic's about `table` in one line: key, value, what was expected."""
     first = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in first["loc"])
+    key = _key(first["loc"], table)
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
         return f"unknown key '{key}'{more}"
@@ -93,6 +115,20 @@ def explain(error: ValidationError) -> str:
     text = str(first.get("ctx", {}).get("error", first["msg"]))
     shown = repr(first["input"])
     return f"{key} = {shown if len(shown) < 80 else shown[:77] + '...'}: {text}{more}"
+
+
+def _key(loc: tuple[int | str, ...], table: Any) -> str:
+    """The key as the file has it: pydantic adds the `kind` that it chose."""
+    parts: list[str] = []
+    for number, part in enumerate(loc):
+        if isinstance(table, Mapping) and part in table:
+            table = table[part]
+        elif isinstance(table, list | tuple) and isinstance(part, int):
+            table = table[part] if part < len(table) else None
+        elif number + 1 < len(loc):
+            continue
+        parts.append(str(part))
+    return ".".join(parts)
 
 
 def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,14 +1,16 @@
 """Motions as people write them, in files and over REST: checked here, carried out by `core.trajectories`."""
 
+import math
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from core.errors import DescriptionError
-from core.robot import Robot
+from core.limits import Limits
+from core.robot import Array, Robot
 from core.trajectories import Circle, Hold, JointMotion, Setpoint, Sinusoid, Trajectory
-from station.config import Positive, Strict, Vector
+from station.config import Direction, Positive, Strict
 
 
 class HoldMotion(Strict):
@@ -25,17 +27,11 @@ class SinusoidMotion(Strict):
     """Move the tip back and forth along a line."""
 
     kind: Literal["sinusoid"] = "sinusoid"
-    direction: Vector = (0.0, 0.0, 1.0)
-    """world frame; its length does not matter"""
+    direction: Direction = (0.0, 0.0, 1.0)
     amplitude: Annotated[float, Field(gt=0.0, le=0.1)]
     """[m]"""
     frequency: Annotated[float, Field(gt=0.0, le=5.0)]
     """[Hz]"""
-
-    @field_validator("direction")
-    @classmethod
-    def _has_length(cls, direction: Vector) -> Vector:
-        return _direction(direction)
 
     def trajectory(self) -> Trajectory:
         """What the controller follows."""
@@ -50,13 +46,8 @@ class CircleMotion(Strict):
     """[m]"""
     period: Annotated[float, Field(ge=0.2, le=3600.0)]
     """[s]"""
-    normal: Vector = (0.0, 0.0, 1.0)
-    """axis of the circle, world frame"""
-
-    @field_validator("normal")
-    @classmethod
-    def _has_length(cls, normal: Vector) -> Vector:
-        return _direction(normal)
+    normal: Direction = (0.0, 0.0, 1.0)
+    """axis of the circle"""
 
     def trajectory(self) -> Trajectory:
         """What the controller follows."""
@@ -72,6 +63,31 @@ class JointSweepMotion(Strict):
     """[rad/s or m/s]; negative the other way"""
     distance: Positive
     """[rad or m]"""
+
+    @field_validator("speed")
+    @classmethod
+    def _moves(cls, speed: float) -> float:
+        if speed == 0.0:
+            raise ValueError("a sweep needs a speed that is not 0")
+        return speed
+
+    def check(self, start: Array, limits: Limits) -> None:
+        """Refuse a sweep that joints beginning at `start` (n,) cannot make.
+
+        Raises:
+            DescriptionError: faster than the joint's limit.
+            PoseError: it leaves the joint's travel.
+        """
+        at = [limit.name for limit in limits.joints].index(self.joint)
+        limit = limits.joints[at]
+        if abs(self.speed) > limit.speed:
+            raise DescriptionError(
+                f"joint_sweep: speed {self.speed:g} {limit.unit}/s is outside +-{limit.speed:g} {limit.unit}/s"
+            )
+        end = start.copy()
+        # A full turn ends at the end of the travel, give or take a rounding.
+        end[at] += math.copysign((1.0 - 1e-9) * self.distance, self.speed)
+        limits.check(end)
 
 
 TipMotion = HoldMotion | SinusoidMotion | CircleMotion
@@ -89,7 +105,7 @@ class Orders:
                 raise DescriptionError(f"joint_sweep: '{motion.joint}' is not one of {', '.join(robot.joint_names)}")
             self._sweep = np.zeros(len(robot.joints))
             self._sweep[robot.joint_names.index(motion.joint)] = motion.speed
-            self._sweep_end = motion.distance / abs(motion.speed) if motion.speed else 0.0
+            self._sweep_end = motion.distance / abs(motion.speed)
         else:
             self._trajectory = motion.trajectory()
 
@@ -98,9 +114,3 @@ class Orders:
         if self._trajectory is not None:
             return self._trajectory.setpoint(time)
         return JointMotion(self._sweep if time < self._sweep_end else np.zeros_like(self._sweep))
-
-
-def _direction(direction: Vector) -> Vector:
-    if float(np.linalg.norm(direction)) < 1e-9:
-        raise ValueError("a direction needs one component that is not 0")
-    return direction

@@ -61,13 +61,18 @@ class Ring:
         self._rows[written % ROWS] = row
         self.counters[WRITTEN] = written + 1
 
-    def time_tick(self, late: float, busy: float) -> None:
-        """Count one tick's lateness and length [s]."""
-        late_us, busy_us = 1e6 * late, 1e6 * busy
+    def time_late(self, late: float, skipped: int) -> None:
+        """Count how late a tick begins [s] and how many whole periods that skips."""
+        late_us = 1e6 * late
         self.late[min(max(int(late_us), 0), BINS - 1)] += 1
-        self.busy[min(max(int(busy_us), 0), BINS - 1)] += 1
+        self.counters[MISSED] += skipped
         if late_us > self.numbers[LATE_MAX]:
             self.numbers[LATE_MAX] = late_us
+
+    def time_work(self, busy: float) -> None:
+        """Count the length of a tick's work [s]."""
+        busy_us = 1e6 * busy
+        self.busy[min(max(int(busy_us), 0), BINS - 1)] += 1
         if busy_us > self.numbers[TICK_MAX]:
             self.numbers[TICK_MAX] = busy_us
 

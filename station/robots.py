@@ -1,12 +1,13 @@
 """Robot files: the TOML description of tubes, joints and the stages that move them."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from core.errors import CtrError
 from core.limits import JointLimit, Limits
 from core.robot import Joint, Robot, Section, Tube
-from station.config import ConfigError, Positive, Strict, check, preset, read_toml
+from station.config import ConfigError, Name, Positive, Row, Strict, check, preset, read_toml
 
 
 class SectionFile(Strict):
@@ -14,14 +15,14 @@ class SectionFile(Strict):
 
     length: Positive
     """[m]"""
-    curvature: tuple[float, float] = (0.0, 0.0)
+    curvature: Annotated[tuple[float, float], Row] = (0.0, 0.0)
     """x, y in the tube's frame [1/m]; an arc of radius r that bends toward -y is [1/r, 0]"""
 
 
 class TubeFile(Strict):
     """One tube; innermost first in the file."""
 
-    name: str
+    name: Name
     bending_stiffness: float
     """EI [N m^2]"""
     poisson_ratio: float = 0.30
@@ -30,13 +31,13 @@ class TubeFile(Strict):
     """[m]"""
     inner_diameter: float
     """[m]"""
-    sections: tuple[SectionFile, ...]
+    sections: Annotated[tuple[SectionFile, ...], Row]
 
 
 class JointFile(Strict):
     """One stage and the tube it moves."""
 
-    name: str
+    name: Name
     tube: str
     motion: Literal["rotation", "translation"]
     lower: float
@@ -57,15 +58,19 @@ class RobotFile(Strict):
     name: str
     source: str = ""
     """where the numbers come from"""
-    tubes: tuple[TubeFile, ...]
-    joints: tuple[JointFile, ...] = Field(min_length=1)
+    tubes: Annotated[tuple[TubeFile, ...], Row]
+    joints: tuple[JointFile, ...] = Field(min_length=1, strict=False)
 
     def robot(self) -> Robot:
         """The description that the model works on."""
         index = {tube.name: i for i, tube in enumerate(self.tubes)}
+        if len(index) < len(self.tubes):
+            raise ConfigError(f"two of the tubes {', '.join(tube.name for tube in self.tubes)} have the same name")
         for joint in self.joints:
             if joint.tube not in index:
-                raise ConfigError(f"joint '{joint.name}' moves tube '{joint.tube}', which is not one of {list(index)}")
+                raise ConfigError(
+                    f"joint '{joint.name}' moves tube '{joint.tube}', which is not one of {', '.join(index)}"
+                )
         return Robot(
             self.name,
             tuple(
@@ -111,6 +116,6 @@ def load_robot(name: str) -> RobotFile:
     try:
         file.robot()
         file.limits()
-    except Exception as error:
+    except CtrError as error:
         raise ConfigError(f"{path}: {error}") from None
     return file

@@ -38,6 +38,11 @@ class Channels:
     def __len__(self) -> int:
         return len(self.all)
 
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Names that `of` takes."""
+        return tuple(self._at)
+
     def of(self, rows: Array, group: str) -> Array:
         """The columns of a group, e.g. `tip_measured`: (..., 3)."""
         return rows[..., self._at[group]]

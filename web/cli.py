@@ -1,11 +1,34 @@
-"""The command `ctr-station`."""
+"""The command `ctr-station`: `serve`, and all that `python -m station` has."""
 
+import argparse
 import sys
+from collections.abc import Sequence
+from pathlib import Path
 
 from station.cli import execute, parser
 
 
-def main() -> None:
-    """Entry point."""
-    top, _commands = parser()
-    sys.exit(execute(top, None))
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point; without a command it serves."""
+    top, commands = parser()
+    serve = commands.add_parser("serve", help="start the virtual lab, the control process and the panel (default)")
+    for target in (top, serve):
+        target.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
+        target.add_argument("--host", default="127.0.0.1", metavar="H", help="address to listen on (127.0.0.1)")
+        target.add_argument("--port", type=_port, default=8000, metavar="P", help="port of page and REST (8000)")
+        target.add_argument("--no-browser", action="store_true", help="do not open a browser")
+        target.set_defaults(command=_serve)
+    sys.exit(execute(top, arguments))
+
+
+def _serve(parsed: argparse.Namespace) -> int:
+    from web.serve import serve
+
+    return serve(parsed.config, parsed.host, parsed.port, browser=not parsed.no_browser)
+
+
+def _port(text: str) -> int:
+    value = int(text)
+    if not 0 <= value <= 65535:
+        raise argparse.ArgumentTypeError(f"{text} is outside 0 ... 65535")
+    return value

@@ -13,10 +13,10 @@ from core.errors import CtrError
 from core.robot import Array
 from core.statics import PAPER_SUBLINK, Statics
 from core.step import Controller
-from station.config import ConfigError, NotNegative, Strict, check, merged, preset, read_toml
+from station.config import ConfigError, Name, NotNegative, Strict, check, merged, preset, read_toml
 from station.lab.config import LabConfig
 from station.lab.loads import Load, NoLoad
-from station.motions import Motion, Orders
+from station.motions import JointSweepMotion, Motion, Orders
 from station.robots import RobotFile, load_robot
 
 #: The inner loop's period [s].
@@ -99,7 +99,11 @@ class Experiment(NamedTuple):
 
 
 class _PaperTable(Strict):
-    paper: Mapping[str, PaperNumbers] = {}
+    paper: Mapping[str, PaperNumbers]
+
+
+class _CasesTable(Strict):
+    cases: Mapping[Name, Mapping[str, Any]]
 
 
 def load_experiment(name: str) -> Experiment:
@@ -111,14 +115,10 @@ def load_experiment(name: str) -> Experiment:
     path = preset("experiments", name)
     table = read_toml(path)
     paper = check(_PaperTable, {"paper": table.pop("paper", {})}, str(path)).paper
-    variations: Any = table.pop("cases", {}) or {path.stem: {}}
-    if not isinstance(variations, Mapping):
-        raise ConfigError(f"{path}: cases = {variations!r}: expected tables, one for each case")
+    variations = check(_CasesTable, {"cases": table.pop("cases", {})}, str(path)).cases or {path.stem: {}}
     cases: list[Case] = []
     for case, changes in variations.items():
-        if not isinstance(changes, Mapping):
-            raise ConfigError(f"{path}: cases.{case} = {changes!r}: expected a table of what differs")
-        cases.append(_case(path, str(case), merged(table, changes)))
+        cases.append(_case(path, case, merged(table, changes)))
     if unknown := [case for case in paper if case not in variations]:
         raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
     return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, path.read_text(encoding="utf-8"))
@@ -131,17 +131,28 @@ def _case(path: Path, name: str, table: Mapping[str, Any]) -> Case:
     lab_path = preset("labs", file.lab)
     lab = check(LabConfig, read_toml(lab_path), str(lab_path))
     try:
-        start = _start(file.start, robot)
+        lab.plant.check_names(robot)
+    except CtrError as error:
+        raise ConfigError(f"{lab_path}: {error}") from None
+    try:
+        start = start_pose(file.start, robot)
         controller = file.controller.controller(robot)
         controller.limits.check(start)
         controller.statics.robot.check_pose(start)
         orders = Orders(file.trajectory, controller.statics.robot)
+        if isinstance(file.trajectory, JointSweepMotion):
+            file.trajectory.check(start, controller.limits)
     except CtrError as error:
         raise ConfigError(f"{source}: {error}") from None
     return Case(name, file, robot, lab, controller, orders, start)
 
 
-def _start(start: Mapping[str, float], robot: RobotFile) -> Array:
+def start_pose(start: Mapping[str, float], robot: RobotFile) -> Array:
+    """Joint positions (n,) by name [rad or m].
+
+    Raises:
+        ConfigError: a joint is missing or unknown.
+    """
     names = [joint.name for joint in robot.joints]
     for name in start:
         if name not in names:

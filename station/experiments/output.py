@@ -1,13 +1,16 @@
 """Results on disk and on the screen."""
 
+import itertools
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from rich.table import Table
+from rich.text import Text
 
 from core.errors import CtrError
 from station.experiments.experiment import Experiment
@@ -27,39 +30,52 @@ class ResultFolder:
         Raises:
             OutputError: `out` cannot be written to.
         """
+        self._out = out
         name = f"{experiment}-seed{seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-        self.path = out / name
-        number = 1
-        while self.path.exists():
-            number += 1
-            self.path = out / f"{name}-{number}"
-        self._partial = self.path.with_name(self.path.name + ".partial")
-        try:
-            self._partial.mkdir(parents=True)
-        except OSError as error:
-            raise OutputError(f"{out}: cannot write results there: {error.strerror}") from None
+        with self._written():
+            out.mkdir(parents=True, exist_ok=True)
+            for number in itertools.count(1):
+                self.path = out / (name if number == 1 else f"{name}-{number}")
+                self._partial = self.path.with_name(self.path.name + ".partial")
+                try:
+                    self._partial.mkdir()
+                except FileExistsError:
+                    continue
+                if not self.path.exists():
+                    break
+                self._partial.rmdir()
 
     def write_case(self, recording: Recording) -> None:
         """All channels of a case as CSV, units in the column names."""
-        with (self._partial / f"{recording.case.name}.csv").open("w", encoding="ascii") as file:
+        path = self._partial / f"{recording.case.name}.csv"
+        with self._written(), path.open("w", encoding="ascii") as file:
             file.write(",".join(channel.column for channel in recording.channels.all) + "\n")
             line = ",".join(["%.9g"] * len(recording.channels)) + "\n"
             file.writelines(line % tuple(row) for row in recording.rows.tolist())
 
     def finish(self, experiment: Experiment, summary: Mapping[str, Any]) -> None:
         """The experiment's file and the summary; then the folder gets its name."""
-        (self._partial / "experiment.toml").write_text(experiment.source, encoding="utf-8")
-        (self._partial / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-        self._partial.rename(self.path)
+        with self._written():
+            (self._partial / "experiment.toml").write_text(experiment.source, encoding="utf-8")
+            (self._partial / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+            self._partial.rename(self.path)
 
     def discard(self) -> None:
         """Leave nothing behind."""
         shutil.rmtree(self._partial, ignore_errors=True)
 
+    @contextmanager
+    def _written(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise OutputError(f"{self._out}: cannot write results there: {error.strerror}") from None
+
 
 def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:
     """The paper's numbers beside ours."""
-    table = Table(title=f"{experiment.title}\n{experiment.cases[0].lab.title}", title_style="", caption_style="")
+    title = Text(f"{experiment.title}\n{experiment.cases[0].lab.title}")
+    table = Table(title=title, title_style="", caption_style="")
     table.add_column("case")
     table.add_column("quantity")
     for axis in ("x", "y", "z"):
@@ -68,7 +84,7 @@ def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:
     for name, case in summary["cases"].items():
         paper = experiment.paper.get(name)
         reported = dict(paper.max_abs_error_mm) if paper else {}
-        shown = "  ".join(f"{axis} {value:g}" for axis, value in reported.items())
+        shown = "\n".join(f"{axis} {value:g}" for axis, value in reported.items())
         label = name if case["completed"] else f"{name} (not completed)"
         for key, title in (
             ("max_abs_error_mm", "max |E| measured [mm]"),

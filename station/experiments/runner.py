@@ -15,6 +15,9 @@ from station.loop import ControlLoop, Phase, Task
 from station.states import Event, State
 from station.telemetry import Channels
 
+#: Longest wait for the devices' first samples [s].
+BRING_UP = 10.0
+
 
 class Recording(NamedTuple):
     """What a case left behind."""
@@ -51,6 +54,9 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
                 for event in (Event.CONNECT, Event.HOME, Event.PREPARE):
                     loop.request(event)
                 loop.start(Task(case.controller, case.orders, case.file.duration, case.start))
+            elif loop.state is State.OFF and now > BRING_UP:
+                cause = f"no sample that the controller can begin with in {BRING_UP:g} s"
+                break
             elif loop.state is not State.OFF and loop.progress is None:
                 cause = loop.cause
                 break

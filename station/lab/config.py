@@ -6,7 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from station.config import NotNegative, Positive, Strict
+from station.config import ConfigError, NotNegative, Strict
+from station.robots import RobotFile
 
 
 class TubeError(Strict):
@@ -35,8 +36,20 @@ class PlantConfig(Strict):
     """between neighbouring tubes, along z [N]"""
     friction_moment: NotNegative = 0.5e-3
     """between neighbouring tubes, about z [N m]"""
-    step: Positive = 0.020
+    step: Annotated[float, Field(ge=1e-4, le=0.05)] = 0.020
     """of the exact rod's integration [m]"""
+
+    def check_names(self, robot: RobotFile) -> None:
+        """Refuse tubes and joints that were given by name and that the robot does not have."""
+        for key, given, has in (
+            ("tubes", self.tubes, [tube.name for tube in robot.tubes]),
+            ("play", self.play, [joint.name for joint in robot.joints]),
+        ):
+            unknown = [name for name in given if name not in has]
+            if unknown and key in self.model_fields_set:
+                raise ConfigError(
+                    f"plant.{key}.{unknown[0]}: robot '{robot.name}' has no such part; it has {', '.join(has)}"
+                )
 
 
 class LineConfig(Strict):
@@ -55,7 +68,7 @@ class LineConfig(Strict):
 class TrackerConfig(Strict):
     """Electromagnetic tracker."""
 
-    rate: Positive = 40.0
+    rate: Annotated[float, Field(gt=0.0, le=1000.0)] = 40.0
     """[1/s]"""
     latency: NotNegative = 0.024
     """from the measurement to its arrival [s]"""

@@ -27,12 +27,10 @@ class SimulatedStages:
         self._speed = np.array([joint.speed for joint in joints])
         self._acceleration = np.array([joint.acceleration for joint in joints])
         self._microstep = np.array([joint.microstep for joint in joints])
-        self._asked = np.zeros(len(joints))
         self._sent = np.zeros(len(joints))
         self._target = np.zeros(len(joints))
         self._velocity = np.zeros(len(joints))
-        # The axes take turns on the line.
-        self._due = [line.hold * index / len(joints) for index in range(len(joints))]
+        self._due = self._turns(0.0)
         self._on_the_way: deque[tuple[float, int, float]] = deque()
 
     def poll(self, now: float) -> JointReading:  # noqa: ARG002 - the lab has moved to `now` already
@@ -44,15 +42,16 @@ class SimulatedStages:
 
     def command(self, velocities: Array, now: float) -> None:
         """Take note of velocities (n,); each axis gets the latest when its turn comes."""
-        self._asked = np.clip(velocities, -self._speed, self._speed)
+        asked = np.clip(velocities, -self._speed, self._speed)
+        if now > max(self._due) + self._line.hold:  # the line was idle: the turns begin anew
+            self._due = self._turns(now)
         for axis in range(len(self._due)):
             if now >= self._due[axis] - 1e-9:
-                self._send(axis, self._asked[axis], now)
-                self._due[axis] = max(self._due[axis] + self._line.hold, now)
+                self._send(axis, asked[axis], now)
+                self._due[axis] += self._line.hold
 
     def stop(self, now: float) -> None:
         """Stop every axis: next on the line, whatever waits."""
-        self._asked[:] = 0.0
         self._on_the_way.clear()
         for axis in range(len(self._due)):
             self._send(axis, 0.0, now)
@@ -67,6 +66,11 @@ class SimulatedStages:
                 time = due
             self._target[axis] = velocity
         self._run(end - time)
+
+    def _turns(self, now: float) -> list[float]:
+        """When each axis has the line: one after the other."""
+        count = len(self._lower)
+        return [now + self._line.hold * axis / count for axis in range(count)]
 
     def _send(self, axis: int, velocity: float, now: float) -> None:
         if self._line.quantised:
@@ -87,7 +91,9 @@ class SimulatedStages:
         else:
             self._velocity = self._target.copy()
             self.positions += self._velocity * time
-        self.positions = np.minimum(np.maximum(self.positions, self._lower), self._upper)
+        inside = np.minimum(np.maximum(self.positions, self._lower), self._upper)
+        self._velocity[inside != self.positions] = 0.0  # the end of the travel stops the motor
+        self.positions = inside
 
 
 class SimulatedTracker:
@@ -125,7 +131,9 @@ class SimulatedBaseSensors:
         self._drift = np.zeros((tubes, 6))
         self._drift[:, :3] = config.drift * rng.choice([-1.0, 1.0], (tubes, 3))
         self._noise = np.repeat([config.force_noise, config.moment_noise], 3)
-        self._count = np.repeat([config.force_count, config.moment_count], 3)
+        count = np.repeat([config.force_count, config.moment_count], 3)
+        self._quantised = count > 0.0
+        self._count = np.where(self._quantised, count, 1.0)
         self._true = np.zeros((tubes, 6))
 
     def advance(self, wrenches: Array) -> None:
@@ -136,6 +144,5 @@ class SimulatedBaseSensors:
         """One sample."""
         reading = self._true + self._offset + now * self._drift
         reading = reading + self._noise * self._rng.standard_normal(reading.shape)
-        if self._count[0] > 0.0:
-            reading = np.round(reading / self._count) * self._count
+        reading = np.where(self._quantised, np.round(reading / self._count) * self._count, reading)
         return WrenchReading(now, reading)

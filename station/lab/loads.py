@@ -5,24 +5,16 @@ import math
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from core.robot import Array
-from station.config import NotNegative, Positive, Strict, Vector
+from station.config import Direction, NotNegative, Positive, Row, Strict
 
 GRAVITY = (1.0, 0.0, 0.0)
 
 
 class _Directed(Strict):
-    direction: Vector = GRAVITY
-    """world frame; its length does not matter"""
-
-    @field_validator("direction")
-    @classmethod
-    def _has_length(cls, direction: Vector) -> Vector:
-        if not any(direction):
-            raise ValueError("a direction needs one component that is not 0")
-        return direction
+    direction: Direction = GRAVITY
 
     def _along(self, magnitude: float) -> Array:
         vector = np.array(self.direction)
@@ -83,9 +75,9 @@ class RampLoad(_Directed):
     """Straight lines between points in time; constant after the last."""
 
     kind: Literal["ramps"] = "ramps"
-    times: tuple[NotNegative, ...] = Field(min_length=1)
+    times: tuple[NotNegative, ...] = Field(min_length=1, strict=False)
     """rising [s]"""
-    magnitudes: tuple[float, ...]
+    magnitudes: Annotated[tuple[float, ...], Row]
     """[N]"""
 
     @model_validator(mode="after")

@@ -1,0 +1,54 @@
+"""`ctr-station bench loop`: how punctual the 500 Hz loop is on this machine, in a process of its own."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from core.errors import CtrError
+from station.desk import Desk
+from station.lab.loads import RaisedCosineLoad
+from station.motions import CircleMotion
+from station.states import State
+from station.station_file import load_station
+from station.supervisor import Supervisor
+
+
+def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True) -> dict[str, Any]:
+    """Run a circle under load in the virtual lab for `seconds` and count.
+
+    Raises:
+        CtrError: the control process failed meanwhile.
+    """
+    supervisor = Supervisor(replace(load_station(None).bench(), fifo=fifo))
+    try:
+        supervisor.wait_ready(120.0)
+        steal = stolen()
+        supervisor.ring.clear_timing()
+        Desk(supervisor).start_motion(
+            CircleMotion(radius=0.010, period=20.0),
+            load=RaisedCosineLoad(peak=0.3, period=15.0),
+            duration=seconds + 60.0,
+        )
+        begin = time.monotonic()
+        while (passed := time.monotonic() - begin) < seconds:
+            time.sleep(min(0.25, seconds - passed))
+            progress(min(1.0, passed / seconds))
+            status = supervisor.status()
+            if status.state is not State.RUNNING:
+                raise CtrError(f"the loop went to {status.state.name}: {status.cause}")
+        timing = supervisor.ring.timing()
+        stolen_s = round(stolen() - steal, 3)
+    finally:
+        supervisor.close()
+    return {**timing._asdict(), "seconds": seconds, "stolen_s": stolen_s}
+
+
+def stolen() -> float:
+    """Processor time that the hypervisor gave to others, over all processors [s]; 0 where it is not told."""
+    try:
+        fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
+    except OSError:
+        return 0.0
+    return int(fields[8]) / 100.0 if len(fields) > 8 else 0.0

@@ -1,0 +1,112 @@
+"""What an operator or a script may ask of a running station, checked before anything moves."""
+
+import threading
+from typing import Annotated
+
+from pydantic import Field
+
+from core.errors import CtrError
+from station.config import Strict, preset_names
+from station.experiments.experiment import ControllerFile, load_experiment
+from station.lab.loads import Load, NoLoad
+from station.loop import Task
+from station.motions import CircleMotion, HoldMotion, Motion, Orders, SinusoidMotion, TipMotion
+from station.supervisor import Supervisor
+
+
+class DeskError(CtrError):
+    """A request that makes no sense, whatever the state."""
+
+
+class Settings(Strict):
+    """What the next free motion will be."""
+
+    trajectory: Annotated[HoldMotion | SinusoidMotion | CircleMotion, Field(discriminator="kind")] = HoldMotion()
+    controller: ControllerFile = ControllerFile()
+    load: Load = NoLoad()
+    """on the simulated tip; a real bench has its own"""
+    duration: Annotated[float, Field(gt=0.0, le=86400.0)] = 60.0
+    """[s]"""
+
+
+class Desk:
+    """Experiments and free motions on one station."""
+
+    def __init__(self, supervisor: Supervisor) -> None:
+        self.supervisor = supervisor
+        self._settings = Settings()
+        self._lock = threading.Lock()
+
+    @property
+    def settings(self) -> Settings:
+        """What the next free motion will be."""
+        with self._lock:
+            return self._settings
+
+    def set_trajectory(self, trajectory: TipMotion) -> None:
+        """Choose the next free motion."""
+        with self._lock:
+            self._settings = self._settings.model_copy(update={"trajectory": trajectory})
+
+    def set_controller(self, controller: ControllerFile) -> None:
+        """Choose the controller of the next free motion.
+
+        Raises:
+            DescriptionError: unknown strategy, gain or bandwidth out of range.
+        """
+        controller.controller(self.supervisor.bench.robot)
+        with self._lock:
+            self._settings = self._settings.model_copy(update={"controller": controller})
+
+    def set_load(self, load: Load) -> None:
+        """Choose the load of the next free motion."""
+        with self._lock:
+            self._settings = self._settings.model_copy(update={"load": load})
+
+    def start_motion(
+        self,
+        trajectory: TipMotion | None = None,
+        controller: ControllerFile | None = None,
+        load: Load | None = None,
+        duration: float | None = None,
+    ) -> str:
+        """Start a free motion from where the robot is; what is not given is as set before. The run's id.
+
+        Raises:
+            RefusedError: the state does not allow it.
+            CtrError: the motion or the controller cannot be.
+        """
+        settings = self.settings
+        motion = trajectory or settings.trajectory
+        return self._start(
+            motion, controller or settings.controller, load or settings.load,
+            settings.duration if duration is None else duration, f"{motion.kind}, free motion",
+        )  # fmt: skip
+
+    def start_experiment(self, name: str, case: str | None = None) -> str:
+        """Start a case of an experiment (the first when none is named) on this bench. The run's id.
+
+        The robot goes to the start pose first. The lab is the one that is there, not the
+        experiment's.
+
+        Raises:
+            DeskError: no such preset or case.
+            RefusedError: the state does not allow it.
+        """
+        if name not in preset_names("experiments"):
+            raise DeskError(f"'{name}' is not one of the experiments: {', '.join(preset_names('experiments'))}")
+        experiment = load_experiment(name)
+        chosen = experiment.cases[0] if case is None else next((c for c in experiment.cases if c.name == case), None)
+        if chosen is None:
+            raise DeskError(
+                f"'{case}' is not one of the cases of {name}: {', '.join(c.name for c in experiment.cases)}"
+            )
+        if chosen.robot != self.supervisor.bench.robot:
+            raise DeskError(f"{name} needs robot '{chosen.robot.name}', not '{self.supervisor.bench.robot.name}'")
+        task = Task(chosen.controller, chosen.orders, chosen.file.duration, chosen.start)
+        return self.supervisor.start(task, chosen.file.load, f"{name}, case {chosen.name}")
+
+    def _start(self, motion: Motion, controller: ControllerFile, load: Load, duration: float, title: str) -> str:
+        robot = self.supervisor.bench.robot
+        task = Task(controller.controller(robot), Orders(motion, self.supervisor.robot), duration)
+        return self.supervisor.start(task, load, title)

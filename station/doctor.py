@@ -1,0 +1,85 @@
+"""`ctr-station doctor`: what this machine offers, in plain words."""
+
+import multiprocessing
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Iterator
+from multiprocessing.connection import Connection
+from typing import NamedTuple
+
+from station.realtime import ask_for_fifo
+
+
+class Finding(NamedTuple):
+    """One thing that matters, and what to do about it."""
+
+    subject: str
+    good: bool
+    text: str
+
+
+def findings() -> Iterator[Finding]:
+    """Look at scheduling, processors, shared memory, serial ports and browser."""
+    yield Finding("Python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    yield Finding(
+        "processors", cores >= 2, f"{cores}; the control process wants one of its own" if cores >= 2 else
+        "only one: control and browser will disturb each other",
+    )  # fmt: skip
+    yield _scheduling()
+    yield _shared_memory()
+    yield _serial_ports()
+    browser = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    yield Finding(
+        "browser", browser is not None,
+        f"{browser}" if browser else "none found here; open the panel elsewhere; the browser tests need chromium",
+    )  # fmt: skip
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox")
+
+
+def _scheduling() -> Finding:
+    """Try in a process of its own, so that this one stays as it is."""
+    receive, send = multiprocessing.get_context("spawn").Pipe(duplex=False)
+    process = multiprocessing.get_context("spawn").Process(target=_try_fifo, args=(send,))
+    process.start()
+    send.close()
+    granted = bool(receive.recv()) if receive.poll(10.0) else False
+    process.join()
+    receive.close()
+    if granted:
+        return Finding("real time", True, "SCHED_FIFO is granted: the 500 Hz loop runs with little jitter")
+    advice = {
+        "linux": "add '@realtime - rtprio 90' to /etc/security/limits.d/realtime.conf, join the group realtime and"
+        " log in again, or start with CAP_SYS_NICE",
+        "darwin": "macOS has no SCHED_FIFO for programs; use Linux for experiments",
+    }.get(sys.platform, "this system has no SCHED_FIFO; use Linux for experiments")
+    return Finding("real time", False, f"SCHED_FIFO is refused: the loop still runs, with more jitter; {advice}")
+
+
+def _try_fifo(send: Connection) -> None:
+    send.send(ask_for_fifo())
+
+
+def _shared_memory() -> Finding:
+    from multiprocessing.shared_memory import SharedMemory
+
+    try:
+        memory = SharedMemory(create=True, size=1 << 22)
+    except OSError as error:
+        return Finding("shared memory", False, f"none to be had ({error.strerror}); 4 MB are needed")
+    memory.close()
+    memory.unlink()
+    return Finding("shared memory", True, "available for telemetry")
+
+
+def _serial_ports() -> Finding:
+    from serial.tools.list_ports import comports
+
+    ports = [f"{port.device} ({port.description})" for port in comports()]
+    if not ports:
+        return Finding("serial ports", True, "none; the virtual lab needs none")
+    return Finding("serial ports", True, ", ".join(ports))

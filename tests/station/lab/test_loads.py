@@ -1,0 +1,77 @@
+"""What pulls at the tip, at times worked out by hand."""
+
+import pytest
+
+from station.config import ConfigError, Strict, check
+from station.lab.loads import Load
+
+
+class Holder(Strict):
+    load: Load
+
+
+def load(**table: object) -> Load:
+    return check(Holder, {"load": table}, "file").load
+
+
+CONSTANT = {"kind": "constant", "magnitude": 0.5}
+SINE = {"kind": "sine", "amplitude": 0.2, "frequency": 0.05}
+RAISED = {"kind": "raised_cosine", "peak": 0.5, "period": 20.0}
+RAMPS = {"kind": "ramps", "times": [5.0, 7.5, 15.0, 17.5], "magnitudes": [0.0, 0.5, 0.5, 0.0]}
+
+
+@pytest.mark.parametrize(
+    ("table", "by_time"),
+    [
+        ({"kind": "none"}, {0.0: 0.0, 7.0: 0.0}),
+        (CONSTANT, {0.0: 0.5, 1e5: 0.5}),
+        # f_x = 0.2 sin(2 pi 0.05 t): peaks at a quarter and three quarters of 20 s
+        (SINE, {0.0: 0.0, 5.0: 0.2, 10.0: 0.0, 15.0: -0.2, 5.0 / 3.0: 0.1, 25.0: 0.2}),
+        # 0.25 (1 - cos(2 pi t / 20)): 0.5 N at half the period, half of it at a quarter
+        (RAISED, {0.0: 0.0, 5.0: 0.25, 10.0: 0.5, 15.0: 0.25, 20.0: 0.0, 30.0: 0.5, 20.0 / 6.0: 0.125}),
+        (RAMPS, {0.0: 0.0, 4.99: 0.0, 5.0: 0.0, 6.25: 0.25, 7.5: 0.5, 12.0: 0.5, 16.25: 0.25, 17.5: 0.0, 99.0: 0.0}),
+        ({"kind": "ramps", "times": [2.0], "magnitudes": [0.3]}, {0.0: 0.0, 1.999: 0.0, 2.0: 0.3, 50.0: 0.3}),
+        ({"kind": "ramps", "times": [0.0, 1.0], "magnitudes": [0.4, -0.4]}, {0.0: 0.4, 0.25: 0.2, 0.75: -0.2, 2: -0.4}),
+    ],
+)
+def test_a_load_is_its_closed_form_along_gravity(table, by_time):
+    for time, force in by_time.items():
+        assert load(**table).force(time) == pytest.approx([force, 0.0, 0.0], abs=1e-15), f"at {time} s"
+
+
+@pytest.mark.parametrize("table", [{"kind": "none"}, CONSTANT, SINE, RAISED, RAMPS])
+def test_nothing_pulls_before_the_start(table):
+    for time in (-1e-9, -0.5, -13.0):
+        assert not load(**table).force(time).any()
+
+
+def test_a_direction_of_any_length_only_points():
+    assert load(**CONSTANT, direction=[0, -30, 40]).force(1.0) == pytest.approx([0.0, -0.3, 0.4])
+    assert load(**SINE, direction=[0, 0, -1e-6]).force(5.0) == pytest.approx([0.0, 0.0, -0.2])
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"kind": "constant", "magnitude": -0.5}, "load.magnitude = -0.5: "),
+        ({"kind": "constant", "magnitude": float("nan")}, "load.magnitude = nan: "),
+        ({"kind": "constant"}, "'load.magnitude' is missing"),
+        ({**CONSTANT, "direction": [0.0, 0.0, 0.0]}, "load.direction = [0.0, 0.0, 0.0]: a direction needs a length"),
+        ({**SINE, "frequency": 0.0}, "load.frequency = 0.0: "),
+        ({**RAISED, "period": -20.0}, "load.period = -20.0: "),
+        ({**RAISED, "amplitude": 0.2}, "unknown key 'load.amplitude'"),
+        ({"kind": "ramps", "times": [1.0, 2.0], "magnitudes": [0.1]}, "2 times but 1 magnitudes"),
+        ({"kind": "ramps", "times": [], "magnitudes": []}, "load.times = []: "),
+        ({"kind": "ramps", "times": [2.0, 1.0], "magnitudes": [0.1, 0.2]}, "times must rise"),
+        ({"kind": "ramps", "times": [1.0, 1.0], "magnitudes": [0.1, 0.2]}, "times must rise"),
+        ({"kind": "ramps", "times": [-1.0, 1.0], "magnitudes": [0.1, 0.2]}, "load.times.0 = -1.0: "),
+        ({"kind": "ramps", "times": [1.0], "magnitudes": [float("inf")]}, "load.magnitudes.0 = inf: "),
+        ({"kind": "wind"}, "load = {'kind': 'wind'}: "),
+    ],
+)
+def test_a_load_that_cannot_be_is_refused_by_key_and_value(table, said):
+    with pytest.raises(ConfigError) as refused:
+        check(Holder, {"load": table}, "file")
+
+    assert str(refused.value).startswith("file: ")
+    assert said in str(refused.value)

@@ -1,0 +1,183 @@
+"""The true robot: the exact rod with parameters of its own, play and friction, and what its bases feel."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from core.cosserat import ExactRod
+from core.wrench import fuse
+from station.lab.config import PlantConfig
+from station.lab.plant import Plant, PlantState, true_robot
+
+START = np.array([0.0, math.pi / 2, -0.100])
+NOMINAL = PlantConfig(tubes={}, poisson_ratio=None, play={}, friction_force=0.0, friction_moment=0.0)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture
+def plant(paper_robot):
+    """A plant at the start pose, nominal but for what is given."""
+
+    def make(**changes: object) -> Plant:
+        return Plant(paper_robot, NOMINAL.model_copy(update=changes), rng(), START)
+
+    return make
+
+
+def walk(seed: int, steps: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Stage positions and tip forces of up to 0.5 N, going back and forth in every joint."""
+    random = rng(seed)
+    phase = random.uniform(0.0, 2.0 * math.pi, 6)
+    return [
+        (
+            START + np.array([0.3, 0.3, 0.02]) * np.sin(0.1 * k + phase[:3]),
+            0.5 / math.sqrt(3.0) * np.sin(0.07 * k + phase[3:]),
+        )
+        for k in range(steps)
+    ]
+
+
+def to_world(state: PlantState, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """Each tube's base wrench (q, 6) in world axes about the plate's origin, by rotation matrices."""
+    rows = []
+    for wrench, angle, place in zip(state.wrenches, alpha, beta, strict=True):
+        turn = Rotation.from_euler("z", angle)
+        force = turn.apply(wrench[:3])
+        rows.append(np.r_[force, turn.apply(wrench[3:]) + np.cross([0.0, 0.0, place], force)])
+    return np.array(rows)
+
+
+def test_the_default_truth_differs_from_the_controllers_belief_as_agreed(paper_robot):
+    inner, outer = true_robot(paper_robot, PlantConfig(), rng()).tubes
+
+    assert inner.bending_stiffness == pytest.approx(0.95 * 0.0413)
+    assert inner.sections[1].curvature == pytest.approx((0.97 * 4.0, 0.0))
+    assert outer.bending_stiffness == pytest.approx(1.04 * 0.0480)
+    assert outer.sections[1].curvature == pytest.approx((1.02 * 4.0, 0.0))
+    assert (inner.poisson_ratio, outer.poisson_ratio) == (0.35, 0.35)
+    assert [section.length for section in inner.sections] == [0.150, 0.153]
+
+
+def test_a_tube_that_is_not_named_is_as_described(paper_robot):
+    config = NOMINAL.model_copy(update={"tubes": {"inner": PlantConfig().tubes["inner"]}})
+    inner, outer = true_robot(paper_robot, config, rng()).tubes
+
+    assert inner.bending_stiffness == pytest.approx(0.95 * 0.0413)
+    assert outer == paper_robot.tubes[1]
+
+
+def test_vary_draws_each_parameter_inside_its_range_and_uses_all_of_it(paper_robot):
+    config = PlantConfig(vary=0.08)
+    drawn = np.array([
+        [(tube.bending_stiffness / nominal.bending_stiffness - 1.0, tube.sections[1].curvature[0] / 4.0 - 1.0)
+         for tube, nominal in zip(true_robot(paper_robot, config, rng(seed)).tubes, paper_robot.tubes, strict=True)]
+        for seed in range(200)
+    ]).reshape(200, 4)  # fmt: skip
+
+    assert np.abs(drawn).max() <= 0.08
+    assert (drawn.max(axis=0) > 0.07).all()
+    assert (drawn.min(axis=0) < -0.07).all()
+    # four independent numbers: uniform within +-0.08 has a deviation of 0.08 / sqrt(3), and no correlation
+    assert drawn.std(axis=0) == pytest.approx(np.full(4, 0.08 / math.sqrt(3.0)), rel=0.1)
+    assert np.abs(np.corrcoef(drawn.T) - np.eye(4)).max() < 0.2
+
+
+def test_vary_depends_on_the_seed_only(paper_robot):
+    config = PlantConfig(vary=0.08)
+
+    assert true_robot(paper_robot, config, rng(5)) == true_robot(paper_robot, config, rng(5))
+    assert true_robot(paper_robot, config, rng(5)) != true_robot(paper_robot, config, rng(6))
+
+
+def test_with_nominal_parameters_the_plant_is_the_exact_rod(paper_robot, plant):
+    nominal, exact = plant(), ExactRod(paper_robot)
+
+    for stages, force in walk(1, 60):
+        true = nominal.advance(stages, force).truth
+        # coarser steps and end conditions than the reference's: 0.1 um
+        assert true.tip == pytest.approx(exact.solve(stages, np.r_[force, 0.0, 0.0, 0.0]).tip, abs=1e-7)
+        assert true.force == pytest.approx(force)
+
+
+@pytest.mark.parametrize("friction", [0.0, 1.0, 10.0])
+def test_the_fused_base_wrenches_are_the_tip_load_exactly_whatever_the_friction(paper_robot, plant, friction):
+    rubbing = plant(friction_force=0.05 * friction, friction_moment=0.5e-3 * friction)
+
+    for stages, force in walk(2, 60):
+        state = rubbing.advance(stages, force)
+        load = fuse(state.wrenches, *paper_robot.tube_poses(stages))
+        assert load.force == pytest.approx(force, abs=1e-14)
+        assert load.moment == pytest.approx(np.cross(state.truth.tip, force), abs=1e-14)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize(("joint", "way", "component", "most"), [(2, 1e-3, 2, 0.05), (1, 0.1, 5, 0.5e-3)])
+def test_friction_pulls_at_the_two_sensors_with_opposite_signs(
+    paper_robot, plant, joint, way, component, most, sense
+):
+    rubbing, smooth = plant(friction_force=0.05, friction_moment=0.5e-3), plant()
+    stages, force = START.copy(), np.array([0.2, 0.0, 0.1])
+    stages[joint] += sense * way
+
+    felt = [to_world(one.advance(stages, force), *paper_robot.tube_poses(stages)) for one in (rubbing, smooth)]
+
+    # The inner tube moves: the outer one holds it back and is carried along by it.
+    inner = np.zeros(6)
+    inner[component] = -sense * most
+    assert felt[0] - felt[1] == pytest.approx(np.array([inner, -inner]), abs=1e-12)
+
+
+def test_tubes_that_move_together_do_not_rub(paper_robot, plant):
+    rubbing, smooth = plant(friction_force=0.05, friction_moment=0.5e-3), plant()
+
+    for angle in np.linspace(0.0, 0.5, 20):
+        stages = START + [angle, angle, 0.0]
+        states = [one.advance(stages, np.array([0.1, 0.0, 0.0])) for one in (rubbing, smooth)]
+        assert states[0].wrenches == pytest.approx(states[1].wrenches, abs=1e-14)
+
+
+def test_friction_comes_on_gradually_over_the_stick_zone(plant):
+    rubbing, smooth = plant(friction_force=0.05), plant()
+    force = np.zeros(3)
+
+    def axial(stages: np.ndarray) -> float:
+        return float(rubbing.advance(stages, force).wrenches[0, 2] - smooth.advance(stages, force).wrenches[0, 2])
+
+    # 0.05 N after 20 um; half of it after 10 um, and it takes 40 um to turn round
+    assert axial(START + [0.0, 0.0, 10e-6]) == pytest.approx(-0.025)
+    assert axial(START + [0.0, 0.0, 500e-6]) == pytest.approx(-0.050)
+    assert axial(START + [0.0, 0.0, 490e-6]) == pytest.approx(-0.025)
+    assert axial(START + [0.0, 0.0, 480e-6]) == pytest.approx(0.0, abs=1e-12)
+    assert axial(START + [0.0, 0.0, 460e-6]) == pytest.approx(0.050)
+
+
+def test_the_inner_tube_stands_still_for_the_play_after_a_reversal(plant):
+    loose, tight = plant(play={"inner_rotation": math.radians(0.1)}), plant()
+
+    def tip(one: Plant, degrees: float) -> np.ndarray:
+        return one.advance(START + [0.0, math.radians(degrees), 0.0], np.array([0.2, 0.0, 0.0])).truth.tip
+
+    tip(loose, 1.0)
+    ahead = tip(loose, 2.0)
+    # pushed from behind, the tube follows half the play late
+    assert ahead == pytest.approx(tip(tight, 1.95), abs=1e-7)
+    for degrees in (1.99, 1.95, 1.901):
+        assert tip(loose, degrees) == pytest.approx(ahead, abs=1e-7)
+    assert tip(loose, 1.5) == pytest.approx(tip(tight, 1.55), abs=1e-7)
+    assert tip(loose, 1.599) == pytest.approx(tip(tight, 1.55), abs=1e-7)
+    assert tip(loose, 1.7) == pytest.approx(tip(tight, 1.65), abs=1e-7)
+    # and the play is worth seeing: 0.1 deg moves the tip by 40 um
+    assert np.linalg.norm(tip(tight, 2.0) - tip(tight, 1.9)) > 20e-6
+
+
+def test_play_is_in_the_joint_that_has_it_and_in_no_other(plant):
+    loose, tight = plant(play={"inner_rotation": math.radians(0.1)}), plant()
+
+    for stages in ([0.1, 0.0, 0.0], [0.05, 0.0, 0.001], [0.1, 0.0, -0.001]):
+        tips = [one.advance(START + stages, np.zeros(3)).truth.tip for one in (loose, tight)]
+        assert tips[0] == pytest.approx(tips[1], abs=1e-7)

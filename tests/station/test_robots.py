@@ -1,0 +1,127 @@
+"""The paper's robot is Table I on its stages; a robot file that cannot be is refused by name."""
+
+import math
+
+import pytest
+
+from station.config import ConfigError
+from station.robots import load_robot
+
+
+def test_the_paper_preset_is_table_1(paper):
+    inner, outer = paper.robot().tubes
+
+    assert (inner.name, inner.bending_stiffness) == ("inner", 0.0413)
+    assert (outer.name, outer.bending_stiffness) == ("outer", 0.048)
+    assert [section.length for section in inner.sections] == [0.150, 0.153]
+    assert [section.length for section in outer.sections] == [0.012, 0.153]
+    for tube in (inner, outer):
+        straight, curved = tube.sections
+        assert straight.curvature == (0.0, 0.0)
+        assert curved.curvature == (1.0 / 0.250, 0.0)
+        assert tube.poisson_ratio == 0.30
+
+
+def test_the_paper_presets_description_is_the_one_the_model_is_tested_with(paper, paper_robot):
+    assert paper.robot() == paper_robot
+
+
+def test_the_paper_presets_stages_have_the_benchs_limits(paper):
+    names = [limit.name for limit in paper.limits().joints]
+    turn, turn_too, slide = paper.limits().joints
+
+    assert names == ["outer_rotation", "inner_rotation", "inner_translation"]
+    for limit in (turn, turn_too):
+        assert (limit.unit, limit.lower, limit.upper) == ("rad", -2 * math.pi, 2 * math.pi)
+        assert math.degrees(limit.speed) == pytest.approx(20.0)
+        assert math.degrees(limit.acceleration) == pytest.approx(100.0)
+    assert (slide.unit, slide.lower, slide.upper, slide.speed, slide.acceleration) == ("m", -0.130, -0.005, 0.020, 0.1)
+
+
+def test_the_paper_presets_microsteps_are_those_of_the_stages_data_sheets(paper):
+    turn, turn_too, slide = (joint.microstep for joint in paper.joints)
+
+    # 3,072,000 microsteps span two turns of the T-RS60; the T-LSR300B steps 0.49609375 um.
+    assert turn * 3_072_000 == pytest.approx(4.0 * math.pi, rel=1e-12)
+    assert turn_too == turn
+    assert slide == 0.49609375e-6
+
+
+@pytest.mark.parametrize(
+    ("spoil", "by", "said"),
+    [
+        ("bending_stiffness = 0.0413", "bending_stiffness = -0.0413", "tube 'inner': bending_stiffness -0.0413 N m^2"),
+        ("bending_stiffness = 0.0413", "bending_stiffness = 0.0", "tube 'inner': bending_stiffness 0 N m^2"),
+        ("bending_stiffness = 0.0413", "bending_stiffness = nan", "tubes.0.bending_stiffness = nan"),
+        ("bending_stiffness = 0.0413", 'bending_stiffness = "stiff"', "tubes.0.bending_stiffness = 'stiff'"),
+        ("bending_stiffness = 0.0413", "bending_stifness = 0.0413", "bending_stif"),
+        ("poisson_ratio = 0.30 ", "poisson_ratio = 0.60 ", "tube 'inner': poisson_ratio 0.6 is outside -1 ... 0.5"),
+        ("{ length = 0.150 }", "{ length = -0.150 }", "tubes.0.sections.0.length = -0.15"),
+        ("{ length = 0.150 }", "{ length = 0.150, curvature = [1.0] }", "tubes.0.sections.0.curvature.1"),
+        ("outer_diameter = 0.0020 ", "outer_diameter = 0.0022 ", "tube 'inner' of 2.2 mm does not fit into tube 'outer'"),
+        ("inner_diameter = 0.0012", "inner_diameter = 0.0030", "tube 'inner': inner_diameter 3 mm is outside 0 ... 2 mm"),
+        ('name = "outer"\n', 'name = "inner"\n', "the tubes inner, inner have the same name"),
+        ('name = "outer"\n', 'name = "ou,ter"\n', "tubes.1.name = 'ou,ter'"),
+        ('name = "outer_rotation"', 'name = "inner_rotation"', "two joints have the same name"),
+        ('name = "outer_rotation"', 'name = "a/b"', "joints.0.name = 'a/b'"),
+        ('tube = "outer"', 'tube = "middle"', "joint 'outer_rotation' moves tube 'middle', which is not one of inner, outer"),
+        ('tube = "outer"', 'tube = "inner"', "rotation of tube 0 is moved twice"),
+        ('motion = "translation"', 'motion = "wobble"', "joints.2.motion = 'wobble'"),
+        ("upper = -0.005", "upper = -0.130", "inner_translation: travel -0.13 ... -0.13 m is empty"),
+        ("upper = -0.005", "upper = -0.200", "inner_translation: travel -0.13 ... -0.2 m is empty"),
+        ("upper = -0.005", "upper = inf", "joints.2.upper = inf"),
+        ("speed = 0.020", "speed = 0.0", "inner_translation: speed limit 0 m"),
+        ("acceleration = 0.100", "acceleration = -0.1", "inner_translation: acceleration limit -0.1 m"),
+        ("microstep = 0.49609375e-6", "microstep = 0.0", "joints.2.microstep = 0.0"),
+        ("microstep = 0.49609375e-6", "", "'joints.2.microstep' is missing"),
+    ],
+)  # fmt: skip
+def test_a_robot_that_cannot_be_is_refused_by_name(write, robot_text, spoil, by, said):
+    assert robot_text.count(spoil) >= 1
+    path = write(robot_text.replace(spoil, by, 1))
+
+    with pytest.raises(ConfigError) as refused:
+        load_robot(str(path))
+
+    assert str(refused.value).startswith(f"{path}: ")
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [("tubes = []\njoints = []", "joints = []"), ("joints = []", "'tubes' is missing"), ("", "'name' is missing")],
+)
+def test_a_robot_without_tubes_or_joints_is_refused(write, table, said):
+    head = "" if not table else 'name = "empty"\n'
+
+    with pytest.raises(ConfigError) as refused:
+        load_robot(str(write(head + table)))
+
+    assert said in str(refused.value)
+
+
+def test_a_robot_of_ones_own_may_have_any_number_of_tubes(write):
+    path = write("""
+        name = "one"
+        [[tubes]]
+        name = "only"
+        bending_stiffness = 0.02
+        outer_diameter = 1e-3
+        inner_diameter = 5e-4
+        sections = [{ length = 0.1, curvature = [1, 2] }]
+        [[joints]]
+        name = "turn"
+        tube = "only"
+        motion = "rotation"
+        lower = -1
+        upper = 1
+        speed = 1
+        acceleration = 1
+        microstep = 1e-6
+    """)
+
+    robot = load_robot(str(path)).robot()
+
+    assert robot.joint_names == ("turn",)
+    assert robot.tubes[0].sections[0].curvature == (1.0, 2.0)

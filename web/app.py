@@ -1,0 +1,89 @@
+"""The application: access checks, page, REST and the proxied scene on one port."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import FileResponse, JSONResponse
+from fastapi.staticfiles import StaticFiles
+from fastapi_offline import FastAPIOffline
+from starlette.exceptions import HTTPException
+
+from core.errors import CtrError
+from station.desk import Desk
+from station.states import RefusedError
+from web.access import Access
+from web.api import api_routes
+from web.viser_proxy import viser_routes
+
+STATIC = Path(__file__).parent / "static"
+
+
+def build_app(desk: Desk, viser_port: int, host: str, port: int, token: str | None) -> Access:
+    """The station's web application.
+
+    Args:
+        desk: what requests may do.
+        viser_port: where viser listens on loopback.
+        host, port: where the application will be reached.
+        token: demanded from everybody; None on loopback.
+    """
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        yield
+        await app.state.scene.aclose()
+
+    app = FastAPIOffline(
+        title="ctr-station",
+        description="Lab station for externally loaded concentric-tube robots. SI units, world frame.",
+        docs_url="/api/docs",
+        redoc_url=None,
+        openapi_url="/api/openapi.json",
+        lifespan=lifespan,
+    )
+    routes, app.state.scene = viser_routes(viser_port)
+    app.include_router(api_routes(desk))
+    app.include_router(routes)
+
+    @app.get("/", include_in_schema=False)
+    def page() -> FileResponse:
+        return FileResponse(STATIC / "index.html", headers={"cache-control": "no-cache"})
+
+    app.mount("/static", StaticFiles(directory=STATIC))
+
+    @app.exception_handler(RequestValidationError)
+    def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
+        # The input stays out of the answer: a NaN in it could not be sent back.
+        return JSONResponse({"error": _reason(error)}, 422)
+
+    @app.exception_handler(RefusedError)
+    def refused(_request: Request, error: RefusedError) -> JSONResponse:
+        return JSONResponse({"error": str(error)}, 409)
+
+    @app.exception_handler(CtrError)
+    def wrong(_request: Request, error: CtrError) -> JSONResponse:
+        return JSONResponse({"error": str(error)}, 422)
+
+    @app.exception_handler(HTTPException)
+    def other(_request: Request, error: HTTPException) -> JSONResponse:
+        return JSONResponse({"error": str(error.detail)}, error.status_code, headers=error.headers)
+
+    return Access(app, host, port, token)
+
+
+def _reason(error: RequestValidationError) -> str:
+    """The first complaint in one line: field, value, what was expected."""
+    first, count = error.errors()[0], len(error.errors())
+    field = ".".join(str(part) for part in first["loc"] if part not in ("body", "query")) or "body"
+    more = f" (and {count - 1} more)" if count > 1 else ""
+    if first["type"] == "extra_forbidden":
+        return f"unknown field '{field}'{more}"
+    if first["type"] == "missing":
+        return f"'{field}' is missing{more}"
+    if first["type"] == "json_invalid":
+        return f"the body is not JSON: {first.get('ctx', {}).get('error', '')}"
+    shown = repr(first.get("input"))
+    return f"{field} = {shown if len(shown) < 80 else shown[:77] + '...'}: {first['msg']}{more}"

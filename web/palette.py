@@ -1,0 +1,24 @@
+"""Colours that stay apart for colour-blind eyes (Okabe and Ito), and what each of them means."""
+
+Colour = tuple[int, int, int]
+
+BLACK: Colour = (0, 0, 0)
+ORANGE: Colour = (230, 159, 0)
+SKY: Colour = (86, 180, 233)
+GREEN: Colour = (0, 158, 115)
+YELLOW: Colour = (240, 228, 66)
+BLUE: Colour = (0, 114, 178)
+VERMILLION: Colour = (213, 94, 0)
+PURPLE: Colour = (204, 121, 167)
+SLATE: Colour = (86, 98, 112)
+
+DESIRED, MEASURED, ESTIMATED, FORCE = GREEN, ORANGE, BLUE, VERMILLION
+#: Of the tubes, innermost first; more tubes begin again.
+TUBES: tuple[Colour, ...] = (SKY, SLATE, PURPLE, YELLOW)
+#: Of x, y and z in plots.
+AXES: tuple[Colour, ...] = (VERMILLION, GREEN, BLUE)
+
+
+def css(colour: Colour) -> str:
+    """As CSS and uPlot write it."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -1,0 +1,163 @@
+"""The robot as it stands, with its markers, its load, its path and a millimetre grid.
+
+World frame as in `core`: +z along the straight tubes, gravity along +x, so that x points down on
+the screen. The scene's unit is the decimetre: viser's shadows and camera suit scenes of that size.
+"""
+
+import numpy as np
+import viser
+
+from core.errors import CtrError
+from core.robot import Array
+from core.statics import Solution, Statics
+from station.loop import Phase, Task
+from station.supervisor import STALE, Status, Supervisor
+from web import palette
+from web.history import BIN, SPAN, History
+from web.reference import path
+from web.stage import Stage, draw_grid
+from web.tubes import TubeMesh
+
+#: Scene units in a metre.
+UNIT = 10.0
+#: Length of the force arrow [m/N], and the least force that is drawn [N].
+ARROW, LEAST_FORCE = 0.1, 0.015
+TRACE_POINTS = round(SPAN / BIN)
+
+
+class Scene:
+    """Everything in the 3D view; built once, then moved."""
+
+    def __init__(self, server: viser.ViserServer, supervisor: Supervisor) -> None:
+        self._supervisor = supervisor
+        self._statics: Statics = supervisor.statics
+        self._near: Solution | None = None
+        self._task: Task | None = None
+        _place_camera(server)
+        scene = server.scene
+        draw_grid(scene, UNIT)
+        robot = supervisor.robot
+        self._stage = Stage(scene, robot, UNIT)
+        self._tubes = [TubeMesh(tube) for tube in robot.tubes]
+        self._meshes = [
+            scene.add_mesh_simple(
+                f"/robot/{tube.name}", np.zeros((len(np.unique(mesh.faces)), 3)), mesh.faces,
+                color=palette.TUBES[number % len(palette.TUBES)], scale=UNIT, visible=False,
+            )
+            for number, (tube, mesh) in enumerate(zip(robot.tubes, self._tubes, strict=True))
+        ]  # fmt: skip
+        self._desired = scene.add_icosphere(
+            "/tip/desired", radius=0.0035 * UNIT, color=palette.DESIRED, opacity=0.4, cast_shadow=False, visible=False
+        )
+        self._measured = scene.add_icosphere(
+            "/tip/measured", radius=0.0018 * UNIT, color=palette.MEASURED, cast_shadow=False, visible=False
+        )
+        self._estimated = scene.add_box(
+            "/tip/estimated", color=palette.ESTIMATED, dimensions=(0.0028 * UNIT,) * 3, cast_shadow=False, visible=False
+        )
+        self._force = scene.add_arrows(
+            "/force/arrow", np.zeros((1, 2, 3)), palette.FORCE,
+            shaft_radius=0.0009, head_radius=0.0024, head_length=0.007, scale=UNIT, visible=False,
+        )  # fmt: skip
+        self._newton = scene.add_label("/force/label", "0.00 N", anchor="center-left", visible=False)
+        self._stale = scene.add_label("/stale", "", position=(0.0, 0.0, 0.0), anchor="bottom-left", visible=False)
+        self._trace = scene.add_line_segments(
+            "/trace", np.zeros((TRACE_POINTS, 2, 3)), _fade(palette.MEASURED, TRACE_POINTS),
+            thickness=2.0, thickness_units="screen", scale=UNIT, visible=False,
+        )  # fmt: skip
+        self._path = scene.add_line_segments(
+            "/path", np.zeros((1, 2, 3)), palette.DESIRED,
+            thickness=1.5, thickness_units="screen", scale=UNIT, visible=False,
+        )  # fmt: skip
+
+    def update(self, status: Status, history: History) -> None:
+        """One frame; what has not changed is not sent again."""
+        live = bool(status.values) and status.age <= STALE and len(history.recent) > 0
+        moving = live and status.phase is Phase.MOVING
+        self._show_age(status, live)
+        self._measured.visible = live
+        self._desired.visible = moving
+        if not live:
+            self._estimated.visible = self._force.visible = self._newton.visible = False
+            return
+        self._measured.position = tuple(UNIT * status.values["tip_measured"])
+        if moving:
+            self._desired.position = tuple(UNIT * status.values["tip_desired"])
+        force = history.mean("force")
+        tip = self._draw_robot(status.values["joints"], force)
+        if tip is not None:
+            self._draw_force(tip, force)
+        self._draw_path(status)
+
+    def update_trace(self, history: History) -> None:
+        """The way the measured tip has come, the newest end brightest."""
+        tips = np.array([point.tip for point in history.points])
+        self._trace.visible = len(tips) > 1
+        if len(tips) > 1:
+            ends = np.concatenate((np.repeat(tips[:1], TRACE_POINTS + 1 - len(tips), axis=0), tips))
+            self._trace.points = np.stack((ends[:-1], ends[1:]), axis=1)
+
+    def _draw_robot(self, joints: Array, force: Array) -> Array | None:
+        """Tubes as the loaded model has them; the tip (3,) [m], None without a solution."""
+        try:
+            self._near = self._statics.solve(joints, np.concatenate((force, np.zeros(3))), self._near)
+        except CtrError:
+            # The drawing stands still; what is wrong is the control loop's to say.
+            self._near, self._estimated.visible = None, False
+            return None
+        shape = self._statics.shape(self._near)
+        _, beta = self._supervisor.robot.tube_poses(joints)
+        for tube, mesh, start in zip(self._tubes, self._meshes, beta, strict=True):
+            mesh.vertices = tube.vertices(shape, float(start)).astype(np.float32)
+            mesh.visible = True
+        self._stage.move(beta)
+        self._estimated.position = tuple(UNIT * self._near.tip)
+        self._estimated.visible = True
+        return self._near.tip
+
+    def _draw_force(self, tip: Array, force: Array) -> None:
+        size = float(np.linalg.norm(force))
+        self._force.visible = self._newton.visible = size >= LEAST_FORCE
+        if size >= LEAST_FORCE:
+            end = tip + ARROW * force
+            self._force.points = np.array([[tip, end]])
+            self._newton.position = tuple(UNIT * (end + 0.004 * force / size))
+            self._newton.text = f"{size:.2f} N"
+
+    def _draw_path(self, status: Status) -> None:
+        task = self._supervisor.task
+        if task is self._task:
+            return
+        self._path.visible = False
+        if task is None or status.phase is Phase.MOVING:
+            self._task = task
+        if task is not None and status.phase is Phase.MOVING:
+            points = path(task, status)
+            if len(points) > 1:
+                self._path.points = np.stack((points[:-1], points[1:]), axis=1)
+                self._path.visible = True
+
+    def _show_age(self, status: Status, live: bool) -> None:
+        self._stale.visible = not live
+        if not live:
+            # Half a second at a time: an age that races is not read any better.
+            self._stale.text = (
+                f"STALE: last telemetry {0.5 * round(2.0 * status.age):.1f} s ago" if status.values else "no telemetry yet"
+            )
+
+
+def _fade(colour: palette.Colour, count: int) -> np.ndarray:
+    """Colours (count, 2, 3) from nearly white to the full colour."""
+    share = np.linspace(0.1, 1.0, count + 1)[:, None]
+    shades = (255.0 + share * (np.array(colour) - 255.0)).astype(np.uint8)
+    return np.stack((shades[:-1], shades[1:]), axis=1)
+
+
+def _place_camera(server: viser.ViserServer) -> None:
+    """From the side, a little above and in front: the bent part large, the stages at the left."""
+    server.scene.set_up_direction("-x")
+    camera = server.initial_camera
+    camera.fov = np.deg2rad(35.0)
+    camera.look_at = tuple(UNIT * np.array((0.02, -0.01, 0.060)))
+    camera.position = tuple(UNIT * np.array((-0.13, -0.42, 0.17)))
+    camera.near, camera.far = 0.01 * UNIT, 10.0 * UNIT

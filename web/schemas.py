@@ -1,0 +1,184 @@
+"""What goes in and out over REST: SI units, finite numbers, no unknown field."""
+
+from collections.abc import Mapping
+from typing import Annotated, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from station.config import Strict, Vector
+from station.experiments.experiment import ControllerFile
+from station.lab.loads import Load
+from station.motions import CircleMotion, HoldMotion, SinusoidMotion
+
+TipMotionIn = Annotated[HoldMotion | SinusoidMotion | CircleMotion, Field(discriminator="kind")]
+
+CIRCLE = {"kind": "circle", "radius": 0.01, "period": 20.0, "normal": [0.0, 0.0, 1.0]}
+CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforward": True}
+
+
+class StartIn(Strict):
+    """An experiment by name, or a free motion from where the robot is; what is left out is as set before."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {"experiment": "fig10", "case": "feedforward"},
+                {"trajectory": CIRCLE, "controller": CONTROLLER, "duration": 60.0},
+            ]
+        }
+    )
+
+    experiment: str | None = None
+    """name of a preset, see `GET /api/experiments`"""
+    case: str | None = None
+    """of the experiment; the first when left out"""
+    trajectory: TipMotionIn | None = None
+    controller: ControllerFile | None = None
+    load: Load | None = None
+    """pull at the simulated tip"""
+    duration: Annotated[float, Field(gt=0.0, le=86400.0)] | None = None
+    """[s]"""
+
+    @model_validator(mode="after")
+    def _one_or_the_other(self) -> Self:
+        free = any(value is not None for value in (self.trajectory, self.controller, self.load, self.duration))
+        if self.experiment is not None and free:
+            raise ValueError("give an experiment or trajectory, controller, load and duration, not both")
+        if self.experiment is None and self.case is not None:
+            raise ValueError("a case needs its experiment")
+        return self
+
+
+class StartOut(Strict):
+    """A run that has begun."""
+
+    run_id: str
+
+
+class DoneOut(Strict):
+    """The state after a request."""
+
+    state: str
+
+
+class RunOut(Strict):
+    """The run that is on, or the last one."""
+
+    id: str
+    title: str
+    phase: str
+    """none, approaching, settling or moving"""
+    progress: float
+    """part of the motion that is done, 0 ... 1"""
+    duration: float
+    """of the motion [s]"""
+
+
+class LoopOut(Strict):
+    """How punctual the 500 Hz loop is, since it began."""
+
+    ticks: int
+    missed: int
+    """whole periods skipped"""
+    late_us: Mapping[str, float]
+    """from the deadline to the start of the tick [us]: p50, p99, p99_9, max"""
+    tick_us: Mapping[str, float]
+    """length of a tick's work [us]"""
+    scheduler: str
+
+
+class DeviceOut(Strict):
+    """One device's light."""
+
+    ok: bool
+    text: str
+
+
+class StatusOut(Strict):
+    """Everything at one look."""
+
+    state: str
+    """OFF, CONNECTED, HOMED, READY, RUNNING, HOLD, STOPPED or FAULT"""
+    cause: str
+    """why it is HOLD, STOPPED or FAULT, and what to do"""
+    stale: bool
+    """no tick for half a second: the values below are old"""
+    age: float
+    """since the last tick [s]"""
+    lab: str
+    """what is simulated"""
+    run: RunOut | None
+    devices: Mapping[str, DeviceOut]
+    loop: LoopOut
+    joints: Mapping[str, float]
+    """[rad or m]"""
+    tip_measured: Vector | None
+    """[m], world frame"""
+    tip_estimated: Vector | None
+    """by the loaded model [m]"""
+    tip_desired: Vector | None
+    """[m]"""
+    tip_true: Vector | None
+    """simulated truth, virtual lab only [m]"""
+    force: Vector | None
+    """at the tip, from the base sensors [N]"""
+
+
+class CaseOut(Strict):
+    """One case of an experiment."""
+
+    name: str
+    duration: float
+    """[s]"""
+    strategy: str
+    trajectory: str
+
+
+class ExperimentOut(Strict):
+    """A preset."""
+
+    name: str
+    title: str
+    cases: tuple[CaseOut, ...]
+
+
+class SolveIn(Strict):
+    """A question to the loaded model."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "joints": {"outer_rotation": 0.0, "inner_rotation": 1.5708, "inner_translation": -0.1},
+                    "force": [0.2, 0.0, 0.0],
+                }
+            ]
+        }
+    )
+
+    joints: Mapping[str, float]
+    """all of them [rad or m]"""
+    force: Vector = (0.0, 0.0, 0.0)
+    """at the tip, world frame [N]"""
+    moment: Vector = (0.0, 0.0, 0.0)
+    """at the tip, world frame [N m]"""
+
+
+class SolveOut(Strict):
+    """The loaded model's answer."""
+
+    tip: Vector
+    """[m]"""
+    joints: tuple[str, ...]
+    """order of the Jacobian's columns"""
+    jacobian: tuple[tuple[float, ...], ...]
+    """3 x n [m/rad or m/m]"""
+    compliance: tuple[tuple[float, ...], ...]
+    """3 x 3 [m/N]"""
+    iterations: int
+
+
+class ErrorOut(Strict):
+    """Why a request was refused."""
+
+    error: str

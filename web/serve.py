@@ -1,0 +1,94 @@
+"""`ctr-station serve`: control process, scene, REST and page, from the first to the last."""
+
+import contextlib
+import socket
+import sys
+import threading
+import webbrowser
+from pathlib import Path
+
+import uvicorn
+import viser
+from rich.console import Console
+
+from core.errors import CtrError
+from station.desk import Desk
+from station.station_file import load_station
+from station.supervisor import Supervisor
+from web.access import is_loopback, new_token
+from web.app import build_app
+from web.view import View
+
+#: The control process has this long to compile and to begin [s].
+START_TIME = 120.0
+
+
+class PortError(CtrError):
+    """A port that cannot be had."""
+
+
+def serve(config: Path | None, host: str, port: int, *, browser: bool) -> int:
+    """Run the station until Ctrl-C.
+
+    Raises:
+        ConfigError: the configuration cannot be.
+        PortError: the port is in use.
+        CtrError: the control process does not start.
+    """
+    out = Console(highlight=False, soft_wrap=True)
+    bench = load_station(config).bench()
+    token = None if is_loopback(host) else new_token()
+    with contextlib.closing(_listen(host, port)) as listening:
+        port = listening.getsockname()[1]
+        out.print(f"ctr-station: {bench.lab.title}")
+        supervisor = Supervisor(bench)
+        try:
+            supervisor.wait_ready(START_TIME)
+            desk = Desk(supervisor)
+            # viser knows no access control: loopback only, the page comes through our own port.
+            scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
+            view = View(scene, desk)
+            try:
+                app = build_app(desk, scene.get_port(), host, port, token)
+                settings = uvicorn.Config(
+                    app, log_level="warning", ws_per_message_deflate=False, timeout_graceful_shutdown=1, lifespan="on"
+                )
+                address = f"http://{_shown(host)}:{port}/" + (f"?token={token}" if token else "")
+                out.print(f"ctr-station is at {address}   (Ctrl-C ends it)")
+                sys.stdout.flush()
+                if browser and sys.stdout.isatty():
+                    threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+                server = uvicorn.Server(settings)
+                with contextlib.suppress(KeyboardInterrupt):
+                    server.run(sockets=[listening])
+            finally:
+                view.close()
+                scene.stop()
+        finally:
+            supervisor.close()
+    out.print("ctr-station has ended; every axis is stopped")
+    return 0
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """A bound socket, so that a busy port is known before anything starts."""
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        listening = socket.socket(family, socket.SOCK_STREAM)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host, port))
+        listening.listen(64)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise PortError(f"port {port} on {host} cannot be had: {reason}; choose another with --port") from None
+    return listening
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _shown(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
