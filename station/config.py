@@ -104,8 +104,10 @@ def check(model: type[Model], table: Mapping[str, Any], source: str) -> Model:
 
 
 def explain(error: ValidationError, table: Mapping[str, Any]) -> str:
-    """The first complaint of pydantic's about `table` in one line: key, value, what was expected."""
-    first = error.errors(include_url=False)[0]
+    """One complaint of pydantic's about `table` in one line: key, value, what was expected."""
+    errors = error.errors(include_url=False)
+    # A misspelt key is also a missing one: name what the file has.
+    first = next((one for one in errors if one["type"] == "extra_forbidden"), errors[0])
     key = _key(first["loc"], table)
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":

@@ -85,9 +85,11 @@ class JointSweepMotion(Strict):
                 f"joint_sweep: speed {self.speed:g} {limit.unit}/s is outside +-{limit.speed:g} {limit.unit}/s"
             )
         end = start.copy()
+        end[at] += math.copysign(self.distance, self.speed)
         # A full turn ends at the end of the travel, give or take a rounding.
-        end[at] += math.copysign((1.0 - 1e-9) * self.distance, self.speed)
-        limits.check(end)
+        nearest = min(max(end[at], limit.lower), limit.upper)
+        if abs(end[at] - nearest) > 1e-9 * self.distance:
+            limits.check(end)
 
 
 TipMotion = HoldMotion | SinusoidMotion | CircleMotion

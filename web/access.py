@@ -3,6 +3,7 @@
 Plain ASGI, so that the same checks stand before HTTP requests and websockets.
 """
 
+import contextlib
 import hmac
 import ipaddress
 import json
@@ -35,7 +36,7 @@ def new_token() -> str:
     return secrets.token_urlsafe(24)
 
 
-class _TooLarge(Exception):
+class _TooLargeError(Exception):
     """The body goes on beyond the limit."""
 
 
@@ -110,26 +111,24 @@ class Access:
     async def _with_limit(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Stop reading a body that is longer than it may be or than it said."""
         taken = 0
-        started = False
 
         async def limited() -> Message:
             nonlocal taken
             message = await receive()
             taken += len(message.get("body", b""))
             if taken > BODY_LIMIT:
-                raise _TooLarge
+                raise _TooLargeError
             return message
 
         async def watched(message: Message) -> None:
-            nonlocal started
-            started = started or message["type"] == "http.response.start"
-            await send(message)
+            # Whatever the application makes of the broken body, the answer is ours.
+            if taken <= BODY_LIMIT:
+                await send(message)
 
-        try:
+        with contextlib.suppress(_TooLargeError):
             await self._app(scope, limited, watched)
-        except _TooLarge:
-            if not started:
-                await _refuse(scope, send, 413, f"the body is larger than {BODY_LIMIT} bytes")
+        if taken > BODY_LIMIT:
+            await _refuse(scope, send, 413, f"the body is larger than {BODY_LIMIT} bytes")
 
 
 async def _refuse(scope: Scope, send: Send, status: int, reason: str) -> None:

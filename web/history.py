@@ -30,35 +30,40 @@ class History:
     def __init__(self, channels: Channels) -> None:
         self.points: deque[Point] = deque(maxlen=round(SPAN / BIN))
         self.recent = np.empty((0, len(channels)))  #: rows of the last bin's length, newest last
-        self.frame_time = -np.inf  #: when the newest tracker frame arrived [s]
+        self.frame_age = np.inf  #: of the newest tracker frame when the newest row was written [s]
         self.truth_known = False
         self._channels = channels
-        self._ring: Ring | None = None
         self._next = 0
-        self._rows: list[Array] = []
+        self._open = self.recent
 
     def read(self, ring: Ring, phase: Phase) -> None:
-        """Take what has been written since the last call; a new ring begins a new history."""
-        if ring is not self._ring:
-            self._ring, self._next, self._rows = ring, ring.written, []
-            self.points.clear()
-            self.recent, self.frame_time = self.recent[:0], -np.inf
+        """Take what has been written since the last call.
+
+        Time that runs backward, after a restart of the control process, begins a new history.
+        """
         rows, self._next, _ = ring.read(self._next)
-        if not len(rows):
-            return
+        if len(rows):
+            self.take(rows, phase)
+
+    def take(self, rows: Array, phase: Phase) -> None:
+        """Add telemetry `rows` (n, channels), written while the run was in `phase`."""
         of = self._channels.of
+        times = of(rows, "time")[:, 0]
+        backward = np.flatnonzero(np.diff(times, prepend=self.now) < 0.0)
+        if len(backward):
+            rows, times = rows[backward[-1] :], times[backward[-1] :]
+            self.points.clear()
+            self.recent, self._open, self.frame_age = self.recent[:0], self.recent[:0], np.inf
         self.truth_known = bool(of(rows[-1], "truth_known")[0])
-        arrived = of(rows, "tip_new")[:, 0] > 0.0
-        if arrived.any():
-            self.frame_time = float(of(rows, "time")[arrived][-1, 0])
-        both = np.concatenate((self.recent, rows))
-        times = of(both, "time")[:, 0]
-        self.recent = both[times > times[-1] - BIN]
-        number = np.floor(of(rows, "time")[:, 0] / BIN)
-        for part in np.split(rows, np.flatnonzero(np.diff(number)) + 1):
-            if self._rows and np.floor(of(self._rows[-1][-1], "time")[0] / BIN) != np.floor(of(part[0], "time")[0] / BIN):
-                self._close_bin(phase)
-            self._rows.append(part)
+        arrivals = times[of(rows, "tip_new")[:, 0] > 0.0]
+        newest = arrivals[-1] if len(arrivals) else self.now - self.frame_age
+        self.recent = np.concatenate((self.recent, rows))
+        self.recent = self.recent[of(self.recent, "time")[:, 0] > times[-1] - BIN]
+        self.frame_age = float(times[-1] - newest)
+        self._open = np.concatenate((self._open, rows))
+        numbers = np.floor(of(self._open, "time")[:, 0] / BIN + 1e-6)
+        *closed, self._open = np.split(self._open, np.flatnonzero(np.diff(numbers)) + 1)
+        self.points.extend(self._point(part, moving=phase is Phase.MOVING) for part in closed)
 
     @property
     def now(self) -> float:
@@ -69,18 +74,16 @@ class History:
         """Mean of a group over the last bin's length; the sensors' noise would make a picture tremble."""
         return self._channels.of(self.recent, group).mean(axis=0)
 
-    def _close_bin(self, phase: Phase) -> None:
-        rows, self._rows = np.concatenate(self._rows), []
-        mean = {name: self._channels.of(rows, name).mean(axis=0) for name in ("tip_measured", "tip_true", "force")}
-        desired = self._channels.of(rows, "tip_desired").mean(axis=0)
+    def _point(self, rows: Array, *, moving: bool) -> Point:
+        time, desired, measured, true, force = (
+            self._channels.of(rows, group).mean(axis=0)
+            for group in ("time", "tip_desired", "tip_measured", "tip_true", "force")
+        )
         nothing = np.full(3, np.nan)
-        moving = phase is Phase.MOVING
-        self.points.append(
-            Point(
-                float(self._channels.of(rows[-1], "time")[0]),
-                desired - mean["tip_measured"] if moving else nothing,
-                desired - mean["tip_true"] if moving and self.truth_known else nothing,
-                mean["force"],
-                mean["tip_measured"],
-            )
+        return Point(
+            float(time[0]) + 0.5 * BIN,
+            desired - measured if moving else nothing,
+            desired - true if moving and self.truth_known else nothing,
+            force,
+            measured,
         )

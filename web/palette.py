@@ -12,9 +12,9 @@ VERMILLION: Colour = (213, 94, 0)
 PURPLE: Colour = (204, 121, 167)
 SLATE: Colour = (86, 98, 112)
 
-DESIRED, MEASURED, ESTIMATED, FORCE = GREEN, ORANGE, BLUE, VERMILLION
+DESIRED, MEASURED, ESTIMATED, FORCE = GREEN, ORANGE, BLUE, PURPLE
 #: Of the tubes, innermost first; more tubes begin again.
-TUBES: tuple[Colour, ...] = (SKY, SLATE, PURPLE, YELLOW)
+TUBES: tuple[Colour, ...] = (SKY, SLATE, YELLOW, BLACK)
 #: Of x, y and z in plots.
 AXES: tuple[Colour, ...] = (VERMILLION, GREEN, BLUE)
 
@@ -22,3 +22,8 @@ AXES: tuple[Colour, ...] = (VERMILLION, GREEN, BLUE)
 def css(colour: Colour) -> str:
     """As CSS and uPlot write it."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def tube(number: int) -> Colour:
+    """Of a tube; 0 is the innermost."""
+    return TUBES[number % len(TUBES)]

@@ -42,7 +42,7 @@ class Scene:
         self._meshes = [
             scene.add_mesh_simple(
                 f"/robot/{tube.name}", np.zeros((len(np.unique(mesh.faces)), 3)), mesh.faces,
-                color=palette.TUBES[number % len(palette.TUBES)], scale=UNIT, visible=False,
+                color=palette.tube(number), scale=UNIT, visible=False,
             )
             for number, (tube, mesh) in enumerate(zip(robot.tubes, self._tubes, strict=True))
         ]  # fmt: skip
@@ -158,6 +158,6 @@ def _place_camera(server: viser.ViserServer) -> None:
     server.scene.set_up_direction("-x")
     camera = server.initial_camera
     camera.fov = np.deg2rad(35.0)
-    camera.look_at = tuple(UNIT * np.array((0.02, -0.01, 0.060)))
-    camera.position = tuple(UNIT * np.array((-0.13, -0.42, 0.17)))
+    camera.look_at = tuple(UNIT * np.array((0.02, -0.01, 0.066)))
+    camera.position = tuple(UNIT * np.array((-0.14, -0.42, 0.23)))
     camera.near, camera.far = 0.01 * UNIT, 10.0 * UNIT

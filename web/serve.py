@@ -1,6 +1,7 @@
 """`ctr-station serve`: control process, scene, REST and page, from the first to the last."""
 
 import contextlib
+import io
 import socket
 import sys
 import threading
@@ -46,7 +47,8 @@ def serve(config: Path | None, host: str, port: int, *, browser: bool) -> int:
             supervisor.wait_ready(START_TIME)
             desk = Desk(supervisor)
             # viser knows no access control: loopback only, the page comes through our own port.
-            scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
+            with contextlib.redirect_stdout(io.StringIO()):  # it announces its own address
+                scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
             view = View(scene, desk)
             try:
                 app = build_app(desk, scene.get_port(), host, port, token)
@@ -63,7 +65,8 @@ def serve(config: Path | None, host: str, port: int, *, browser: bool) -> int:
                     server.run(sockets=[listening])
             finally:
                 view.close()
-                scene.stop()
+                with contextlib.redirect_stdout(io.StringIO()):
+                    scene.stop()
         finally:
             supervisor.close()
     out.print("ctr-station has ended; every axis is stopped")

@@ -12,8 +12,8 @@ INK: palette.Colour = (70, 76, 84)
 
 #: Planes of the grid [m]: the floor lies at x, the wall stands at y; both reach from z to z.
 FLOOR_X, WALL_Y = 0.10, 0.05
-X, Y, Z = (-0.10, 0.10), (-0.15, 0.05), (-0.15, 0.35)
-FINE, COARSE = 0.01, 0.05
+X, Y, Z = (-0.10, 0.10), (-0.15, 0.05), (-0.15, 0.25)
+FINE, COARSE = 0.01, 0.05  # viser draws lines from a plane's middle on, which must lie on a coarse one
 
 
 class Stage:
@@ -62,18 +62,19 @@ def draw_grid(scene: viser.SceneApi, unit: float) -> None:
     def label(name: str, text: str, x: float, y: float, z: float) -> None:
         scene.add_label(
             f"/grid/{name}", text, position=(unit * x, unit * y, unit * z), anchor="center-center",
-            font_screen_scale=0.85, depth_test=True,
+            font_screen_scale=0.85,
         )  # fmt: skip
 
+    # z along the wall's upper edge, x and y between its last two lines: nothing moves there.
     for z in _ticks(Z):
-        label(f"z/{z:+.2f}", f"{1e3 * z:.0f}", FLOOR_X, Y[0] - 0.006, z)
-    for y in _ticks(Y):
-        label(f"y/{y:+.2f}", f"{1e3 * y:.0f}", FLOOR_X, y, Z[1] + 0.006)
-    for x in _ticks(X):
-        label(f"x/{x:+.2f}", f"{1e3 * x:.0f}", x, WALL_Y, Z[0] - 0.008)
-    label("z/title", "z [mm]", FLOOR_X, Y[0] - 0.02, 0.1)
-    label("y/title", "y [mm]", FLOOR_X, middle["y"], Z[1] + 0.02)
-    label("x/title", "x [mm]", 0.0, WALL_Y, Z[0] - 0.03)
+        label(f"z/{z:+.2f}", f"{1e3 * z:.0f}", X[0] - 0.007, WALL_Y, z)
+    for x in _ticks(X)[1:]:
+        label(f"x/{x:+.2f}", f"{1e3 * x:.0f}", x, WALL_Y, Z[1] - 0.015)
+    for y in _ticks(Y)[:-1]:
+        label(f"y/{y:+.2f}", f"{1e3 * y:.0f}", FLOOR_X, y, Z[1] - 0.015)
+    label("z/title", "z [mm]", X[0] - 0.007, WALL_Y, 0.025)
+    label("x/title", "x [mm]", -0.075, WALL_Y, Z[1] - 0.015)
+    label("y/title", "y [mm]", FLOOR_X, 0.025, Z[1] - 0.015)
 
 
 def _ticks(ends: tuple[float, float]) -> np.ndarray:

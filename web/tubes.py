@@ -26,7 +26,7 @@ def centre_line(shape: Array, at: Array) -> tuple[Array, Array]:
         Positions (k, 3) [m] and right-handed frames (k, 3, 3) whose last column is the tangent.
     """
     # Where a tube or a section ends the model has two rows at one place.
-    rows = shape[np.append(True, np.diff(shape[:, 0]) > 1e-9)]  # noqa: FBT003 - a mask, not a flag
+    rows = shape[np.append(True, np.diff(shape[:, 0]) > 1e-9)]
     arc, frames, places = rows[:, 0], rows[:, 1:10].reshape(-1, 3, 3), rows[:, 10:13]
     at = np.minimum(at, arc[-1])
     before = np.clip(np.searchsorted(arc, at, side="right") - 1, 0, len(arc) - 2)

@@ -60,6 +60,6 @@ class View:
                 self._panel.update(status, self._history)
 
 
-def _no_share(verbose: bool = True) -> str | None:  # noqa: ARG001, FBT001, FBT002 - viser's signature
+def _no_share(verbose: bool = True) -> str | None:  # noqa: ARG001 - viser's signature
     log.warning("a client asked for a public share link; refused")
     return None

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from core.errors import CtrError
-from station.experiments.experiment import Experiment
+from station.experiments.experiment import Experiment, PaperNumbers
 from station.experiments.runner import Recording
 
 
@@ -82,29 +82,33 @@ def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:
         table.add_column(axis, justify="right")
     table.add_column("paper", justify="right")
     for name, case in summary["cases"].items():
-        paper = experiment.paper.get(name)
-        reported = dict(paper.max_abs_error_mm) if paper else {}
-        shown = "\n".join(f"{axis} {value:g}" for axis, value in reported.items())
         label = name if case["completed"] else f"{name} (not completed)"
-        for key, title in (
-            ("max_abs_error_mm", "max |E| measured [mm]"),
-            ("true_max_abs_error_mm", "max |E| true [mm]"),
-            ("true_rms_error_mm", "RMS E true [mm]"),
-        ):
-            if key in case:
-                table.add_row(label, title, *(f"{value:.3f}" for value in case[key]), shown if key[0] == "m" else "")
-                label = ""
-        if case.get("model_error_mm") and "max_abs_error_mm" not in case:
-            models = dict(paper.model_error_mm) if paper else {}
-            for model, value in case["model_error_mm"].items():
-                reference = f"{models[model]:g}" if model in models else ""
-                table.add_row(label, f"mean |tip - {model} model| [mm]", "", "", f"{value:.3f}", reference)
-                label = ""
-        for key, title in (("deflection", "Delta_total"), ("delta_1", "Delta_1"), ("delta_2", "Delta_2")):
-            if experiment.name == "fig4" and "deflection_max_mm" in case:
-                values = case["deflection_max_mm"][key]
-                table.add_row(label, f"max |{title}| [mm]", *(f"{value:.3f}" for value in values), "")
-        if not case["completed"]:
-            table.add_row("", case["cause"], "", "", "", "")
+        for row in _rows(experiment, name, case):
+            table.add_row(label, *row)
+            label = ""
         table.add_section()
     return table
+
+
+def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
+    """Quantity, x, y, z and the paper's number, for what the case has."""
+    paper = experiment.paper.get(name, PaperNumbers())
+    reported = "\n".join(f"{axis} {value:g}" for axis, value in paper.max_abs_error_mm.items())
+    for key, title, beside in (
+        ("max_abs_error_mm", "max |E| measured [mm]", reported),
+        ("true_max_abs_error_mm", "max |E| true [mm]", ""),
+        ("true_rms_error_mm", "RMS E true [mm]", ""),
+    ):
+        if key in case:
+            x, y, z = (f"{value:.3f}" for value in case[key])
+            yield title, x, y, z, beside
+    if "max_abs_error_mm" not in case:
+        for model, value in case.get("model_error_mm", {}).items():
+            beside = f"{paper.model_error_mm[model]:g}" if model in paper.model_error_mm else ""
+            yield f"mean |tip - {model} model| [mm]", "", "", f"{value:.3f}", beside
+    if experiment.name == "fig4" and "deflection_max_mm" in case:
+        for key, title in (("deflection", "Delta_total"), ("delta_1", "Delta_1"), ("delta_2", "Delta_2")):
+            x, y, z = (f"{value:.3f}" for value in case["deflection_max_mm"][key])
+            yield f"max |{title}| [mm]", x, y, z, ""
+    if not case["completed"]:
+        yield case["cause"], "", "", "", ""

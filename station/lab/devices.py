@@ -30,7 +30,9 @@ class SimulatedStages:
         self._sent = np.zeros(len(joints))
         self._target = np.zeros(len(joints))
         self._velocity = np.zeros(len(joints))
-        self._due = self._turns(0.0)
+        self._asked = np.zeros(len(joints))
+        self._waiting: set[int] = set()  # axes that have not got the latest command yet
+        self._due = self._turns(0.0)  # of each axis, to use the line
         self._on_the_way: deque[tuple[float, int, float]] = deque()
 
     def poll(self, now: float) -> JointReading:  # noqa: ARG002 - the lab has moved to `now` already
@@ -42,22 +44,22 @@ class SimulatedStages:
 
     def command(self, velocities: Array, now: float) -> None:
         """Take note of velocities (n,); each axis gets the latest when its turn comes."""
-        asked = np.clip(velocities, -self._speed, self._speed)
-        if now > max(self._due) + self._line.hold:  # the line was idle: the turns begin anew
-            self._due = self._turns(now)
-        for axis in range(len(self._due)):
-            if now >= self._due[axis] - 1e-9:
-                self._send(axis, asked[axis], now)
-                self._due[axis] += self._line.hold
+        self._asked = np.clip(velocities, -self._speed, self._speed)
+        idle = now > max(self._due) + self._line.hold  # then the turns begin anew
+        self._due = self._turns(now) if idle else [max(due, now) for due in self._due]
+        self._waiting = set(range(len(self._due)))
+        self._serve(now + 1e-9)
 
     def stop(self, now: float) -> None:
         """Stop every axis: next on the line, whatever waits."""
+        self._waiting.clear()
         self._on_the_way.clear()
         for axis in range(len(self._due)):
             self._send(axis, 0.0, now)
 
     def advance(self, begin: float, end: float) -> None:
         """Run the motors from `begin` to `end` [s]."""
+        self._serve(end - 1e-9)
         time = begin
         while self._on_the_way and self._on_the_way[0][0] <= end:
             due, axis, velocity = self._on_the_way.popleft()
@@ -71,6 +73,14 @@ class SimulatedStages:
         """When each axis has the line: one after the other."""
         count = len(self._lower)
         return [now + self._line.hold * axis / count for axis in range(count)]
+
+    def _serve(self, until: float) -> None:
+        """Send to the axes whose turn comes before `until` [s]."""
+        for axis in sorted(self._waiting, key=self._due.__getitem__):
+            if self._due[axis] < until:
+                self._send(axis, self._asked[axis], self._due[axis])
+                self._due[axis] += self._line.hold
+                self._waiting.remove(axis)
 
     def _send(self, axis: int, velocity: float, now: float) -> None:
         if self._line.quantised:

@@ -119,10 +119,14 @@ def test_a_direction_without_a_usable_length_is_refused(axis):
 
 
 def test_the_first_of_several_mistakes_is_told_and_the_others_are_counted():
-    said = refusal({"wheel": {"radius": -1.0, "mass": -1.0}, "wheels": 4})
+    said = refusal({"wheel": {"radius": -1.0, "mass": -1.0}, "braked": 3})
 
     assert said.startswith("wheel.radius = -1.0: ")
     assert said.endswith("(and 2 more)")
+
+
+def test_a_misspelt_key_is_named_as_the_file_has_it():
+    assert refusal({"wheel": {"radios": 0.3}}) == "unknown key 'wheel.radios' (and 1 more)"
 
 
 def test_a_long_value_is_cut_so_that_the_line_can_be_read():

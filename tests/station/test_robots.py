@@ -54,7 +54,7 @@ def test_the_paper_presets_microsteps_are_those_of_the_stages_data_sheets(paper)
         ("bending_stiffness = 0.0413", "bending_stiffness = 0.0", "tube 'inner': bending_stiffness 0 N m^2"),
         ("bending_stiffness = 0.0413", "bending_stiffness = nan", "tubes.0.bending_stiffness = nan"),
         ("bending_stiffness = 0.0413", 'bending_stiffness = "stiff"', "tubes.0.bending_stiffness = 'stiff'"),
-        ("bending_stiffness = 0.0413", "bending_stifness = 0.0413", "bending_stif"),
+        ("bending_stiffness = 0.0413", "bending_stifness = 0.0413", "unknown key 'tubes.0.bending_stifness'"),
         ("poisson_ratio = 0.30 ", "poisson_ratio = 0.60 ", "tube 'inner': poisson_ratio 0.6 is outside -1 ... 0.5"),
         ("{ length = 0.150 }", "{ length = -0.150 }", "tubes.0.sections.0.length = -0.15"),
         ("{ length = 0.150 }", "{ length = 0.150, curvature = [1.0] }", "tubes.0.sections.0.curvature.1"),

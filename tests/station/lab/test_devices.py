@@ -75,9 +75,19 @@ def test_an_axis_gets_the_latest_command_when_its_turn_comes(stages):
 
     sent, _ = drive(stages(hold=0.025), 500, ramp)
 
+    # The turns of axis i come at i/3 of 25 ms and every 25 ms from there; commands come every 2 ms.
     for axis, ticks in enumerate(changes(sent)):
-        for tick in ticks:
-            assert sent[tick, axis] == ramp(tick * TICK)[axis]
+        for turn, tick in enumerate(ticks, 0 if axis else 1):
+            due = 0.025 * (turn + axis / 3.0)
+            assert sent[tick, axis] == ramp(TICK * math.floor(due / TICK + 1e-6))[axis]
+
+
+def test_a_command_given_once_reaches_every_axis_in_its_turn(stages):
+    line = stages(hold=0.024)
+    line.command(np.array([0.1, 0.1, 0.01]), 0.0)
+    line.advance(0.0, 0.1)
+
+    assert line.positions - START == pytest.approx([0.1 * 0.100, 0.1 * 0.092, 0.01 * 0.084])
 
 
 def test_a_command_takes_effect_after_the_transport(stages):
@@ -123,7 +133,8 @@ def test_positions_are_read_in_microsteps(stages):
     steps = line.poll(0.0).positions / [math.radians(0.000234375)] * [1.0, 1.0, 0.0]
 
     assert steps == pytest.approx(np.round(steps), abs=1e-6)
-    assert line.poll(0.0).positions[2] / 0.49609375e-6 == pytest.approx(round(-0.1 / 0.49609375e-6), abs=1e-6)
+    # -0.0999998 m are -201574.4 steps
+    assert line.poll(0.0).positions[2] / 0.49609375e-6 == pytest.approx(-201574.0, abs=1e-6)
     assert np.abs(line.poll(0.0).positions - line.positions).max() <= 0.5 * math.radians(0.000234375)
 
 

@@ -1,0 +1,119 @@
+"""A real station for tests: `ctr-station serve` in a process of its own, on a free port."""
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+
+
+class Served:
+    """A running station."""
+
+    def __init__(self, process: "subprocess.Popen[str]", port: int) -> None:
+        self.process = process
+        self.port = port
+        self.url = f"http://127.0.0.1:{port}"
+        self.rest = httpx.Client(base_url=self.url, timeout=10.0)
+
+    def status(self) -> dict[str, Any]:
+        answer = self.rest.get("/api/status")
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    def post(self, path: str, body: Any = None) -> httpx.Response:
+        return self.rest.post(path, json={} if body is None else body)
+
+    def wait_for(self, what: Any, timeout: float) -> dict[str, Any]:
+        """The first status for which `what(status)` holds."""
+        deadline = time.monotonic() + timeout
+        while True:
+            status = self.status()
+            if what(status):
+                return status
+            assert time.monotonic() < deadline, f"not within {timeout} s: {status}"
+            time.sleep(0.02)
+
+    def ready(self) -> None:
+        """READY, whatever came before."""
+        if self.status()["state"] == "RUNNING":
+            self.post("/api/stop")
+        if self.status()["state"] in ("STOPPED", "HOLD", "FAULT"):
+            self.post("/api/reset")
+        self.wait_for(lambda status: status["state"] == "READY" and not status["stale"], 10.0)
+
+    def control_process(self) -> psutil.Process:
+        """The child that runs the loop."""
+        for child in psutil.Process(self.process.pid).children():
+            command = " ".join(child.cmdline())
+            if "spawn_main" in command:
+                return child
+        raise AssertionError("there is no control process")
+
+    def end(self) -> int:
+        """Ctrl-C; the exit status."""
+        self.rest.close()
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        return self.process.wait(15.0)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def shared_memory() -> set[str]:
+    folder = Path("/dev/shm")
+    return {path.name for path in folder.glob("psm_*")}
+
+
+@contextmanager
+def serving(*arguments: str) -> Iterator[Served]:
+    port = free_port()
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "from web.cli import main; main()",
+            "serve",
+            "--port",
+            str(port),
+            "--no-browser",
+            *arguments,
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=Path(__file__).parents[1],
+    )
+    assert process.stdout is not None
+    said = []
+    for line in process.stdout:
+        said.append(line)
+        if "is at http" in line:
+            break
+    else:
+        raise AssertionError(f"the station did not start: {''.join(said)}")
+    served = Served(process, port)
+    deadline = time.monotonic() + 10.0
+    while True:
+        try:
+            served.status()
+            break
+        except httpx.TransportError:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    try:
+        yield served
+    finally:
+        served.end()
+        process.stdout.close()

@@ -1,0 +1,278 @@
+"""The presets are the agreed experiments; a file that cannot be run is refused before anything runs."""
+
+import math
+
+import numpy as np
+import pytest
+
+from core.controllers import PositionMode, VelocityMode, loaded, type_1, unloaded
+from core.trajectories import JointMotion, Setpoint
+from station.config import ConfigError, preset_names
+from station.experiments.experiment import Case, load_experiment
+from station.lab.config import LabConfig
+
+#: name: duration [s], settling [s], cases
+AGREED = {
+    "fig3": (40.0, 0.0, ["a", "b", "c", "d", "d_feedforward"]),
+    "fig4": (40.0, 0.0, ["deflection"]),
+    "fig6": (120.0, 2.0, ["turn"]),
+    "fig7": (60.0, 2.0, ["regulation"]),
+    "fig8": (60.0, 2.0, ["regulation", "lift_and_drop"]),
+    "fig10": (200.0, 20.0, ["paper", "feedforward"]),
+}
+
+
+def a_case(experiment: str, name: str) -> Case:
+    return next(case for case in load_experiment(experiment).cases if case.name == name)
+
+
+def desired(case: Case, time: float) -> np.ndarray:
+    order = case.orders.at(time)
+    assert isinstance(order, Setpoint)
+    return order.position
+
+
+def test_every_agreed_experiment_is_a_preset():
+    assert set(AGREED) <= set(preset_names("experiments"))
+
+
+@pytest.mark.parametrize("name", preset_names("experiments"))
+def test_every_preset_can_be_run_from_the_agreed_pose(name):
+    experiment = load_experiment(name)
+
+    assert experiment.name == name
+    assert experiment.title
+    for case in experiment.cases:
+        assert case.start == pytest.approx([0.0, math.pi / 2.0, -0.100])
+        assert case.robot.name == "paper"
+
+
+@pytest.mark.parametrize("name", AGREED)
+def test_a_preset_has_its_cases_and_lasts_as_long_as_agreed(name):
+    duration, settling, cases = AGREED[name]
+    experiment = load_experiment(name)
+
+    assert [case.name for case in experiment.cases] == cases
+    assert (experiment.cases[0].file.duration, experiment.cases[0].file.settling) == (duration, settling)
+
+
+@pytest.mark.parametrize(
+    ("name", "amplitude"), [("fig3", 0.015), ("fig4", 0.015), ("fig10", 0.010)]
+)  # all along z at 0.05 Hz
+def test_the_tracking_experiments_follow_a_sinusoid_along_z(name, amplitude):
+    for case in load_experiment(name).cases:
+        for time, z in {0.0: 0.0, 5.0: amplitude, 10.0: 0.0, 15.0: -amplitude, 25.0: amplitude}.items():
+            assert desired(case, time) == pytest.approx([0.0, 0.0, z], abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["fig7", "fig8"])
+def test_the_regulation_experiments_stay(name):
+    for case in load_experiment(name).cases:
+        assert not desired(case, 0.0).any()
+        assert not desired(case, 17.0).any()
+
+
+def test_fig6_turns_the_outer_tube_once_at_3_degrees_a_second():
+    case = a_case("fig6", "turn")
+    for time, speed in {0.0: 3.0, 119.9: 3.0, 120.1: 0.0}.items():
+        order = case.orders.at(time)
+        assert isinstance(order, JointMotion)
+        assert np.degrees(order.velocity) == pytest.approx([speed, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("experiment", "case", "by_time"),
+    [
+        ("fig3", "a", {0.0: 0.0, 5.0: 0.2, 15.0: -0.2, 20.0: 0.0}),
+        ("fig4", "deflection", {0.0: 0.0, 5.0: 0.2, 15.0: -0.2}),
+        ("fig6", "turn", {0.0: 0.5, 119.0: 0.5}),
+        ("fig7", "regulation", {0.0: 0.0, 5.0: 0.25, 10.0: 0.5, 20.0: 0.0, 30.0: 0.5}),
+        ("fig8", "regulation", {0.0: 0.0, 5.0: 0.25, 10.0: 0.5, 20.0: 0.0}),
+        ("fig10", "paper", {0.0: 0.0, 5.0: 0.25, 10.0: 0.5, 20.0: 0.0, 190.0: 0.5}),
+    ],
+)
+def test_the_load_pulls_along_gravity_as_agreed(experiment, case, by_time):
+    load = a_case(experiment, case).file.load
+    for time, force in by_time.items():
+        assert load.force(time) == pytest.approx([force, 0.0, 0.0], abs=1e-12)
+
+
+def test_lift_and_drop_takes_half_a_newton_up_and_down_within_2_5_seconds_each():
+    case = a_case("fig8", "lift_and_drop")
+    force = np.array([case.file.load.force(time)[0] for time in np.arange(0.0, case.file.duration, 0.1)])
+    rising, falling = np.flatnonzero(np.diff(force) > 1e-9), np.flatnonzero(np.diff(force) < -1e-9)
+
+    assert force.max() == pytest.approx(0.5)
+    assert force[0] == force[-1] == 0.0
+    assert len(rising) == len(falling) == 25
+    assert rising[-1] < falling[0]
+
+
+def test_the_simulations_of_the_paper_use_the_nominal_rod_and_ideal_devices_and_say_so():
+    for name in ("fig3", "fig4"):
+        for case in load_experiment(name).cases:
+            plant, line, sensors = case.lab.plant, case.lab.line, case.lab.sensors
+            assert "ideal" in case.lab.title
+            assert (dict(plant.tubes), dict(plant.play), plant.vary) == ({}, {}, 0.0)
+            assert {tube.poisson_ratio for tube in case.robot.tubes} == {plant.poisson_ratio}
+            assert (plant.friction_force, plant.friction_moment) == (0.0, 0.0)
+            assert (line.hold, line.transport, line.quantised, line.ramps) == (0.0, 0.0, False, False)
+            assert (case.lab.tracker.latency, case.lab.tracker.noise) == (0.0, 0.0)
+            assert set(sensors.model_dump().values()) == {0.0}
+
+
+def test_the_experiments_of_the_paper_use_the_default_lab():
+    for name in ("fig6", "fig7", "fig8", "fig10"):
+        assert all(case.lab == LabConfig() for case in load_experiment(name).cases)
+
+
+def test_the_default_lab_has_the_agreed_numbers():
+    lab = LabConfig()
+
+    assert (lab.line.hold, lab.line.transport, lab.line.quantised, lab.line.ramps) == (0.025, 0.012, True, True)
+    assert (lab.tracker.rate, lab.tracker.latency, lab.tracker.noise) == (40.0, 0.024, 0.1e-3)
+    assert (lab.sensors.force_noise, lab.sensors.moment_noise) == (0.02, 0.2e-3)
+    assert lab.sensors.drift == pytest.approx(0.005 / 60.0)
+    assert (lab.plant.friction_force, lab.plant.friction_moment) == (0.05, 0.5e-3)
+    assert lab.plant.play == {"inner_rotation": pytest.approx(math.radians(0.1))}
+    assert lab.plant.poisson_ratio == 0.35
+    assert {name: (error.stiffness, error.curvature) for name, error in lab.plant.tubes.items()} == {
+        "inner": (-0.05, -0.03),
+        "outer": (0.04, 0.02),
+    }
+
+
+@pytest.mark.parametrize(
+    ("experiment", "case", "outer", "inner"),
+    [
+        ("fig3", "a", VelocityMode(), unloaded),
+        ("fig3", "b", VelocityMode(), loaded),
+        ("fig3", "c", VelocityMode(), type_1),
+        ("fig3", "d", PositionMode(2.5, 2.5), type_1),
+        ("fig3", "d_feedforward", PositionMode(2.5, 2.5, feedforward=True), type_1),
+        ("fig7", "regulation", VelocityMode(), unloaded),
+        ("fig10", "paper", PositionMode(2.5, 2.5), type_1),
+        ("fig10", "feedforward", PositionMode(2.5, 2.5, feedforward=True), type_1),
+    ],
+)
+def test_a_case_has_the_strategy_it_is_named_for(experiment, case, outer, inner):
+    strategy = a_case(experiment, case).controller.strategy
+
+    assert strategy.outer == outer
+    assert strategy.inner is inner
+
+
+def test_the_papers_own_numbers_stand_beside():
+    assert load_experiment("fig3").paper["a"].max_abs_error_mm == {"x": 7.9}
+    assert load_experiment("fig7").paper["regulation"].max_abs_error_mm == {"x": 15.5, "y": 2.3, "z": 1.1}
+    assert load_experiment("fig10").paper["paper"].max_abs_error_mm == {"x": 1.0, "z": 1.7}
+    assert load_experiment("fig6").paper["turn"].model_error_mm["loaded"] == 1.4
+
+
+def test_a_case_changes_what_it_names_and_keeps_the_rest(write, short):
+    path = write(
+        'lab = "ideal"\n' + short + "[cases.one]\n[cases.two]\nduration = 3.0\n"
+        '[cases.two.trajectory]\nkind = "circle"\nradius = 0.01\nperiod = 8.0\n'
+    )
+    one, two = load_experiment(str(path)).cases
+
+    assert (one.name, one.file.duration, one.file.trajectory.kind) == ("one", 1.0, "hold")
+    assert (two.name, two.file.duration, two.file.trajectory.kind) == ("two", 3.0, "circle")
+    assert one.lab == two.lab
+    assert "ideal" in two.lab.title
+
+
+def test_a_file_without_cases_is_one_case_of_its_own_name(write, short):
+    experiment = load_experiment(str(write(short, "my run")))
+
+    assert experiment.name == "my run"
+    assert [case.name for case in experiment.cases] == ["my run"]
+    assert experiment.source == short
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("duration = 1.0", "duration = nan", "duration = nan: Input should be a finite number"),
+        ("duration = 1.0", "duration = 0.0", "duration = 0.0: Input should be greater than 0"),
+        ("duration = 1.0", "duration = 1e9", "duration = 1000000000.0: Input should be less than or equal to 86400"),
+        ("duration = 1.0", 'duration = "1"', "duration = '1': Input should be a valid number"),
+        ("duration = 1.0", "", "'duration' is missing"),
+        ("settling = 0.0", "settling = -1.0", "settling = -1.0: "),
+        ("settling = 0.0", "setling = 0.0", "unknown key 'setling'"),
+        ("-0.100", "-0.150", "inner_translation -0.15 m is outside -0.13 ... -0.005 m"),
+        ("-0.100", "0.010", "inner_translation 0.01 m is outside -0.13 ... -0.005 m"),
+        ("-0.100", "nan", "start.inner_translation = nan: Input should be a finite number"),
+        ("outer_rotation = 0.0", "outer_rotation = 7.0", "outer_rotation 7 rad is outside -6.283 ... 6.283 rad"),
+        ("outer_rotation", "outer_spin", "start.outer_spin: robot 'paper' has no such joint; it has outer_rotation, "),
+        ("outer_rotation = 0.0, ", "", "start.outer_rotation is missing"),
+        ('kind = "hold"', 'kind = "jump"', "trajectory = {'kind': 'jump'}: "),
+        ('kind = "hold"', 'kind = "sinusoid"\namplitude = 9.0\nfrequency = 1.0', "trajectory.amplitude = 9.0: "),
+        (
+            'kind = "hold"',
+            'kind = "joint_sweep"\njoint = "elbow"\nspeed = 0.1\ndistance = 0.1',
+            "joint_sweep: 'elbow' is not one of outer_rotation, inner_rotation, inner_translation",
+        ),
+        (
+            'kind = "hold"',
+            'kind = "joint_sweep"\njoint = "inner_translation"\nspeed = 0.01\ndistance = 0.1',
+            "inner_translation 0 m is outside -0.13 ... -0.005 m",
+        ),
+        ('kind = "hold"', 'kind = "hold"\n[load]\nkind = "constant"\nmagnitude = -1', "load.magnitude = -1: "),
+        ('kind = "hold"', 'kind = "hold"\n[controller]\nstrategy = "magic"', "strategy 'magic' is unknown"),
+        ('kind = "hold"', 'kind = "hold"\n[controller]\nk1 = nan', "controller.k1 = nan: "),
+        ('kind = "hold"', 'kind = "hold"\n[controller]\nk1 = 51.0', "K1 = 51 1/s is outside 0 ... 50 1/s"),
+        ('kind = "hold"', 'kind = "hold"\n[controller]\nk3 = 1.0', "unknown key 'controller.k3'"),
+        ('kind = "hold"', 'kind = "hold"\n[controller]\nfeedforward = "no"', "controller.feedforward = 'no': "),
+        ('kind = "hold"', 'kind = "hold"\n[controller]\nsublink = 0.0', "controller.sublink = 0.0: "),
+        ('kind = "hold"', 'kind = "hold"\n[controller]\nfilter_bandwidth = 0.0', "filter bandwidth 0 Hz is outside "),
+        ('kind = "hold"', 'kind = "hold"\n[cases]\nfast = 3', "cases.fast = 3: "),
+        ('kind = "hold"', 'kind = "hold"\n[cases."../fast"]', "'../fast': "),
+        ('kind = "hold"', 'kind = "hold"\n[cases.fast]\nbogus = 1', "case 'fast': unknown key 'bogus'"),
+        ('kind = "hold"', 'kind = "hold"\n[paper.slow]', "paper.slow is not one of the cases: own"),
+        ('kind = "hold"', 'kind = "hold"\n[paper.own]\nmax = 1', "unknown key 'paper.own.max'"),
+        ('title = "short"', 'title = "short"\nrobot = "snake"', "'snake' is not one of the robots: paper"),
+        ('title = "short"', 'title = "short"\nlab = "moon"', "'moon' is not one of the labs: default, ideal"),
+        ('title = "short"', 'title = "short"\nlab = "none.toml"', "none.toml: no such file"),
+        ('title = "short"', 'title = "short', "not valid TOML: "),
+    ],
+)
+def test_an_experiment_that_cannot_be_is_refused_in_one_line(write, short, old, new, said):
+    assert short.count(old) == 1
+    path = write(short.replace(old, new))
+
+    with pytest.raises(ConfigError) as refused:
+        load_experiment(str(path))
+
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+    if "is not one of the robots" not in said and "labs" not in said and "no such file" not in said:
+        assert str(refused.value).startswith(f"{path}: ")
+
+
+def test_a_mistake_in_the_robot_or_the_lab_is_told_with_that_file(write, short, robot_text):
+    robot = write(robot_text.replace("bending_stiffness = 0.048", "bending_stiffness = -0.048"), "robot")
+    lab = write("[tracker]\nrate = 0.0\n", "lab")
+
+    with pytest.raises(ConfigError, match=r"robot\.toml: tube 'outer': bending_stiffness -0\.048 N m\^2 must be "):
+        load_experiment(str(write(f'robot = "{robot}"\n' + short)))
+    with pytest.raises(ConfigError, match=r"lab\.toml: tracker\.rate = 0\.0: Input should be greater than 0"):
+        load_experiment(str(write(f'lab = "{lab}"\n' + short)))
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("[plant.tubes.middle]\nstiffness = 0.1", "plant.tubes.middle: robot 'paper' has no such part; it has inner"),
+        ("[plant.play]\nelbow = 0.1", "plant.play.elbow: robot 'paper' has no such part; it has outer_rotation"),
+        ("[plant]\nvary = 0.6", "plant.vary = 0.6: Input should be less than 0.5"),
+        ("[plant.tubes.inner]\nstiffness = -1.0", "plant.tubes.inner.stiffness = -1.0: "),
+        ("[line]\nquantised = 1", "line.quantised = 1: "),
+    ],
+)
+def test_a_lab_that_does_not_fit_the_robot_is_refused(write, short, table, said):
+    lab = write(table, "lab")
+
+    with pytest.raises(ConfigError) as refused:
+        load_experiment(str(write(f'lab = "{lab}"\n' + short)))
+    assert str(refused.value).startswith(f"{lab}: {said}")
