@@ -8,13 +8,27 @@ from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba  # pyright: ignore[reportMissingTypeStubs]
+from numba.cpython.unsafe import tuple as numba_tuple  # pyright: ignore[reportMissingTypeStubs]
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_OPTIONS: dict[str, Any] = {
+    "cache": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+}
+
+#: `replaced(numbers, index, value)`: the tuple with one number changed. Compiled code only. Tuples of
+#: known length live in registers; an array would be memory that a loop over columns cannot prove its own.
+replaced = cast(Callable[[tuple[float, ...], int, float], tuple[float, ...]], cast(Any, numba_tuple).tuple_setitem)
+
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` on first call; later processes load it from the cache."""
-    njit = cast(Any, numba).njit
-    jit = njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
-    return cast(Callable[P, R], jit(function))
+    return cast(Callable[P, R], cast(Any, numba).njit(**_OPTIONS)(function))
+
+
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """The same for a piece of a loop's body, so that the loop around it is still vectorised."""
+    return cast(Callable[P, R], cast(Any, numba).njit(forceinline=True, **_OPTIONS)(function))

@@ -10,6 +10,7 @@ at the tip by Newton. It shares neither variables, frames, integrator nor deriva
 `propagation`, only the description of the robot. The virtual lab's plant runs on it, too.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -42,32 +43,37 @@ class ExactRod:
     def __post_init__(self) -> None:
         positive("step", self.step, "m")
 
-    def solve(self, joints: Array, wrench: Array, near: Rod | None = None) -> Rod:
-        """Solve for joints (n,) [rad or m] under a tip force and moment (6,), world frame [N, N m].
+    def solve(self, joints: Array, wrench: Array, near: Rod | None = None, contact: float | None = None) -> Rod:
+        """Solve for joints (n,) [rad or m] under a force and a tip moment (6,), world frame [N, N m].
+
+        The force acts at arc length `contact` from the plate [m]; None is the tip.
 
         Raises:
-            PoseError: the tubes cannot stand so.
+            PoseError: the tubes cannot stand so, or `contact` lies beyond them.
             NotFinite: the wrench is not finite.
             NoSolution: no solution was reached, not even with the load applied in 64 steps.
 
         """
         self.robot.check_pose(joints)
         alpha, beta = self.robot.tube_poses(joints)
-        return self.solve_tubes(alpha, beta, wrench, near)
+        return self.solve_tubes(alpha, beta, wrench, near, self.robot.check_contact(joints, contact))
 
-    def solve_tubes(self, alpha: Array, beta: Array, wrench: Array, near: Rod | None = None) -> Rod:
+    def solve_tubes(
+        self, alpha: Array, beta: Array, wrench: Array, near: Rod | None = None, contact: float = math.inf
+    ) -> Rod:
         """The same for the tubes' rotations (q,) [rad] and proximal ends (q,) [m]."""
         if wrench.shape != (6,) or not np.isfinite(wrench).all():
             raise NotFinite(f"tip wrench {wrench.tolist()} [N, N m] must be six finite numbers")
         size = len(self.robot.tubes) + 2
         if near is not None:
-            rod = self._shoot(alpha, beta, wrench, near.unknowns, near.chord)
+            rod = self._shoot(alpha, beta, wrench, contact, near.unknowns, near.chord)
             if rod is not None:
                 return rod
         for increments in (1, 4, 16, 64):
             unknowns, rod = np.zeros(size), None
             for number in range(1, increments + 1):
-                rod = self._shoot(alpha, beta, wrench * (number / increments), unknowns, np.zeros((size, size)))
+                part = wrench * (number / increments)
+                rod = self._shoot(alpha, beta, part, contact, unknowns, np.zeros((size, size)))
                 if rod is None:
                     break
                 unknowns = rod.unknowns
@@ -75,15 +81,60 @@ class ExactRod:
                 return rod
         raise NoSolution(f"the exact rod found no shape under {wrench[:3].tolist()} N, {wrench[3:].tolist()} N m")
 
-    def _shoot(self, alpha: Array, beta: Array, wrench: Array, guess: Array, chord: Array) -> Rod | None:
-        unknowns, inverse, end, iterations, residual = _shoot(
-            self.robot.layout, alpha, beta, wrench, guess, chord, self.step, self.tolerance
+    def stability(self, joints: Array, wrench: Array, rod: Rod, contact: float | None = None) -> float:
+        """Determinant of the end conditions by the unknowns at a solution, by central differences.
+
+        The same number as `Solution.stability`: 1 for straight tubes without load, 0 where the shape folds.
+        """
+        alpha, beta = self.robot.tube_poses(joints)
+        place = self.robot.check_contact(joints, contact)
+        size = len(self.robot.tubes) + 2
+        columns: list[Array] = []
+        for k in range(size):
+            ends = np.empty((2, size))
+            half = 1e-4 * np.eye(size)[k] * (self.robot.layout.stiffness[0, 0] if k < 2 else 1.0)
+            for row, unknowns in zip(ends, (rod.unknowns + half, rod.unknowns - half), strict=True):
+                _integrate(
+                    self.robot.layout, alpha, beta, _to_plate(self.robot.layout, wrench), place, unknowns, self.step,
+                    np.empty(9 + 2 * (size - 2)), row,
+                )  # fmt: skip
+            columns.append((ends[0] - ends[1]) / (2.0 * half[k]))
+        return float(np.linalg.det(np.column_stack(columns)))
+
+    def _shoot(
+        self, alpha: Array, beta: Array, wrench: Array, contact: float, guess: Array, chord: Array
+    ) -> Rod | None:
+        unknowns, inverse, tip, rotation, iterations, residual = _shoot(
+            self.robot.layout, alpha, beta, wrench, contact, guess, chord, self.step, self.tolerance
         )
         if not residual <= self.tolerance:
             return None
-        rotation = np.empty((3, 3))
-        _rotation(end, rotation)
-        return Rod(end[4:7], rotation, unknowns[2:], unknowns, inverse, iterations)
+        return Rod(tip, rotation, unknowns[2:], unknowns, inverse, iterations)
+
+
+@compiled
+def _to_plate(layout: Layout, wrench: Array) -> Array:
+    """Force and moment (6,) in the axes of the plate: the rod is solved there."""
+    result = np.zeros(6)
+    for i in range(3):
+        for k in range(3):
+            result[i] += layout.base[3 * k + i] * wrench[k]
+            result[3 + i] += layout.base[3 * k + i] * wrench[3 + k]
+    return result
+
+
+@compiled
+def _to_world(layout: Layout, y: Array) -> tuple[Array, Array]:
+    """Tip (3,) and frame (3, 3) in the world."""
+    own, tip, rotation = np.empty((3, 3)), np.empty(3), np.zeros((3, 3))
+    _rotation(y, own)
+    for i in range(3):
+        tip[i] = layout.base[9 + i]
+        for k in range(3):
+            tip[i] += layout.base[3 * i + k] * y[4 + k]
+            for j in range(3):
+                rotation[i, j] += layout.base[3 * i + k] * own[k, j]
+    return tip, rotation
 
 
 @compiled
@@ -133,9 +184,11 @@ def _slope(
 
 @compiled
 def _integrate(
-    layout: Layout, alpha: Array, beta: Array, wrench: Array, unknowns: Array, step: float, y: Array, ends: Array
-) -> None:
-    """From the plate to the tip; `ends` (q + 2) receives what must vanish."""
+    layout: Layout, alpha: Array, beta: Array, wrench: Array, contact: float, unknowns: Array, step: float,
+    y: Array, ends: Array,
+) -> None:  # fmt: skip
+    """From the plate to the tip, in the plate's axes; `ends` (q + 2) receives what must vanish."""
+    force = wrench.copy()  # of which only the first three count: the force still to come
     q = layout.counts.shape[0]
     theta = alpha[0] - beta[0] * unknowns[2]
     y[:] = 0.0
@@ -165,23 +218,29 @@ def _integrate(
                 total += stiffness[i]
         if end_tube < 0:
             break
+        if contact < end:
+            end, end_tube = contact, -1
         steps = int(np.ceil((end - start) / step))
         h = (end - start) / max(steps, 1)
         for _ in range(steps):
-            _slope(y, k1, q, stiffness, ratio, curvature, total, wrench)
+            _slope(y, k1, q, stiffness, ratio, curvature, total, force)
             for i in range(y.size):
                 at[i] = y[i] + 0.5 * h * k1[i]
-            _slope(at, k2, q, stiffness, ratio, curvature, total, wrench)
+            _slope(at, k2, q, stiffness, ratio, curvature, total, force)
             for i in range(y.size):
                 at[i] = y[i] + 0.5 * h * k2[i]
-            _slope(at, k3, q, stiffness, ratio, curvature, total, wrench)
+            _slope(at, k3, q, stiffness, ratio, curvature, total, force)
             for i in range(y.size):
                 at[i] = y[i] + h * k3[i]
-            _slope(at, k4, q, stiffness, ratio, curvature, total, wrench)
+            _slope(at, k4, q, stiffness, ratio, curvature, total, force)
             for i in range(y.size):
                 y[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
         start = end
-        section[end_tube] += 1
+        if end_tube >= 0:
+            section[end_tube] += 1
+        else:
+            contact = np.inf
+            force[:3] = 0.0
     rotation = np.empty((3, 3))
     _rotation(y, rotation)
     for i in range(2):
@@ -195,14 +254,16 @@ def _integrate(
 
 @compiled
 def _shoot(
-    layout: Layout, alpha: Array, beta: Array, wrench: Array, guess: Array, chord: Array, step: float, tolerance: float
-) -> tuple[Array, Array, Array, int, float]:
+    layout: Layout, alpha: Array, beta: Array, world_wrench: Array, contact: float, guess: Array, chord: Array,
+    step: float, tolerance: float,
+) -> tuple[Array, Array, Array, Array, int, float]:  # fmt: skip
     """Chord Newton: the derivative (by differences: it only steers) is renewed when progress is slow."""
     q = layout.counts.shape[0]
     size = q + 2
+    wrench = _to_plate(layout, world_wrench)
     y, ends, moved = np.empty(9 + 2 * q), np.empty(size), np.empty(size)
     unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
-    _integrate(layout, alpha, beta, wrench, unknowns, step, y, ends)
+    _integrate(layout, alpha, beta, wrench, contact, unknowns, step, y, ends)
     residual = np.abs(ends).max()
     iterations = 1
     fresh = not inverse.any()
@@ -212,18 +273,18 @@ def _shoot(
             for k in range(size):
                 trial[:] = unknowns
                 trial[k] += 1e-6
-                _integrate(layout, alpha, beta, wrench, trial, step, y, moved)
+                _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved)
                 for i in range(size):
                     matrix[i, k] = (moved[i] - ends[i]) / 1e-6
             if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-30:
-                return unknowns, inverse, y, iterations, np.inf
+                return unknowns, inverse, *_to_world(layout, y), iterations, np.inf
             inverse[:] = np.linalg.inv(matrix)
         correction = inverse @ ends
         fraction = 1.0
         while True:
             for i in range(size):
                 trial[i] = unknowns[i] - fraction * correction[i]
-            _integrate(layout, alpha, beta, wrench, trial, step, y, moved)
+            _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved)
             iterations += 1
             after = np.abs(moved).max()
             if after < residual or (not fresh) or fraction < 1e-3:
@@ -238,4 +299,4 @@ def _shoot(
             break
         else:
             fresh = True
-    return unknowns, inverse, y, iterations, residual
+    return unknowns, inverse, *_to_world(layout, y), iterations, residual

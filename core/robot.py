@@ -9,6 +9,7 @@ the free tube toward -y.
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -39,9 +40,21 @@ class Tube:
     poisson_ratio: float = 0.30  #: GJ = EI / (1 + nu)
     outer_diameter: float = 2e-3  #: [m], for drawing and fit
     inner_diameter: float = 1e-3  #: [m]
+    torsional_stiffness: float | None = None  #: GJ [N m^2]; None: from poisson_ratio
+    rotation: float = 0.0  #: of a tube that no joint turns [rad]
+    translation: float = 0.0  #: proximal end of a tube that no joint slides [m]
 
     def __post_init__(self) -> None:
         positive(f"tube '{self.name}': bending_stiffness", self.bending_stiffness, "N m^2")
+        if self.torsional_stiffness is not None:
+            positive(f"tube '{self.name}': torsional_stiffness", self.torsional_stiffness, "N m^2")
+        if not math.isfinite(self.rotation):
+            raise DescriptionError(f"tube '{self.name}': rotation {self.rotation} rad is not finite")
+        if not -math.inf < self.translation <= 0.0:
+            raise DescriptionError(
+                f"tube '{self.name}': translation {1e3 * self.translation:g} mm must be finite and not in front"
+                " of the plate at 0 mm"
+            )
         if not -1.0 < self.poisson_ratio <= 0.5:
             raise DescriptionError(f"tube '{self.name}': poisson_ratio {self.poisson_ratio:g} is outside -1 ... 0.5")
         if not self.sections:
@@ -62,6 +75,13 @@ class Tube:
         """Whole length, straight and curved [m]."""
         return sum(section.length for section in self.sections)
 
+    @property
+    def stiffness_ratio(self) -> float:
+        """EI / GJ."""
+        if self.torsional_stiffness is None:
+            return 1.0 + self.poisson_ratio
+        return self.bending_stiffness / self.torsional_stiffness
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -77,6 +97,30 @@ class Joint:
         return "rad" if self.motion == "rotation" else "m"
 
 
+@dataclass(frozen=True)
+class Base:
+    """Where the front plate stands in the world: x_world = R(rotation_vector) x_plate + position."""
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m]
+    rotation_vector: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: axis times angle [rad]
+
+    def __post_init__(self) -> None:
+        for name, vector in (("position", self.position), ("rotation_vector", self.rotation_vector)):
+            if len(vector) != 3 or not all(math.isfinite(number) for number in vector):
+                raise DescriptionError(f"base: {name} {vector} is not three finite numbers")
+
+    @property
+    def rotation(self) -> Array:
+        """R (3, 3), by Rodrigues' formula."""
+        x, y, z = self.rotation_vector
+        angle = math.sqrt(x * x + y * y + z * z)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        if angle == 0.0:
+            return np.eye(3)
+        half = math.sin(0.5 * angle) / angle
+        return np.eye(3) + math.sin(angle) / angle * cross + 2.0 * half * half * cross @ cross
+
+
 class Layout(NamedTuple):
     """The robot as the compiled code reads it; q tubes, n joints, at most k sections a tube."""
 
@@ -86,6 +130,8 @@ class Layout(NamedTuple):
     stiffness: Array  #: (q, 2) EI and EI / GJ
     joint_tube: Indices  #: (n,)
     joint_slides: Indices  #: (n,) 1 for a translation
+    rest: Array  #: (q, 2) rotation [rad] and translation [m] of what no joint moves
+    base: Array  #: (12,) rotation of the plate by rows, then its position [m]
 
 
 @dataclass(frozen=True)
@@ -95,6 +141,7 @@ class Robot:
     name: str
     tubes: tuple[Tube, ...]
     joints: tuple[Joint, ...]
+    base: Base = Base()
 
     def __post_init__(self) -> None:
         if not self.tubes:
@@ -118,6 +165,25 @@ class Robot:
             seen.add((joint.tube, joint.motion))
         if len({joint.name for joint in self.joints}) < len(self.joints):
             raise DescriptionError(f"robot '{self.name}': two joints have the same name")
+        self._check_fixed_tubes({tube for tube, motion in seen if motion == "translation"})
+
+    def _check_fixed_tubes(self, sliding: set[int]) -> None:
+        """Refuse tubes that no joint slides and that stand in each other's way or inside the guide."""
+        fixed = [tube for i, tube in reversed(list(enumerate(self.tubes))) if i not in sliding]
+        bound, around = 0.0, "the plate"
+        for tube in fixed:
+            end = tube.translation + tube.length
+            if end <= bound:
+                raise DescriptionError(
+                    f"tube '{tube.name}' ends at {1e3 * end:g} mm, not beyond {around} at {1e3 * bound:g} mm"
+                )
+            bound, around = end, f"the end of tube '{tube.name}'"
+        for outer, inner in pairwise(fixed):
+            if inner.translation > outer.translation:
+                raise DescriptionError(
+                    f"tube '{inner.name}' starts at {1e3 * inner.translation:g} mm,"
+                    f" in front of tube '{outer.name}' at {1e3 * outer.translation:g} mm"
+                )
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -136,10 +202,19 @@ class Robot:
             ends,
             curvatures,
             np.array([len(tube.sections) for tube in self.tubes], dtype=np.int64),
-            np.array([[tube.bending_stiffness, 1.0 + tube.poisson_ratio] for tube in self.tubes]),
+            np.array([[tube.bending_stiffness, tube.stiffness_ratio] for tube in self.tubes]),
             np.array([joint.tube for joint in self.joints], dtype=np.int64),
             np.array([joint.motion == "translation" for joint in self.joints], dtype=np.int64),
+            np.array([[tube.rotation, tube.translation] for tube in self.tubes]),
+            np.concatenate((self.base.rotation.ravel(), self.base.position)),
         )
+
+    @cached_property
+    def packed(self) -> Array:
+        """The layout as one array: a call of a compiled function pays for every array it is given."""
+        q, k = self.layout.ends.shape
+        sizes = np.array([q, k, len(self.joints)], dtype=np.int64)
+        return np.concatenate([np.ascontiguousarray(part).ravel().view(np.float64) for part in (sizes, *self.layout)])
 
     def tube_poses(self, joints: Array) -> tuple[Array, Array]:
         """Rotation alpha (q,) [rad] and proximal end beta (q,) [m] of every tube at `joints` (n,)."""
@@ -176,6 +251,44 @@ class Robot:
                 )
             bound, around = end, f"the end of tube '{tube.name}'"
 
+    def check_contact(self, joints: Array, contact: float | None) -> float:
+        """Arc length of a contact [m], inf for None (the tip).
+
+        Raises:
+            PoseError: it lies behind the plate or beyond the tip.
+
+        """
+        if contact is None:
+            return math.inf
+        length = float(self.tube_poses(joints)[1][0]) + self.tubes[0].length
+        if not 0.0 <= contact <= length:
+            raise PoseError(f"contact at {1e3 * contact:g} mm is outside 0 ... {1e3 * length:g} mm (the tip)")
+        return contact
+
+
+@compiled
+def unpack(packed: Array) -> Layout:
+    """Inverse of `Robot.packed`; the arrays are views."""
+    sizes = packed[:3].view(np.int64)
+    q, k, n = sizes[0], sizes[1], sizes[2]
+    a = 3 + q * k
+    b = a + 2 * q * k
+    c = b + q
+    d = c + 2 * q
+    e = d + n
+    f = e + n
+    g = f + 2 * q
+    return Layout(
+        packed[3:a].reshape(q, k),
+        packed[a:b].reshape(q, k, 2),
+        packed[b:c].view(np.int64),
+        packed[c:d].reshape(q, 2),
+        packed[d:e].view(np.int64),
+        packed[e:f].view(np.int64),
+        packed[f:g].reshape(q, 2),
+        packed[g : g + 12],
+    )
+
 
 @compiled
 def tube_poses(layout: Layout, joints: Array) -> tuple[Array, Array, bool]:
@@ -184,7 +297,7 @@ def tube_poses(layout: Layout, joints: Array) -> tuple[Array, Array, bool]:
     The third answer is whether the tubes can stand so; `Robot.check_pose` says why not.
     """
     q = layout.counts.shape[0]
-    alpha, beta = np.zeros(q), np.zeros(q)
+    alpha, beta = layout.rest[:, 0].copy(), layout.rest[:, 1].copy()
     for j in range(joints.shape[0]):
         if layout.joint_slides[j]:
             beta[layout.joint_tube[j]] = joints[j]

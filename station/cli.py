@@ -183,7 +183,7 @@ def _bar() -> Progress:
     """A progress bar on a terminal, nothing elsewhere."""
     console = Console(stderr=True, highlight=False)
     return Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
+        TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
         TimeRemainingColumn(), console=console, disable=not console.is_terminal,
     )  # fmt: skip
 

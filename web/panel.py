@@ -4,17 +4,16 @@ Whatever a browser sends is looked at again here and by the models of `station`:
 bind nobody who writes to the socket. A refusal is shown to the one who asked and starts nothing.
 """
 
-import math
 from collections.abc import Callable
 from html import escape
-from typing import Any, NamedTuple
+from typing import Any
 
 import viser
 
 from core.controllers import STRATEGIES
 from core.errors import CtrError
 from station.config import check, preset_names
-from station.desk import Desk, DeskError
+from station.desk import Desk
 from station.experiments.experiment import ControllerFile, load_experiment
 from station.lab.loads import ConstantLoad, Load, NoLoad, RaisedCosineLoad
 from station.motions import CircleMotion, HoldMotion, SinusoidMotion, TipMotion
@@ -22,10 +21,10 @@ from station.states import State
 from station.supervisor import Status
 from web.health import health
 from web.history import History
+from web.inputs import Choice, Number
 from web.legend import add_legend
-from web.palette import css
 from web.plots import Plots
-from web.words import time_left, words
+from web.words import card
 
 WIDTH = 380  #: of the panel [px]
 
@@ -37,46 +36,8 @@ LETTERS = {
     "dual_layer": "(d) dual layer",
 }
 MOTIONS = ("hold", "sinusoid", "circle")
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 LOADS = ("none", "constant", "raised cosine")
-
-
-class Number(NamedTuple):
-    """A number that a person sets, and its bounds, in the unit of its label."""
-
-    handle: Any  #: viser's widget
-    name: str
-    unit: str
-    lower: float
-    upper: float
-
-    def read(self) -> float:
-        """The value.
-
-        Raises:
-            DeskError: not finite or out of bounds.
-        """
-        value = self.handle.value
-        if not (isinstance(value, int | float) and math.isfinite(value) and self.lower <= value <= self.upper):
-            raise DeskError(f"{self.name} {value:g} {self.unit} is outside {self.lower:g} ... {self.upper:g} {self.unit}")
-        return float(value)
-
-
-class Choice(NamedTuple):
-    """One of a few words."""
-
-    handle: Any
-    name: str
-    options: tuple[str, ...]
-
-    def read(self) -> str:
-        """The option.
-
-        Raises:
-            DeskError: it is not one of them.
-        """
-        if self.handle.value not in self.options:
-            raise DeskError(f"{self.name} '{str(self.handle.value)[:60]}' is not one of: {', '.join(self.options)}")
-        return self.handle.value
 
 
 class Panel:
@@ -90,8 +51,12 @@ class Panel:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(WIDTH)
         self._state = gui.add_html("")
-        self.stop = gui.add_button("STOP", color=(192, 28, 40), icon="hand-stop", hint="stops every axis at once")
-        self.reset = gui.add_button("Reset", color="gray", visible=False, hint="after a stop, a hold or a fault has been looked at")
+        self.stop = gui.add_button(
+            "STOP", color=(192, 28, 40), icon=viser.Icon.HAND_STOP, hint="stops every axis at once"
+        )
+        self.reset = gui.add_button(
+            "Reset", color="gray", visible=False, hint="after a stop, a hold or a fault has been looked at"
+        )
         tabs = gui.add_tab_group()
         with tabs.add_tab("Experiment"):
             self._build_experiment()
@@ -108,7 +73,8 @@ class Panel:
 
     def update(self, status: Status, history: History) -> None:
         """Texts, lights and plots for the present; ten times a second is plenty."""
-        self._state.content = self._card(status)
+        task = self._desk.supervisor.task
+        self._state.content = card(status, task.duration if task else 0.0)
         ready = status.state is State.READY
         self.start_experiment.disabled = self.start_motion.disabled = not ready
         self.reset.visible = status.state in (State.HOLD, State.STOPPED, State.FAULT)
@@ -123,31 +89,40 @@ class Panel:
         self.experiment = Choice(gui.add_dropdown("Experiment", names), "experiment", names)
         self.case = gui.add_dropdown("Case", tuple(case.name for case in first.cases))
         self._about = gui.add_html("")
-        self.start_experiment = gui.add_button("Start experiment", icon="player-play", disabled=True)
+        self.start_experiment = gui.add_button("Start experiment", icon=viser.Icon.PLAYER_PLAY, disabled=True)
         self.experiment.handle.on_update(self._guarded("Experiment", self._show_experiment))
         self._show_experiment()
 
     def _build_motion(self) -> None:
         gui = self._gui
 
-        def number(name: str, unit: str, value: float, lower: float, upper: float, step: float, hint: str = "") -> Number:
+        def number(
+            name: str, unit: str, value: float, lower: float, upper: float, step: float, hint: str = ""
+        ) -> Number:
             handle = gui.add_number(f"{name} [{unit}]", value, min=lower, max=upper, step=step, hint=hint or None)
             return Number(handle, name, unit, lower, upper)
 
-        def choice(name: str, options: tuple[str, ...], value: str) -> Choice:
-            return Choice(gui.add_dropdown(name, options, initial_value=value), name, options)
+        def choice(name: str, options: tuple[str, ...], value: str, hint: str | None = None) -> Choice:
+            return Choice(gui.add_dropdown(name, options, initial_value=value, hint=hint), name, options)
 
         self.motion = choice("Motion", MOTIONS, "circle")
-        self.size = number("Amplitude", "mm", 10.0, 0.1, 50.0, 0.1, "amplitude of the sinusoid along z, or radius of the circle across z")
+        self.axis = choice("Axis", tuple(AXES), "y", "direction of the sinusoid; axis of the circle")
+        self.size = number("Amplitude", "mm", 10.0, 0.1, 50.0, 0.1, "of the sinusoid; radius of the circle")
         self.period = number("Period", "s", 20.0, 2.0, 600.0, 0.1)
         self.duration = number("Duration", "s", 60.0, 1.0, 3600.0, 1.0)
         self.strategy = choice("Strategy", tuple(LETTERS.get(name, name) for name in STRATEGIES), LETTERS["dual_layer"])
-        self.gain = Number(gui.add_slider("k [1/s]", 0.5, 10.0, 0.1, 2.5, hint="K1 = K2 of the outer loop, dual layer only"), "k", "1/s", 0.5, 10.0)
+        self.gain = Number(
+            gui.add_slider("k [1/s]", 0.5, 10.0, 0.1, 2.5, hint="K1 = K2 of the outer loop, dual layer only"),
+            "k",
+            "1/s",
+            0.5,
+            10.0,
+        )
         self.feedforward = gui.add_checkbox("Feed-forward", True)
         self.load = choice("Load", LOADS, "raised cosine")
         self.force = number("Force", "N", 0.3, 0.0, 0.5, 0.01, "simulated weight along +x; the raised cosine's peak")
         self.load_period = number("Load period", "s", 20.0, 1.0, 600.0, 0.1)
-        self.start_motion = gui.add_button("Start motion", icon="player-play", disabled=True)
+        self.start_motion = gui.add_button("Start motion", icon=viser.Icon.PLAYER_PLAY, disabled=True)
 
     def _start_experiment(self) -> None:
         name = self.experiment.read()
@@ -159,14 +134,16 @@ class Panel:
         self._desk.start_motion(self._motion(), self._controller(), self._load(), duration)
 
     def _motion(self) -> TipMotion:
-        match self.motion.read():
+        kind = self.motion.read()
+        axis, size, period = AXES[self.axis.read()], 1e-3 * self.size.read(), self.period.read()
+        match kind:
             case "hold":
                 return HoldMotion()
             case "sinusoid":
-                table = {"amplitude": 1e-3 * self.size.read(), "frequency": 1.0 / self.period.read()}
+                table = {"amplitude": size, "frequency": 1.0 / period, "direction": axis}
                 return check(SinusoidMotion, table, "sinusoid")
             case _:
-                return check(CircleMotion, {"radius": 1e-3 * self.size.read(), "period": self.period.read()}, "circle")
+                return check(CircleMotion, {"radius": size, "period": period, "normal": axis}, "circle")
 
     def _controller(self) -> ControllerFile:
         shown = self.strategy.read()
@@ -189,25 +166,8 @@ class Panel:
         self.case.options = tuple(case.name for case in experiment.cases)
         longest = max(case.file.duration for case in experiment.cases)
         self._about.content = (
-            f'<div style="padding:2px 12px 8px;font-size:12px;line-height:1.35;color:#495057">{escape(experiment.title)}.'
-            f" {longest:g} s, after the way to the start pose.</div>"
-        )
-
-    def _card(self, status: Status) -> str:
-        said = words(status)
-        task = self._desk.supervisor.task
-        left = time_left(status, task.duration) if task else ""
-        done = 100.0 * status.progress if left else 0.0
-        return (
-            '<div style="padding:8px 12px 6px;font-size:13px;line-height:1.35">'
-            f'<span style="background:{css(said.colour)};color:#fff;font-weight:700;padding:2px 10px;border-radius:4px;'
-            f'letter-spacing:.04em">{escape(said.state)}</span>'
-            f' <span style="margin-left:6px;font-weight:600">{escape(status.title) or "no run yet"}</span>'
-            f'<div style="margin-top:6px;min-height:36px"><span style="color:{css(said.colour)}">{escape(said.what)}</span>'
-            f'<br><span style="color:#495057">{escape(said.next)}</span></div>'
-            '<div style="background:#e9ecef;height:8px;border-radius:4px;overflow:hidden;margin-top:4px">'
-            f'<div style="background:{css(said.colour)};height:100%;width:{done:.1f}%"></div></div>'
-            f'<div style="color:#495057;font-size:12px;min-height:16px;margin-top:2px">{left}</div></div>'
+            '<div style="padding:2px 12px 8px;font-size:12px;line-height:1.35;color:#495057">'
+            f"{escape(experiment.title)}. {longest:g} s, after the way to the start pose.</div>"
         )
 
     def _guarded(self, title: str, act: Callable[[], object]) -> Callable[[viser.GuiEvent[Any]], None]:

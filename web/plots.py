@@ -18,10 +18,10 @@ class Plots:
     """Error against the tracker, force, and error against the simulated truth."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        self._error = _Plot(gui, "Tip error, desired − measured", "mm", 1.0)
+        self._error = _Plot(gui, "Tip error, desired - measured", "mm", 1.0)
         self._force = _Plot(gui, "Force at the tip", "N", 0.1)
         # Only a virtual lab knows where the tip really is.
-        self._true_error = _Plot(gui, "Tip error, desired − simulated truth", "mm", 1.0, visible=False)
+        self._true_error = _Plot(gui, "Tip error, desired - simulated truth", "mm", 1.0, visible=False)
 
     def update(self, history: History) -> None:
         """Send the present curves."""
@@ -57,10 +57,22 @@ class _Plot:
             ),
             scales={
                 "x": uplot.Scale(time=False, range=(-SPAN, 0.0)),
-                "y": uplot.Scale(range={end: {"pad": 0.1, "soft": soft, "mode": 1} for end, soft in (("min", -least), ("max", least))}),
+                "y": uplot.Scale(
+                    range={
+                        end: {"pad": 0.1, "soft": soft, "mode": 1} for end, soft in (("min", -least), ("max", least))
+                    }
+                ),
             },
             axes=(
-                uplot.Axis(size=24.0, gap=2.0, label="time before now [s]", labelSize=15.0, labelGap=0.0, font=FONT, labelFont=FONT),
+                uplot.Axis(
+                    size=24.0,
+                    gap=2.0,
+                    label="time before now [s]",
+                    labelSize=15.0,
+                    labelGap=0.0,
+                    font=FONT,
+                    labelFont=FONT,
+                ),
                 uplot.Axis(size=36.0, gap=3.0, label=unit, labelSize=14.0, labelGap=0.0, font=FONT, labelFont=FONT),
             ),
             legend=uplot.Legend(show=False),

@@ -41,7 +41,7 @@ class Scene:
         self._tubes = [TubeMesh(tube) for tube in robot.tubes]
         self._meshes = [
             scene.add_mesh_simple(
-                f"/robot/{tube.name}", np.zeros((len(np.unique(mesh.faces)), 3)), mesh.faces,
+                f"/robot/{tube.name}", np.zeros((mesh.count, 3)), mesh.faces,
                 color=palette.tube(number), scale=UNIT, visible=False,
             )
             for number, (tube, mesh) in enumerate(zip(robot.tubes, self._tubes, strict=True))
@@ -53,7 +53,11 @@ class Scene:
             "/tip/measured", radius=0.0018 * UNIT, color=palette.MEASURED, cast_shadow=False, visible=False
         )
         self._estimated = scene.add_box(
-            "/tip/estimated", color=palette.ESTIMATED, dimensions=(0.0028 * UNIT,) * 3, cast_shadow=False, visible=False
+            "/tip/estimated",
+            color=palette.ESTIMATED,
+            dimensions=np.full(3, 0.0028 * UNIT),
+            cast_shadow=False,
+            visible=False,
         )
         self._force = scene.add_arrows(
             "/force/arrow", np.zeros((1, 2, 3)), palette.FORCE,
@@ -80,9 +84,9 @@ class Scene:
         if not live:
             self._estimated.visible = self._force.visible = self._newton.visible = False
             return
-        self._measured.position = tuple(UNIT * status.values["tip_measured"])
+        self._measured.position = UNIT * status.values["tip_measured"]
         if moving:
-            self._desired.position = tuple(UNIT * status.values["tip_desired"])
+            self._desired.position = UNIT * status.values["tip_desired"]
         force = history.mean("force")
         tip = self._draw_robot(status.values["joints"], force)
         if tip is not None:
@@ -95,7 +99,7 @@ class Scene:
         self._trace.visible = len(tips) > 1
         if len(tips) > 1:
             ends = np.concatenate((np.repeat(tips[:1], TRACE_POINTS + 1 - len(tips), axis=0), tips))
-            self._trace.points = np.stack((ends[:-1], ends[1:]), axis=1)
+            self._trace.points = np.stack((ends[:-1], ends[1:]), axis=1).astype(np.float32)
 
     def _draw_robot(self, joints: Array, force: Array) -> Array | None:
         """Tubes as the loaded model has them; the tip (3,) [m], None without a solution."""
@@ -111,7 +115,7 @@ class Scene:
             mesh.vertices = tube.vertices(shape, float(start)).astype(np.float32)
             mesh.visible = True
         self._stage.move(beta)
-        self._estimated.position = tuple(UNIT * self._near.tip)
+        self._estimated.position = UNIT * self._near.tip
         self._estimated.visible = True
         return self._near.tip
 
@@ -120,8 +124,8 @@ class Scene:
         self._force.visible = self._newton.visible = size >= LEAST_FORCE
         if size >= LEAST_FORCE:
             end = tip + ARROW * force
-            self._force.points = np.array([[tip, end]])
-            self._newton.position = tuple(UNIT * (end + 0.004 * force / size))
+            self._force.points = np.array([[tip, end]], dtype=np.float32)
+            self._newton.position = UNIT * (end + 0.004 * force / size)
             self._newton.text = f"{size:.2f} N"
 
     def _draw_path(self, status: Status) -> None:
@@ -134,7 +138,7 @@ class Scene:
         if task is not None and status.phase is Phase.MOVING:
             points = path(task, status)
             if len(points) > 1:
-                self._path.points = np.stack((points[:-1], points[1:]), axis=1)
+                self._path.points = np.stack((points[:-1], points[1:]), axis=1).astype(np.float32)
                 self._path.visible = True
 
     def _show_age(self, status: Status, live: bool) -> None:
@@ -142,7 +146,9 @@ class Scene:
         if not live:
             # Half a second at a time: an age that races is not read any better.
             self._stale.text = (
-                f"STALE: last telemetry {0.5 * round(2.0 * status.age):.1f} s ago" if status.values else "no telemetry yet"
+                f"STALE: last telemetry {0.5 * round(2.0 * status.age):.1f} s ago"
+                if status.values
+                else "no telemetry yet"
             )
 
 
@@ -158,6 +164,6 @@ def _place_camera(server: viser.ViserServer) -> None:
     server.scene.set_up_direction("-x")
     camera = server.initial_camera
     camera.fov = np.deg2rad(35.0)
-    camera.look_at = tuple(UNIT * np.array((0.02, -0.01, 0.066)))
-    camera.position = tuple(UNIT * np.array((-0.14, -0.42, 0.23)))
+    camera.look_at = UNIT * np.array((0.02, -0.01, 0.066))
+    camera.position = UNIT * np.array((-0.14, -0.42, 0.23))
     camera.near, camera.far = 0.01 * UNIT, 10.0 * UNIT

@@ -1,10 +1,14 @@
 """What stands still around the robot: front plate, guide, rail, the carriages behind, and the grid."""
 
+from typing import Literal
+
 import numpy as np
 import viser
 
 from core.robot import Array, Robot
 from web import palette
+
+Place = tuple[float, float, float]
 
 METAL: palette.Colour = (206, 211, 217)
 DARK: palette.Colour = (120, 128, 138)
@@ -13,6 +17,7 @@ INK: palette.Colour = (70, 76, 84)
 #: Planes of the grid [m]: the floor lies at x, the wall stands at y; both reach from z to z.
 FLOOR_X, WALL_Y = 0.10, 0.05
 X, Y, Z = (-0.10, 0.10), (-0.15, 0.05), (-0.15, 0.25)
+NUMBERS_Z = 0.215  #: of the numbers along x and y
 FINE, COARSE = 0.01, 0.05  # viser draws lines from a plane's middle on, which must lie on a coarse one
 
 
@@ -22,7 +27,7 @@ class Stage:
     def __init__(self, scene: viser.SceneApi, robot: Robot, unit: float) -> None:
         self._unit = unit
 
-        def box(name: str, low: tuple[float, float, float], high: tuple[float, float, float], colour: palette.Colour) -> None:
+        def box(name: str, low: Place, high: Place, colour: palette.Colour) -> None:
             a, b = unit * np.array(low), unit * np.array(high)
             scene.add_box(f"/bench/{name}", color=colour, dimensions=tuple(b - a), position=tuple((a + b) / 2))
 
@@ -42,17 +47,18 @@ class Stage:
     def move(self, beta: Array) -> None:
         """Put the carriages where the tubes' proximal ends `beta` (q,) [m] are."""
         for tube, carriage in self._carriages.items():
-            carriage.position = tuple(self._unit * np.array((0.005, 0.0, beta[tube])))
+            carriage.position = self._unit * np.array((0.005, 0.0, beta[tube]))
 
 
 def draw_grid(scene: viser.SceneApi, unit: float) -> None:
     """Lines every 10 mm and 50 mm on a floor and a wall, with numbers in millimetres."""
     fine, coarse = (226, 230, 234), (176, 184, 192)
     middle = {"x": sum(X) / 2, "y": sum(Y) / 2, "z": sum(Z) / 2}
-    for name, plane, width, height, position in (
+    planes: tuple[tuple[str, Literal["yz", "xz"], float, float, Place], ...] = (
         ("floor", "yz", Y[1] - Y[0], Z[1] - Z[0], (FLOOR_X, middle["y"], middle["z"])),
         ("wall", "xz", X[1] - X[0], Z[1] - Z[0], (middle["x"], WALL_Y, middle["z"])),
-    ):
+    )
+    for name, plane, width, height, position in planes:
         scene.add_grid(
             f"/grid/{name}", width=unit * width, height=unit * height, plane=plane,
             cell_size=unit * FINE, cell_color=fine, section_size=unit * COARSE, section_color=coarse,
@@ -65,16 +71,16 @@ def draw_grid(scene: viser.SceneApi, unit: float) -> None:
             font_screen_scale=0.85,
         )  # fmt: skip
 
-    # z along the wall's upper edge, x and y between its last two lines: nothing moves there.
+    # z along the wall's upper edge, x and y where the robot seldom comes.
     for z in _ticks(Z):
         label(f"z/{z:+.2f}", f"{1e3 * z:.0f}", X[0] - 0.007, WALL_Y, z)
     for x in _ticks(X)[1:]:
-        label(f"x/{x:+.2f}", f"{1e3 * x:.0f}", x, WALL_Y, Z[1] - 0.015)
+        label(f"x/{x:+.2f}", f"{1e3 * x:.0f}", x, WALL_Y, NUMBERS_Z)
     for y in _ticks(Y)[:-1]:
-        label(f"y/{y:+.2f}", f"{1e3 * y:.0f}", FLOOR_X, y, Z[1] - 0.015)
+        label(f"y/{y:+.2f}", f"{1e3 * y:.0f}", FLOOR_X, y, NUMBERS_Z)
     label("z/title", "z [mm]", X[0] - 0.007, WALL_Y, 0.025)
-    label("x/title", "x [mm]", -0.075, WALL_Y, Z[1] - 0.015)
-    label("y/title", "y [mm]", FLOOR_X, 0.025, Z[1] - 0.015)
+    label("x/title", "x [mm]", -0.075, WALL_Y, NUMBERS_Z)
+    label("y/title", "y [mm]", FLOOR_X, 0.025, NUMBERS_Z)
 
 
 def _ticks(ends: tuple[float, float]) -> np.ndarray:

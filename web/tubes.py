@@ -54,6 +54,7 @@ class TubeMesh:
         self._rings = rings
         angles = 2.0 * np.pi * np.arange(sides) / sides
         self._circle = 0.5 * tube.outer_diameter * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+        self.count = (rings + 2) * sides + 2  #: of vertices
         self.faces = _faces(rings, sides)  #: (f, 3) into the vertices, anticlockwise from outside
 
     def vertices(self, shape: Array, beta: float) -> Array:

@@ -117,9 +117,7 @@ def test_the_fused_base_wrenches_are_the_tip_load_exactly_whatever_the_friction(
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 @pytest.mark.parametrize(("joint", "way", "component", "most"), [(2, 1e-3, 2, 0.05), (1, 0.1, 5, 0.5e-3)])
-def test_friction_pulls_at_the_two_sensors_with_opposite_signs(
-    paper_robot, plant, joint, way, component, most, sense
-):
+def test_friction_pulls_at_the_two_sensors_with_opposite_signs(paper_robot, plant, joint, way, component, most, sense):
     rubbing, smooth = plant(friction_force=0.05, friction_moment=0.5e-3), plant()
     stages, force = START.copy(), np.array([0.2, 0.0, 0.1])
     stages[joint] += sense * way
