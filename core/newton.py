@@ -20,7 +20,7 @@ TOLERANCE = 1e-9
 #: Passes before a solve gives up; a warm start takes one or two.
 MAX_PASSES = 40
 #: Last Newton step of a warm start, applied to first order [rad over the whole length].
-CLOSE = 3e-6
+CLOSE = 1e-6
 #: The same of a cold start, which is in no hurry: J and C then belong to the very tip.
 CLOSEST = 1e-8
 #: What a Newton step leaves of the end conditions over its square [1/m or N m]; measured, with reserve.
@@ -60,7 +60,8 @@ def newton(
     out = np.empty(where.total)
     out[-1] = -1.0
     alpha, beta, stands = tube_poses(layout, joints)
-    if not stands or joints.shape[0] != n:
+    length = beta[0] + layout.ends[0, layout.counts[0] - 1]
+    if not stands or joints.shape[0] != n or not (contact == np.inf or 0.0 <= contact <= length):
         return out
     scheme = Scheme(order, sublink)
     state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * width)
@@ -68,7 +69,6 @@ def newton(
     unknowns, step = np.empty(size), np.zeros(size)
     trial = out[where.compliance : where.unknowns]
     _predict(near, joints, wrench, contact, n, where, layout.stiffness[0, 0], trial, out[where.wrench : where.move])
-    length = beta[0] + layout.ends[0, layout.counts[0] - 1]
     twist = layout.stiffness[0, 1] / layout.stiffness[0, 0]  # 1 / GJ of the tube that carries the tip
     best, fraction = np.inf, 1.0
     for iterations in range(1, MAX_PASSES + 1):

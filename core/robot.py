@@ -221,6 +221,10 @@ class Robot:
         alpha, beta, _ = tube_poses(self.layout, joints)
         return alpha, beta
 
+    def stands(self, joints: Array) -> bool:
+        """Whether the tubes can stand at `joints` (n,); `check_pose` says why not."""
+        return bool(tube_poses(self.layout, joints)[2])
+
     def check_pose(self, joints: Array) -> None:
         """Refuse joint positions at which the tubes cannot stand.
 

@@ -8,6 +8,7 @@ are the derivatives of the *solved* tip. The determinant of the same matrix is t
 elastic stability, see `stability`.
 """
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -69,18 +70,18 @@ class Statics:
             if solution is not None:
                 return solution
         self._check(joints, wrench, contact)
-        starts = [at_rest(joints, place, len(self.robot.tubes))]
-        if near is not None:
-            starts.insert(0, near)
-        else:
-            solution = self._newton(joints, wrench, starts[0], place, careful=0)
+        rest = at_rest(joints, place, len(self.robot.tubes))
+        if near is None:
+            solution = self._newton(joints, wrench, rest, place, careful=0)
+            if solution is not None:
+                return solution if solution.stability > 0.0 else self._stable(solution)
+        for start in (near, rest):
+            solution = self._walk(start, joints, wrench, place) if start is not None else None
             if solution is not None:
                 return solution
-        for start in starts:
-            for increments in INCREMENTS:
-                solution = self._walk(start, joints, wrench, place, increments)
-                if solution is not None:
-                    return solution
+        solution = self._turn(joints, wrench, place)
+        if solution is not None:
+            return solution
         raise NoSolution(
             f"no shape found for {dict(zip(self.robot.joint_names, joints.tolist(), strict=True))}"
             f" under {wrench[:3].tolist()} N, {wrench[3:].tolist()} N m; is the load within reach of the tubes?"
@@ -118,15 +119,52 @@ class Statics:
         )  # fmt: skip
         return path[:passed], state
 
-    def _walk(self, start: Solution, joints: Array, wrench: Array, contact: float, increments: int) -> Solution | None:
-        """From `start` on a straight line to the pose and the load."""
-        at: Solution | None = start
+    def _stable(self, balanced: Solution) -> Solution:
+        """A stable shape at the same pose and load, found by twisting the tubes; the given one if there is none.
+
+        A cold start on tubes that snap finds the shape between two stable ones, where no robot stays.
+        """
+        q = len(self.robot.tubes)
+        for size in (2.0, 5.0, 10.0, 20.0):
+            for signs in itertools.product((1.0, -1.0), repeat=q - 1):
+                pushed = at_rest(balanced.joints, balanced.contact, q)
+                pushed.numbers[:] = balanced.numbers
+                pushed.sensitivity[:] = 0.0
+                pushed.unknowns[:q] += size * np.array((-1.0, *signs))
+                found = self._newton(balanced.joints, balanced.wrench, pushed, balanced.contact, careful=0)
+                if found is not None and found.stability > 0.0:
+                    return found
+        return balanced
+
+    def _walk(self, start: Solution, joints: Array, wrench: Array, contact: float) -> Solution | None:
+        """From `start` on a straight line to the pose and the load, in more and more steps."""
         moved, loaded = joints - start.joints, wrench - start.wrench
-        for number in range(increments - 1, -1, -1):
-            left = number / increments
-            at = self._newton(joints - left * moved, wrench - left * loaded, at, contact, careful=0)
-            if at is None:
-                break
+        for increments in INCREMENTS:
+            at: Solution | None = start
+            for number in range(increments - 1, -1, -1):
+                left = number / increments
+                at = self._newton(joints - left * moved, wrench - left * loaded, at, contact, careful=0)
+                if at is None:
+                    break
+            if at is not None:
+                return at
+        return None
+
+    def _turn(self, joints: Array, wrench: Array, contact: float) -> Solution | None:
+        """From tubes that are aligned, turned the short way round: what snaps is reached on a stable branch."""
+        aligned, short = joints.copy(), joints.copy()
+        outermost = float(self.robot.tube_poses(joints)[0][-1])
+        for j, joint in enumerate(self.robot.joints):
+            if joint.motion == "rotation":
+                aligned[j] = outermost
+                short[j] = outermost + math.remainder(joints[j] - outermost, math.tau)
+        q = len(self.robot.tubes)
+        at = self._newton(aligned, np.zeros(6), at_rest(aligned, contact, q), contact, careful=0)
+        for goal in (np.zeros(6), wrench):
+            at = self._walk(at, short, goal, contact) if at is not None else None
+        if at is None:
+            return None
+        at.joints[:] = joints  # whole turns change nothing
         return at
 
     def _newton(self, joints: Array, wrench: Array, near: Solution, contact: float, careful: int) -> Solution | None:

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from core.errors import CtrError
 from core.limits import JointLimit, Limits
-from core.robot import Joint, Robot, Section, Tube
+from core.robot import Base, Joint, Robot, Section, Tube
 from station.config import ConfigError, Name, Positive, Row, Strict, check, preset, read_toml
 
 
@@ -27,6 +27,12 @@ class TubeFile(Strict):
     """EI [N m^2]"""
     poisson_ratio: float = 0.30
     """GJ = EI / (1 + poisson_ratio)"""
+    torsional_stiffness: float | None = None
+    """GJ [N m^2] where it does not follow from EI and poisson_ratio (a patterned tube)"""
+    rotation: float = 0.0
+    """of a tube that no joint turns [rad]"""
+    translation: float = 0.0
+    """proximal end of a tube that no joint slides, behind the plate: not positive [m]"""
     outer_diameter: float
     """[m]"""
     inner_diameter: float
@@ -52,12 +58,25 @@ class JointFile(Strict):
     """resolution of the stage [rad or m]"""
 
 
+Three = Annotated[tuple[float, float, float], Row]
+
+
+class BaseFile(Strict):
+    """Where the front plate stands in the world."""
+
+    position: Three = (0.0, 0.0, 0.0)
+    """[m]"""
+    rotation_vector: Three = (0.0, 0.0, 0.0)
+    """axis times angle [rad]"""
+
+
 class RobotFile(Strict):
     """A robot and its stages."""
 
     name: str
     source: str = ""
     """where the numbers come from"""
+    base: BaseFile = BaseFile()
     tubes: Annotated[tuple[TubeFile, ...], Row]
     joints: tuple[JointFile, ...] = Field(min_length=1, strict=False)
 
@@ -81,10 +100,14 @@ class RobotFile(Strict):
                     tube.poisson_ratio,
                     tube.outer_diameter,
                     tube.inner_diameter,
+                    tube.torsional_stiffness,
+                    tube.rotation,
+                    tube.translation,
                 )
                 for tube in self.tubes
             ),
             tuple(Joint(joint.name, index[joint.tube], joint.motion) for joint in self.joints),
+            Base(self.base.position, self.base.rotation_vector),
         )
 
     def limits(self) -> Limits:

@@ -17,7 +17,6 @@ INK: palette.Colour = (70, 76, 84)
 #: Planes of the grid [m]: the floor lies at x, the wall stands at y; both reach from z to z.
 FLOOR_X, WALL_Y = 0.10, 0.05
 X, Y, Z = (-0.10, 0.10), (-0.15, 0.05), (-0.15, 0.25)
-NUMBERS_Z = 0.215  #: of the numbers along x and y
 FINE, COARSE = 0.01, 0.05  # viser draws lines from a plane's middle on, which must lie on a coarse one
 
 
@@ -71,16 +70,16 @@ def draw_grid(scene: viser.SceneApi, unit: float) -> None:
             font_screen_scale=0.85,
         )  # fmt: skip
 
-    # z along the wall's upper edge, x and y where the robot seldom comes.
+    # Along edges, where the robot seldom comes: z over the wall, x at its left, y at the floor's right.
     for z in _ticks(Z):
         label(f"z/{z:+.2f}", f"{1e3 * z:.0f}", X[0] - 0.007, WALL_Y, z)
     for x in _ticks(X)[1:]:
-        label(f"x/{x:+.2f}", f"{1e3 * x:.0f}", x, WALL_Y, NUMBERS_Z)
+        label(f"x/{x:+.2f}", f"{1e3 * x:.0f}", x, WALL_Y, Z[0] - 0.010)
     for y in _ticks(Y)[:-1]:
-        label(f"y/{y:+.2f}", f"{1e3 * y:.0f}", FLOOR_X, y, NUMBERS_Z)
+        label(f"y/{y:+.2f}", f"{1e3 * y:.0f}", FLOOR_X, y, Z[1] - 0.012)
     label("z/title", "z [mm]", X[0] - 0.007, WALL_Y, 0.025)
-    label("x/title", "x [mm]", -0.075, WALL_Y, NUMBERS_Z)
-    label("y/title", "y [mm]", FLOOR_X, 0.025, NUMBERS_Z)
+    label("x/title", "x [mm]", -0.025, WALL_Y, Z[0] - 0.014)
+    label("y/title", "y [mm]", FLOOR_X, 0.025, Z[1] - 0.012)
 
 
 def _ticks(ends: tuple[float, float]) -> np.ndarray:

@@ -14,7 +14,7 @@ from core.robot import Array
 from core.statics import PAPER_SUBLINK, Statics
 from core.step import Controller
 from station.config import ConfigError, Name, NotNegative, Strict, check, merged, preset, read_toml
-from station.lab.config import LabConfig
+from station.lab.config import LabConfig, load_lab
 from station.lab.loads import Load, NoLoad
 from station.motions import JointSweepMotion, Motion, Orders
 from station.robots import RobotFile, load_robot
@@ -128,12 +128,7 @@ def _case(path: Path, name: str, table: Mapping[str, Any]) -> Case:
     source = f"{path}: case '{name}'"
     file = check(CaseFile, table, source)
     robot = load_robot(file.robot)
-    lab_path = preset("labs", file.lab)
-    lab = check(LabConfig, read_toml(lab_path), str(lab_path))
-    try:
-        lab.plant.check_names(robot)
-    except CtrError as error:
-        raise ConfigError(f"{lab_path}: {error}") from None
+    lab = load_lab(file.lab, robot)
     try:
         start = start_pose(file.start, robot)
         controller = file.controller.controller(robot)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from station.config import ConfigError, NotNegative, Strict
+from station.config import ConfigError, NotNegative, Strict, check, preset, read_toml
 from station.robots import RobotFile
 
 
@@ -103,3 +103,18 @@ class LabConfig(Strict):
     line: LineConfig = LineConfig()
     tracker: TrackerConfig = TrackerConfig()
     sensors: BaseSensorConfig = BaseSensorConfig()
+
+
+def load_lab(name: str, robot: RobotFile) -> LabConfig:
+    """A virtual lab for a robot, by preset name or by file.
+
+    Raises:
+        ConfigError: with file, key, value and what was expected.
+    """
+    path = preset("labs", name)
+    lab = check(LabConfig, read_toml(path), str(path))
+    try:
+        lab.plant.check_names(robot)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return lab

@@ -202,8 +202,8 @@ class TestSolve:
             near, cold = model.solve(joints, wrench, near), model.solve(joints, wrench)
             np.testing.assert_allclose(near.tip, cold.tip, rtol=0, atol=1e-9)
             # a warm start spares the pass that would move J and C the last step, too
-            assert largest_error(near.jacobian, cold.jacobian) < 1e-5
-            assert largest_error(near.compliance, cold.compliance) < 1e-5
+            assert largest_error(near.jacobian, cold.jacobian) < 3e-5
+            assert largest_error(near.compliance, cold.compliance) < 3e-5
             assert near.iterations <= cold.iterations or tick == 0
 
     def test_a_start_from_far_away_still_solves(self, paper_robot, poses):

@@ -1,4 +1,4 @@
-"""What the tests of the station share: the paper's robot as a file, short experiments of one's own, the command line."""
+"""What the tests of the station share: the paper's robot, short experiments, the command line."""
 
 import os
 import subprocess

@@ -237,7 +237,7 @@ def test_solve_takes_another_model_or_another_robot(call, write, robot_text, mon
 
     # another sub-link or formulation: within a tenth of a millimetre; a tube twice as stiff: millimetres
     distance = np.linalg.norm(tip(*options) - tip())
-    assert 0.0 < distance
+    assert distance > 0.0
     assert (distance < 1e-4) == ("--robot" not in options)
 
 

@@ -1,4 +1,4 @@
-"""The control loop on the virtual lab: bring-up, preparation, a run to its end, stops, and samples that are no numbers."""
+"""The control loop on the virtual lab: bring-up, preparation, a run to its end, stops, and samples that are NaN."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -267,7 +267,7 @@ def test_a_stop_in_mid_motion_brings_every_axis_to_rest_and_stays(case):
 
 
 def test_a_run_goes_to_its_start_pose_first_inside_the_limits(case):
-    away = case.start + [math.radians(5.0), math.radians(-3.0), 0.004]
+    away = case.start + np.array([math.radians(5.0), math.radians(-3.0), 0.004])
     bench = Bench(case, start=away)
     bench.ready()
     first = len(bench.rows)

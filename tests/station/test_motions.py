@@ -135,4 +135,4 @@ def test_a_sweep_faster_than_the_stage_or_past_its_end_is_refused(paper, joint, 
 def test_a_whole_turn_up_to_the_end_of_the_travel_is_allowed(paper):
     sweep = JointSweepMotion(joint="outer_rotation", speed=math.radians(3.0), distance=2.0 * math.pi)
 
-    sweep.check(np.zeros(3) + [0.0, 0.0, -0.1], paper.limits())
+    sweep.check(np.array([0.0, 0.0, -0.1]), paper.limits())

@@ -129,7 +129,7 @@ def test_a_speed_is_rounded_to_the_nearest_unit_either_way(stages, units, sent):
 
 
 def test_positions_are_read_in_microsteps(stages):
-    line = stages(START + [1e-6, 2e-6, 0.2e-6], quantised=True)
+    line = stages(START + np.array([1e-6, 2e-6, 0.2e-6]), quantised=True)
     steps = line.poll(0.0).positions / [math.radians(0.000234375)] * [1.0, 1.0, 0.0]
 
     assert steps == pytest.approx(np.round(steps), abs=1e-6)

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from core.cosserat import ExactRod
+from core.robot import Joint, Robot, Section, Tube
 from core.wrench import fuse
 from station.lab.config import PlantConfig
 from station.lab.plant import Plant, PlantState, true_robot
@@ -27,6 +28,11 @@ def plant(paper_robot):
         return Plant(paper_robot, NOMINAL.model_copy(update=changes), rng(), START)
 
     return make
+
+
+def moved(*by: float) -> np.ndarray:
+    """The start pose with every joint moved on."""
+    return START + np.array(by)
 
 
 def walk(seed: int, steps: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -130,11 +136,35 @@ def test_friction_pulls_at_the_two_sensors_with_opposite_signs(paper_robot, plan
     assert felt[0] - felt[1] == pytest.approx(np.array([inner, -inner]), abs=1e-12)
 
 
+def test_of_three_tubes_only_neighbours_rub():
+    tubes = (
+        Tube("a", (Section(0.20), Section(0.10, (6.0, 0.0))), 0.02, 0.30, 1.0e-3, 0.5e-3),
+        Tube("b", (Section(0.10), Section(0.10, (3.0, 2.0))), 0.04, 0.35, 1.8e-3, 1.2e-3),
+        Tube("c", (Section(0.03), Section(0.08, (2.0, 0.0))), 0.09, 0.25, 2.6e-3, 2.0e-3),
+    )
+    robot = Robot("three", tubes, (Joint("slide", 0, "translation"), Joint("turn", 1, "rotation")))
+    rough = NOMINAL.model_copy(update={"friction_force": 0.05, "friction_moment": 0.5e-3})
+    start = np.array([-0.05, 0.3])
+
+    def friction(slide: float, turn: float) -> np.ndarray:
+        felt = []
+        for config in (rough, NOMINAL):
+            stages = start + np.array([slide, turn])
+            state = Plant(robot, config, rng(), start).advance(stages, np.array([0.1, 0.0, 0.0]))
+            felt.append(to_world(state, *robot.tube_poses(stages)))
+        return felt[0] - felt[1]
+
+    # The innermost slides forward: its neighbour is carried along, the outermost feels nothing.
+    assert friction(0.001, 0.0)[:, 2] == pytest.approx([-0.05, 0.05, 0.0], abs=1e-12)
+    # The middle one turns between two that hold it.
+    assert friction(0.0, 0.1)[:, 5] == pytest.approx([0.5e-3, -1.0e-3, 0.5e-3], abs=1e-12)
+
+
 def test_tubes_that_move_together_do_not_rub(paper_robot, plant):
     rubbing, smooth = plant(friction_force=0.05, friction_moment=0.5e-3), plant()
 
     for angle in np.linspace(0.0, 0.5, 20):
-        stages = START + [angle, angle, 0.0]
+        stages = moved(angle, angle, 0.0)
         states = [one.advance(stages, np.array([0.1, 0.0, 0.0])) for one in (rubbing, smooth)]
         assert states[0].wrenches == pytest.approx(states[1].wrenches, abs=1e-14)
 
@@ -147,18 +177,18 @@ def test_friction_comes_on_gradually_over_the_stick_zone(plant):
         return float(rubbing.advance(stages, force).wrenches[0, 2] - smooth.advance(stages, force).wrenches[0, 2])
 
     # 0.05 N after 20 um; half of it after 10 um, and it takes 40 um to turn round
-    assert axial(START + [0.0, 0.0, 10e-6]) == pytest.approx(-0.025)
-    assert axial(START + [0.0, 0.0, 500e-6]) == pytest.approx(-0.050)
-    assert axial(START + [0.0, 0.0, 490e-6]) == pytest.approx(-0.025)
-    assert axial(START + [0.0, 0.0, 480e-6]) == pytest.approx(0.0, abs=1e-12)
-    assert axial(START + [0.0, 0.0, 460e-6]) == pytest.approx(0.050)
+    assert axial(moved(0.0, 0.0, 10e-6)) == pytest.approx(-0.025)
+    assert axial(moved(0.0, 0.0, 500e-6)) == pytest.approx(-0.050)
+    assert axial(moved(0.0, 0.0, 490e-6)) == pytest.approx(-0.025)
+    assert axial(moved(0.0, 0.0, 480e-6)) == pytest.approx(0.0, abs=1e-12)
+    assert axial(moved(0.0, 0.0, 460e-6)) == pytest.approx(0.050)
 
 
 def test_the_inner_tube_stands_still_for_the_play_after_a_reversal(plant):
     loose, tight = plant(play={"inner_rotation": math.radians(0.1)}), plant()
 
     def tip(one: Plant, degrees: float) -> np.ndarray:
-        return one.advance(START + [0.0, math.radians(degrees), 0.0], np.array([0.2, 0.0, 0.0])).truth.tip
+        return one.advance(moved(0.0, math.radians(degrees), 0.0), np.array([0.2, 0.0, 0.0])).truth.tip
 
     tip(loose, 1.0)
     ahead = tip(loose, 2.0)
