@@ -129,10 +129,11 @@ class ControlLoop:
         joints = stages.poll(now)
         frame = self._devices.tracker.poll(now)
         wrenches = self._devices.sensors.poll(now)
-        if self._tare is None:
+        if self._tare is None and np.isfinite(wrenches.wrenches).all():
             self._tare = wrenches.wrenches
+        tare = wrenches.wrenches if self._tare is None else self._tare
         order = self._order(now, joints, wrenches.wrenches, frame)
-        sample = Sample(joints.positions, wrenches.wrenches - self._tare, None if frame is None else frame.position)
+        sample = Sample(joints.positions, wrenches.wrenches - tare, None if frame is None else frame.position)
         try:
             if self._memory is None:
                 if frame is None:

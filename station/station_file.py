@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, PrivateAttr
 
 from core.errors import CtrError
-from station.config import ConfigError, Strict, check, preset, read_toml
+from station.config import ConfigError, Strict, check, read_toml
 from station.control_process import Bench
 from station.experiments.experiment import ControllerFile, start_pose
-from station.lab.config import LabConfig
+from station.lab.config import load_lab
 from station.robots import load_robot
 
 
@@ -18,7 +21,7 @@ class StationFile(Strict):
     """preset or file"""
     lab: str = "default"
     """virtual lab: preset or file"""
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """of everything random in the virtual lab"""
     park: Mapping[str, float] = {"outer_rotation": 0.0, "inner_rotation": 1.5707963267948966, "inner_translation": -0.1}
     """joints at power-up [rad or m]"""
@@ -26,6 +29,7 @@ class StationFile(Strict):
     """the loop's controller until a run brings its own"""
     fifo: bool = True
     """ask for real-time scheduling"""
+    _source: str = PrivateAttr("the default station")
 
     def bench(self) -> Bench:
         """What the control process needs, all of it checked.
@@ -34,15 +38,14 @@ class StationFile(Strict):
             ConfigError: with file, key, value and what was expected.
         """
         robot = load_robot(self.robot)
-        lab_path = preset("labs", self.lab)
-        lab = check(LabConfig, read_toml(lab_path), str(lab_path))
-        park = start_pose(self.park, robot)
+        lab = load_lab(self.lab, robot)
         try:
+            park = start_pose(self.park, robot)
             robot.limits().check(park)
             robot.robot().check_pose(park)
             self.controller.controller(robot)
         except CtrError as error:
-            raise ConfigError(f"station configuration: {error}") from None
+            raise ConfigError(f"{self._source}: {error}") from None
         return Bench(robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo)
 
 
@@ -52,4 +55,8 @@ def load_station(path: Path | None) -> StationFile:
     Raises:
         ConfigError: with file, key, value and what was expected.
     """
-    return StationFile() if path is None else check(StationFile, read_toml(path), str(path))
+    if path is None:
+        return StationFile()
+    file = check(StationFile, read_toml(path), str(path))
+    file._source = str(path)
+    return file
