@@ -82,7 +82,7 @@ def newton(
                 trial[i] = unknowns[i] - fraction * step[i]
             continue
         best, fraction = residual, 1.0
-        determinant = eliminate(table, size)
+        determinant = eliminate(table, tubes, columns)
         if determinant == 0.0:
             return out
         way = 0.0
@@ -262,12 +262,12 @@ def _finish(base: Array, state: Array, table: Array, q: int, n: int, out: Array)
 
 
 @compiled
-def eliminate(table: Array, size: int) -> float:
-    """Gauss-Jordan with row pivoting in the first `size` rows and columns; the rows below take part.
+def eliminate(table: Array, tubes: tuple[float, ...], columns: tuple[float, ...]) -> float:
+    """Gauss-Jordan with row pivoting in the first q + 3 rows and columns; the rows below take part.
 
     [A B; C D] becomes [1 A^-1 B; 0 D - C A^-1 B]. Answers the determinant of A; 0 when singular.
     """
-    rows, count = table.shape
+    size, rows, count = len(tubes) + 3, len(tubes) + 9, len(columns) + 8
     determinant = 1.0
     for k in range(size):
         pivot = k

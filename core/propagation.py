@@ -154,6 +154,27 @@ def propagate(
 
 
 @compiled
+def repeat(
+    layout: Layout,
+    scheme: Scheme,
+    alpha: Array,
+    beta: Array,
+    force: Array,
+    contact: float,
+    unknowns: Array,
+    tubes: tuple[float, ...],
+    columns: tuple[float, ...],
+    times: int,
+) -> None:
+    """Pass along the tubes many times, for a stopwatch."""
+    q = len(tubes)
+    state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * len(columns))
+    path = np.empty((0, 0))
+    for _ in range(times):
+        propagate(layout, scheme, alpha, beta, force, contact, unknowns, tubes, columns, state, rates, path)
+
+
+@compiled
 def _leave_force(load: Array, state: Array, rates: Array, fixed: int, width: int) -> None:
     """Beyond its contact the force is gone; what it left of the moment goes on."""
     for k in range(3):

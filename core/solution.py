@@ -12,8 +12,10 @@ from core.robot import Array
 
 
 class Places(NamedTuple):
-    """Where a part of the numbers ends; each begins where the one before ends."""
+    """Where a part of the numbers ends, for q tubes and n joints; each begins where the one before ends."""
 
+    q: int
+    n: int
     tip: int
     rotation: int
     jacobian: int
@@ -32,24 +34,24 @@ def places(q: int, n: int) -> Places:
     """For q tubes and n joints."""
     size = q + 3
     jacobian = 12 + 6 * n
-    unknowns = jacobian + 36 + size
+    compliance = jacobian + 36
+    unknowns = compliance + size
     sensitivity = unknowns + size * (n + 6)
     joints = sensitivity + n
-    move = joints + 6 + n + 6
+    wrench = joints + 6
+    move = wrench + n + 6
     curve = move + 2 * size
-    return Places(3, 12, jacobian, jacobian + 36, unknowns, sensitivity, joints, joints + 6, move, curve, curve + 4)
+    return Places(q, n, 3, 12, jacobian, compliance, unknowns, sensitivity, joints, wrench, move, curve, curve + 4)
 
 
 class Solution:
     """The loaded robot at one pose. World frame; rows of J and C: position, then rotation."""
 
-    __slots__ = ("_places", "joint_count", "numbers", "tubes")
+    __slots__ = ("numbers", "places")
 
-    def __init__(self, numbers: Array, tubes: int, joint_count: int) -> None:
+    def __init__(self, numbers: Array, places: Places) -> None:
         self.numbers = numbers
-        self.tubes = tubes
-        self.joint_count = joint_count
-        self._places = _table(tubes, joint_count)
+        self.places = places
 
     @property
     def tip(self) -> Array:
@@ -64,32 +66,32 @@ class Solution:
     @property
     def jacobian(self) -> Array:
         """(6, n) by the joints [m or rad per rad or m]."""
-        return self.numbers[12 : self._places.jacobian].reshape(6, self.joint_count)
+        return self.numbers[12 : self.places.jacobian].reshape(6, self.places.n)
 
     @property
     def compliance(self) -> Array:
         """(6, 6) by force and tip moment [m or rad per N or N m]."""
-        return self.numbers[self._places.jacobian : self._places.compliance].reshape(6, 6)
+        return self.numbers[self.places.jacobian : self.places.compliance].reshape(6, 6)
 
     @property
     def unknowns(self) -> Array:
         """(q + 3,) u_iz(0) [1/m] and M(0) about the plate [N m]."""
-        return self.numbers[self._places.compliance : self._places.unknowns]
+        return self.numbers[self.places.compliance : self.places.unknowns]
 
     @property
     def sensitivity(self) -> Array:
         """(q + 3, n + 6) of the unknowns by joints, force and moment."""
-        return self.numbers[self._places.unknowns : self._places.sensitivity].reshape(-1, self.joint_count + 6)
+        return self.numbers[self.places.unknowns : self.places.sensitivity].reshape(-1, self.places.n + 6)
 
     @property
     def joints(self) -> Array:
         """(n,) the pose solved for."""
-        return self.numbers[self._places.sensitivity : self._places.joints]
+        return self.numbers[self.places.sensitivity : self.places.joints]
 
     @property
     def wrench(self) -> Array:
         """(6,) the load solved for [N, N m]."""
-        return self.numbers[self._places.joints : self._places.wrench]
+        return self.numbers[self.places.joints : self.places.wrench]
 
     @property
     def contact(self) -> float:
@@ -120,21 +122,10 @@ class Solution:
         return np.asarray(np.linalg.svd(self.jacobian[:3], compute_uv=False), dtype=np.float64)
 
 
-_TABLES: dict[tuple[int, int], Places] = {}
-
-
-def _table(q: int, n: int) -> Places:
-    found = _TABLES.get((q, n))
-    if found is None:
-        found = _TABLES[q, n] = places(q, n)
-    return found
-
-
 def at_rest(joints: Array, contact: float, q: int) -> Solution:
     """Where a cold start begins: no twist, no moment, no load."""
-    n = joints.shape[0]
-    where = _table(q, n)
+    where = places(q, joints.shape[0])
     numbers = np.zeros(where.total)
     numbers[where.sensitivity : where.joints] = joints
     numbers[-4] = contact
-    return Solution(numbers, q, n)
+    return Solution(numbers, where)

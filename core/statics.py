@@ -18,7 +18,7 @@ import numpy as np
 
 from core.errors import DescriptionError, NoSolution, NotFinite
 from core.newton import TOLERANCE, newton
-from core.propagation import INTEGRATORS, Scheme, propagate
+from core.propagation import INTEGRATORS, Scheme, propagate, repeat
 from core.robot import Array, Robot, positive
 from core.solution import Solution, at_rest
 
@@ -65,10 +65,10 @@ class Statics:
 
         """
         place = math.inf if contact is None else contact
-        if near is not None and joints.shape == (near.joint_count,) and wrench.shape == (6,):
-            solution = self._newton(joints, wrench, near, place, careful=1)
-            if solution is not None:
-                return solution
+        if near is not None and joints.shape == (near.places.n,) and wrench.shape == (6,):
+            numbers = newton(*self._fixed, joints, wrench, near.numbers, place, 1, *self._widths)
+            if numbers[-1] > 0.0:
+                return Solution(numbers, near.places)
         self._check(joints, wrench, contact)
         rest = at_rest(joints, place, len(self.robot.tubes))
         if near is None:
@@ -105,6 +105,15 @@ class Statics:
         torsion = state[12 + q : 12 + 2 * q].copy()
         torsion[0] -= twist * (state[2:9:3] @ solution.wrench[3:])
         return float(max(np.abs(torsion).max(), np.abs(state[15 + 2 * q :] - solution.wrench[3:]).max()))
+
+    def repeat_pass(self, solution: Solution, times: int, with_derivatives: bool) -> None:
+        """Pass along the tubes `times` times: what the arithmetic alone costs."""
+        alpha, beta = self.robot.tube_poses(solution.joints)
+        tubes, columns = self._widths
+        repeat(
+            self.robot.layout, self._scheme, alpha, beta, solution.wrench[:3].copy(), solution.contact,
+            solution.unknowns, tubes, columns if with_derivatives else (), times,
+        )  # fmt: skip
 
     def _pass(self, solution: Solution) -> tuple[Array, Array]:
         """Sections (m, 16 + 2q), from the plate, and the state at the tip."""
@@ -168,12 +177,8 @@ class Statics:
         return at
 
     def _newton(self, joints: Array, wrench: Array, near: Solution, contact: float, careful: int) -> Solution | None:
-        tubes, columns = self._widths
-        numbers = newton(
-            self.robot.packed, *self._scheme, joints, wrench, near.numbers, contact, careful,
-            tubes, columns,
-        )  # fmt: skip
-        return Solution(numbers, near.tubes, joints.shape[0]) if numbers[-1] >= 0.0 else None
+        numbers = newton(*self._fixed, joints, wrench, near.numbers, contact, careful, *self._widths)
+        return Solution(numbers, near.places) if numbers[-1] > 0.0 else None
 
     def _check(self, joints: Array, wrench: Array, contact: float | None) -> None:
         self.robot.check_pose(joints)
@@ -181,9 +186,19 @@ class Statics:
             raise NotFinite(f"tip wrench {wrench.tolist()} [N, N m] must be six finite numbers")
         self.robot.check_contact(joints, contact)
 
+    @property
+    def step(self) -> float:
+        """Length of a sub-link [m]."""
+        return self._scheme.sublink
+
     @cached_property
     def _scheme(self) -> Scheme:
         return Scheme(INTEGRATORS[self.integrator], self.sublink or SUBLINKS[self.integrator])
+
+    @cached_property
+    def _fixed(self) -> tuple[Array, int, float]:
+        """What every solve is told."""
+        return self.robot.packed, self._scheme.order, self._scheme.sublink
 
     @cached_property
     def _widths(self) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -51,7 +51,7 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     solve.set_defaults(command=_solve)
 
     bench = commands.add_parser("bench", help="measure this machine")
-    bench.add_argument("what", choices=("model", "loop", "headless"))
+    bench.add_argument("what", choices=("model", "accuracy", "cost", "loop", "headless"))
     bench.add_argument("--seconds", type=_seconds, default=60.0, metavar="S", help="of 'loop' (60)")
     bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
@@ -159,8 +159,16 @@ def _bench(parsed: argparse.Namespace) -> int:
         with _bar() as bar:
             task = bar.add_task("bench loop", total=1.0)
             result = loop(parsed.seconds, lambda done: bar.update(task, completed=done), fifo=not parsed.no_fifo)
+    elif parsed.what == "accuracy":
+        from station.bench_accuracy import accuracy
+
+        with _bar() as bar:
+            task = bar.add_task("bench accuracy", total=1.0)
+            result = accuracy(lambda done: bar.update(task, completed=done))
     else:
-        result = {"model": bench.model, "headless": bench.headless}[parsed.what]()
+        from station.bench_accuracy import cost
+
+        result = {"model": bench.model, "cost": cost, "headless": bench.headless}[parsed.what]()
     if parsed.json:
         print(json.dumps(result))  # noqa: T201
     else:

@@ -13,8 +13,6 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from core.errors import CtrError
 from core.robot import Array
 from core.statics import Statics
@@ -132,18 +130,6 @@ class Supervisor:
         self._start_process()
         self.wait_ready(60.0, since)
 
-    def shape(self) -> Array | None:
-        """Cross-sections of the robot as the model sees it now; rows as `Statics.shape`."""
-        row = self.ring.latest()
-        if row is None:
-            return None
-        wrench = np.concatenate((self.channels.of(row, "force"), np.zeros(3)))
-        try:
-            self._near = self.statics.solve(self.channels.of(row, "joints"), wrench, self._near)
-        except CtrError:
-            return None
-        return self.statics.shape(self._near)
-
     def close(self) -> None:
         """End the control process, its axes stopped, and remove the shared memory."""
         self._closing = True
@@ -161,7 +147,6 @@ class Supervisor:
         return f"{self._session}-{self._run}" if self._run else ""
 
     def _start_process(self) -> None:
-        self._near: Any = None
         self._pipe, child = self._context.Pipe()
         self._process = self._context.Process(
             target=run_control, args=(self.bench, self.ring.name, child, os.getpid()), name="control", daemon=True

@@ -1,7 +1,7 @@
 """What every test shares: the paper's robot, and the rule that a test leaves nothing running behind.
 
 A thread, a child process or a listening port that outlives its test fails that test. What was there
-before it (a server that a whole module shares, say) is not the test's.
+before it (a server or a browser that a whole module shares, say) is not the test's, nor what that starts.
 """
 
 import socket
@@ -39,25 +39,29 @@ def grace() -> float:
 @pytest.fixture(autouse=True)
 def nothing_is_left_behind(grace: float) -> Iterator[None]:
     """Fail a test that leaves a thread, a child process or a listening port."""
-    before = running()
+    shared = {child.pid for child in psutil.Process().children()}
+    before = running(shared)
     yield
-    left = running() - before
+    left = running(shared) - before
     give_up = time.monotonic() + grace
     while left and time.monotonic() < give_up:
         time.sleep(0.02)
-        left = running() - before
+        left = running(shared) - before
     if left:
         pytest.fail("left behind: " + ", ".join(sorted(f"{kind} {name}" for kind, _, name in left)), pytrace=False)
 
 
-def running() -> set[tuple[str, int, str]]:
-    """Threads, child processes and ports open to others, each as kind, identity and name."""
+def running(shared: set[int]) -> set[tuple[str, int, str]]:
+    """Threads, child processes and ports open to others, each as kind, identity and name.
+
+    Children in `shared` are left out with all that they have started.
+    """
     found = {("thread", thread.ident or 0, thread.name) for thread in threading.enumerate()}
     # The interpreter's own tracker of shared memory stays until the interpreter ends.
     tracker = getattr(resource_tracker._resource_tracker, "_pid", None)
     myself = psutil.Process()
-    children = [child for child in myself.children(recursive=True) if child.pid != tracker]
-    for process in (myself, *children):
+    mine = [child for child in myself.children() if child.pid not in shared and child.pid != tracker]
+    for process in (myself, *mine, *(grandchild for child in mine for grandchild in descendants(child))):
         try:
             if process != myself:
                 found.add(("process", process.pid, f"{process.pid} ({process.name()})"))
@@ -69,3 +73,11 @@ def running() -> set[tuple[str, int, str]]:
         except psutil.NoSuchProcess:
             continue  # ended while it was looked at
     return found
+
+
+def descendants(process: psutil.Process) -> list[psutil.Process]:
+    """Children of children; none when the process has just ended."""
+    try:
+        return process.children(recursive=True)
+    except psutil.NoSuchProcess:
+        return []

@@ -64,7 +64,7 @@ class Panel:
             self._build_motion()
         with tabs.add_tab("Health"):
             self._health = gui.add_html("")
-        self._plots = Plots(gui)
+        self._plots = Plots(server)
         add_legend(gui, desk.supervisor.robot)
         self.stop.on_click(self._guarded("STOP", desk.supervisor.stop))
         self.reset.on_click(self._guarded("Reset", desk.supervisor.reset))

@@ -1,7 +1,5 @@
 """What an operator sees and presses."""
 
-import time
-
 import imageio.v3 as iio
 import numpy as np
 from playwright.sync_api import FrameLocator, Page
@@ -94,38 +92,3 @@ def test_start_and_stop_in_the_panel(page: Page, station: Served) -> None:
     scene(page).get_by_role("button", name="STOP").click()
     station.wait_for(lambda s: s["state"] == "STOPPED", 2.0)
     page.locator("#state", has_text="STOPPED").wait_for(timeout=2000)
-
-
-def test_a_dead_control_process_shows_as_fault_at_once_and_a_reset_revives_it(page: Page, station: Served) -> None:
-    control = station.control_process()
-    page.evaluate(
-        """() => {
-          window.faultSeen = null;
-          const state = document.getElementById('state');
-          const look = () => { if (state.textContent === 'FAULT') window.faultSeen ??= Date.now(); };
-          new MutationObserver(look).observe(state, {childList: true, characterData: true, subtree: true});
-        }"""
-    )
-    killed = 1e3 * time.time()
-    control.kill()
-    page.locator("#state", has_text="FAULT").wait_for(timeout=3000)
-    assert page.evaluate("() => window.faultSeen") - killed < 500
-    assert "signal 9" in page.locator("#cause").inner_text()
-    page.locator("#reset").click()
-    page.locator("#state", has_text="READY").wait_for(timeout=15_000)
-    assert station.post("/api/start", CIRCLE).status_code == 202
-    page.locator("#state", has_text="RUNNING").wait_for(timeout=2000)
-
-
-def test_a_station_that_is_gone_shows_as_such(browser: object) -> None:
-    from tests.serving import serving
-
-    with serving() as other:
-        page = browser.new_page()
-        page.goto(other.url)
-        page.locator("#state", has_text="READY").wait_for(timeout=10_000)
-        other.end()
-        page.locator("#state", has_text="NO ANSWER").wait_for(timeout=3000)
-        assert "emergency stop" in page.locator("#cause").inner_text()
-        assert "stale" in page.locator("body").get_attribute("class")
-        page.close()

@@ -39,6 +39,19 @@ class TestExactTips:
         assert np.mean(errors) < mean
         assert max(errors) < worst
 
+    @given(
+        turns=st.tuples(st.floats(-7.0, 7.0), st.floats(-7.0, 7.0)),
+        translation=st.floats(-0.1379, 0.0),
+        force=st.tuples(*3 * [st.floats(-0.34, 0.34)]),
+    )
+    @settings(max_examples=100, deadline=None)
+    def test_a_cold_start_anywhere_is_within_the_papers_accuracy(self, paper_robot, turns, translation, force):
+        """Keeps hunting: not derandomised on purpose; up to 0.6 N."""
+        joints, wrench = np.array([*turns, translation]), np.array([*force, 0.0, 0.0, 0.0])
+        solution = Statics(paper_robot).solve(joints, wrench)
+        assert np.linalg.norm(solution.tip - ExactRod(paper_robot).solve(joints, wrench).tip) < 0.15e-3
+        assert solution.stability > 0.0
+
     def test_a_cold_start_is_right_or_refused_but_never_wrong(self, paper_robot, poses):
         model, exact = Statics(paper_robot, 0.005), ExactRod(paper_robot)
         solved = 0
@@ -205,6 +218,42 @@ class TestSolve:
             assert largest_error(near.jacobian, cold.jacobian) < 3e-5
             assert largest_error(near.compliance, cold.compliance) < 3e-5
             assert near.iterations <= cold.iterations or tick == 0
+
+    @pytest.mark.parametrize("integrator", ["paper", "fourth_order"])
+    def test_a_steady_motion_costs_one_pass_a_tick_and_keeps_the_tolerance(self, paper_robot, integrator):
+        """No pass is spent on seeing that the end conditions hold: evaluated anew they do."""
+        model = Statics(paper_robot, integrator=integrator)
+        move, wrench = np.array([0.010, -0.010, 3e-4]), np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
+        at, near, passes = np.array([-0.3, 1.8, -0.112]), None, []
+        for tick in range(60):
+            near = model.solve(at + tick * move, wrench, near)
+            passes.append(near.iterations)
+            assert model.residual(near) <= min(TOLERANCE, near.residual + 1e-12)
+            again = model.solve(at + tick * move, wrench, near)
+            assert np.linalg.norm(again.tip - near.tip) < 1e-12
+        assert passes[3:].count(1) > 50
+
+    def test_the_residual_it_states_bounds_the_one_that_is_left(self, paper_robot, poses):
+        model = Statics(paper_robot)
+        for scale in (1e-5, 1e-4, 1e-3, 1e-2):
+            for joints, wrench in poses(seed=20, count=20, force=0.5, moment=0.02):
+                near = model.solve(joints, wrench)
+                moved = model.solve(joints + scale * np.array([1.0, -1.0, -0.01]), (1.0 - scale) * wrench, near)
+                assert model.residual(moved) <= moved.residual + 1e-13
+                assert moved.residual <= TOLERANCE
+
+    def test_singular_values_are_those_of_the_position_rows(self, paper_robot):
+        solution = Statics(paper_robot).solve(np.array([0.0, 1.0, -0.1]), UNLOADED)
+        expected = np.linalg.svd(solution.jacobian[:3])[1]
+        np.testing.assert_allclose(solution.singular_values, expected)
+
+    @pytest.mark.parametrize("force", [3.0, 8.0])
+    def test_a_load_that_turns_the_tip_back_is_solved(self, paper_robot, force):
+        joints, wrench = np.array([0.3, 1.0, -0.05]), np.array([force, 0.0, 0.0, 0.0, 0.0, 0.0])
+        wrench[2] = -force
+        found = Statics(paper_robot, integrator="fourth_order", sublink=0.005).solve(joints, wrench)
+        assert found.rotation[2, 2] < 0.0
+        assert Statics(paper_robot, 0.005, "fourth_order").residual(found) < 1e-9
 
     def test_a_start_from_far_away_still_solves(self, paper_robot, poses):
         model = Statics(paper_robot, FINE)
