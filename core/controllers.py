@@ -5,8 +5,14 @@ inner loop that turns it into what the joints must solve.
 |---|---|---|
 | `unloaded_jacobian` (a) | velocity of the trajectory | J(q, 0) |
 | `loaded_jacobian` (b) | velocity of the trajectory | J(q, w) |
-| `inner_loop` (c) | velocity of the trajectory | Type I, eq. (24) |
-| `dual_layer` (d) | eq. (30) on the tracker | Type I, eq. (24) |
+| `inner_loop` (c) | velocity of the trajectory | one of the three below |
+| `dual_layer` (d) | eq. (30) on the measured tip | one of the three below |
+
+| inner loop | equation |
+|---|---|
+| `type_1` | J(q, 0) q' = U - d(Delta_total)/dt, eq. (24); Delta_2 holds q' itself: a delayed fixed point |
+| `type_1_exact` | J(q, w) q' = U - C w', the same without the fixed point |
+| `type_2` | J(q, w) q' = U - (X' - J(q, w) q'), eq. (29), X' being the tip's velocity as observed |
 """
 
 import math
@@ -25,7 +31,9 @@ class View(NamedTuple):
 
     loaded: Solution  #: F(q, w) and its derivatives
     unloaded: Solution  #: F(q, 0) and its derivatives
-    deflection_rate: Array  #: (3,) estimated rate of Delta_total [m/s]
+    deflection_rate: Array  #: (3,) rate of Delta_total, by filter or by C and J [m/s]
+    load_rate: Array  #: (3,) C(q, w) w', the tip's velocity by the load alone [m/s]
+    drift: Array  #: (3,) tip velocity beyond J q' + C w', as the tracker shows it: X' - J q' - C w' [m/s]
 
 
 class Wanted(NamedTuple):
@@ -97,6 +105,20 @@ def type_1(u_int: Array, view: View) -> Wanted:
     return Wanted(view.unloaded.jacobian[:3], u_int - view.deflection_rate)
 
 
+def type_1_exact(u_int: Array, view: View) -> Wanted:
+    """J(q, w) q' = U_int - C w': eq. (21) solved for q', equal to (24) with an exact Delta_total."""
+    return Wanted(view.loaded.jacobian[:3], u_int - view.load_rate)
+
+
+def type_2(u_int: Array, view: View) -> Wanted:
+    """Eq. (29), J(q, w) q' = U_int - (X' - J(q, w) q'): whatever moves the tip besides the joints."""
+    return Wanted(view.loaded.jacobian[:3], u_int - (view.load_rate + view.drift))
+
+
+#: Inner loops of strategies (c) and (d) by name.
+INNER_LOOPS: dict[str, InnerLoop] = {"type_1": type_1, "type_1_exact": type_1_exact, "type_2": type_2}
+
+
 @dataclass(frozen=True)
 class Strategy:
     """An outer loop on an inner loop."""
@@ -105,26 +127,23 @@ class Strategy:
     inner: InnerLoop
 
 
-def _velocity_mode(inner: InnerLoop) -> Callable[[PositionMode], Strategy]:
-    return lambda _gains: Strategy(VelocityMode(), inner)
-
-
-#: Strategies by name; each takes the gains of the outer loop and uses them if it has one.
-STRATEGIES: dict[str, Callable[[PositionMode], Strategy]] = {
-    "unloaded_jacobian": _velocity_mode(unloaded),
-    "loaded_jacobian": _velocity_mode(loaded),
-    "inner_loop": _velocity_mode(type_1),
-    "dual_layer": lambda gains: Strategy(gains, type_1),
+#: Strategies by name; each takes the gains of the outer loop and the inner loop and uses what it has.
+STRATEGIES: dict[str, Callable[[PositionMode, InnerLoop], Strategy]] = {
+    "unloaded_jacobian": lambda _gains, _inner: Strategy(VelocityMode(), unloaded),
+    "loaded_jacobian": lambda _gains, _inner: Strategy(VelocityMode(), loaded),
+    "inner_loop": lambda _gains, inner: Strategy(VelocityMode(), inner),
+    "dual_layer": Strategy,
 }
 
 
-def strategy(name: str, k1: float = 2.5, k2: float = 2.5, feedforward: bool = False) -> Strategy:
+def strategy(name: str, k1: float = 2.5, k2: float = 2.5, feedforward: bool = False, inner: str = "type_1") -> Strategy:
     """The strategy of that name.
 
     Raises:
-        DescriptionError: unknown name, or gains outside 0 ... 50 1/s.
+        DescriptionError: unknown strategy or inner loop, or gains outside 0 ... 50 1/s.
 
     """
-    if name not in STRATEGIES:
-        raise DescriptionError(f"strategy '{name}' is unknown; choose one of {', '.join(STRATEGIES)}")
-    return STRATEGIES[name](PositionMode(k1, k2, feedforward))
+    for what, given, known in (("strategy", name, STRATEGIES), ("inner loop", inner, INNER_LOOPS)):
+        if given not in known:
+            raise DescriptionError(f"{what} '{given}' is unknown; choose one of {', '.join(known)}")
+    return STRATEGIES[name](PositionMode(k1, k2, feedforward), INNER_LOOPS[inner])

@@ -2,7 +2,8 @@
 
 Delta_total = F(q, w) - F(q, 0) is differentiated by a Kalman filter with a constant-velocity
 model for each axis. Its gain settles within the first second and depends on nothing measured, so
-it is computed once with filterpy; a tick then costs two multiplications an axis.
+it is computed once with filterpy; a tick then costs two multiplications an axis. The same filter
+on the fused force gives w' for the exact rate, C(q, w) w' + (J(q, w) - J(q, 0)) q'.
 """
 
 import math
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from core.compiled import compiled
 from core.errors import DescriptionError, NotFinite
 from core.robot import Array
 
@@ -53,12 +55,23 @@ class RateFilter:
             NotFinite: a NaN would stay in the filter for ever.
 
         """
-        value = last.value + self.period * last.rate
         if measured is None:
-            return Rate(value, last.rate)
-        k_value, k_rate = self.gain
-        surprise = _finite(measured) - value
-        return Rate(value + k_value * surprise, last.rate + k_rate * surprise)
+            return Rate(last.value + self.period * last.rate, last.rate)
+        return Rate(*filtered(last.value, last.rate, _finite(measured), self.period, *self.gain))
+
+
+@compiled
+def filtered(
+    value: Array, rate: Array, measured: Array, period: float, k_value: float, k_rate: float
+) -> tuple[Array, Array]:
+    """`RateFilter.update` on arrays (3,): value and rate one period on."""
+    new_value, new_rate = np.empty(3), np.empty(3)
+    for k in range(3):
+        ahead = value[k] + period * rate[k]
+        surprise = measured[k] - ahead
+        new_value[k] = ahead + k_value * surprise
+        new_rate[k] = rate[k] + k_rate * surprise
+    return new_value, new_rate
 
 
 @cache

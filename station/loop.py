@@ -133,7 +133,8 @@ class ControlLoop:
             self._tare = wrenches.wrenches
         tare = wrenches.wrenches if self._tare is None else self._tare
         order = self._order(now, joints, wrenches.wrenches, frame)
-        sample = Sample(joints.positions, wrenches.wrenches - tare, None if frame is None else frame.position)
+        tip, age = (None, 0.0) if frame is None else (frame.position, now - frame.time)
+        sample = Sample(joints.positions, joints.sent, wrenches.wrenches - tare, tip, age)
         try:
             if self._memory is None:
                 if frame is None:
@@ -179,7 +180,7 @@ class ControlLoop:
                 self.request(Event.HOLD, f"no tracker frame in {AVERAGE:g} s; is the coil inside the tracker's volume?")
                 return None
             self._tare = np.mean(self._wrenches, axis=0)
-            self._memory = set_origin(self._memory, np.mean(self._tips, axis=0))
+            self._memory = set_origin(self.controller, self._memory, np.mean(self._tips, axis=0))
             self.progress = replace(progress, phase=Phase.MOVING)
         if now - progress.motion_start >= task.duration - 1e-9:
             self._devices.stages.stop(now)

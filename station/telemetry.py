@@ -62,7 +62,8 @@ class Channels:
         Between tracker frames `tip_new` is 0 and the last frame's values stand. Without a virtual
         lab nothing is known to be true: `truth_known` is 0 and the true channels are 0.
         """
-        memory = tick.memory
+        memory, now = tick.memory, tick.memory.estimate
+        observed = now.observed
         desired = memory.origin + tick.setpoint.position
         true = (1.0, *truth.tip, *truth.force) if truth else (0.0,) * 7
         return np.concatenate(
@@ -76,19 +77,25 @@ class Channels:
                 tick.load.moment,
                 (0.0, 0.0) if frame is None else (1.0, frame.time),
                 memory.tip,
-                memory.loaded.tip,
-                memory.unloaded.tip,
+                now.loaded.tip,
+                now.unloaded.tip,
                 desired,
                 true,
                 tick.u_int,
-                tick.deflection,
-                tick.deflection_rate_raw,
-                memory.deflection.rate,
-                memory.delta_1,
-                memory.delta_2,
+                now.difference,
+                now.difference_rate,
+                now.deflection.rate,
+                now.delta_1,
+                now.delta_2,
                 tick.sigma,
                 tick.at_bound,
-                (memory.loaded.iterations, memory.unloaded.iterations),
+                (now.loaded.iterations, now.unloaded.iterations),
+                now.deflection_rate_exact,
+                tick.delta,
+                observed.tip,
+                now.velocity,
+                observed.bias,
+                (observed.uncertainty, observed.used),
             )
         )
 
@@ -135,4 +142,11 @@ def _channels(robot: Robot) -> list[Channel]:
         *[Channel(f"at_bound.{joint.name}", "") for joint in robot.joints],
         Channel("passes.loaded", ""),
         Channel("passes.unloaded", ""),
+        *vector("deflection_rate_exact", "m/s"),
+        *vector("delta", "m/s"),
+        *vector("tip_observed", "m"),
+        *vector("velocity_observed", "m/s"),
+        *vector("bias", "m"),
+        Channel("observer.uncertainty", "m"),
+        Channel("observer.used", ""),
     ]

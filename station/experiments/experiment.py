@@ -2,14 +2,17 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
+from core.actuation import Actuation
 from core.controllers import strategy
 from core.deflection import RateFilter
 from core.errors import CtrError
+from core.estimation import Estimator
+from core.observer import Observer
 from core.robot import Array
 from core.statics import PAPER_SUBLINK, Statics
 from core.step import Controller
@@ -27,13 +30,27 @@ class ControllerFile(Strict):
     """How the tip is controlled."""
 
     strategy: str = "dual_layer"
+    """unloaded_jacobian, loaded_jacobian, inner_loop or dual_layer"""
+    inner: str = "type_1"
+    """of inner_loop and dual_layer: type_1, type_1_exact or type_2"""
     k1: float = 2.5
     """[1/s]"""
     k2: float = 2.5
     """[1/s]"""
     feedforward: bool = False
+    feedback: Literal["tracker", "observer"] = "tracker"
+    """what the outer loop looks at: the latest frame as in the paper, or the observed tip of the moment at which
+    its command takes effect"""
+    deflection_rate: Literal["numerical", "exact"] = "numerical"
+    """for type_1: the filtered derivative of Delta_total as in the paper, or C w' + (J(q, w) - J(q, 0)) q'"""
     filter_bandwidth: float = 1.0
-    """of the deflection's rate [Hz]"""
+    """of the deflection's and the force's rate [Hz]"""
+    observer_bandwidth: float = 2.0
+    """of the model's bias [Hz]"""
+    hold: float = 0.025
+    """between two commands to the same stage, planned for [s]"""
+    transport: float = 0.012
+    """from a command to the motor, planned for [s]"""
     sublink: Annotated[float, Field(ge=0.0005, le=0.05)] = PAPER_SUBLINK
     """[m]"""
 
@@ -41,13 +58,19 @@ class ControllerFile(Strict):
         """The controller of a robot.
 
         Raises:
-            DescriptionError: unknown strategy, gain or bandwidth out of range.
+            DescriptionError: unknown strategy or inner loop, a gain, bandwidth or delay out of range.
         """
         return Controller(
             Statics(robot.robot(), self.sublink),
-            strategy(self.strategy, self.k1, self.k2, self.feedforward),
+            strategy(self.strategy, self.k1, self.k2, self.feedforward, self.inner),
             robot.limits(),
-            RateFilter(PERIOD, self.filter_bandwidth),
+            Estimator(
+                RateFilter(PERIOD, self.filter_bandwidth),
+                Observer(PERIOD, bandwidth=self.observer_bandwidth),
+                Actuation(PERIOD, self.hold, self.transport),
+            ),
+            observes=self.feedback == "observer",
+            exact_rate=self.deflection_rate == "exact",
         )
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from core.controllers import PositionMode, VelocityMode, loaded, type_1, unloaded
+from core.controllers import PositionMode, VelocityMode, loaded, type_1, type_2, unloaded
 from core.trajectories import JointMotion, Setpoint
 from station.config import ConfigError, preset_names
 from station.experiments.experiment import Case, load_experiment
@@ -17,7 +17,7 @@ AGREED = {
     "fig4": (40.0, 0.0, ["deflection"]),
     "fig6": (120.0, 2.0, ["turn"]),
     "fig7": (60.0, 2.0, ["regulation"]),
-    "fig8": (60.0, 2.0, ["regulation", "lift_and_drop"]),
+    "fig8": (60.0, 2.0, ["regulation", "lift_and_drop", "type_1", "type_1_exact", "type_2"]),
     "fig10": (200.0, 20.0, ["paper", "feedforward"]),
 }
 
@@ -152,7 +152,7 @@ def test_the_default_lab_has_the_agreed_numbers():
         ("fig3", "d_feedforward", PositionMode(2.5, 2.5, feedforward=True), type_1),
         ("fig7", "regulation", VelocityMode(), unloaded),
         ("fig10", "paper", PositionMode(2.5, 2.5), type_1),
-        ("fig10", "feedforward", PositionMode(2.5, 2.5, feedforward=True), type_1),
+        ("fig10", "feedforward", PositionMode(2.5, 2.5, feedforward=True), type_2),
     ],
 )
 def test_a_case_has_the_strategy_it_is_named_for(experiment, case, outer, inner):
