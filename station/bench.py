@@ -86,11 +86,11 @@ def _passes(statics: Statics) -> tuple[float, float, int]:
     solution = statics.solve(np.array([0.0, math.pi / 2, -0.1]), np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
     durations: list[float] = []
     for with_derivatives in (False, True):
-        times = np.empty(15)
+        times = np.empty(100)
         for index in range(times.size):
             start = time.perf_counter()
-            statics.repeat_pass(solution, 500, with_derivatives)
-            times[index] = (time.perf_counter() - start) / 500
+            statics.repeat_pass(solution, 100, with_derivatives)
+            times[index] = (time.perf_counter() - start) / 100
         durations.append(_us(np.median(times[3:])))
     return durations[0], durations[1], statics.shape(solution).shape[0] - 1
 

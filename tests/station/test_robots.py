@@ -1,10 +1,13 @@
 """The paper's robot is Table I on its stages; a robot file that cannot be is refused by name."""
 
 import math
+import re
 
+import numpy as np
 import pytest
 
-from station.config import ConfigError
+from core.robot import Base
+from station.config import PRESETS, ConfigError
 from station.robots import load_robot
 
 
@@ -125,3 +128,47 @@ def test_a_robot_of_ones_own_may_have_any_number_of_tubes(write):
 
     assert robot.joint_names == ("turn",)
     assert robot.tubes[0].sections[0].curvature == (1.0, 2.0)
+
+
+def test_the_three_tube_presets_stiffness_follows_from_its_sources_modulus_and_radii():
+    file = load_robot("three_tubes")
+    robot = file.robot()
+
+    assert "10.1109/LRA.2024.3455906" in (PRESETS / "robots" / "three_tubes.toml").read_text(encoding="utf-8")
+    assert "parameters.csv" in file.source
+    radii = [(0.650e-3, 0.762e-3), (0.810e-3, 0.900e-3), (1.030e-3, 1.175e-3)]
+    for tube, (inner, outer), length, curvature in zip(
+        robot.tubes, radii, (0.463, 0.3305, 0.199), (10.0, 5.0, 7.0), strict=True
+    ):
+        assert tube.bending_stiffness == pytest.approx(58e9 * math.pi / 4 * (outer**4 - inner**4), rel=1e-5)
+        assert (tube.outer_diameter, tube.inner_diameter) == pytest.approx((2 * outer, 2 * inner))
+        assert tube.length == pytest.approx(length)
+        assert (tube.sections[-1].length, tube.sections[-1].curvature) == (0.05, (curvature, 0.0))
+    robot.check_pose(np.array([0.0, 0.0, 0.0, -0.1, -0.2, -0.3]))
+
+
+def test_base_fixed_tubes_and_torsional_stiffness_can_be_given(write, robot_text):
+    text = robot_text.replace(
+        "poisson_ratio = 0.30", "torsional_stiffness = 0.03\nrotation = 0.4\ntranslation = -0.01", 1
+    )
+    text = "base = { position = [0, 0, 0.1], rotation_vector = [0, 1.5, 0] }\n" + text
+
+    robot = load_robot(str(write(text))).robot()
+
+    assert robot.base == Base((0.0, 0.0, 0.1), (0.0, 1.5, 0.0))
+    assert robot.tubes[0].torsional_stiffness == 0.03
+    assert (robot.tubes[0].rotation, robot.tubes[0].translation) == (0.4, -0.01)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("torsional_stiffness = -1.0", "torsional_stiffness -1 N m^2"),
+        ("translation = 0.01", "translation 10 mm"),
+        ("rotation = inf", "rotation"),
+    ],
+)
+def test_a_tube_that_cannot_be_is_refused_by_name(write, robot_text, line, said):
+    text = robot_text.replace("poisson_ratio = 0.30", line, 1)
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        load_robot(str(write(text)))
