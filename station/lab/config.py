@@ -27,7 +27,7 @@ class PlantConfig(Strict):
     }
     """by tube name; a tube that is not named is as described"""
     poisson_ratio: Annotated[float, Field(gt=-1.0, le=0.5)] | None = 0.35
-    """of all tubes; none leaves the described ones"""
+    """of all tubes that are described by one"""
     vary: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.0
     """draw EI and curvature of each tube within +- this fraction instead, from the seed"""
     play: Mapping[str, NotNegative] = {"inner_rotation": math.radians(0.1)}

@@ -35,12 +35,12 @@ def true_robot(robot: Robot, config: PlantConfig, rng: np.random.Generator) -> R
             replace(section, curvature=tuple((1.0 + curvature) * u for u in section.curvature))
             for section in tube.sections
         )
-        nu = tube.poisson_ratio if config.poisson_ratio is None else config.poisson_ratio
-        tubes.append(
-            replace(
-                tube, sections=sections, bending_stiffness=(1.0 + stiffness) * tube.bending_stiffness, poisson_ratio=nu
-            )
-        )
+        true = replace(tube, sections=sections, bending_stiffness=(1.0 + stiffness) * tube.bending_stiffness)
+        if tube.torsional_stiffness is not None:
+            true = replace(true, torsional_stiffness=(1.0 + stiffness) * tube.torsional_stiffness)
+        elif config.poisson_ratio is not None:
+            true = replace(true, poisson_ratio=config.poisson_ratio)
+        tubes.append(true)
     return replace(robot, tubes=tuple(tubes))
 
 
@@ -55,8 +55,10 @@ class Plant:
         self._tubes_at = positions.copy()
         self._friction = np.zeros((len(robot.tubes), 2))
         self._most_friction = np.array([config.friction_force, config.friction_moment])
-        self._torsion = np.array([tube.bending_stiffness / (1.0 + tube.poisson_ratio) for tube in self.robot.tubes])
+        self._torsion = np.array([tube.bending_stiffness / tube.stiffness_ratio for tube in self.robot.tubes])
         self._poses = self.robot.tube_poses(positions)
+        self._to_plate = np.ascontiguousarray(self.robot.base.rotation.T)
+        self._plate = np.array(self.robot.base.position)
         self._rod: Rod = self._rod_solver.solve(positions, np.zeros(6))
         self._before = self._rod
 
@@ -74,10 +76,10 @@ class Plant:
         # Extrapolating the last two solutions saves a Newton step in most ticks.
         guess = self._rod._replace(unknowns=2.0 * self._rod.unknowns - self._before.unknowns)
         self._before, self._rod = self._rod, self._rod_solver.solve_tubes(*poses, wrench, guess)
-        wrenches = _base_wrenches(
-            force, self._rod.tip, self._torsion * self._rod.torsion, self._friction, self._most_friction,
-            self._poses, poses,
-        )  # fmt: skip
+        # The sensors stand on the plate: load and tip as seen from there.
+        pull, tip = self._to_plate @ force, self._to_plate @ (self._rod.tip - self._plate)
+        torsion = self._torsion * self._rod.torsion
+        wrenches = _base_wrenches(pull, tip, torsion, self._friction, self._most_friction, self._poses, poses)
         self._poses = poses
         return PlantState(Truth(self._rod.tip, force), wrenches)
 
