@@ -20,8 +20,12 @@ class Motion(NamedTuple):
     """How the joints move, by what was sent to them."""
 
     sent: Array  #: (ticks, n) velocities that went out, newest first [rad/s or m/s]
-    velocity: Array  #: (n,) what they do now [rad/s or m/s]
     ahead: Array  #: (n,) way they will have gone when a command of now takes effect [rad or m]
+
+    @property
+    def velocity(self) -> Array:
+        """(n,) what they do now [rad/s or m/s]."""
+        return self.sent[-1]
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class Actuation:
     def start(self, joints: int) -> Motion:
         """At rest."""
         ticks = round(self.transport / self.period) + 1
-        return Motion(np.zeros((ticks, joints)), np.zeros(joints), np.zeros(joints))
+        return Motion(np.zeros((ticks, joints)), np.zeros(joints))
 
     def update(self, last: Motion, sent: Array) -> Motion:
         """One tick on, `sent` (n,) being the velocities that the line carried last [rad/s or m/s]."""
@@ -53,7 +57,7 @@ class Actuation:
 
 
 @compiled
-def advance(history: Array, sent: Array, period: float, wait: float) -> tuple[Array, Array, Array]:
+def advance(history: Array, sent: Array, period: float, wait: float) -> tuple[Array, Array]:
     """`Actuation.update`."""
     ticks, n = history.shape
     moved, ahead = np.empty((ticks, n)), np.empty(n)
@@ -63,4 +67,4 @@ def advance(history: Array, sent: Array, period: float, wait: float) -> tuple[Ar
         for i in range(1, ticks):
             moved[i, j] = history[i - 1, j]
             ahead[j] += period * moved[i - 1, j]
-    return moved, moved[ticks - 1].copy(), ahead
+    return moved, ahead

@@ -57,21 +57,19 @@ class RateFilter:
         """
         if measured is None:
             return Rate(last.value + self.period * last.rate, last.rate)
-        return Rate(*filtered(last.value, last.rate, _finite(measured), self.period, *self.gain))
+        new = np.empty((2, 3))
+        filtered(np.stack(last), _finite(measured), new, self.period, *self.gain)
+        return Rate(new[0], new[1])
 
 
 @compiled
-def filtered(
-    value: Array, rate: Array, measured: Array, period: float, k_value: float, k_rate: float
-) -> tuple[Array, Array]:
-    """`RateFilter.update` on arrays (3,): value and rate one period on."""
-    new_value, new_rate = np.empty(3), np.empty(3)
+def filtered(last: Array, measured: Array, new: Array, period: float, k_value: float, k_rate: float) -> None:
+    """`RateFilter.update` on arrays: value and rate (2, 3) from `last` to `new`."""
     for k in range(3):
-        ahead = value[k] + period * rate[k]
+        ahead = last[0, k] + period * last[1, k]
         surprise = measured[k] - ahead
-        new_value[k] = ahead + k_value * surprise
-        new_rate[k] = rate[k] + k_rate * surprise
-    return new_value, new_rate
+        new[0, k] = ahead + k_value * surprise
+        new[1, k] = last[1, k] + k_rate * surprise
 
 
 @cache

@@ -19,3 +19,7 @@ class NoSolution(CtrError):
 
 class NotFinite(CtrError):
     """A NaN or an infinity where a number is required."""
+
+
+class Unreachable(CtrError):
+    """A motion that the robot cannot follow; the text says from when on and which limit is in the way."""

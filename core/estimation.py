@@ -10,7 +10,6 @@
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,27 +18,78 @@ from core.compiled import compiled
 from core.deflection import Rate, RateFilter, filtered
 from core.observer import Observed, Observer, observe
 from core.robot import Array
-from core.statics import Solution
+from core.solution import Solution, places
+
+#: Rows of `Estimate.vectors`.
+(
+    DIFFERENCE, DIFFERENCE_RATE, DEFLECTION, DEFLECTION_RATE, FORCE, FORCE_RATE, SMOOTH, LOAD_RATE, EXACT_RATE,
+    DELTA_1, DELTA_2, VELOCITY, TIP_AHEAD,
+) = range(13)  # fmt: skip
 
 
-class Estimate(NamedTuple):
-    """What one tick knows; it is all that the next one needs."""
+class Estimate:
+    """What one tick knows; it is all that the next one needs. One array, and names for what is in it."""
 
-    loaded: Solution  #: F(q, w)
-    unloaded: Solution  #: F(q, 0)
-    difference: Array  #: (3,) Delta_total as the models say it now [m]
-    difference_rate: Array  #: (3,) its difference from the last tick, unfiltered [m/s]
-    deflection: Rate  #: Delta_total, filtered, and its rate
-    force: Rate  #: at the tip, filtered [N], and its rate [N/s]
-    smooth: Array  #: (3,) integral of that rate: the force again, calmer and later [N]
-    load_rate: Array  #: (3,) C w' [m/s]
-    deflection_rate_exact: Array  #: (3,) C w' + (J(q, w) - J(q, 0)) q' [m/s]
-    delta_1: Array  #: (3,) integral of C dw, eq. (22) [m]
-    delta_2: Array  #: (3,) integral of (J(q, w) - J(q, 0)) dq, eq. (22) [m]
-    motion: Motion  #: of the joints
-    observed: Observed  #: the tip
-    velocity: Array  #: (3,) of the tip, J q' + C w' + drift [m/s]
-    tip_ahead: Array  #: (3,) the tip when a command of now takes effect [m]
+    __slots__ = ("loaded", "motion", "observed", "unloaded", "vectors")
+
+    def __init__(
+        self, loaded: Solution, unloaded: Solution, vectors: Array, motion: Motion, observed: Observed
+    ) -> None:
+        self.loaded = loaded  #: F(q, w)
+        self.unloaded = unloaded  #: F(q, 0)
+        self.vectors = vectors  #: (13, 3)
+        self.motion = motion  #: of the joints
+        self.observed = observed  #: the tip
+
+    @property
+    def difference(self) -> Array:
+        """(3,) Delta_total as the models say it now [m]."""
+        return self.vectors[DIFFERENCE]
+
+    @property
+    def difference_rate(self) -> Array:
+        """(3,) its difference from the last tick, unfiltered [m/s]."""
+        return self.vectors[DIFFERENCE_RATE]
+
+    @property
+    def deflection(self) -> Rate:
+        """Delta_total, filtered [m], and its rate [m/s]."""
+        return Rate(self.vectors[DEFLECTION], self.vectors[DEFLECTION_RATE])
+
+    @property
+    def force(self) -> Rate:
+        """At the tip, filtered [N], and its rate [N/s]."""
+        return Rate(self.vectors[FORCE], self.vectors[FORCE_RATE])
+
+    @property
+    def load_rate(self) -> Array:
+        """(3,) C w' [m/s]."""
+        return self.vectors[LOAD_RATE]
+
+    @property
+    def deflection_rate_exact(self) -> Array:
+        """(3,) C w' + (J(q, w) - J(q, 0)) q' [m/s]."""
+        return self.vectors[EXACT_RATE]
+
+    @property
+    def delta_1(self) -> Array:
+        """(3,) integral of C dw, eq. (22) [m]."""
+        return self.vectors[DELTA_1]
+
+    @property
+    def delta_2(self) -> Array:
+        """(3,) integral of (J(q, w) - J(q, 0)) dq, eq. (22) [m]."""
+        return self.vectors[DELTA_2]
+
+    @property
+    def velocity(self) -> Array:
+        """(3,) of the tip, J q' + C w' + drift [m/s]."""
+        return self.vectors[VELOCITY]
+
+    @property
+    def tip_ahead(self) -> Array:
+        """(3,) the tip when a command of now takes effect [m]."""
+        return self.vectors[TIP_AHEAD]
 
 
 @dataclass(frozen=True)
@@ -52,12 +102,12 @@ class Estimator:
 
     def start(self, loaded: Solution, unloaded: Solution, force: Array, tip: Array) -> Estimate:
         """At rest under `force` (3,) [N], the tracker showing `tip` (3,) [m]."""
-        zero, difference = np.zeros(3), loaded.tip - unloaded.tip
-        observed = self.observer.start(loaded.tip, tip)
-        return Estimate(
-            loaded, unloaded, difference, zero, self.filter.start(difference), self.filter.start(force), force, zero,
-            zero, zero, zero, self.actuation.start(loaded.joints.size), observed, zero, tip,
-        )  # fmt: skip
+        vectors = np.zeros((13, 3))
+        vectors[DIFFERENCE] = vectors[DEFLECTION] = self.filter.start(loaded.tip - unloaded.tip).value
+        vectors[FORCE] = vectors[SMOOTH] = self.filter.start(force).value
+        vectors[TIP_AHEAD] = tip
+        motion = self.actuation.start(loaded.joints.size)
+        return Estimate(loaded, unloaded, vectors, motion, self.observer.start(loaded.tip, tip))
 
     def update(
         self, last: Estimate, loaded: Solution, unloaded: Solution,
@@ -74,67 +124,64 @@ class Estimator:
 
         """
         observer, actuation, old = self.observer, self.actuation, last.observed
-        bias, drift, covariance, tips = old.bias.copy(), old.drift.copy(), old.covariance.copy(), old.tips.copy()
-        vectors, moved, velocity, ahead, place, used = _estimate(
+        state, tips = old.state.copy(), old.tips.copy()
+        vectors, moved, ahead, place, used = _estimate(
             self.filter.period, *self.filter.gain, 0.5 * actuation.hold, actuation.lead,
-            loaded.tip, loaded.jacobian, loaded.compliance, loaded.joints, loaded.wrench,
-            unloaded.tip, unloaded.jacobian,
-            last.loaded.jacobian, last.loaded.compliance, last.loaded.joints, last.loaded.wrench,
-            last.unloaded.jacobian,
-            last.difference, *last.deflection, *last.force, last.smooth, force, last.delta_1, last.delta_2, last.motion.sent, sent,
-            bias, drift, covariance, tips, old.place, bias if tip is None else tip, -1.0 if tip is None else age,
+            loaded.places.q, loaded.places.n, loaded.numbers, unloaded.numbers,
+            last.loaded.numbers, last.unloaded.numbers, last.vectors, force, last.motion.sent, sent,
+            state, tips, old.place, force if tip is None else tip, -1.0 if tip is None else age,
             observer.noise**2, observer.wander, observer.gate,
         )  # fmt: skip
-        (
-            difference, difference_rate, deflection, deflection_rate, value, rate, load_rate, exact_rate,
-            delta_1, delta_2, tip_velocity, tip_ahead, smooth,
-        ) = vectors  # fmt: skip
-        return Estimate(
-            loaded, unloaded, difference, difference_rate, Rate(deflection, deflection_rate), Rate(value, rate), smooth,
-            load_rate, exact_rate, delta_1, delta_2, Motion(moved, velocity, ahead),
-            Observed(bias, drift, covariance, tips, place, used), tip_velocity, tip_ahead,
-        )  # fmt: skip
+        return Estimate(loaded, unloaded, vectors, Motion(moved, ahead), Observed(state, tips, place, used))
 
 
 @compiled
 def _estimate(
-    period: float, k_value: float, k_rate: float, wait: float, lead: float,
-    tip: Array, jacobian: Array, compliance: Array, joints: Array, wrench: Array, free_tip: Array, free_jacobian: Array,
-    old_jacobian: Array, old_compliance: Array, old_joints: Array, old_wrench: Array, old_free_jacobian: Array,
-    old_difference: Array, deflection: Array, deflection_rate: Array, force: Array, force_rate: Array,
-    smooth: Array, measured_force: Array, delta_1: Array, delta_2: Array, sent: Array, sent_now: Array,
-    bias: Array, drift: Array, covariance: Array, tips: Array, place: int, frame: Array,
-    age: float, noise: float, wander: float, gate: float,
-) -> tuple[Array, Array, Array, Array, int, bool]:  # fmt: skip
-    """`Estimator.update`; the vectors (13, 3) in the order in which it takes them apart."""
-    n = joints.shape[0]
-    out = np.zeros((13, 3))
-    out[0] = tip - free_tip
-    out[1] = (out[0] - old_difference) / period
-    out[2], out[3] = filtered(deflection, deflection_rate, out[0], period, k_value, k_rate)
-    out[4], out[5] = filtered(force, force_rate, measured_force, period, k_value, k_rate)
-    out[12] = smooth + period * out[5]
-    moved, velocity, ahead = advance(sent, sent_now, period, wait)
-    model_tip = tip.copy()
+    period: float, k_value: float, k_rate: float, wait: float, lead: float, q: int, n: int,
+    loaded: Array, unloaded: Array, old_loaded: Array, old_unloaded: Array,
+    old: Array, force: Array, sent: Array, sent_now: Array,
+    state: Array, tips: Array, place: int, frame: Array, age: float, noise: float, wander: float, gate: float,
+) -> tuple[Array, Array, Array, int, bool]:  # fmt: skip
+    """`Estimator.update`; solutions as their numbers."""
+    where = places(q, n)  # where the parts end: each begins where the one before does
+    jacobian, compliance, joints, wrench = where.rotation, where.jacobian, where.sensitivity, where.joints
+    new, model_tip = np.empty_like(old), np.empty(3)
+    moved, ahead = advance(sent, sent_now, period, wait)
+    velocity = moved[-1]
     for i in range(3):
-        out[8, i], out[9, i] = delta_1[i], delta_2[i]
+        new[DIFFERENCE, i] = loaded[i] - unloaded[i]
+        new[DIFFERENCE_RATE, i] = (new[DIFFERENCE, i] - old[DIFFERENCE, i]) / period
+    filtered(old[DEFLECTION:FORCE], new[DIFFERENCE], new[DEFLECTION:FORCE], period, k_value, k_rate)
+    filtered(old[FORCE:SMOOTH], force, new[FORCE:SMOOTH], period, k_value, k_rate)
+    for i in range(3):
+        new[SMOOTH, i] = old[SMOOTH, i] + period * new[FORCE_RATE, i]
+    for i in range(3):
+        along, extra_way, by_force, by_joints, way, extra_rate = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        model_tip[i] = loaded[i]
         for j in range(6):
-            out[8, i] += 0.5 * (old_compliance[i, j] + compliance[i, j]) * (wrench[j] - old_wrench[j])
+            c = compliance + 6 * i + j
+            along += 0.5 * (old_loaded[c] + loaded[c]) * (loaded[wrench + j] - old_loaded[wrench + j])
         for j in range(3):
-            out[6, i] += compliance[i, j] * out[5, j]
+            c = compliance + 6 * i + j
+            by_force += loaded[c] * new[FORCE_RATE, j]
             # A single sample's noise would shake the tip by a millimetre. The force taken here moves at the rate
             # that is taken below, so that what both lag behind shows in the bias and in its drift alike.
-            model_tip[i] += compliance[i, j] * (out[12, j] - measured_force[j])
-        out[7, i] = out[10, i] = out[6, i]
+            model_tip[i] += loaded[c] * (new[SMOOTH, j] - force[j])
         for j in range(n):
-            extra = jacobian[i, j] - free_jacobian[i, j]
-            old_extra = old_jacobian[i, j] - old_free_jacobian[i, j]
-            out[9, i] += 0.5 * (extra + old_extra) * (joints[j] - old_joints[j])
-            out[7, i] += extra * velocity[j]
-            out[10, i] += jacobian[i, j] * velocity[j]
-            out[11, i] += jacobian[i, j] * ahead[j]
-    place, used = observe(bias, drift, covariance, tips, place, model_tip, frame, age, period, noise, wander, gate)
+            k = jacobian + n * i + j
+            extra, old_extra = loaded[k] - unloaded[k], old_loaded[k] - old_unloaded[k]
+            extra_way += 0.5 * (extra + old_extra) * (loaded[joints + j] - old_loaded[joints + j])
+            extra_rate += extra * velocity[j]
+            by_joints += loaded[k] * velocity[j]
+            way += loaded[k] * ahead[j]
+        new[LOAD_RATE, i] = by_force
+        new[EXACT_RATE, i] = by_force + extra_rate
+        new[DELTA_1, i] = old[DELTA_1, i] + along
+        new[DELTA_2, i] = old[DELTA_2, i] + extra_way
+        new[VELOCITY, i] = by_force + by_joints
+        new[TIP_AHEAD, i] = model_tip[i] + way + lead * by_force
+    place, used = observe(state, tips, place, model_tip, frame, age, period, noise, wander, gate)
     for i in range(3):
-        out[10, i] += drift[i]
-        out[11, i] += model_tip[i] + bias[i] + lead * (out[6, i] + drift[i])
-    return out, moved, velocity, ahead, place, used
+        new[VELOCITY, i] += state[1, i]
+        new[TIP_AHEAD, i] += state[0, i] + lead * state[1, i]
+    return new, moved, ahead, place, used

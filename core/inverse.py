@@ -5,11 +5,12 @@
 
 Joints are measured in fractions of their top speed, which makes radians and metres comparable:
 the singular values of J diag(speed) are tip speeds [m/s] with the joints at full speed. Below
-`sigma_floor` the damping of Nakamura and Hanafusa sets in, so that no pose demands endless speed.
+a floor the damping of Nakamura and Hanafusa sets in, so that no pose demands endless speed.
 Standing still keeps every limit, and from there a primal active-set method walks to the minimum:
 exact, with a handful of small eliminations, and what it ends on are the limits that are active.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +19,11 @@ from core.compiled import compiled
 from core.errors import NotFinite
 from core.robot import Array
 
-#: Tip speed in the worst direction below which the inverse is damped [m/s].
+#: Tip speed in the worst direction below which the inverse is damped, whatever is asked [m/s].
 SIGMA_FLOOR = 5e-4
+#: The damping sets in earlier when more is asked, at sqrt(this * |wanted|): where the tubes line up the way
+#: out turns round, and a joint that is told so late by the line would otherwise hunt at full speed [m/s].
+HUNTING = 2e-4
 
 _NO_ROOM = np.zeros(0)
 
@@ -50,8 +54,10 @@ def inverse(
         NotFinite: a NaN or an infinity in what is wanted or in the Jacobian.
 
     """
-    rows = np.empty((0, speed.shape[0])) if rows is None else rows
-    velocity, sigma, at_bound, at_row, finite = _inverse(jacobian, wanted, speed, lower, upper, rows, room, SIGMA_FLOOR)
+    rows = _no_rows(speed.shape[0]) if rows is None else rows
+    velocity, sigma, at_bound, at_row, finite = _inverse(
+        jacobian, wanted, speed, lower, upper, rows, room, SIGMA_FLOOR, HUNTING
+    )
     if not finite:
         if not np.isfinite(wanted).all():
             raise NotFinite(f"wanted tip velocity {wanted.tolist()} m/s is not finite")
@@ -59,9 +65,22 @@ def inverse(
     return Inverse(velocity, sigma, at_bound, at_row)
 
 
+@cache
+def _no_rows(joints: int) -> Array:
+    return np.empty((0, joints))
+
+
 @compiled
 def _inverse(
-    jacobian: Array, wanted: Array, speed: Array, lower: Array, upper: Array, rows: Array, room: Array, floor: float
+    jacobian: Array,
+    wanted: Array,
+    speed: Array,
+    lower: Array,
+    upper: Array,
+    rows: Array,
+    room: Array,
+    least_floor: float,
+    hunting: float,
 ) -> tuple[Array, Array, Array, Array, bool]:
     """In x = v / speed; limit number c is upper c for c < n, lower c - n for c < 2 n, else row c - 2 n."""
     n, m = speed.shape[0], rows.shape[0]
@@ -75,6 +94,8 @@ def _inverse(
     velocity, at_bound, at_row = np.zeros(n), np.zeros(n), np.zeros(m)
     if not np.isfinite(total):
         return velocity, sigma, at_bound, at_row, False
+    asked = np.sqrt(wanted[0] * wanted[0] + wanted[1] * wanted[1] + wanted[2] * wanted[2])
+    floor = max(least_floor, np.sqrt(hunting * asked))
     ratio = sigma[-1] / floor
     damping = floor * floor * (1.0 - ratio * ratio) if ratio < 1.0 else 0.0
     # More joints than directions leave a null space: a ridge far below the damping keeps it still.

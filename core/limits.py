@@ -106,6 +106,14 @@ class Limits:
         parts = [limit.rows(at) for limit in self.others]
         return np.concatenate([rows for rows, _ in parts]), np.concatenate([room for _, room in parts])
 
+    def blocking(self, joints: Array, at_bound: Array, at_row: Array) -> bool:
+        """Whether a limit other than a joint's speed shaped a command; arguments as of `active`."""
+        if not at_bound.any() and not at_row.any():
+            return False
+        lower, upper = self.velocity_bounds(joints)
+        near_end = np.where(at_bound > 0.0, upper, -lower) < self.speed
+        return bool(at_row.any() or (near_end & (at_bound != 0.0)).any())
+
     def active(self, joints: Array, at_bound: Array, at_row: Array) -> tuple[str, ...]:
         """The limits that shaped a command, in words.
 
@@ -124,7 +132,7 @@ class Limits:
             elif side != 0.0:
                 found.append(f"speed of {limit.name} ({limit.speed:.4g} {limit.unit}/s)")
         names = [name for limit in self.others for name in limit.names]
-        return (*found, *(name for name, active in zip(names, at_row, strict=True) if active))
+        return (*found, *(name for name, active in zip(names, at_row, strict=False) if active))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from core.limits import Limits, Situation
 from core.robot import Array
 from core.statics import Statics
 from core.trajectories import JointMotion, Setpoint
-from core.wrench import Fused, fuse
+from core.wrench import Fused, fuse_at
 
 
 class Sample(NamedTuple):
@@ -89,7 +89,7 @@ def begin(controller: Controller, sample: Sample) -> Memory:
     """
     if sample.tip is None or not np.isfinite(sample.tip).all():
         raise NotFinite(f"measured tip {sample.tip} m: a finite tracker frame is needed to begin")
-    load = fuse(sample.wrenches, *controller.statics.robot.tube_poses(sample.joints))
+    load = fuse_at(controller.statics.robot, sample.joints, sample.wrenches)
     loaded = controller.statics.solve(sample.joints, _point_force(load))
     unloaded = controller.statics.solve(sample.joints, _NO_LOAD)
     return Memory(controller.estimator.start(loaded, unloaded, load.force, sample.tip), sample.tip, sample.tip)
@@ -113,7 +113,7 @@ def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint
 
     """
     statics, limits, last = controller.statics, controller.limits, memory.estimate
-    load = fuse(sample.wrenches, *statics.robot.tube_poses(sample.joints))
+    load = fuse_at(statics.robot, sample.joints, sample.wrenches)
     loaded = statics.solve(sample.joints, _point_force(load), last.loaded)
     unloaded = statics.solve(sample.joints, _NO_LOAD, last.unloaded)
     now = controller.estimator.update(last, loaded, unloaded, load.force, sample.sent, sample.tip, sample.tip_age)
@@ -135,7 +135,8 @@ def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint
         asked = np.zeros(sample.joints.size) if order is None else order.velocity
         command = np.minimum(np.maximum(asked, lower), upper)
         sigma, at_bound, at_row = np.zeros(min(3, asked.size)), np.sign(asked - command), _NO_ROOM
-    if not (math.isfinite(command @ command) and math.isfinite(tip @ tip)):
+    finite = sample.tip is None or math.isfinite(tip @ tip)  # an older one has been looked at
+    if not (finite and math.isfinite(command @ command)):
         raise NotFinite(f"joint velocities {command.tolist()} at measured tip {tip.tolist()} m are not finite")
     return Tick(command, load, u_int, setpoint, sigma, at_bound, at_row, Memory(now, tip, memory.origin))
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled
-from core.robot import Array
+from core.robot import Array, Layout, Robot, tube_poses
 
 
 class Fused(NamedTuple):
@@ -33,6 +33,12 @@ def fuse(wrenches: Array, alpha: Array, beta: Array) -> Fused:
     return Fused(total[:3], total[3:])
 
 
+def fuse_at(robot: Robot, joints: Array, wrenches: Array) -> Fused:
+    """`fuse` for joints (n,) [rad or m], in one call."""
+    total = _fuse_at(robot.layout, joints, wrenches)
+    return Fused(total[:3], total[3:])
+
+
 def closure(load: Fused, tip: Array) -> float:
     """|moment - tip x force| [N m]: zero for a point force at the tip (3,) [m], large elsewhere."""
     return float(np.linalg.norm(load.moment - np.cross(tip, load.force)))
@@ -51,3 +57,9 @@ def _fuse(wrenches: Array, alpha: Array, beta: Array) -> Array:
         total[4] += s * wrenches[i, 3] + c * wrenches[i, 4] + beta[i] * fx
         total[5] += wrenches[i, 5]
     return total
+
+
+@compiled
+def _fuse_at(layout: Layout, joints: Array, wrenches: Array) -> Array:
+    alpha, beta, _ = tube_poses(layout, joints)
+    return _fuse(wrenches, alpha, beta)

@@ -50,6 +50,12 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     solve.add_argument("--exact", action="store_true", help="the exact rod instead of the paper's model; tip only")
     solve.set_defaults(command=_solve)
 
+    lab = commands.add_parser("lab", help="only the simulated devices, for drivers to connect to, until interrupted")
+    lab.add_argument("--pty", action="store_true", help="serial lines as pseudo-terminals instead of TCP")
+    lab.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
+    lab.add_argument("--load", type=_load, default=0.0, metavar="N", help="weight at the tip [N] (0)")
+    lab.set_defaults(command=_lab)
+
     bench = commands.add_parser("bench", help="measure this machine")
     bench.add_argument("what", choices=("model", "accuracy", "cost", "loop", "headless"))
     bench.add_argument("--seconds", type=_seconds, default=60.0, metavar="S", help="of 'loop' (60)")
@@ -150,6 +156,19 @@ def _solve(parsed: argparse.Namespace) -> int:
     return 0
 
 
+def _lab(parsed: argparse.Namespace) -> int:
+    import numpy as np
+
+    from station.lab.loads import ConstantLoad
+    from station.lab.open_lab import OpenLab, serve
+    from station.station_file import load_station
+
+    bench = load_station(parsed.config).bench()
+    lab = OpenLab(bench.robot, bench.lab, bench.seed, np.array(bench.park), pty=parsed.pty)
+    serve(lab, ConstantLoad(magnitude=parsed.load), lambda where: print(json.dumps(where), flush=True))  # noqa: T201
+    return 0
+
+
 def _bench(parsed: argparse.Namespace) -> int:
     from station import bench
 
@@ -203,6 +222,16 @@ def _seconds(text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r} is not a time, 1 ... 86400 s") from None
     if not 1.0 <= value <= 86400.0:
         raise argparse.ArgumentTypeError(f"{text} s is outside 1 ... 86400 s")
+    return value
+
+
+def _load(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a weight, 0 ... 2 N") from None
+    if not 0.0 <= value <= 2.0:
+        raise argparse.ArgumentTypeError(f"{text} N is outside 0 ... 2 N")
     return value
 
 

@@ -11,6 +11,7 @@ from station.experiments.experiment import ControllerFile, load_experiment
 from station.lab.loads import Load, NoLoad
 from station.loop import Task
 from station.motions import CircleMotion, HoldMotion, Motion, Orders, SinusoidMotion, TipMotion
+from station.states import State
 from station.supervisor import Supervisor
 
 
@@ -109,4 +110,7 @@ class Desk:
     def _start(self, motion: Motion, controller: ControllerFile, load: Load, duration: float, title: str) -> str:
         robot = self.supervisor.bench.robot
         task = Task(controller.controller(robot), Orders(motion, self.supervisor.robot), duration)
+        status = self.supervisor.status()
+        if status.state is State.READY and "joints" in status.values:
+            task.orders.check(task.controller, status.values["joints"], duration)
         return self.supervisor.start(task, load, title)

@@ -15,6 +15,7 @@ from core.step import Controller, Memory, Sample, begin, set_origin, step
 from core.trajectories import JointMotion, Setpoint
 from station.devices.interfaces import Devices, JointReading, TipReading, Truth
 from station.motions import Orders
+from station.stall import Stall
 from station.states import Event, State, after
 from station.telemetry import Channels
 
@@ -75,6 +76,7 @@ class ControlLoop:
         self._tare: Array | None = None
         self._wrenches: list[Array] = []
         self._tips: list[Array] = []
+        self._stall = Stall()
 
     @property
     def phase(self) -> Phase:
@@ -148,6 +150,12 @@ class ControlLoop:
                 self.request(Event.HOLD, str(error))
             return None
         self._memory = tick.memory
+        if isinstance(order, Setpoint) and frame is not None:
+            stalled = self._stall.look(now, tick, self.controller.limits)
+            if stalled:
+                stages.stop(now)
+                self.request(Event.HOLD, stalled)
+                return self.channels.row(now, self.state, joints, wrenches, frame, tick, truth)
         if order is not None:
             stages.command(tick.command, now)
         return self.channels.row(now, self.state, joints, wrenches, frame, tick, truth)
@@ -181,6 +189,7 @@ class ControlLoop:
                 return None
             self._tare = np.mean(self._wrenches, axis=0)
             self._memory = set_origin(self.controller, self._memory, np.mean(self._tips, axis=0))
+            self._stall = Stall()
             self.progress = replace(progress, phase=Phase.MOVING)
         if now - progress.motion_start >= task.duration - 1e-9:
             self._devices.stages.stop(now)

@@ -5,9 +5,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from core.errors import CtrError
-from core.limits import JointLimit, Limits
+from core.limits import ForceLimit, JointLimit, Limit, Limits, TubeOrder, Workspace
 from core.robot import Base, Joint, Robot, Section, Tube
-from station.config import ConfigError, Name, Positive, Row, Strict, check, preset, read_toml
+from station.config import ConfigError, Name, Positive, Row, Strict, Vector, check, preset, read_toml
 
 
 class SectionFile(Strict):
@@ -70,6 +70,15 @@ class BaseFile(Strict):
     """axis times angle [rad]"""
 
 
+class BoxFile(Strict):
+    """Where the tip may be."""
+
+    lower: Vector
+    """[m]"""
+    upper: Vector
+    """[m]"""
+
+
 class RobotFile(Strict):
     """A robot and its stages."""
 
@@ -79,6 +88,10 @@ class RobotFile(Strict):
     base: BaseFile = BaseFile()
     tubes: Annotated[tuple[TubeFile, ...], Row]
     joints: tuple[JointFile, ...] = Field(min_length=1, strict=False)
+    workspace: BoxFile | None = None
+    """of the tip, world frame; none leaves what the joints reach"""
+    max_force: Positive | None = None
+    """against which the tip does not push on [N]"""
 
     def robot(self) -> Robot:
         """The description that the model works on."""
@@ -112,19 +125,25 @@ class RobotFile(Strict):
 
     def limits(self) -> Limits:
         """What the stages allow."""
-        return Limits(
-            tuple(
-                JointLimit(
-                    joint.name,
-                    "rad" if joint.motion == "rotation" else "m",
-                    joint.lower,
-                    joint.upper,
-                    joint.speed,
-                    joint.acceleration,
-                )
-                for joint in self.joints
+        joints = tuple(
+            JointLimit(
+                joint.name,
+                "rad" if joint.motion == "rotation" else "m",
+                joint.lower,
+                joint.upper,
+                joint.speed,
+                joint.acceleration,
             )
+            for joint in self.joints
         )
+        others: list[Limit] = []
+        if (order := TubeOrder.of(self.robot(), joints)) is not None:
+            others.append(order)
+        if self.workspace is not None:
+            others.append(Workspace(self.workspace.lower, self.workspace.upper))
+        if self.max_force is not None:
+            others.append(ForceLimit(self.max_force))
+        return Limits(joints, others=tuple(others))
 
 
 def load_robot(name: str) -> RobotFile:

@@ -96,6 +96,7 @@ class Channels:
                 now.velocity,
                 observed.bias,
                 (observed.uncertainty, observed.used),
+                now.force.value,
             )
         )
 
@@ -149,4 +150,5 @@ def _channels(robot: Robot) -> list[Channel]:
         *vector("bias", "m"),
         Channel("observer.uncertainty", "m"),
         Channel("observer.used", ""),
+        *vector("force_filtered", "N"),
     ]

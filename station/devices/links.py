@@ -6,12 +6,15 @@ A link is looked at, never waited for. What a device makes of the bytes is its p
 import contextlib
 import errno
 import socket
+import time
 from collections import deque
 from typing import Any, Protocol, cast
 
 import serial
 
 from core.errors import CtrError
+
+BREAK = 0.25  #: that a serial line is held low [s]
 
 
 class LinkError(CtrError):
@@ -116,9 +119,15 @@ class SerialLink:
             raise LinkError(f"{self.name} cannot run at {baud} baud: {error}") from None
 
     def send_break(self) -> None:
-        """Hold the line low for a moment; a pty and a socket carry no break and ignore it."""
+        """Hold the line low; waits for the 0.25 s that it takes: for connecting only, never for the loop.
+
+        A pty and a socket carry no break: nothing but the wait happens.
+        """
+        # Not the port's own send_break: on Linux it makes 0.1 s of the 0.25 s that it is asked for.
         with contextlib.suppress(serial.SerialException, OSError, NotImplementedError):
-            self._port.send_break(0.0)
+            self._port.break_condition = True
+            time.sleep(BREAK)
+            self._port.break_condition = False
 
     def close(self) -> None:
         """Let go of the port."""

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from core.actuation import Actuation
-from core.controllers import strategy
+from core.controllers import PositionMode, strategy
 from core.deflection import RateFilter
 from core.errors import CtrError
 from core.estimation import Estimator
@@ -19,7 +19,7 @@ from core.step import Controller
 from station.config import ConfigError, Name, NotNegative, Strict, check, merged, preset, read_toml
 from station.lab.config import LabConfig, load_lab
 from station.lab.loads import Load, NoLoad
-from station.motions import JointSweepMotion, Motion, Orders
+from station.motions import Motion, Orders
 from station.robots import RobotFile, load_robot
 
 #: The inner loop's period [s].
@@ -158,8 +158,9 @@ def _case(path: Path, name: str, table: Mapping[str, Any]) -> Case:
         controller.limits.check(start)
         controller.statics.robot.check_pose(start)
         orders = Orders(file.trajectory, controller.statics.robot)
-        if isinstance(file.trajectory, JointSweepMotion):
-            file.trajectory.check(start, controller.limits)
+        # Without feedback the tip is not meant to stay on its path under a load.
+        held = isinstance(controller.strategy.outer, PositionMode) and not isinstance(file.load, NoLoad)
+        orders.check(controller, start, file.duration, file.load.force if held else None)
     except CtrError as error:
         raise ConfigError(f"{source}: {error}") from None
     return Case(name, file, robot, lab, controller, orders, start)

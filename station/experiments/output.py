@@ -102,6 +102,9 @@ def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterato
         if key in case:
             x, y, z = (f"{value:.3f}" for value in case[key])
             yield title, x, y, z, beside
+    if step := case.get("step"):
+        fitted = f"{step['rate']:.3f} 1/s, {1e3 * step['dead_time_s']:.0f} ms"
+        yield f"fitted rate (eq. 31: {step['expected_rate']:g} 1/s), dead time", "", "", fitted, ""
     if "max_abs_error_mm" not in case:
         for model, value in case.get("model_error_mm", {}).items():
             beside = f"{paper.model_error_mm[model]:g}" if model in paper.model_error_mm else ""

@@ -4,9 +4,16 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from core.robot import Array
+from station.experiments.experiment import PERIOD
 from station.experiments.runner import Recording
+from station.experiments.step_fit import fit_step, fold
+from station.motions import StepMotion
+
+#: Ticks that the reference of the deflection's rate looks at, before and after together.
+HINDSIGHT = 501
 
 
 def summarise(recording: Recording) -> dict[str, Any]:
@@ -41,17 +48,49 @@ def summarise(recording: Recording) -> dict[str, Any]:
         true = channels.of(counted, "tip_true")
         if not sweeps:
             summary |= _errors("true_", channels.of(counted, "tip_desired") - true)
-        force_error = channels.of(counted, "force") - channels.of(counted, "force_true")
-        summary["force_rms_error_N"] = _rounded(_rms(force_error), 4)
+        for group in ("force", "force_filtered"):
+            force_error = channels.of(counted, group) - channels.of(counted, "force_true")
+            summary[f"{group}_rms_error_N"] = _rounded(_rms(force_error), 4)
+    if isinstance(recording.case.file.trajectory, StepMotion):
+        summary["step"] = _step(recording, "tip_true" if known else "tip_observed", recording.case.file.trajectory)
     summary["model_error_mm"] = {
         name: _rounded(1e3 * np.linalg.norm(at_frames(group) - measured, axis=1).mean())
         for name, group in (("loaded", "tip_estimated"), ("unloaded", "tip_unloaded"))
     }
+    summary["deflection_rate_rms_error_mm_s"] = _rate_errors(recording)
     summary["deflection_max_mm"] = {
         group: _rounded(1e3 * np.abs(channels.of(counted, group)).max(axis=0))
         for group in ("deflection", "delta_1", "delta_2")
     }
     return summary
+
+
+def _step(recording: Recording, group: str, motion: StepMotion) -> dict[str, float]:
+    """How the tip got along the step, beside the rate that eq. (31) promises."""
+    channels, rows, offset = recording.channels, recording.rows, np.array(motion.offset)
+    start = channels.of(rows, "tip_desired")[0] - offset
+    response = (channels.of(rows, group) - start) @ offset / float(offset @ offset)
+    times = channels.of(rows, "time")[:, 0]
+    fit = fit_step(*(fold(times, response, motion.stay) if motion.stay else (times, response)))
+    return {
+        "rate": round(fit.rate, 4),
+        "dead_time_s": round(fit.dead_time, 4),
+        "expected_rate": recording.case.file.controller.k1,
+    }
+
+
+def _rate_errors(recording: Recording) -> dict[str, Any]:
+    """How far the rates of Delta_total are from what it does: a cubic through a second of it, as hindsight can."""
+    channels, rows = recording.channels, recording.rows
+    if len(rows) <= HINDSIGHT:
+        return {}
+    smoothed = savgol_filter(channels.of(rows, "deflection"), HINDSIGHT, 3, deriv=1, delta=PERIOD, axis=0)
+    true = np.asarray(smoothed, dtype=np.float64)
+    first = int(np.searchsorted(channels.of(rows, "time")[:, 0], recording.case.file.settling - 1e-9))
+    groups = {"raw": "deflection_rate_raw", "filtered": "deflection_rate", "exact": "deflection_rate_exact"}
+    return {
+        name: _rounded(1e3 * _rms(channels.of(rows, group)[first:] - true[first:])) for name, group in groups.items()
+    }
 
 
 def _errors(prefix: str, error: Array) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from tests.serving import Served
 #: The part of a 1280 x 720 page where the robot is: below the header, left of the panel.
 VIEW = {"x": 0, "y": 70, "width": 880, "height": 640}
 CIRCLE = {
-    "trajectory": {"kind": "circle", "radius": 0.012, "period": 12.0, "normal": [0, 0, 1]},
+    "trajectory": {"kind": "circle", "radius": 0.003, "period": 12.0, "normal": [0, 0, 1]},
     "controller": {"strategy": "dual_layer", "feedforward": True},
     "duration": 60.0,
 }
@@ -88,7 +88,7 @@ def test_start_and_stop_in_the_panel(page: Page, station: Served) -> None:
     scene(page).get_by_text("Start experiment").click()
     station.wait_for(lambda s: s["state"] == "RUNNING", 5.0)
     page.locator("#state", has_text="RUNNING").wait_for(timeout=2000)
-    assert "fig" in page.locator("#run-title").inner_text()
+    assert ", case " in page.locator("#run-title").inner_text()
     scene(page).get_by_role("button", name="STOP").click()
     station.wait_for(lambda s: s["state"] == "STOPPED", 2.0)
     page.locator("#state", has_text="STOPPED").wait_for(timeout=2000)

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from core.errors import NotFinite
-from core.inverse import SIGMA_FLOOR, inverse
+from core.inverse import HUNTING, SIGMA_FLOOR, inverse
 from core.statics import Statics
 
 #: The paper's robot at (0, pi/2, -0.075) under 0.2 N.
@@ -17,7 +17,8 @@ def damped(jacobian, wanted, speed) -> tuple[np.ndarray, np.ndarray]:
     """The stacked least-squares problem in v / speed, damped below the floor (Nakamura and Hanafusa)."""
     scaled = jacobian * speed
     smallest = np.linalg.svd(scaled, compute_uv=False)[-1]
-    damping = SIGMA_FLOOR * np.sqrt(max(0.0, 1.0 - (smallest / SIGMA_FLOOR) ** 2))
+    floor = max(SIGMA_FLOOR, math.sqrt(HUNTING * np.linalg.norm(wanted)))
+    damping = floor * np.sqrt(max(0.0, 1.0 - (smallest / floor) ** 2))
     joints = speed.size
     return np.vstack([scaled, damping * np.eye(joints)]), np.r_[wanted, np.zeros(joints)]
 
@@ -152,3 +153,51 @@ def test_numbers_that_are_not_finite_are_refused_by_name(bad):
         inverse(JACOBIAN, np.array([0.0, bad, 0.0]), SPEED, -SPEED, SPEED)
     with pytest.raises(NotFinite, match="Jacobian"):
         inverse(JACOBIAN * bad, np.zeros(3), SPEED, -SPEED, SPEED)
+
+
+@pytest.mark.parametrize("joints", [3, 6])
+def test_rows_are_kept_and_nothing_better_keeps_them(joints):
+    """Against scipy's general solver: inside all limits, and no further from what is wanted."""
+    random = np.random.default_rng([45, joints])
+    speed, active = np.resize([0.35, 0.020], joints), 0
+    for _ in range(60):
+        jacobian = random.normal(size=(3, joints)) * np.resize([0.05, 1.0], joints)
+        wanted = random.normal(size=3) * 10.0 ** random.uniform(-3, -1)
+        rows, room = random.normal(size=(4, joints)) / speed, random.uniform(0.0, 1.0, 4)
+
+        found = inverse(jacobian, wanted, speed, -speed, speed, rows, room)
+
+        matrix, right = damped(jacobian, wanted, speed)
+        assert (rows @ found.velocity <= room + 1e-9).all()
+        assert (np.abs(found.velocity) <= speed).all()
+        at = found.velocity / speed
+        np.testing.assert_allclose((rows @ found.velocity)[found.at_row > 0], room[found.at_row > 0], atol=1e-9)
+        # Optimal where no feasible direction leads downhill (the problem is convex).
+        gradient = matrix.T @ (matrix @ at - right)
+        for _ in range(200):
+            other = random.uniform(-1.0, 1.0, joints)
+            worst = (rows @ (speed * other) / np.maximum(room, 1e-12)).max()
+            other = other / max(1.0, worst)
+            assert gradient @ (other - at) >= -1e-7 * np.linalg.norm(gradient) - 1e-12
+        active += found.at_row.any()
+    assert active > 15
+
+
+def test_a_row_without_room_lets_nothing_through_and_the_rest_of_the_motion_is_made():
+    wall = JACOBIAN[2:]  # z may not grow
+
+    found = inverse(JACOBIAN, np.array([1e-3, 0.0, 1e-3]), SPEED, -SPEED, SPEED, wall, np.zeros(1))
+
+    np.testing.assert_allclose(JACOBIAN @ found.velocity, [1e-3, 0.0, 0.0], rtol=0, atol=1e-9)
+    assert found.at_row.tolist() == [1.0]
+    back = inverse(JACOBIAN, np.array([0.0, 0.0, -1e-3]), SPEED, -SPEED, SPEED, wall, np.zeros(1))
+    np.testing.assert_allclose(JACOBIAN @ back.velocity, [0.0, 0.0, -1e-3], rtol=0, atol=1e-9)
+    assert back.at_row.tolist() == [0.0]
+
+
+def test_with_no_room_at_all_nothing_moves():
+    stuck = np.vstack([np.eye(3), -np.eye(3)])
+
+    found = inverse(JACOBIAN, np.full(3, 0.01), SPEED, -SPEED, SPEED, stuck, np.zeros(6))
+
+    np.testing.assert_allclose(found.velocity, 0.0, atol=1e-12)

@@ -169,7 +169,9 @@ def test_a_disk_that_fills_up_gets_one_line_and_leaves_nothing(environment, writ
 
 
 def test_a_run_that_cannot_go_on_says_why_and_is_kept_as_incomplete(call, write, short, tmp_path):
-    path = write(short + '[load]\nkind = "constant"\nmagnitude = 1e6\n[cases.one]\n[cases.two]\n')
+    # Without feedback a load that cannot be held is no reason to refuse the motion beforehand.
+    load = '[load]\nkind = "constant"\nmagnitude = 1e6\n[controller]\nstrategy = "unloaded_jacobian"\n'
+    path = write(short + load + "[cases.one]\n[cases.two]\n")
     done = call("run", str(path), "--out", "out", "--json")
     summary = json.loads(done.out)
 

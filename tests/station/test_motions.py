@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from core.errors import CtrError
+from core.errors import CtrError, Unreachable
 from core.trajectories import JointMotion, Setpoint
 from station.config import ConfigError, Strict, check
+from station.experiments.experiment import ControllerFile
 from station.motions import JointSweepMotion, Motion, Orders
 
 
@@ -136,3 +137,86 @@ def test_a_whole_turn_up_to_the_end_of_the_travel_is_allowed(paper):
     sweep = JointSweepMotion(joint="outer_rotation", speed=math.radians(3.0), distance=2.0 * math.pi)
 
     sweep.check(np.array([0.0, 0.0, -0.1]), paper.limits())
+
+
+def test_a_helix_and_waypoints_are_what_they_say(orders):
+    helix = orders(kind="helix", radius=0.005, pitch=0.003, turn=4.0, turns=2.0)
+    assert setpoint(helix, 4.0).position == pytest.approx([0.0, 0.0, 0.003], abs=1e-12)
+    assert setpoint(helix, 100.0).position == pytest.approx([0.0, 0.0, 0.006], abs=1e-12)
+    way = orders(kind="waypoints", points=[[5, 0.01, 0, 0], [10.0, 0.01, 0.01, 0.0]])
+    assert setpoint(way, 5.0).position == pytest.approx([0.01, 0.0, 0.0], abs=1e-12)
+    assert setpoint(way, 50.0).position == pytest.approx([0.01, 0.01, 0.0], abs=1e-12)
+
+
+def test_a_step_stays_or_goes_there_and_back(orders):
+    once, again = orders(kind="step", offset=[1e-3, 0, 0]), orders(kind="step", offset=[1e-3, 0, 0], stay=2.0)
+
+    assert setpoint(once, 3.0).position.tolist() == [1e-3, 0.0, 0.0]
+    assert setpoint(again, 1.0).position.tolist() == [1e-3, 0.0, 0.0]
+    assert setpoint(again, 3.0).position.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_a_csv_file_is_waypoints(orders, tmp_path):
+    path = tmp_path / "way.csv"
+    path.write_text("time [s], x [m], y, z\n5, 0.01, 0, 0\n\n10.0,0.01,0.01,0.0\n", encoding="utf-8")
+
+    from_file, written = (
+        orders(kind="csv", file=str(path)),
+        orders(kind="waypoints", points=[[5.0, 0.01, 0.0, 0.0], [10.0, 0.01, 0.01, 0.0]]),
+    )
+
+    for time in (0.0, 2.0, 7.0, 20.0):
+        assert setpoint(from_file, time).position.tolist() == setpoint(written, time).position.tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1,2,3\n", "way.csv: line 1: 3 numbers; expected time, x, y, z"),
+        ("time,x,y,z\n5,0,0,zero\n", "way.csv: line 2: '5,0,0,zero' is not time, x, y, z in numbers"),
+        ("5,nan,0,0\n", "way.csv: points.0.1 = nan"),
+        ("5,0,0,0\n4,0,0,0\n", "waypoints: time 4 s does not come after 5 s"),
+        ("0.1,0.05,0,0\n", "give the points around it more time"),
+        ("time,x,y,z\n", "way.csv: points = []"),
+    ],
+)
+def test_a_csv_file_that_says_something_else_is_refused_with_its_line(orders, tmp_path, text, said):
+    path = tmp_path / "way.csv"
+    path.write_text(text, encoding="utf-8")
+
+    with pytest.raises(CtrError) as refused:
+        orders(kind="csv", file=str(path))
+    assert said in str(refused.value)
+
+
+def test_a_csv_file_that_is_not_there_is_refused(orders, tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        orders(kind="csv", file=str(tmp_path / "none.csv"))
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"kind": "waypoints", "points": []}, "motion.points = []: "),
+        ({"kind": "waypoints", "points": [[1.0, 0.0, 0.0]]}, "motion.points.0.3"),
+        ({"kind": "waypoints", "points": [[0.0, 0.01, 0.0, 0.0]]}, "give it a time above 0 s for the way there"),
+        ({"kind": "helix", "radius": 0.01, "pitch": 0.003, "turn": 0.0, "turns": 1.0}, "motion.turn = 0.0: "),
+        ({"kind": "step", "offset": [0.0, math.inf, 0.0]}, "motion.offset.1 = inf: "),
+    ],
+)
+def test_a_new_motion_that_cannot_be_is_refused_by_key(table, said):
+    with pytest.raises(ConfigError) as refused:
+        check(Holder, {"motion": table}, "file")
+
+    assert said in str(refused.value)
+
+
+def test_orders_that_cannot_be_followed_are_refused_by_kind_time_and_limit(orders, paper):
+    controller, start = ControllerFile().controller(paper), np.array([0.0, math.pi / 2, -0.1])
+    orders(kind="circle", radius=0.010, period=12.0).check(controller, start, 60.0)
+    orders(kind="joint_sweep", joint="outer_rotation", speed=0.1, distance=1.0).check(controller, start, 60.0)
+
+    with pytest.raises(Unreachable, match=r"circle cannot be followed: at 7\.8.* s .* because of speed of"):
+        orders(kind="circle", radius=0.015, period=12.0).check(controller, start, 60.0)
+    with pytest.raises(CtrError, match="inner_translation"):
+        orders(kind="joint_sweep", joint="inner_translation", speed=0.01, distance=0.2).check(controller, start, 60.0)

@@ -172,3 +172,13 @@ def test_a_tube_that_cannot_be_is_refused_by_name(write, robot_text, line, said)
     text = robot_text.replace("poisson_ratio = 0.30", line, 1)
     with pytest.raises(ConfigError, match=re.escape(said)):
         load_robot(str(write(text)))
+
+
+def test_workspace_and_force_limit_become_limits_of_the_controller(robot_text, write):
+    top, rest = robot_text.split("[[tubes]]", 1)
+    box = "workspace = { lower = [-0.1, -0.1, 0.0], upper = [0.1, 0.1, 0.3] }\nmax_force = 0.8\n"
+
+    limits = load_robot(str(write(f"{top}{box}[[tubes]]{rest}"))).limits()
+
+    assert [type(limit).__name__ for limit in limits.others] == ["Workspace", "ForceLimit"]
+    assert load_robot("paper").limits().others == ()

@@ -1,0 +1,142 @@
+"""Framing of NDI's Combined API as an Aurora speaks it: commands and replies as bytes, no port, no clock.
+
+A command is text, its CRC and CR. A reply is either text of the same form, or, to BX, a binary
+frame: C4 A5, body length, CRC of the header, body, CRC of the body, all little-endian. Whatever
+does not carry its own CRC is dropped and counted. What the replies say is read in `aurora_replies`.
+Formats and numbers follow the manufacturer's Combined API as public clients read and write it; a
+value that could not be confirmed is marked so.
+"""
+
+import re
+import struct
+
+from core.errors import CtrError
+
+#: What COMM calls the rates [bit/s]; the unit wakes at 9600.
+BAUD_CODES = {
+    9600: "0",
+    14400: "1",
+    19200: "2",
+    38400: "3",
+    57600: "4",
+    115200: "5",
+    921600: "6",
+    1228739: "7",
+    230400: "A",
+}
+POWER_UP_BAUD = 9600
+START = b"\xc4\xa5"  #: of a binary reply
+LONGEST_TEXT = 4096  #: of a text reply: one that never ends is noise
+LONGEST_BODY = 1 + 255 * 42 + 2  #: of a BX reply: one entry for each handle there can be
+
+
+class AuroraError(CtrError):
+    """The unit refused, answered nothing, or not what was asked."""
+
+
+def _crc_table() -> tuple[int, ...]:
+    table: list[int] = []
+    for byte in range(256):
+        crc = byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
+        table.append(crc)
+    return tuple(table)
+
+
+_TABLE = _crc_table()
+
+
+def crc16(data: bytes | bytearray) -> int:
+    """CRC-16/ARC: x^16 + x^15 + x^2 + 1 reflected, from 0, no final XOR."""
+    crc = 0
+    for byte in data:
+        crc = (crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF]
+    return crc
+
+
+def framed(text: str) -> bytes:
+    """A command such as `PHSR:02` or a text reply such as `OKAY`, with CRC and CR."""
+    data = text.encode("ascii")
+    return data + b"%04X\r" % crc16(data)
+
+
+def binary(body: bytes) -> bytes:
+    """A binary reply around `body`."""
+    header = START + struct.pack("<H", len(body))
+    return header + struct.pack("<H", crc16(header)) + body + struct.pack("<H", crc16(body))
+
+
+_TEXT_END = re.compile(rb"[\r\x80-\xff]")
+_PERHAPS_A_START = re.compile(rb"[\x00-\x7f\xc4]")
+
+
+class ReplyReader:
+    """Cuts a stream into replies, however it was split; sans-I/O."""
+
+    def __init__(self) -> None:
+        self.noise = 0  #: bytes that belonged to no reply
+        self.crc_errors = 0  #: texts and binary bodies whose CRC was wrong
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> list[str | bytes]:
+        """Replies that are complete with `data`: text as str, the body of a binary one as bytes."""
+        self._buffer += data
+        replies: list[str | bytes] = []
+        while self._buffer:
+            if not (self._text(replies) if self._buffer[0] < 0x80 else self._binary(replies)):
+                break
+        return replies
+
+    def drop(self) -> None:
+        """Forget a reply that has begun: no more of it will come."""
+        self._skip(len(self._buffer))
+
+    def _skip(self, count: int) -> None:
+        self.noise += count
+        del self._buffer[:count]
+
+    def _text(self, replies: list[str | bytes]) -> bool:
+        """Take a text reply or noise off the buffer; false when more bytes are needed."""
+        found = _TEXT_END.search(self._buffer)
+        if found is None:
+            if len(self._buffer) <= LONGEST_TEXT:
+                return False
+            self.drop()
+            return True
+        end = found.start()
+        if self._buffer[end] != 0x0D:
+            self._skip(end)
+        elif end >= 4 and self._buffer[end - 4 : end] == b"%04X" % crc16(self._buffer[: end - 4]):
+            replies.append(self._buffer[: end - 4].decode("ascii"))
+            del self._buffer[: end + 1]
+        else:
+            self.crc_errors += 1
+            self._skip(end + 1)
+        return True
+
+    def _binary(self, replies: list[str | bytes]) -> bool:
+        """The same for a binary reply."""
+        if not START.startswith(self._buffer[:2]):
+            return self._skip_to_a_start()
+        if len(self._buffer) < 6:
+            return False
+        length, check = struct.unpack_from("<HH", self._buffer, 2)
+        if check != crc16(self._buffer[:4]) or length > LONGEST_BODY:
+            return self._skip_to_a_start()
+        if len(self._buffer) < length + 8:
+            return False
+        body = bytes(self._buffer[6 : 6 + length])
+        if struct.unpack_from("<H", self._buffer, 6 + length)[0] == crc16(body):
+            replies.append(body)
+            del self._buffer[: length + 8]
+            return True
+        # Not all of it is skipped: when bytes were lost, the next reply has begun within this one.
+        self.crc_errors += 1
+        return self._skip_to_a_start()
+
+    def _skip_to_a_start(self) -> bool:
+        """Drop the first byte and what cannot begin a reply after it."""
+        found = _PERHAPS_A_START.search(self._buffer, 1)
+        self._skip(found.start() if found else len(self._buffer))
+        return True

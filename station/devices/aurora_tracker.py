@@ -1,0 +1,126 @@
+"""An Aurora as the control loop's tracker: a session on a link, looked at once a tick."""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from core.robot import Array
+from station.devices.aurora_dialogue import Break, Rate
+from station.devices.aurora_measurement import Counts, Measurement, Quality
+from station.devices.aurora_replies import ToolIdentity
+from station.devices.aurora_session import AuroraSession
+from station.devices.aurora_settings import AuroraSettings
+from station.devices.interfaces import TipReading
+from station.devices.links import Link, LinkError
+
+#: Without a new frame for this long the tracker is silent: four frames [s].
+SILENCE = 0.1
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Where the field generator stands in the world: p_world = rotation @ p_tracker + position."""
+
+    rotation: Array = field(default_factory=lambda: np.eye(3))  #: (3, 3)
+    position: Array = field(default_factory=lambda: np.zeros(3))  #: (3,) [m]
+
+    def world(self, millimetres: tuple[float, ...]) -> Array:
+        """A tracker position [mm] in the world (3,) [m]."""
+        return self.rotation @ (1e-3 * np.array(millimetres)) + self.position
+
+
+class TrackerReport(NamedTuple):
+    """How the tracker is doing, for whoever decides to hold."""
+
+    quality: Quality
+    good_age: float  #: since the last good position was measured; infinite before the first [s]
+    trouble: str  #: in words; empty when there is none
+    firmware: str  #: the unit's freeze tag
+    tool: ToolIdentity | None  #: the coil at the tip
+    counts: Counts
+    noise: int  #: bytes that belonged to no reply
+    crc_errors: int
+
+
+class AuroraTracker:
+    """Driver of one Aurora; implements `Tracker`. Nothing that the bytes do raises out of `poll`."""
+
+    def __init__(
+        self, link: Link, settings: AuroraSettings | None = None, registration: Registration | None = None
+    ) -> None:
+        self._link = link
+        self._settings = settings or AuroraSettings()
+        self._registration = registration or Registration()
+        self._session = AuroraSession(self._settings)
+        self._lost = ""
+        self._good_time = -math.inf
+
+    def poll(self, now: float) -> TipReading | None:
+        """The newest good frame that arrived since the last poll, if any."""
+        if self._lost:
+            return None
+        measurements: list[Measurement] = []
+        try:
+            measurements = self._session.receive(self._link.read(), now)
+            for order in self._session.due(now):
+                self._carry_out(order)
+        except LinkError as error:
+            self._lost = str(error)
+        newest = next((m for m in reversed(measurements) if m.position is not None), None)
+        if newest is None or newest.position is None:
+            return None
+        self._good_time = newest.time
+        return TipReading(newest.frame, newest.time, self._registration.world(newest.position))
+
+    def report(self, now: float) -> TrackerReport:
+        """How it stands at `now` [s]."""
+        session = self._session
+        quality, trouble = session.quality, session.talk.trouble
+        if self._lost:
+            quality, trouble = Quality.LOST, self._lost
+        elif session.tracking and now - session.last_arrival > SILENCE:
+            quality = Quality.SILENT
+            trouble = trouble or f"no new frame for {now - session.last_arrival:.2f} s"
+        tool = None if session.talk.handle is None else session.talk.tools.get(session.talk.handle)
+        return TrackerReport(
+            quality,
+            now - self._good_time,
+            trouble,
+            session.talk.firmware,
+            tool,
+            replace(session.counts),
+            session.reader.noise,
+            session.reader.crc_errors,
+        )
+
+    def attach(self, link: Link) -> None:
+        """Begin anew on another link after the first was lost; only the same coil is taken again."""
+        report = self.report(0.0)
+        if report.tool is not None:
+            self._settings = replace(self._settings, tool_serial=report.tool.serial)
+        self._link, self._lost = link, ""
+        self._session = AuroraSession(self._settings)
+
+    def close(self) -> None:
+        """Tell the unit to stop tracking and let go of the port."""
+        try:
+            for order in self._session.farewell():
+                self._carry_out(order)
+        except LinkError as error:
+            self._lost = str(error)
+        self._link.close()
+
+    def _carry_out(self, order: bytes | Rate | Break) -> None:
+        """A pipe in memory has neither rate nor break; a pty and a socket take both and ignore the break."""
+        if isinstance(order, bytes):
+            self._link.write(order)
+        elif isinstance(order, Rate):
+            set_baud = getattr(self._link, "set_baud", None)
+            if set_baud is not None:
+                set_baud(order.baud)
+        else:
+            send_break = getattr(self._link, "send_break", None)
+            if send_break is not None:
+                send_break()

@@ -1,0 +1,275 @@
+"""ATI Net F/T, raw data transfer (RDT) over UDP port 49152: requests, records, sequence and status; sans-I/O.
+
+A record has no checksum of its own (UDP has one): the length of its datagram, its two counters, which
+run together, and the clock are what a wrong one is known by. All numbers on the wire are big-endian.
+Layouts and rates: Net F/T manual 9620-05; status bits: as public clients read them.
+"""
+
+import struct
+from enum import IntEnum
+from typing import NamedTuple
+
+RDT_PORT = 49152
+SAMPLE_RATE = 7000.0  #: of the box's internal counter, +-0.5 % [1/s]
+LATENCY = 288e-6  #: from the event to the Ethernet [s]
+
+HEADER = 0x1234
+REQUEST = struct.Struct(">HHI")
+RECORD = struct.Struct(">IIIiiiiii")
+WRAP = 1 << 32
+
+#: What a box with nothing wrong says, and what it says when only a monitor condition has latched.
+HEALTHY = 0x00000000
+THRESHOLD_LATCHED = 0x80010000
+ERROR_SUMMARY = 1 << 31
+SATURATED = 1 << 17
+
+STATUS_BITS = {
+    30: "CPU or RAM",
+    29: "digital board",
+    28: "analog board",
+    27: "serial link between the boards",
+    26: "program memory",
+    25: "halted, configuration",
+    24: "settings not valid",
+    23: "configuration does not fit the calibration",
+    22: "network",
+    21: "CAN",
+    20: "RDT",
+    19: "EtherNet/IP",
+    18: "DeviceNet",
+    17: "transducer saturated or A/D",
+    16: "monitor condition latched",
+    14: "watchdog",
+    13: "stack",
+    12: "EEPROM",
+    11: "flash",
+    10: "analog watchdog",
+    9: "excitation current high",
+    8: "excitation current low",
+    7: "analog ground",
+    6: "analog supply high",
+    5: "analog supply low",
+    4: "serial data unavailable",
+    3: "reference or power",
+    2: "temperature",
+    1: "HTTP",
+}
+
+#: Two records in a row are at most this many internal samples apart: the slowest stream has 50 records/s.
+LONGEST_STEP = 140
+#: A record may seem to come from the future by this many samples: jitter of the way here.
+AHEAD = 140
+#: The box's clock may drift by +-0.5 %; the estimate of its offset gives way a little faster.
+DRIFT = 0.006
+#: So many records in line with one another begin a stream, if evenly spaced; or replace one that has gone elsewhere.
+BEGIN, REPLACE = 3, 10
+#: After a pause a counter that is off by more than this has started anew: another box, or the same after a reset [s].
+RESET = 0.5
+
+
+class Command(IntEnum):
+    """What can be asked of the box; a new stream request overrides the last one, from whoever it comes."""
+
+    STOP = 0x0000
+    STREAM = 0x0002  #: one record a datagram
+    STREAM_BUFFERED = 0x0003  #: several records a datagram
+    RESET_LATCH = 0x0041
+    BIAS = 0x0042
+
+
+class Record(NamedTuple):
+    """One record as it came."""
+
+    rdt_sequence: int  #: from 1 in each stream request
+    ft_sequence: int  #: the box's internal sample counter
+    status: int
+    counts: tuple[int, ...]  #: Fx Fy Fz Tx Ty Tz
+
+
+class Sample(NamedTuple):
+    """A record that is in line with the stream."""
+
+    time: float  #: when it was measured, host time [s]
+    status: int
+    counts: tuple[int, ...]  #: Fx Fy Fz Tx Ty Tz
+
+
+class Counters(NamedTuple):
+    """What a stream has seen since it was made."""
+
+    accepted: int = 0
+    lost: int = 0  #: missing in the sequence
+    duplicates: int = 0
+    late: int = 0  #: came after a newer one, dropped
+    malformed: int = 0  #: datagrams of a wrong length
+    implausible: int = 0  #: counters that cannot be, dropped
+    resyncs: int = 0  #: another sequence had to be taken up
+    resets: int = 0  #: the sample counter began anew: the box has lost its bias, or is another one
+
+
+def request(command: Command, samples: int = 0) -> bytes:
+    """The 8 bytes that ask for `samples` records (0: until stopped) or for what else `command` says."""
+    return REQUEST.pack(HEADER, command, samples)
+
+
+def records(datagram: bytes) -> list[Record] | None:
+    """Records of a datagram; None if its length is not that of whole records."""
+    if not datagram or len(datagram) % RECORD.size:
+        return None
+    return [Record(rdt, ft, status, tuple(counts)) for rdt, ft, status, *counts in RECORD.iter_unpack(datagram)]
+
+
+def is_usable(status: int) -> bool:
+    """Whether nothing is wrong but perhaps a latched monitor condition, a mere warning."""
+    return status in (HEALTHY, THRESHOLD_LATCHED)
+
+
+def describe(status: int) -> str:
+    """The set bits of a status word, for a person."""
+    if status == HEALTHY:
+        return "healthy"
+    named = [STATUS_BITS.get(bit, f"bit {bit}") for bit in range(30, -1, -1) if status >> bit & 1]
+    return ", ".join(named) or "error summary alone"
+
+
+class SampleClock:
+    """Host time of the box's internal samples.
+
+    Records are delayed by more or less, never early: the least delayed ones say how far the counter
+    and the host's clock are apart. What remains is at most the time between two looks at the socket.
+    """
+
+    def __init__(self, latency: float = LATENCY) -> None:
+        self._latency = latency
+        self._offset = 0.0  # host time at which the counter was 0, as the least delayed record says
+        self._seen = self._confirmed = 0.0  # when there was a record, and one of the least delayed
+        self.is_set = False  #: whether there has been a record at all
+
+    def observe(self, count: int, now: float) -> float:
+        """Note that sample `count` is here at `now` [s], and say when it was measured [s]."""
+        offset = now - count / SAMPLE_RATE
+        latest = self._offset + DRIFT * (now - self._seen)
+        if offset <= latest or not self.is_set:
+            self._offset, self._confirmed, self.is_set = offset, now, True
+        else:
+            self._offset = latest
+        self._seen = now
+        return self._offset + count / SAMPLE_RATE - self._latency
+
+    def doubt(self, now: float) -> float:
+        """By how much the offset may be off at `now` [s]."""
+        return 2.0 * DRIFT * (now - self._confirmed)
+
+    def latest(self, now: float) -> float:
+        """The count that can be here at `now` [s] at the latest."""
+        return (now - self._offset + self.doubt(now)) * SAMPLE_RATE
+
+
+class Stream:
+    """The records of one box, in order; whatever is not in line is counted and dropped."""
+
+    def __init__(self, latency: float = LATENCY) -> None:
+        self._latency = latency
+        self._clock = SampleClock(latency)
+        self._last: Record | None = None
+        self._count = 0  # ft_sequence of the last record, unwrapped
+        self._astray: Record | None = None  # the last one that was not in line
+        self._in_line = 0  # how many of those follow one another
+        # Internal samples from one record to the next, if those that began the stream agree; 0: not known.
+        self._step = self._candidate = 0
+        self._accepted = self._lost = self._duplicates = self._late = 0
+        self._malformed = self._implausible = self._resyncs = self._resets = 0
+
+    @property
+    def counters(self) -> Counters:
+        """What has been seen so far."""
+        return Counters(
+            self._accepted,
+            self._lost,
+            self._duplicates,
+            self._late,
+            self._malformed,
+            self._implausible,
+            self._resyncs,
+            self._resets,
+        )
+
+    @property
+    def lost(self) -> int:
+        """Records missing in the sequence so far."""
+        return self._lost
+
+    @property
+    def resets(self) -> int:
+        """How often the box's sample counter has begun anew."""
+        return self._resets
+
+    def restart(self) -> None:
+        """A new request is sent: its sequence begins at 1."""
+        self._last = self._astray = None
+        self._in_line = 0
+
+    def feed(self, datagram: bytes, now: float) -> list[Sample]:
+        """Take a datagram that has arrived by `now` [s]; give the samples in it that are in line."""
+        found = records(datagram)
+        if found is None:
+            self._malformed += 1
+            return []
+        return [sample for record in found if (sample := self._take(record, now)) is not None]
+
+    def _take(self, record: Record, now: float) -> Sample | None:
+        last = self._last
+        if last is not None:
+            steps = record.rdt_sequence - last.rdt_sequence & WRAP - 1
+            samples = record.ft_sequence - last.ft_sequence & WRAP - 1
+            step = self._step
+            if steps and (samples == step * steps if step else steps <= samples <= LONGEST_STEP * steps):
+                count = self._count + samples
+                if count <= self._clock.latest(now) + AHEAD:
+                    self._lost += steps - 1
+                    return self._accept(record, count, now)
+            if steps == 0:
+                self._duplicates += 1
+                return None
+            if steps > WRAP // 2:
+                self._late += 1
+            else:
+                self._implausible += 1
+        return self._consider(record, now)
+
+    def _accept(self, record: Record, count: int, now: float) -> Sample:
+        self._last, self._count = record, count
+        self._astray, self._in_line = None, 0
+        self._accepted += 1
+        return Sample(self._clock.observe(count, now), record.status, record.counts)
+
+    def _consider(self, record: Record, now: float) -> Sample | None:
+        """Begin with `record` if enough of those that are not in line are in line with one another."""
+        before, self._astray = self._astray, record
+        ratio = _ratio(before, record)
+        self._in_line = self._in_line + 1 if ratio else 1
+        self._candidate = ratio if self._in_line == 2 or ratio == self._candidate else 0
+        if self._in_line < (BEGIN if self._last is None and self._candidate else REPLACE):
+            return None
+        self._resyncs += self._last is not None
+        self._step = int(self._candidate) if self._candidate == int(self._candidate) else 0
+        count = record.ft_sequence
+        if self._clock.is_set:
+            latest = round(self._clock.latest(now))
+            off = (count - latest + WRAP // 2) % WRAP - WRAP // 2
+            if abs(off) / SAMPLE_RATE <= RESET + self._clock.doubt(now):
+                count = latest + off
+            else:
+                self._resets += 1
+                self._clock = SampleClock(self._latency)
+        return self._accept(record, count, now)
+
+
+def _ratio(before: Record | None, after: Record) -> float:
+    """Internal samples a record from one to the other; 0 if it cannot follow."""
+    if before is None:
+        return 0.0
+    steps = after.rdt_sequence - before.rdt_sequence & WRAP - 1
+    samples = after.ft_sequence - before.ft_sequence & WRAP - 1
+    return samples / steps if steps and steps <= samples <= LONGEST_STEP * steps else 0.0

@@ -1,0 +1,142 @@
+"""The configuration page of an ATI Net F/T, `netftapi2.xml`: what a count is worth.
+
+Read strictly, for a wrong scale is a wrong force: the five elements once each, text only, positive
+finite numbers, units by a known name; well-formed, no DOCTYPE. Elements of the real page that are not
+needed are passed over; the calibration's serial number and range are taken if they are there.
+"""
+
+import math
+import re
+from dataclasses import dataclass
+from xml.parsers import expat
+
+from core.errors import CtrError
+
+#: [N]
+FORCE_UNITS = {
+    "N": 1.0,
+    "kN": 1e3,
+    "lbf": 4.4482216152605,
+    "klbf": 4448.2216152605,
+    "kgf": 9.80665,
+}
+#: [N m]
+TORQUE_UNITS = {
+    "N-m": 1.0,
+    "Nm": 1.0,
+    "N-mm": 1e-3,
+    "Nmm": 1e-3,
+    "kN-m": 1e3,
+    "lbf-in": 0.1129848290276167,
+    "lbf-ft": 1.3558179483314004,
+    "kgf-cm": 0.0980665,
+    "kg-cm": 0.0980665,
+}
+REQUIRED = ("prodname", "cfgcpf", "cfgcpt", "scfgfu", "scfgtu")
+OPTIONAL = ("cfgcalsn", "cfgmr")
+LARGEST_PAGE = 1 << 18  #: [bytes]; a real page has a few thousand
+#: Counts per unit outside of these are a mistake, and could make a force infinite.
+LEAST_COUNTS, MOST_COUNTS = 1e-6, 1e15
+_NUMBER = re.compile(r"\d{1,20}(\.\d{0,20})?([eE][+-]?\d{1,3})?", re.ASCII)
+
+
+class PageError(CtrError):
+    """A configuration page that cannot be trusted; names the element, its text and what was expected."""
+
+
+@dataclass(frozen=True)
+class NetftPage:
+    """What the page says."""
+
+    product: str
+    serial: str  #: of the calibration, what a sensor is known by; "" if the page does not tell
+    force_count: float  #: [N]
+    torque_count: float  #: [N m]
+    ranges: tuple[float, ...] | None  #: six, of the calibration [N, N m]; None if the page does not tell
+
+
+def read_page(page: bytes) -> NetftPage:
+    """Read `netftapi2.xml`.
+
+    Raises:
+        PageError: with the element, its text and what was expected.
+    """
+    texts = _texts(page)
+    for name in REQUIRED:
+        if name not in texts:
+            raise PageError(f"netftapi2.xml has no <{name}>; is this an ATI Net F/T?")
+    force = _unit(texts["scfgfu"], "scfgfu", FORCE_UNITS)
+    torque = _unit(texts["scfgtu"], "scfgtu", TORQUE_UNITS)
+    if not texts["prodname"]:
+        raise PageError("netftapi2.xml: <prodname> is empty; expected the name of the product")
+    return NetftPage(
+        product=texts["prodname"],
+        serial=texts.get("cfgcalsn", ""),
+        force_count=force / _counts(texts["cfgcpf"], "cfgcpf"),
+        torque_count=torque / _counts(texts["cfgcpt"], "cfgcpt"),
+        ranges=_ranges(texts.get("cfgmr"), force, torque),
+    )
+
+
+def _texts(page: bytes) -> dict[str, str]:
+    """Text of each element that is wanted."""
+    if len(page) > LARGEST_PAGE:
+        raise PageError(f"netftapi2.xml has {len(page)} bytes; at most {LARGEST_PAGE} are read")
+    found: dict[str, str] = {}
+    wanted = {*REQUIRED, *OPTIONAL}
+    inside: list[str] = []  # the wanted element that is open
+
+    def start(name: str, _: dict[str, str]) -> None:
+        if inside:
+            raise PageError(f"netftapi2.xml: <{inside[0]}> contains <{name}>; expected text only")
+        if name in wanted:
+            if name in found:
+                raise PageError(f"netftapi2.xml has <{name}> twice; expected it once")
+            found[name] = ""
+            inside.append(name)
+
+    def end(_: str) -> None:
+        inside.clear()
+
+    def text(data: str) -> None:
+        if inside:
+            found[inside[0]] += data
+
+    def doctype(*_: object) -> None:
+        raise PageError("netftapi2.xml has a DOCTYPE; a Net F/T sends none")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = text
+    parser.StartDoctypeDeclHandler = doctype
+    try:
+        parser.Parse(page, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:  # the others: an encoding that is none
+        raise PageError(f"netftapi2.xml is not well-formed: {error}") from None
+    return {name: value.strip() for name, value in found.items()}
+
+
+def _unit(name: str, element: str, units: dict[str, float]) -> float:
+    if name not in units:
+        raise PageError(f"netftapi2.xml: <{element}> is '{name[:40]}'; expected one of {', '.join(units)}")
+    return units[name]
+
+
+def _counts(text: str, element: str) -> float:
+    counts = float(text) if _NUMBER.fullmatch(text) else math.nan
+    if not LEAST_COUNTS <= counts <= MOST_COUNTS:
+        raise PageError(
+            f"netftapi2.xml: <{element}> is '{text[:40]}' counts per unit; "
+            f"expected a number in {LEAST_COUNTS:g} ... {MOST_COUNTS:g}"
+        )
+    return counts
+
+
+def _ranges(text: str | None, force: float, torque: float) -> tuple[float, ...] | None:
+    """The calibration's six ranges, separated by `;`, `,` or blanks; None if they are not six positive numbers."""
+    parts = re.split(r"[;,\s]+", text) if text else []
+    if len(parts) != 6 or not all(_NUMBER.fullmatch(part) for part in parts):
+        return None
+    values = [float(part) * unit for part, unit in zip(parts, [force] * 3 + [torque] * 3, strict=True)]
+    return tuple(values) if all(0.0 < value < math.inf for value in values) else None

@@ -1,0 +1,352 @@
+"""Base sensors behind ATI Net F/T boxes: one box a sensor, brought to one sample; no threads.
+
+What comes is not always fit for control. A sample that is not never replaces the last good one: the
+reading stays, and `quality` says what is wrong with it.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Protocol
+
+import httpx
+import numpy as np
+
+from core.errors import CtrError
+from station.devices.interfaces import WrenchReading
+from station.devices.links import DatagramLink, LinkError
+from station.devices.netft import (
+    LATENCY,
+    RDT_PORT,
+    SATURATED,
+    THRESHOLD_LATCHED,
+    Command,
+    Counters,
+    Sample,
+    Stream,
+    describe,
+    is_usable,
+    request,
+)
+from station.devices.netft_page import LARGEST_PAGE, NetftPage, read_page
+
+
+class SensorError(CtrError):
+    """A force sensor that cannot be reached or is not the one expected; names it and what to do."""
+
+
+class Quality(IntFlag):
+    """What is wrong with a sensor's reading; 0: nothing."""
+
+    GOOD = 0
+    LATCHED = 1  #: a monitor condition has latched in the box; a warning
+    GAP = 2  #: records were lost since the last poll; a warning
+    STALE = 4  #: nothing usable has come for too long, or nothing yet
+    SATURATED = 8  #: the transducer or its converter is at its end
+    STATUS = 16  #: the box says that something else is wrong
+    RANGE = 32  #: more than the calibration covers, though the box says nothing
+    RESET = 64  #: the box has started anew since the stream began: its bias and its identity are open
+    GONE = 128  #: the link is gone
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether control may use the reading."""
+        return not self & ~(Quality.LATCHED | Quality.GAP)
+
+
+@dataclass(frozen=True)
+class NetftSettings:
+    """What the driver has to be told."""
+
+    stale_after: float = 0.05  #: without a usable record [s]
+    retry_after: float = 0.5  #: of silence the stream is asked for again, and every so often [s]
+    latency: float = LATENCY  #: from the event to the Ethernet [s]
+    ranges: tuple[float, ...] = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)  #: Nano43 SI-18-0.25, if the page tells none
+
+
+class Datagrams(Protocol):
+    """A link of whole datagrams to one box: UDP, or a queue in memory."""
+
+    name: str  #: for messages
+
+    def receive(self) -> list[bytes]:
+        """Whole datagrams that have arrived."""
+        ...
+
+    def send(self, datagram: bytes) -> None:
+        """Send one datagram, which may get lost."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the port."""
+        ...
+
+
+# Flags as plain numbers: those of `IntFlag` are slow, and these are put together at every tick.
+_LATCHED, _GAP, _STALE, _SATURATED, _STATUS, _RANGE, _RESET, _GONE = (int(flag) for flag in Quality)
+
+#: Kept of each sensor, to interpolate between: several ticks at the fastest rate.
+HISTORY = 64
+
+
+class _Sensor:
+    """One box: its stream, what of it can be used, and the rest as quality."""
+
+    def __init__(self, link: Datagrams, page: NetftPage, settings: NetftSettings) -> None:
+        self.link = link
+        self.page = page
+        self.stream = Stream(settings.latency)
+        self.good: deque[Sample] = deque(maxlen=HISTORY)
+        self.flags = _STALE
+        self.status = 0
+        self.requests = 0
+        self._settings = settings
+        scale = [page.force_count] * 3 + [page.torque_count] * 3
+        self._limits = tuple(r / s for r, s in zip(page.ranges or settings.ranges, scale, strict=True))
+        self._heard = self._fresh = 0.0
+        self._streaming = False
+        self._lasting = 0  # until the stream is started by a person
+        self._newest = 0  # of the newest records
+
+    def start(self, now: float) -> None:
+        """Begin a stream, with nothing held against the box."""
+        self._lasting = self._newest = 0
+        self.flags = _STALE
+        self.stream = Stream(self._settings.latency)
+        self.good.clear()
+        self._streaming = True
+        self._heard = self._fresh = now
+        self._ask()
+
+    def stop(self) -> None:
+        self._streaming = False
+        self.send(Command.STOP)
+
+    def send(self, command: Command) -> None:
+        self.link.send(request(command))
+
+    def poll(self, now: float) -> None:
+        """Take what has arrived; nothing of it raises."""
+        stream, gone = self.stream, 0
+        lost, resets = stream.lost, stream.resets
+        samples: list[Sample] = []
+        try:
+            for datagram in self.link.receive():
+                samples += stream.feed(datagram, now)
+            if samples:
+                self._heard = now
+            elif self._streaming and now - self._heard >= self._settings.retry_after:
+                self._heard = now
+                stream.restart()
+                self._ask()
+        except LinkError:
+            gone = _GONE
+        if samples:
+            self._newest = 0
+            for sample in samples:
+                self._take(sample, now)
+        if stream.resets > resets:
+            self._lasting |= _RESET
+            self.good.clear()
+        flags = self._newest | self._lasting | gone
+        if stream.lost > lost:
+            flags |= _GAP
+        if not self.good or now - self._fresh > self._settings.stale_after:
+            flags |= _STALE
+        self.flags = flags
+
+    def counts_at(self, time: float) -> Sequence[float]:
+        """Counts (6,) at `time` [s], on the line between the records next to it."""
+        after = self.good[-1]
+        for index in range(len(self.good) - 1, -1, -1):
+            sample = self.good[index]
+            if sample.time <= time:
+                part = (time - sample.time) / (after.time - sample.time) if after.time > time else 0.0
+                if part <= 0.0:
+                    return sample.counts
+                return [a + part * (b - a) for a, b in zip(sample.counts, after.counts, strict=True)]
+            after = sample
+        return after.counts
+
+    def _take(self, sample: Sample, now: float) -> None:
+        self.status = sample.status
+        if not is_usable(sample.status):
+            self._newest |= _SATURATED if sample.status & SATURATED else _STATUS
+            return
+        if sample.status == THRESHOLD_LATCHED:
+            self._newest |= _LATCHED
+        for count, limit in zip(sample.counts, self._limits, strict=True):
+            if not -limit <= count <= limit:
+                self._newest |= _RANGE
+                return
+        if self.good and sample.time <= self.good[-1].time:  # a less delayed record has set the clock back
+            sample = sample._replace(time=self.good[-1].time)
+        self.good.append(sample)
+        self._fresh = now
+
+    def _ask(self) -> None:
+        self.requests += 1
+        self.send(Command.STREAM)
+
+
+class NetftSensors:
+    """Sensors in the order of the tubes, each behind a box of its own."""
+
+    def __init__(
+        self, links: Sequence[Datagrams], pages: Sequence[NetftPage], settings: NetftSettings | None = None
+    ) -> None:
+        settings = settings or NetftSettings()
+        self._sensors = [_Sensor(link, page, settings) for link, page in zip(links, pages, strict=True)]
+        self._scale = np.array([[page.force_count] * 3 + [page.torque_count] * 3 for page in pages])
+        self._reading = WrenchReading(0.0, np.zeros((len(self._sensors), 6)))
+        self._time = -math.inf  # of the reading; it never runs back
+
+    @property
+    def quality(self) -> tuple[Quality, ...]:
+        """Of each sensor at the last poll."""
+        return tuple(Quality(sensor.flags) for sensor in self._sensors)
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether control may use the last reading."""
+        return not any(sensor.flags & ~(_LATCHED | _GAP) for sensor in self._sensors)
+
+    @property
+    def pages(self) -> tuple[NetftPage, ...]:
+        """What each box said at connect."""
+        return tuple(sensor.page for sensor in self._sensors)
+
+    @property
+    def counters(self) -> tuple[Counters, ...]:
+        """Of each stream since it was started."""
+        return tuple(sensor.stream.counters for sensor in self._sensors)
+
+    @property
+    def requests(self) -> tuple[int, ...]:
+        """How often each stream had to be asked for."""
+        return tuple(sensor.requests for sensor in self._sensors)
+
+    def complaint(self) -> str:
+        """What is wrong, for a person; "" if nothing is."""
+        return "; ".join(
+            f"force sensor {number} ({sensor.link.name}): "
+            + ", ".join(str(flag.name).lower() for flag in Quality if flag in quality)
+            + (f" [{describe(sensor.status)}]" if sensor.status else "")
+            for number, (sensor, quality) in enumerate(zip(self._sensors, self.quality, strict=True), 1)
+            if not quality.is_usable
+        )
+
+    def start(self, now: float) -> None:
+        """Ask for the streams; also what a person does after a box has started anew.
+
+        Raises:
+            LinkError: a port is gone.
+        """
+        self._reading, self._time = self._reading._replace(time=now), -math.inf
+        for sensor in self._sensors:
+            sensor.start(now)
+
+    def bias(self) -> None:
+        """Make what each box feels now its zero; the next records still come from before."""
+        for sensor in self._sensors:
+            sensor.send(Command.BIAS)
+
+    def reset_latch(self) -> None:
+        """Forget the latched monitor conditions."""
+        for sensor in self._sensors:
+            sensor.send(Command.RESET_LATCH)
+
+    def poll(self, now: float) -> WrenchReading:
+        """The newest time that every sensor has reached, and the wrenches at it.
+
+        A sensor whose `quality` is not usable keeps its last good wrench; before its first, all are zero.
+        """
+        for sensor in self._sensors:
+            sensor.poll(now)
+        there = [sensor for sensor in self._sensors if sensor.good]
+        if len(there) < len(self._sensors):
+            return self._reading
+        fresh = [sensor for sensor in there if not sensor.flags & _STALE]
+        if fresh:
+            self._time = time = max(self._time, min(sensor.good[-1].time for sensor in fresh))
+            counts = np.array([sensor.counts_at(time) for sensor in there])
+            self._reading = WrenchReading(time, counts * self._scale)
+        return self._reading
+
+    def stop(self) -> None:
+        """End the streams."""
+        for sensor in self._sensors:
+            sensor.stop()
+
+    def close(self) -> None:
+        """End the streams and let go of the ports, of every one even if another has gone."""
+        for sensor in self._sensors:
+            try:
+                sensor.stop()
+            except LinkError:
+                continue
+            finally:
+                sensor.link.close()
+
+
+def fetch_page(host: str, port: int = 80, timeout: float = 2.0) -> NetftPage:
+    """Ask a box for its configuration page.
+
+    Raises:
+        SensorError: it does not answer.
+        PageError: what it answers cannot be trusted.
+    """
+    url = f"http://{host}:{port}/netftapi2.xml"
+    page = b""
+    try:
+        # No proxy from the environment and no redirection: the box itself or nothing.
+        with httpx.Client(timeout=timeout, trust_env=False) as client, client.stream("GET", url) as answer:
+            if answer.status_code != 200:
+                raise SensorError(f"{url} answers {answer.status_code}; is this an ATI Net F/T?")
+            for part in answer.iter_bytes():
+                page += part
+                if len(page) > LARGEST_PAGE:
+                    break
+    except (httpx.HTTPError, httpx.InvalidURL) as error:
+        raise SensorError(f"{url} does not answer: {error}; is the box on, and in this network?") from None
+    return read_page(page)
+
+
+def connect(
+    hosts: Sequence[str],
+    settings: NetftSettings | None = None,
+    serials: Sequence[str] | None = None,
+    rdt_port: int = RDT_PORT,
+    http_port: int = 80,
+) -> NetftSensors:
+    """Find the boxes of the tubes' sensors, in the order of the tubes; blocks, `start` is still to come.
+
+    Args:
+        hosts: names or addresses.
+        settings: of the driver.
+        serials: calibration serial numbers that are expected; None takes what is there.
+        rdt_port: of every box.
+        http_port: of every box.
+
+    Raises:
+        SensorError: a box does not answer or is another one.
+        PageError: its page cannot be trusted.
+        LinkError: its address means nothing.
+    """
+    pages = [fetch_page(host, http_port) for host in hosts]
+    for host, page, serial in zip(hosts, pages, serials or [page.serial for page in pages], strict=True):
+        if page.serial != serial:
+            raise SensorError(
+                f"the force sensor at {host} has calibration '{page.serial}', expected '{serial}'; "
+                "are the cables or addresses exchanged?"
+            )
+    links: list[DatagramLink] = []
+    try:
+        links.extend(DatagramLink(host, rdt_port) for host in hosts)
+    except LinkError:
+        for link in links:
+            link.close()
+        raise
+    return NetftSensors(links, pages, settings)

@@ -1,0 +1,258 @@
+"""Zaber T-series, Binary protocol of firmware 5.xx: messages, units, command numbers, errors in words.
+
+A message has six bytes both ways and no checksum, so that a lost byte shifts everything after it. Two
+things find the frame again: a silence of more than 10 ms (the units do the same), and a look at whether
+a message makes sense. Sources: the manufacturer's Binary Protocol Manual and his wiki's T-Series pages.
+"""
+
+import math
+import struct
+from collections.abc import Callable
+from enum import IntEnum
+from typing import NamedTuple
+
+from core.errors import CtrError
+
+BAUD = 9600  #: 8N1, no handshake; fixed in the T-series [bit/s]
+BYTE_TIME = 10.0 / BAUD  #: [s]
+SIZE = 6  #: bytes of a message
+MESSAGE_TIME = SIZE * BYTE_TIME  #: 6.25 ms: 160 messages a second each way
+GAP = 0.010  #: a message with a longer pause inside is dropped [s]
+
+SPEED_UNIT = 9.375  #: [microsteps/s]; firmware 6 and later has another one
+ACCELERATION_UNIT = 11250.0  #: [microsteps/s^2]; firmware 6 and later has another one
+MOST_POSITION = 16_777_215  #: of Set Maximum Position [microsteps]
+RESOLUTION = 64  #: microsteps a full step, from the factory
+
+_FRAME = struct.Struct("<BBi")
+
+
+class ZaberError(CtrError):
+    """A message that cannot be, or a stage that is not what it should be or does not do what it was told."""
+
+
+class Command(IntEnum):
+    """Command numbers; the last ones of each block only ever come as replies."""
+
+    RESET = 0
+    HOME = 1
+    RENUMBER = 2
+    MOVE_TRACKING = 8
+    LIMIT_ACTIVE = 9
+    MANUAL_MOVE = 10
+    STORE_POSITION = 16
+    RETURN_STORED = 17
+    MOVE_STORED = 18
+    MOVE_ABSOLUTE = 20
+    MOVE_RELATIVE = 21
+    MOVE_SPEED = 22
+    STOP = 23
+    RESTORE = 36
+    SET_RESOLUTION = 37
+    SET_RUN_CURRENT = 38
+    SET_HOLD_CURRENT = 39
+    SET_MODE = 40
+    SET_HOME_SPEED = 41
+    SET_SPEED = 42
+    SET_ACCELERATION = 43
+    SET_MAXIMUM = 44
+    SET_POSITION = 45
+    SET_MOST_RELATIVE = 46
+    SET_HOME_OFFSET = 47
+    SET_ALIAS = 48
+    SET_LOCK = 49
+    DEVICE_ID = 50
+    FIRMWARE = 51
+    VOLTAGE = 52
+    SETTING = 53
+    STATUS = 54
+    ECHO = 55
+    POSITION = 60
+    SERIAL_NUMBER = 63
+    ERROR = 255
+
+
+class Mode(IntEnum):
+    """Bits of Set Device Mode (40); each write replaces all of them, the homed flag included."""
+
+    NO_AUTO_REPLY = 1 << 0  #: only Return, Echo, Renumber and Read are answered
+    NO_KNOB = 1 << 3
+    MOVE_TRACKING = 1 << 4
+    NO_MANUAL_TRACKING = 1 << 5
+    MESSAGE_IDS = 1 << 6
+    HOMED = 1 << 7
+
+
+class Status(IntEnum):
+    """Answers to Return Status (54) that matter here."""
+
+    IDLE = 0
+    HOMING = 1
+    KNOB = 10
+    TO_STORED = 18
+    ABSOLUTE = 20
+    RELATIVE = 21
+    CONSTANT_SPEED = 22
+    STOPPING = 23
+
+
+class Code(IntEnum):
+    """Errors that are acted upon."""
+
+    UNKNOWN_COMMAND = 64
+    BUSY = 255
+
+
+#: Manufacturer's wiki, "Error / T-Series Motorized Devices".
+ERRORS = {
+    1: "cannot home: the home sensor was not found",
+    2: "device number out of range",
+    14: "supply voltage too low",
+    15: "supply voltage too high",
+    18: "stored position out of range",
+    20: "target of an absolute move out of range",
+    21: "target of a relative move out of range",
+    22: "speed of a constant-speed move out of range",
+    36: "restore key wrong",
+    37: "microstep resolution not possible",
+    38: "run current out of range",
+    39: "hold current out of range",
+    40: "device mode not possible",
+    41: "home speed out of range",
+    42: "target speed out of range",
+    43: "acceleration out of range",
+    44: "maximum position out of range",
+    45: "current position out of range",
+    46: "largest relative move out of range",
+    47: "home offset out of range",
+    48: "alias out of range",
+    49: "lock state not possible",
+    53: "unknown setting",
+    64: "unknown command",
+    255: "busy with another command",
+    1600: "address of a stored position out of range (save)",
+    1601: "position cannot be stored: the stage is not homed",
+    1700: "address of a stored position out of range (return)",
+    1800: "address of a stored position out of range (move)",
+    1801: "no move to a stored position: the stage is not homed",
+    2146: "relative move longer than its limit",
+    3600: "settings are locked",
+}
+
+
+def error_text(code: int) -> str:
+    """What an error reply means, in words."""
+    if 4000 <= code <= 4031:
+        return f"error {code}: bit {code - 4000} of the device mode is not possible"
+    return f"error {code}: {ERRORS.get(code, 'not in the list of the T-series')}"
+
+
+class Message(NamedTuple):
+    """Six bytes, either way."""
+
+    device: int  #: 0 addresses every unit
+    command: int
+    data: int  #: signed 32 bits
+
+
+def encode(message: Message) -> bytes:
+    """The bytes of a message.
+
+    Raises:
+        ZaberError: a part that does not fit.
+    """
+    device, command, data = message
+    for what, value in (("device", device), ("command", command)):
+        if not 0 <= value <= 255:
+            raise ZaberError(f"{what} {value} is outside 0 ... 255 (one byte)")
+    if not -(1 << 31) <= data < 1 << 31:
+        raise ZaberError(f"data {data} is outside -2^31 ... 2^31 - 1 (four bytes)")
+    return _FRAME.pack(device, command, data)
+
+
+def decode(frame: bytes) -> Message:
+    """The message in six bytes."""
+    return Message._make(_FRAME.unpack(frame))
+
+
+def with_id(data: int, identity: int) -> int:
+    """Data of a message in message-ID mode: 24 signed bits, and the ID in the sixth byte."""
+    word = (data & 0xFFFFFF) | (identity & 0xFF) << 24
+    return word - (1 << 32) if word >= 1 << 31 else word
+
+
+def split_id(word: int) -> tuple[int, int]:
+    """Data and ID of a message in message-ID mode."""
+    data = word & 0xFFFFFF
+    return (data - (1 << 24) if data >= 1 << 23 else data), (word >> 24) & 0xFF
+
+
+def top_speed(resolution: int) -> int:
+    """Largest speed and acceleration that the units take at a resolution [their units]."""
+    return 512 * resolution - 1
+
+
+def speed_data(microsteps_per_s: float) -> int:
+    """The nearest speed that can be sent.
+
+    Raises:
+        ZaberError: not finite.
+    """
+    if not math.isfinite(microsteps_per_s):
+        raise ZaberError(f"speed {microsteps_per_s} microsteps/s is not finite")
+    return round(microsteps_per_s / SPEED_UNIT)
+
+
+class Parser:
+    """Messages out of a stream of bytes that may be split anywhere, damaged or full of noise."""
+
+    def __init__(self, plausible: Callable[[Message], bool] | None = None, gap: float = GAP) -> None:
+        """`plausible` says whether a message makes sense; without it every six bytes are one.
+
+        `gap` is the silence that ends a message [s].
+        """
+        self.dropped = 0  #: bytes that belong to no message
+        self.resyncs = 0  #: times that the frame was lost
+        self._plausible = plausible
+        self._gap = gap
+        self._held = bytearray()
+        self._last = -math.inf
+        self._lost = False
+
+    def feed(self, data: bytes, now: float, since: float | None = None) -> list[Message]:
+        """Messages completed by `data`, which arrived at `now` or, if that is not so sure, after `since` [s].
+
+        Whoever has looked last a while ago does not know whether there was a silence; none is assumed then.
+        """
+        if not data:
+            return []
+        held = self._held
+        if (now if since is None else since) - self._last > self._gap:
+            self._lost = False
+            if held:
+                self._drop(len(held))
+        self._last = now
+        held += data
+        if len(held) < SIZE:
+            return []
+        found: list[Message] = []
+        begin, skipped = 0, 0
+        while len(held) - begin >= SIZE:
+            message = Message._make(_FRAME.unpack_from(held, begin))
+            if self._plausible is None or self._plausible(message):
+                found.append(message)
+                begin += SIZE
+                self._lost = False
+            else:
+                self.resyncs += not self._lost
+                self._lost = True
+                begin += 1
+                skipped += 1
+        self.dropped += skipped
+        del held[:begin]
+        return found
+
+    def _drop(self, count: int) -> None:
+        self.dropped += count
+        self.resyncs += 1
+        del self._held[:count]

@@ -1,0 +1,252 @@
+"""A simulated ATI Net F/T box at wire level: requests in, records out, with the sensor's imperfections.
+
+Noise, quantisation, offset and drift on the true base wrench; the box's own counter, its delay, its
+end of range; and what can go wrong on the way. Only the latest that asked for a stream is served.
+"""
+
+import math
+import struct
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.robot import Array
+from station.devices.netft import ERROR_SUMMARY, HEADER, LATENCY, RECORD, REQUEST, SATURATED, WRAP, Command
+from station.lab.config import BaseSensorConfig
+from station.lab.netft_wire import Address, DeviceEnd
+
+#: The internal counter of a perfect box [1/s].
+RATE = 7000.0
+#: A request that names the host to be served: bit 15 of the command, and an IPv4 address and a port at the end.
+ELSEWHERE = 0x8000
+LONG_REQUEST = struct.Struct(">HHI4sH")
+#: Noise is drawn for so many records at once.
+BLOCK = 256
+
+
+@dataclass(frozen=True)
+class BoxSettings:
+    """The box and its calibration; a Nano43 SI-18-0.25 unless told otherwise."""
+
+    rate: float = 500.0  #: asked for; what it becomes is 7000/n [records/s]
+    force_range: float = 18.0  #: [N]
+    torque_range: float = 0.25  #: [N m]
+    force_counts: int = 1_000_000  #: per newton
+    torque_counts: int = 1_000_000  #: per newton metre
+    product: str = "Net F/T (simulated)"
+    serial: str = "FT00001"
+    address: str = "192.168.1.1"  #: as the page has it
+    buffer: int = 10  #: records a datagram when buffered
+    latency: float = LATENCY  #: from the event to the Ethernet [s]
+    first: float = 0.002  #: from a request to the first record, up to 0.005 in a real one [s]
+    clock_error: float = 0.0  #: of the counter's rate, up to +-0.005 in a real one
+    first_count: int = 6433  #: of the counter at time 0
+
+    @property
+    def divisor(self) -> int:
+        """What 7000 is divided by."""
+        return max(1, min(7000, round(RATE / self.rate)))
+
+
+@dataclass
+class NetftFaults:
+    """What goes wrong from now on; parts are probabilities a datagram."""
+
+    drop: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0  #: changes places with the next
+    flip: float = 0.0  #: one bit, as if UDP's checksum had missed it
+    mute: bool = False  #: neither hears nor sends, as if unplugged
+    saturate: bool = False  #: as if overloaded
+    freeze: bool = False  #: the same sample again and again
+    status: int = 0  #: bits set in each record
+    delay: float = 0.0  #: on top of the latency [s]
+
+
+class SimulatedNetft:
+    """One box and its transducer."""
+
+    def __init__(
+        self,
+        end: DeviceEnd,
+        config: BaseSensorConfig,
+        rng: np.random.Generator,
+        settings: BoxSettings | None = None,
+    ) -> None:
+        self.settings = settings or BoxSettings()
+        self.faults = NetftFaults()
+        self._end = end
+        self._rng, self._chance = rng, rng.spawn(1)[0]
+        self._ranges = [self.settings.force_range] * 3 + [self.settings.torque_range] * 3
+        self._counts = [self.settings.force_counts] * 3 + [self.settings.torque_counts] * 3
+        self._steps = [config.force_count] * 3 + [config.moment_count] * 3
+        self._deviations = np.repeat([config.force_noise, config.moment_noise], 3)
+        self._offset = np.repeat([config.force_offset, config.moment_offset], 3) * rng.uniform(-1.0, 1.0, 6)
+        self._drift = np.concatenate([config.drift * rng.choice([-1.0, 1.0], 3), np.zeros(3)])
+        self._noise: list[list[float]] = []
+        self._true = np.zeros(6)
+        self._now = 0.0
+        self._period = self.settings.divisor / (RATE * (1.0 + self.settings.clock_error))
+        self._first_count = self.settings.first_count
+        self._next = 0  # record of the box's own grid
+        self._on_the_way: deque[tuple[float, bytes, Address]] = deque()
+        self._held: tuple[float, bytes, Address] | None = None  # the one that changes places
+        self._power_up()
+
+    def advance(self, now: float, wrench: Array) -> None:
+        """Hear what was asked, feel the wrench (6,) [N, N m] go on to this one until `now` [s], send."""
+        begin, before = self._now, self._true
+        for datagram, sender in self._end.receive():
+            if not self.faults.mute:
+                self._hear(datagram, sender)
+        last = math.floor(now / self._period + 1e-6)
+        if self._client is None:
+            self._next = max(self._next, last + 1)
+        while self._next <= last and self._client is not None:
+            time = self._next * self._period
+            if time >= self._begins:
+                part = (time - begin) / (now - begin) if time < now and now > begin else 1.0
+                self._measure(time, wrench if part >= 1.0 else before + max(part, 0.0) * (wrench - before))
+            self._next += 1
+        self._now, self._true = now, wrench
+        while self._on_the_way and self._on_the_way[0][0] <= now + 1e-9:
+            _, datagram, to = self._on_the_way.popleft()
+            if not self.faults.mute:
+                self._end.send(datagram, to)
+
+    def reboot(self) -> None:
+        """Power off and on: the counter, the bias and the stream are gone."""
+        self._first_count = -round(self._now / self._period) * self.settings.divisor
+        self._on_the_way.clear()
+        self._power_up()
+
+    def page(self) -> bytes | None:
+        """`netftapi2.xml`; None if the box is mute."""
+        if self.faults.mute:
+            return None
+        own, (counts, saturated) = self.settings, self._read(self._now, self._true)
+        ranges = [own.force_range] * 3 + [own.torque_range] * 3
+        elements = {
+            "runstat": f"0x{self._status(saturated):08X}",
+            "runft": _array(counts),
+            "runsg": _array([0] * 6),
+            "prodname": own.product,
+            "setbias": _array([round(b * c) for b, c in zip(self._bias, self._counts, strict=True)]),
+            "cfgnam": own.serial,
+            "cfgcalsn": own.serial,
+            "cfgfu": "2",
+            "scfgfu": "N",
+            "cfgtu": "3",
+            "scfgtu": "N-m",
+            "cfgcpf": str(own.force_counts),
+            "cfgcpt": str(own.torque_counts),
+            "cfgmr": _array([f"{value:g}" for value in ranges]),
+            "netip": own.address,
+            "comrdte": "Enabled",
+            "comrdtrate": str(round(RATE / own.divisor)),
+            "comrdtbsiz": str(own.buffer),
+        }
+        body = "".join(f"<{name}>{text}</{name}>\n" for name, text in elements.items())
+        return f'<?xml version="1.0"?>\n<netft>\n{body}</netft>\n'.encode()
+
+    def _power_up(self) -> None:
+        self._bias = [0.0] * 6
+        self._client: Address | None = None
+        self._begins = 0.0
+        self._left = 0  # records to send; 0: until stopped
+        self._sequence = 0
+        self._batch = 1
+        self._buffered: list[bytes] = []
+        self._latest: tuple[int, int, list[int]] | None = None
+
+    def _hear(self, datagram: bytes, sender: Address) -> None:
+        """One request; whatever is not one is ignored, as the box does."""
+        if len(datagram) < REQUEST.size:
+            return
+        header, command, samples = REQUEST.unpack_from(datagram)
+        if command & ELSEWHERE:
+            if len(datagram) != LONG_REQUEST.size:
+                return
+            address, port = datagram[8:12], int.from_bytes(datagram[12:14], "big")
+            sender, command = (".".join(map(str, address)), port), command & ~ELSEWHERE
+        elif len(datagram) != REQUEST.size:
+            return
+        if header != HEADER:
+            return
+        if command in (Command.STREAM, Command.STREAM_BUFFERED):
+            self._on_the_way.clear()  # the box has heard the request before it would have sent these
+            self._client, self._begins, self._left = sender, self._now + self.settings.first, samples
+            self._sequence, self._buffered = 0, []
+            self._batch = self.settings.buffer if command == Command.STREAM_BUFFERED else 1
+        elif command == Command.STOP:
+            self._on_the_way.clear()
+            self._client, self._buffered = None, []
+        elif command == Command.BIAS:
+            counts, _ = self._read(self._now, self._true)
+            self._bias = [b + n / c for b, n, c in zip(self._bias, counts, self._counts, strict=True)]
+        elif command == Command.RESET_LATCH:
+            self.faults.status &= ~(1 << 16)
+
+    def _read(self, time: float, wrench: Array) -> tuple[list[int], bool]:
+        """What the box makes of a wrench (6,): counts, and whether the transducer is at its end."""
+        if not self._noise:
+            self._noise = (self._offset + self._deviations * self._rng.standard_normal((BLOCK, 6))).tolist()
+        noise, drift, saturated, counts = self._noise.pop(), (time * self._drift).tolist(), False, []
+        for axis, value in enumerate(wrench.tolist()):
+            value += noise[axis] + drift[axis]
+            if step := self._steps[axis]:
+                value = round(value / step) * step
+            reach = self._ranges[axis]
+            if self.faults.saturate or not -reach <= value <= reach:
+                saturated, value = True, math.copysign(reach, value)
+            counts.append(round((value - self._bias[axis]) * self._counts[axis]))
+        return counts, saturated
+
+    def _status(self, saturated: bool) -> int:
+        status = self.faults.status | (SATURATED if saturated else 0)
+        return status | ERROR_SUMMARY if status else 0
+
+    def _measure(self, time: float, wrench: Array) -> None:
+        """One record of the stream."""
+        if not self.faults.freeze or self._latest is None:
+            counts, saturated = self._read(time, wrench)
+            count = self._first_count + self._next * self.settings.divisor
+            self._latest = (count % WRAP, self._status(saturated), counts)
+        count, status, counts = self._latest
+        self._sequence = (self._sequence + 1) % WRAP
+        record = RECORD.pack(self._sequence, count, status, *counts)
+        if self._batch > 1:
+            self._buffered.append(record)
+        last = self._left == 1
+        if self._batch == 1 or last or len(self._buffered) >= self._batch:
+            self._send(time, b"".join(self._buffered) if self._batch > 1 else record)
+            self._buffered = []
+        if last:
+            self._client = None
+        self._left -= self._left > 0
+
+    def _send(self, time: float, datagram: bytes) -> None:
+        """Let a datagram go its way, with what can happen to it there."""
+        faults, chance = self.faults, self._chance
+        if self._client is None or (faults.drop and chance.random() < faults.drop):
+            return
+        if faults.flip and chance.random() < faults.flip:
+            bit = int(chance.integers(8 * len(datagram)))
+            spoilt = bytearray(datagram)
+            spoilt[bit // 8] ^= 1 << bit % 8
+            datagram = bytes(spoilt)
+        item = (time + self.settings.latency + faults.delay, datagram, self._client)
+        if faults.reorder and self._held is None and chance.random() < faults.reorder:
+            self._held = item
+            return
+        self._on_the_way.append(item)
+        if faults.duplicate and chance.random() < faults.duplicate:
+            self._on_the_way.append(item)
+        if self._held is not None:
+            self._on_the_way.append((item[0], *self._held[1:]))
+            self._held = None
+
+
+def _array(values: list[int] | list[str]) -> str:
+    return ";".join(str(value) for value in values)

@@ -1,0 +1,165 @@
+"""Simulated Zaber T-series units on one chain, at wire level: the line, who hears what, and what goes wrong.
+
+The line between the units and the host carries 9600 baud in both directions, which a pty or a socket does
+not know. Sources: the manufacturer's Binary Protocol Manual and his wiki's T-Series pages; times that he
+does not give can be changed.
+"""
+
+import math
+import random
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from core.robot import Array
+from station.devices.links import Link
+from station.devices.zaber import BYTE_TIME, Command, Message, Parser, encode
+from station.lab.simulated_zaber_unit import Unit
+
+RENUMBERING = 0.5  #: the units are deaf so long after Renumber [s]
+
+
+class Faults(NamedTuple):
+    """What is wrong with the chain; places count from the computer, 1 is the nearest."""
+
+    drop: float = 0.0  #: probability that a byte gets lost, either way
+    flip: float = 0.0  #: probability that one bit of a byte is turned, either way
+    delay: float = 0.0  #: of every reply [s]
+    mute: frozenset[int] = frozenset()  #: places whose replies do not come
+    cut: int | None = None  #: from this place on nothing gets through, either way; 1: the whole line
+    stalled: frozenset[int] = frozenset()  #: places whose motors count on and do not turn
+
+
+class PacedLine:
+    """One direction of the line: a byte takes its time, and they come one after the other."""
+
+    def __init__(self) -> None:
+        self._free = -math.inf
+        self._bytes: deque[tuple[float, int]] = deque()
+
+    def put(self, data: bytes, now: float) -> None:
+        """Bytes to send, at `now` [s] or as soon as the line is free."""
+        time = max(self._free, now)
+        for byte in data:
+            time += BYTE_TIME
+            self._bytes.append((time, byte))
+        self._free = time
+
+    def take(self, until: float) -> list[tuple[float, int]]:
+        """Bytes that have been carried by then, and when [s]."""
+        carried: list[tuple[float, int]] = []
+        while self._bytes and self._bytes[0][0] <= until + 1e-9:
+            carried.append(self._bytes.popleft())
+        return carried
+
+
+class SimulatedChain:
+    """Units on one line, the nearest to the computer first."""
+
+    def __init__(self, units: Sequence[Unit], seed: int = 0, processing: float = 0.0) -> None:
+        """`processing` is from the last byte of a command to the first of its reply [s]."""
+        self.units = tuple(units)
+        self.time = 0.0
+        self._processing = processing
+        self._random = random.Random(seed)  # noqa: S311 - noise, no secret
+        self._parser = Parser()
+        self._in, self._out = PacedLine(), PacedLine()
+        self._renumbering_until = -math.inf
+        self._faults = Faults()
+
+    @property
+    def faults(self) -> Faults:
+        """What is wrong with it at present."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        self._faults = faults
+        for place, unit in enumerate(self.units, 1):
+            unit.stall(place in faults.stalled)
+
+    @property
+    def places(self) -> list[float]:
+        """Where each stage really is, from its home sensor's zero [microsteps]."""
+        return [unit.place for unit in self.units]
+
+    def positions(self, microstep: Array, home_at: Array) -> Array:
+        """True joint positions (n,) [rad or m], for the plant."""
+        return home_at + microstep * np.array(self.places)
+
+    def power_cycle(self, place: int) -> None:
+        """Switch one unit off and on."""
+        self.units[place - 1].take(Message(0, Command.RESET, 0))
+
+    def turn_knob(self, place: int, microsteps: float) -> None:
+        """Somebody turns the knob of one unit."""
+        for message in self.units[place - 1].turn_knob(microsteps):
+            self._say(place, message, self.time)
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Bytes that the host has written by `now` [s]."""
+        if data and self._faults.cut != 1:
+            self._in.put(self._damaged(data), now)
+
+    def advance(self, now: float) -> bytes:
+        """Let time pass; the bytes that have reached the host by `now` [s]."""
+        for time, byte in self._in.take(now):
+            if time < self._renumbering_until:
+                continue
+            for message in self._parser.feed(bytes((byte,)), time):
+                self._run(time)
+                self._deliver(message, time)
+        self._run(now)
+        data = bytes(byte for _, byte in self._out.take(now))
+        return data if self._faults.cut != 1 else b""
+
+    def _run(self, until: float) -> None:
+        said: list[tuple[float, int, Message]] = []
+        for place, unit in enumerate(self.units, 1):
+            said += [(time, place, message) for time, message in unit.advance(until)]
+        for time, place, message in sorted(said):
+            self._say(place, message, time)
+        self.time = until
+
+    def _deliver(self, message: Message, now: float) -> None:
+        to_all = message.device == 0
+        if to_all and message.command == Command.RENUMBER:
+            self._renumbering_until = now + RENUMBERING
+        for place, unit in enumerate(self.units, 1):
+            if self._faults.cut is not None and place >= self._faults.cut:
+                return
+            alias = unit.settings[Command.SET_ALIAS]
+            if now < unit.deaf_until or not (to_all or message.device in (unit.number, alias)):
+                continue
+            order = message
+            if to_all and message.command == Command.RENUMBER:
+                order = message._replace(data=place)
+            for reply in unit.take(order):
+                self._say(place, reply, now + self._processing)
+
+    def _say(self, place: int, message: Message, now: float) -> None:
+        faults = self._faults
+        if place not in faults.mute and (faults.cut is None or place < faults.cut):
+            self._out.put(self._damaged(encode(message)), now + faults.delay)
+
+    def _damaged(self, data: bytes) -> bytes:
+        """What the line makes of it."""
+        drop, flip = self._faults.drop, self._faults.flip
+        if drop == 0.0 and flip == 0.0:
+            return data
+        kept = [byte for byte in data if self._random.random() >= drop]
+        return bytes(b ^ 1 << self._random.randrange(8) if self._random.random() < flip else b for b in kept)
+
+
+def pump(link: Link, chain: SimulatedChain, now: float, written: float | None = None) -> None:
+    """Carry bytes between a link and the chain until `now` [s]: a pipe in memory, a pty or a socket.
+
+    In virtual time `written` says when the bytes were written that the link holds; in real time they are
+    taken as written now.
+    """
+    chain.receive(link.read(), now if written is None else written)
+    data = chain.advance(now)
+    if data:
+        link.write(data)

@@ -1,0 +1,128 @@
+"""The virtual lab at wire level: the plant, what pulls at it, and around it the devices with their wires.
+
+The stages' units move the true joints; the tracker and a force sensor for each tube see and feel what
+comes of it. Bytes and datagrams are all that the other side gets.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from core.errors import NoSolution, PoseError
+from core.robot import Array
+from station.devices.interfaces import Truth
+from station.devices.links import Link, memory_pipe
+from station.devices.zaber_setup import StageSetup
+from station.lab import aurora_wire, simulated_zaber
+from station.lab.aurora_wire import HostPort
+from station.lab.config import LabConfig
+from station.lab.loads import Load, NoLoad
+from station.lab.netft_wire import DeviceEnd, MemoryDatagrams, MemoryEnd
+from station.lab.plant import Plant
+from station.lab.simulated_aurora import SimulatedAurora
+from station.lab.simulated_netft import BoxSettings, SimulatedNetft
+from station.lab.simulated_zaber import SimulatedChain
+from station.lab.simulated_zaber_unit import Unit, UnitKind
+from station.robots import RobotFile
+
+#: Device IDs of the simulated units; those of the real ones are not known here.
+ROTARY_ID, LINEAR_ID = 4421, 4332
+FIRST_SERIAL = 1001
+
+
+class Wires(NamedTuple):
+    """The devices' ends."""
+
+    zaber: Link
+    aurora: Link
+    netft: tuple[DeviceEnd, ...]  #: one for each tube
+
+
+class Hosts(NamedTuple):
+    """The other ends of wires in memory, for drivers in the same process."""
+
+    zaber: Link
+    aurora: HostPort
+    netft: tuple[MemoryDatagrams, ...]
+
+
+def memory_wires(tubes: int) -> tuple[Wires, Hosts]:
+    """Wires for virtual time."""
+    host, device = memory_pipe("zaber")
+    port = HostPort("aurora")
+    ends = tuple(MemoryEnd() for _ in range(tubes))
+    links = tuple(end.link(f"netft {number}") for number, end in enumerate(ends, 1))
+    return Wires(device, port.device, ends), Hosts(host, port, links)
+
+
+class WireLab:
+    """A bench that is not there, seen through its wires. Everything random comes from `seed`."""
+
+    def __init__(
+        self, robot: RobotFile, config: LabConfig, seed: int, positions: Array, wires: Wires | None = None
+    ) -> None:
+        """Stages that have just been switched on, with the joints really at `positions` (n,).
+
+        Without `wires` they are in memory, and `hosts` are their other ends.
+
+        Raises:
+            PoseError, NoSolution: the true robot cannot stand there.
+        """
+        # One stream for each part, so that another part does not change what this one draws.
+        plant, tracker, sensors = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+        memory, self.hosts = memory_wires(len(robot.tubes))
+        self._wires = wires or memory
+        #: One unit for each joint, numbered from the computer in the robot's order.
+        self.setups = tuple(StageSetup.of(joint, number) for number, joint in enumerate(robot.joints, 1))
+        self._microstep = np.array([joint.microstep for joint in robot.joints])
+        self._home_at = np.array([setup.home_at for setup in self.setups])
+        places = ((positions - self._home_at) / self._microstep).tolist()
+        self.chain = SimulatedChain([_unit(s, place) for s, place in zip(self.setups, places, strict=True)], seed)
+        self.aurora = SimulatedAurora(config.tracker, tracker)
+        self.boxes = tuple(
+            SimulatedNetft(end, config.sensors, rng, BoxSettings(serial=f"FT{number:05}"))
+            for number, (end, rng) in enumerate(zip(self._wires.netft, sensors.spawn(len(robot.tubes)), strict=True), 1)
+        )
+        self.time = 0.0  #: [s]
+        self.trouble = ""  #: why the true robot has stayed where it was; empty when it follows its stages
+        self._load: Load = NoLoad()
+        self._load_start = 0.0
+        self._plant = Plant(robot.robot(), config.plant, plant, positions)
+        self.truth: Truth
+        self.truth, self._wrenches = self._plant.advance(positions, np.zeros(3))
+
+    @property
+    def positions(self) -> Array:
+        """Where the joints really are (n,) [rad or m]."""
+        return self.chain.positions(self._microstep, self._home_at)
+
+    def pull(self, load: Load, start: float) -> None:
+        """Put a load on the tip whose time counts from `start` [s]."""
+        self._load, self._load_start = load, start
+
+    def advance(self, now: float) -> Truth:
+        """Let time pass until `now` [s]; what the wires hold was written when time stood still before."""
+        before = self.truth.tip
+        simulated_zaber.pump(self._wires.zaber, self.chain, now, written=self.time)
+        force = self._load.force(now - self._load_start)
+        try:
+            self.truth, self._wrenches = self._plant.advance(self.positions, force)
+            self.trouble = ""
+        except (PoseError, NoSolution) as error:
+            # A bench goes on: the robot stays as it was until the stages are back where it can stand.
+            self.trouble = str(error)
+        self.aurora.advance(self.time, now, before, self.truth.tip)
+        aurora_wire.pump(self._wires.aurora, self.aurora, now)
+        for box, wrench in zip(self.boxes, self._wrenches, strict=True):
+            box.advance(now, wrench)
+        self.time = now
+        return self.truth
+
+
+def _unit(setup: StageSetup, place: float) -> Unit:
+    """The unit of a stage that is `place` from its home sensor's zero [microsteps]."""
+    if setup.joint.motion == "rotation":
+        kind = UnitKind(ROTARY_ID, None, round(2.0 * np.pi / setup.joint.microstep), serial=FIRST_SERIAL + setup.device)
+    else:
+        kind = UnitKind(LINEAR_ID, setup.maximum, serial=FIRST_SERIAL + setup.device)
+    return Unit(kind, setup.device, place)

@@ -1,0 +1,271 @@
+"""Disturbed lines for both ends of an Aurora: the host's session, and the simulated unit.
+
+    python -m tests.fuzz.aurora 1000000 1
+
+Each case disturbs one exchange: bytes lost, bits flipped, noise put in, replies late, twice, cut short,
+of the wrong kind, or absent. An exception, an end that does not recover, and a value or a command
+that nobody sent (a false accept) are counted. The host talks to a responder written here, from the
+protocol's description, and not to the simulated unit.
+"""
+
+import json
+import math
+import random
+import struct
+import sys
+from collections import Counter
+
+import numpy as np
+
+from station.devices.aurora import binary, framed
+from station.devices.aurora_measurement import Quality
+from station.devices.aurora_session import AuroraSession
+from station.devices.aurora_settings import AuroraSettings
+from station.lab.config import TrackerConfig
+from station.lab.simulated_aurora import SimulatedAurora
+
+#: After how many disturbed exchanges an end has to prove that it still works.
+ROUND = 25
+#: Virtual seconds in which it must: a search at two rates, a break, tools, a start.
+PATIENCE = 30.0
+PERIOD = 1.0 / 40.0
+
+
+def disturb(data: bytes, draw: random.Random) -> bytes:
+    """Spoil `data` in one of the ways of a bad line."""
+    out = bytearray(data)
+    kind = draw.randrange(7)
+    if kind == 0 and out:  # bits flipped
+        for _ in range(draw.choice((1, 1, 2, 3, 4, 6, 12))):
+            out[draw.randrange(len(out))] ^= 1 << draw.randrange(8)
+    elif kind == 1 and out:  # a burst
+        at = draw.randrange(len(out))
+        for i in range(at, min(len(out), at + draw.randrange(1, 20))):
+            out[i] = draw.randrange(256)
+    elif kind == 2:  # bytes lost
+        for _ in range(draw.choice((1, 1, 2, 5))):
+            if out:
+                del out[draw.randrange(len(out))]
+    elif kind == 3:  # noise put in
+        at = draw.randrange(len(out) + 1)
+        out[at:at] = draw.randbytes(draw.randrange(1, 40))
+    elif kind == 4:  # cut short
+        del out[draw.randrange(len(out) + 1) :]
+    elif kind == 5:  # nothing but noise
+        out = bytearray(draw.randbytes(draw.randrange(80)))
+    else:  # twice, the second time over the end of the first
+        out = out[: draw.randrange(len(out) + 1)] + out
+    return bytes(out)
+
+
+def pieces(data: bytes, draw: random.Random) -> list[bytes]:
+    """`data` in a few parts."""
+    cuts = sorted(draw.randrange(len(data) + 1) for _ in range(draw.randrange(4)))
+    return [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
+
+
+class Responder:
+    """What a good unit says, as the protocol's description has it."""
+
+    def __init__(self, draw: random.Random, old: bool) -> None:
+        self.sent: dict[int, tuple[float, ...]] = {}  #: true positions by frame [mm]
+        self._draw = draw
+        self._old = old
+        self._tracking = self._prepared = 0
+
+    def answer(self, command: str, now: float) -> bytes:
+        name, _, rest = command.partition(":")
+        if name in ("INIT", "TSTOP"):
+            self._tracking = False
+        elif name == "TSTART":
+            self._tracking = True
+        elif name == "PINIT":
+            self._prepared = 1
+        elif name == "PENA":
+            self._prepared = 2
+        elif name == "VER":
+            return framed(f"Aurora\nFreeze Tag: AURORA Rev {'007' if self._old else '009'}\n")
+        elif name == "PHSR":
+            return framed({"02": "010A001", "03": "010A011", "04": "010A031"}.get(rest[:2], "00"))
+        elif name == "PHINF":
+            return framed("02000000NDI         0013A5C1D0031")
+        elif name in ("BX", "TX"):
+            return self._frame(name, now) if self._tracking else framed("ERROR0C")
+        return framed("OKAY")
+
+    def _frame(self, name: str, now: float) -> bytes:
+        frame = int(now / PERIOD)
+        wander = self._draw.uniform(-0.2, 0.2)
+        hundredths = [
+            round(100.0 * (value + wander)) for value in (20.0 * np.sin(0.2 * now), -10.0, -150.0 + now % 0.5)
+        ]
+        if frame not in self.sent:
+            self.sent[frame] = tuple(h / 100.0 for h in hundredths)
+            while len(self.sent) > 4000:
+                del self.sent[next(iter(self.sent))]
+        position = self.sent[frame]
+        if name == "TX":
+            text = "".join(f"{round(100.0 * value):+07d}" for value in position)
+            return framed(f"010A+10000+00000+00000+00000{text}+0012000000031{frame:08X}\n0000")
+        body = struct.pack("<BBB8fIIH", 1, 0x0A, 1, 1.0, 0.0, 0.0, 0.0, *position, 0.012, 0x31, frame, 0)
+        return binary(body)
+
+
+#: Replies whose CRC is right and that are wrong all the same.
+def wrong_kind(draw: random.Random) -> bytes:
+    kind = draw.randrange(6)
+    if kind == 0:
+        return framed("OKAY")
+    if kind == 1:
+        return framed(f"ERROR{draw.randrange(256):02X}")
+    if kind == 2:
+        return framed("RESET")
+    if kind == 3:
+        return framed("".join(chr(draw.randrange(32, 127)) for _ in range(draw.randrange(70))))
+    if kind == 4:
+        return binary(draw.randbytes(draw.randrange(60)))
+    return binary(struct.pack("<BBB", 1, 0x0A, draw.choice((1, 2, 4, 9))) + draw.randbytes(draw.randrange(48)))
+
+
+class HostLine:
+    """A session and a responder on a line that can be disturbed."""
+
+    def __init__(self, draw: random.Random) -> None:
+        self.draw = draw
+        old = draw.random() < 0.25
+        self.session = AuroraSession(AuroraSettings())
+        self.responder = Responder(draw, old)
+        self.now = 0.0
+        self.good = self.false_accepts = 0
+        self._late: list[bytes] = []
+
+    def exchange(self, bad: bool) -> None:
+        """Let the session say something and answer it, well or badly."""
+        draw = self.draw
+        for _ in range(60):  # at most until something is said
+            self.now += 0.002 if self.session.tracking else 0.02
+            orders = self.session.due(self.now)
+            if any(isinstance(order, bytes) for order in orders):
+                break
+        for order in orders:
+            if not isinstance(order, bytes):
+                continue
+            answer = self.responder.answer(order[:-5].decode("ascii"), self.now)
+            self.now += 0.005
+            if bad:
+                fate = draw.randrange(8)
+                if fate == 0:
+                    self._late.append(answer)
+                    continue
+                if fate == 1:
+                    answer = wrong_kind(draw) + (answer if draw.random() < 0.5 else b"")
+                elif fate == 2 and self._late:
+                    answer = self._late.pop() + answer
+                else:
+                    answer = disturb(answer, draw)
+            for piece in pieces(answer, draw) if bad else [answer]:
+                self._receive(piece)
+            if bad and draw.random() < 0.1:
+                self.now += draw.choice((0.05, 0.5, 3.0))
+
+    def _receive(self, data: bytes) -> None:
+        for seen in self.session.receive(data, self.now):
+            if seen.quality is Quality.GOOD:
+                self.good += 1
+                true = self.responder.sent.get(seen.frame)
+                # A frame may be told by TX in decimals and by BX in single precision: 1e-4 mm is the same.
+                if true is None or seen.position is None or math.dist(true, seen.position) > 1e-4:
+                    self.false_accepts += 1
+
+    def recovers(self) -> bool:
+        """Whether good frames come again on a good line."""
+        before, give_up = self.good, self.now + PATIENCE
+        while self.good < before + 3 and self.now < give_up:
+            self.exchange(bad=False)
+        return self.good >= before + 3
+
+
+COMMANDS = (
+    *("INIT:", "VER:0", "APIREV:", "BEEP:1", "SFLIST:00", "GETINFO:Features.Firmware.Version", "COMM:00000"),
+    *("PHSR:00", "PHSR:02", "PHSR:04", "PINIT:0a", "PENA:0AD", "PDIS:0A", "PHINF:0A0001", "PHINF:0a0075", "PHF:0A"),
+    *("TSTART:", "TSTART:80", "TSTOP:", "TX:0801", "BX:0801", "TX:0001", "BX:0001"),
+)
+
+
+class DeviceLine:
+    """A simulated unit and a host that talks badly."""
+
+    def __init__(self, draw: random.Random) -> None:
+        self.draw = draw
+        self.unit = SimulatedAurora(TrackerConfig(), np.random.default_rng(draw.randrange(2**32)))
+        self.now = 0.0
+        self.false_accepts = 0
+        self._tip = np.zeros(3)
+        self._said: set[str] = set()  # since the last CR
+
+    def exchange(self, bad: bool) -> None:
+        """Say one command, well or badly."""
+        command = self.draw.choice(COMMANDS)
+        self.unit.executed.clear()
+        data = disturb(framed(command), self.draw) if bad else framed(command)
+        self.say(data)
+        # A command that only lost its CR is carried out with the next CR, be it noise.
+        self._said.add(command)
+        if bad and not self._said.issuperset(self.unit.executed):
+            self.false_accepts += 1
+        if b"\r" in data:
+            self._said = set() if data.endswith(b"\r") else {command}
+
+    def say(self, data: bytes) -> bytes:
+        heard = b""
+        for piece in pieces(data, self.draw):
+            self.unit.receive(piece, self.now)
+            heard += self._pass(0.02)
+        return heard + self._pass(0.1)
+
+    def _pass(self, time: float) -> bytes:
+        self.unit.advance(self.now, self.now + time, self._tip, self._tip)
+        self.now += time
+        self.unit.receive(b"", self.now)
+        return self.unit.transmit(self.now)
+
+    def recovers(self) -> bool:
+        """Whether a good command is answered once what is left on the line has been ended by CR."""
+        for _ in range(10):
+            self.say(b"\r")
+        return framed("OKAY") in self.say(framed("INIT:"))
+
+
+def fuzz(cases: int, seed: int) -> dict[str, int]:
+    """Disturb so many exchanges, half of them at each end."""
+    draw = random.Random(seed)
+    counts = Counter(cases=0, exceptions=0, hangs=0, false_accepts=0, good_frames=0)
+    host, device = HostLine(draw), DeviceLine(draw)
+    while counts["cases"] < cases:
+        for line in (host, device):
+            try:
+                for _ in range(ROUND):
+                    line.exchange(bad=True)
+                    if draw.random() < 0.7:
+                        line.exchange(bad=False)
+                hung = not line.recovers()
+            except Exception as error:  # the very thing that is looked for
+                counts["exceptions"] += 1
+                sys.stderr.write(f"after {counts['cases']} cases: {error!r}\n")
+                hung = True
+            counts["cases"] += ROUND
+            counts["hangs"] += hung
+            counts["false_accepts"] += line.false_accepts
+            line.false_accepts = 0
+            if isinstance(line, HostLine):
+                counts["good_frames"] += line.good
+                line.good = 0
+                if hung or draw.random() < 0.02:
+                    host = HostLine(draw)
+            elif hung or draw.random() < 0.02:
+                device = DeviceLine(draw)
+    return dict(counts)
+
+
+if __name__ == "__main__":
+    print(json.dumps(fuzz(int(sys.argv[1]), int(sys.argv[2]))))  # noqa: T201

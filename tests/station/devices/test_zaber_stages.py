@@ -1,0 +1,604 @@
+"""The Zaber driver on simulated units: connecting, homing, moving, stopping, and what happens when it breaks."""
+
+import math
+import os
+import socket
+import time
+import tty
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from station.devices.links import Link, SerialLink, memory_pipe
+from station.devices.zaber import Message, ZaberError
+from station.devices.zaber_chain import Line
+from station.devices.zaber_setup import Port, StageSetup
+from station.devices.zaber_stages import Condition, ZaberStages
+from station.lab.simulated_zaber import Faults, SimulatedChain, pump
+from station.lab.simulated_zaber_unit import Unit, UnitKind
+from station.robots import RobotFile
+
+TICK = 0.002
+START = np.array([0.0, math.pi / 2, -0.100])
+ROTARY = UnitKind(4421, None, 1_536_000)
+LINEAR = UnitKind(4332, 604_724, serial=1001)
+#: Microsteps of the three stages: 0.000234375 deg, 0.49609375 um.
+STEPS = np.array([math.radians(0.000234375)] * 2 + [0.49609375e-6])
+
+
+class Bench:
+    """The paper's three stages on one line, or on a line each, in virtual time."""
+
+    def __init__(
+        self,
+        robot: RobotFile,
+        at: Sequence[float] = tuple(START),
+        homed: bool = True,
+        apart: bool = False,
+        seed: int = 0,
+    ) -> None:
+        numbers = (1, 1, 1) if apart else (1, 2, 3)
+        self.setups = [StageSetup.of(joint, n) for joint, n in zip(robot.joints, numbers, strict=True)]
+        self.home_at = np.array([setup.home_at for setup in self.setups])
+        self.units: list[Unit] = []
+        for setup, kind, q in zip(self.setups, (ROTARY, ROTARY, LINEAR), at, strict=True):
+            place = (q - setup.home_at) / setup.joint.microstep
+            self.units.append(Unit(kind, setup.device, place, place + setup.home_count if homed else None))
+        groups = ((0,), (1,), (2,)) if apart else ((0, 1, 2),)
+        self.chains = [SimulatedChain([self.units[i] for i in group], seed) for group in groups]
+        self.chain = self.chains[0]
+        self.now = 0.0
+        self.truth = self.places  #: joint positions at the last poll
+        self.ports = self.plug(groups)
+        self.stages = ZaberStages(self.setups, self.ports)
+        self.order: list[int] = []  # in which the units began to home
+
+    def plug(self, groups: Sequence[tuple[int, ...]] = ((0, 1, 2),)) -> list[Port]:
+        """New links, as after plugging an adapter in again."""
+        pipes = [memory_pipe(f"line {k}") for k in range(len(groups))]
+        self.far: list[Link] = [device for _, device in pipes]
+        self.near = [host for host, _ in pipes]
+        return [Port(host, group) for host, group in zip(self.near, groups, strict=True)]
+
+    def run(
+        self,
+        seconds: float,
+        velocities: Callable[[float], Sequence[float]] | None = None,
+        until: Callable[[], bool] = lambda: False,
+    ) -> None:
+        end = self.now + seconds
+        while self.now < end and not until():
+            self.reading, self.truth = self.stages.poll(self.now), self.places
+            if velocities:
+                self.stages.command(np.array(velocities(self.now)), self.now)
+            self.let_go()
+
+    def let_go(self) -> None:
+        """One tick of the units."""
+        for far, chain in zip(self.far, self.chains, strict=True):
+            pump(far, chain, self.now + TICK, written=self.now)
+        for i, unit in enumerate(self.units):
+            if unit.status == 1 and i not in self.order:
+                self.order.append(i)
+        self.now += TICK
+
+    def connect(self) -> "Bench":
+        self.stages.connect(self.now)
+        self.run(10.0, until=lambda: self.stages.condition is not Condition.CONNECTING)
+        return self
+
+    def home(self) -> None:
+        self.stages.home(self.now)
+        self.run(400.0, until=lambda: self.stages.condition is not Condition.HOMING)
+
+    @property
+    def places(self) -> np.ndarray:
+        return self.home_at + STEPS * [unit.place for unit in self.units]
+
+    @property
+    def moving(self) -> list[bool]:
+        return [unit.status != 0 for unit in self.units]
+
+
+@pytest.fixture
+def bench(paper) -> Bench:
+    bench = Bench(paper).connect()
+    assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
+    return bench
+
+
+def swing(now: float) -> list[float]:
+    """All three, up to 15 deg/s and 12 mm/s."""
+    return [0.25 * math.sin(1.3 * now), 0.26 * math.cos(0.9 * now), 0.012 * math.sin(2.0 * now)]
+
+
+class TestSetup:
+    """How joints become microsteps."""
+
+    def test_numbers_of_the_papers_stages(self, paper):
+        outer, inner, slide = (StageSetup.of(joint, k + 1) for k, joint in enumerate(paper.joints))
+
+        assert (outer.home_count, outer.maximum) == (1_536_000, 3_072_000)  # a turn either way
+        assert outer.top == inner.top == 9102  # 20 deg/s at 0.0021973 deg/s
+        assert slide.top == 4300  # 20 mm/s at 4.6509 um/s
+        assert outer.acceleration == 38  # 100 deg/s^2 at 2.637, rounded up
+        assert slide.acceleration == 18  # 100 mm/s^2 at 5.581
+        assert (slide.home_count, slide.maximum) == (0, 251_968)  # 125 mm
+        assert slide.position(0) == -0.130
+        assert slide.position(251_968) == pytest.approx(-0.005, abs=1e-6)
+        assert inner.position(1_536_000) == 0.0
+        assert inner.position(0) == pytest.approx(-2 * math.pi)
+
+    @pytest.mark.parametrize(
+        ("change", "part"),
+        [
+            ({"device": 255}, "device number 255 is outside 1 ... 254"),
+            ({"maximum": 16_777_216}, "maximum position 16777216"),
+            ({"home_count": -1}, "home count -1"),
+            ({"home_speed": 0.0}, "home speed of 0 units"),
+        ],
+    )
+    def test_what_cannot_be_is_refused_by_name(self, paper, change, part):
+        with pytest.raises(ZaberError, match=part):
+            replace(StageSetup.of(paper.joints[0], 1), **change)
+
+    def test_ports_must_carry_every_stage_once(self, paper):
+        setups = [StageSetup.of(joint, k + 1) for k, joint in enumerate(paper.joints)]
+        host, _ = memory_pipe("line")
+        with pytest.raises(ZaberError, match=r"\[0, 1\]"):
+            ZaberStages(setups, [Port(host, (0, 1))])
+        with pytest.raises(ZaberError, match="same device number"):
+            ZaberStages([setups[0], replace(setups[1], device=1), setups[2]], [Port(host, (0, 1, 2))])
+
+
+class TestConnecting:
+    """Identity, settings, positions."""
+
+    def test_what_the_units_say_and_what_they_are_told(self, bench):
+        assert [tuple(identity) for identity in bench.stages.identities] == [
+            (4421, 523, None),
+            (4421, 523, None),
+            (4332, 523, 1001),
+        ]
+        for unit, setup in zip(bench.units, bench.setups, strict=True):
+            assert unit.settings[44] == setup.maximum
+            assert unit.settings[43] == setup.acceleration
+            assert unit.settings[37] == 64
+            assert unit.settings[40] & 0b1001 == 0b1001  # no automatic replies, no knob
+            assert unit.settings[40] & 1 << 7  # still homed
+            assert unit.settings[40] & 1 << 11  # and what others have set stays
+        assert bench.stages.ready
+        assert bench.reading.positions == pytest.approx(START, abs=1e-6)
+
+    def test_units_that_are_not_homed_give_no_position_to_rely_on(self, paper):
+        bench = Bench(paper, homed=False).connect()
+
+        assert bench.stages.condition is Condition.CONNECTED
+        assert bench.stages.homed == [False, False, False]
+        assert not bench.stages.ready
+        bench.run(0.5, swing)
+        assert bench.truth == pytest.approx(START, abs=1e-9)  # commands are not heeded
+
+    def test_before_the_first_answer_there_is_no_position(self, paper):
+        bench = Bench(paper)
+        assert np.isnan(bench.stages.poll(0.0).positions).all()
+
+    def test_a_missing_unit_is_named(self, paper):
+        bench = Bench(paper)
+        bench.units[1].number = 7
+        bench.connect()
+        assert bench.stages.condition is Condition.FAULT
+        assert "inner_rotation (device 2 on line 0) does not answer" in bench.stages.problem
+
+    def test_another_unit_is_refused(self, paper):
+        bench = Bench(paper)
+        bench.stages = ZaberStages([*bench.setups[:2], replace(bench.setups[2], serial=1002)], bench.ports)
+        bench.connect()
+        assert "serial number 1001; 1002 is expected" in bench.stages.problem
+
+    def test_another_firmware_counts_in_other_units(self, paper):
+        bench = Bench(paper)
+        bench.units[0].kind = replace(ROTARY, firmware=601)
+        bench.connect()
+        assert "firmware 6.01" in bench.stages.problem
+
+    def test_another_resolution_is_set_back_and_the_position_is_void(self, paper):
+        bench = Bench(paper)
+        bench.units[0].settings[37] = 128
+        bench.connect()
+        assert bench.units[0].settings[37] == 64
+        assert bench.stages.homed == [False, True, True]
+
+    def test_a_setting_that_does_not_hold_is_named(self, paper):
+        bench = Bench(paper)
+        bench.units[2].settings[49] = 1  # locked
+        bench.connect()
+        assert bench.stages.condition is Condition.FAULT
+        assert "inner_translation" in bench.stages.problem
+        assert "settings are locked" in bench.stages.problem
+
+    def test_a_noisy_line_is_connected_to_all_the_same(self, paper):
+        bench = Bench(paper)
+        bench.chain.faults = Faults(drop=0.003, flip=0.003)
+        bench.connect()
+        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
+        assert [unit.settings[44] for unit in bench.units] == [3_072_000, 3_072_000, 251_968]
+
+    def test_message_ids_left_on_by_another_program_are_switched_off(self, paper):
+        bench = Bench(paper)
+        for unit in bench.units:
+            unit.settings[40] |= 1 << 6
+        bench.connect()
+        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
+        assert not any(unit.settings[40] & 1 << 6 for unit in bench.units)
+
+
+class TestMoving:
+    """Velocities out, positions back."""
+
+    def test_positions_are_exact_to_a_microstep_between_the_polls(self, bench):
+        worst = np.zeros(3)
+
+        def track(now: float) -> list[float]:
+            nonlocal worst
+            worst = np.maximum(worst, np.abs(bench.reading.positions - bench.truth) / STEPS)
+            return swing(now)
+
+        bench.run(10.0, track)
+        assert (worst < 2.0).all()
+
+    def test_what_is_sent_is_what_the_units_got(self, bench):
+        bench.run(3.0, lambda now: [math.radians(3.0), -0.1, 3.14e-3])
+
+        assert bench.reading.sent == pytest.approx(
+            [1365 * 9.375 * STEPS[0], -round(0.1 / (9.375 * STEPS[1])) * 9.375 * STEPS[1], 675 * 9.375 * STEPS[2]]
+        )
+        before, begin = bench.places, bench.now
+        bench.run(1.0, lambda now: [math.radians(3.0), -0.1, 3.14e-3])
+        assert bench.places - before == pytest.approx(bench.reading.sent * (bench.now - begin), rel=1e-6)
+
+    def test_each_axis_gets_40_velocities_and_13_polls_a_second(self, bench):
+        before = [(count.velocities, count.polls) for count in bench.stages.counts]
+        bench.run(10.0, lambda now: np.array([1e-2, 2e-2, 1e-3]) * (1.0 + now))
+
+        for (velocities, polls), count in zip(before, bench.stages.counts, strict=True):
+            assert (count.velocities - velocities) / 10 == pytest.approx(40, abs=1.5)
+            assert (count.polls - polls) / 10 == pytest.approx(40 / 3, abs=0.3)
+            assert count.missed == count.rejected == 0
+
+    def test_a_line_for_each_stage_is_three_times_as_fast(self, paper):
+        bench = Bench(paper, apart=True).connect()
+        assert bench.stages.ready, bench.stages.problem
+        before = [count.velocities for count in bench.stages.counts]
+        bench.run(5.0, lambda now: [0.1 * math.sin(9 * now), 0.1 * math.cos(9 * now), 0.01 * math.sin(9 * now)])
+
+        assert all((c.velocities - b) / 5 > 80 for c, b in zip(bench.stages.counts, before, strict=True))
+        assert bench.reading.positions == pytest.approx(bench.truth, abs=1e-4)
+
+    def test_a_stop_brakes_all_three_at_once(self, bench):
+        bench.run(1.0, lambda now: [0.3, -0.3, 0.02])
+        bench.stages.stop(bench.now)
+        bench.let_go()
+        bench.run(6.25e-3 * 2)
+        # 12.5 ms later all have begun to brake: none is as fast as it was.
+        assert [unit.status for unit in bench.units] == [23, 23, 23]
+        bench.run(0.5)
+        assert bench.moving == [False, False, False]
+        assert bench.stages.at_rest
+        assert bench.reading.sent.tolist() == [0.0, 0.0, 0.0]
+        assert bench.reading.positions == pytest.approx(bench.truth, abs=2e-6)
+
+    def test_a_number_that_is_none_stops(self, bench):
+        bench.run(1.0, lambda now: [0.1, 0.1, 0.001])
+        bench.run(0.5, lambda now: [0.1, math.nan, 0.001])
+
+        assert bench.moving == [False, False, False]
+
+    def test_the_hardware_maximum_position_holds_a_stage_that_is_driven_on(self, bench):
+        bench.run(15.0, lambda now: [0.0, 0.0, 0.02])
+
+        assert bench.truth[2] == pytest.approx(-0.005, abs=1e-6)
+        assert bench.reading.positions[2] == pytest.approx(-0.005, abs=1e-6)
+
+    def test_a_noisy_line_loses_no_axis_and_believes_nothing_wrong(self, bench):
+        bench.chain.faults = Faults(flip=1e-3)  # about ten bytes
+        worst = np.zeros(3)
+
+        def track(now: float) -> list[float]:
+            nonlocal worst
+            worst = np.maximum(worst, np.abs(bench.reading.positions - bench.truth))
+            return [0.1 * math.sin(now), 0.1 * math.cos(now), 0.005 * math.sin(now)]
+
+        bench.run(5.0, track)
+        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
+        # A velocity that was damaged on its way is noticed at the next poll and said again.
+        assert (worst < [0.02, 0.02, 0.001]).all()
+        assert sum(count.rejected + count.missed for count in bench.stages.counts) > 0
+
+
+class TestHoming:
+    """One after the other, the translation first."""
+
+    def test_the_translation_first_then_one_rotation_at_a_time(self, paper):
+        bench = Bench(paper, at=(0.3, 0.6, -0.110), homed=False).connect()
+        together = 0
+
+        bench.stages.home(bench.now)
+        while bench.stages.condition is Condition.HOMING and bench.now < 400:
+            bench.run(TICK)
+            together = max(together, sum(bench.moving))
+
+        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
+        assert bench.order == [2, 0, 1]
+        assert together == 1
+        assert bench.stages.ready
+        assert bench.reading.positions == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
+        assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
+        assert [unit.position for unit in bench.units] == [1_536_000, 1_536_000, 0]
+
+    def test_after_homing_the_stages_move_both_ways(self, paper):
+        bench = Bench(paper, at=(0.1, 0.1, -0.125), homed=False).connect()
+        bench.home()
+        bench.run(2.0, lambda now: [-0.2, 0.2, 0.01])
+
+        assert bench.truth == pytest.approx([-0.4, 0.4, -0.110], abs=0.05)
+        assert bench.reading.positions == pytest.approx(bench.truth, abs=1e-5)
+
+    def test_a_stop_while_homing_is_answered_busy_and_ends_in_a_reset(self, paper):
+        bench = Bench(paper, homed=False).connect()
+        bench.stages.home(bench.now)
+        bench.run(1.0)
+        assert bench.units[2].status == 1
+        bench.stages.stop(bench.now)
+        bench.run(0.5)
+
+        assert bench.moving == [False, False, False]
+        assert bench.stages.condition is Condition.CONNECTED
+        assert not bench.stages.homed[2]
+        bench.run(2.0)
+        assert not any(bench.stages.counts[i].missed for i in range(3))
+        bench.home()
+        assert bench.stages.ready, bench.stages.problem
+
+    def test_a_home_that_was_not_heard_is_said_again(self, paper):
+        bench = Bench(paper, at=(0.01, 0.01, -0.129)).connect()
+        bench.far[0] = hard_of_hearing = HardOfHearing(bench.far[0], bytes.fromhex("03 01 00 00 00 00"))
+        bench.home()
+
+        assert hard_of_hearing.missed == 1
+        assert bench.stages.ready, bench.stages.problem
+        assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
+
+    def test_a_noisy_line_homes_or_says_what_is_wrong(self, paper):
+        bench = Bench(paper, at=(0.01, 0.01, -0.129), homed=False).connect()
+        bench.chain.faults = Faults(drop=2e-4, flip=2e-4)
+        bench.home()
+
+        if bench.stages.ready:
+            assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
+        else:
+            assert bench.stages.problem
+
+    def test_a_stage_that_cannot_home_is_named(self, paper):
+        bench = Bench(paper, homed=False).connect()
+        bench.chain.faults = Faults(stalled=frozenset({3}))
+        bench.home()
+        assert bench.stages.condition is Condition.FAULT
+        assert "inner_translation" in bench.stages.problem
+        assert "home sensor" in bench.stages.problem
+        assert bench.order == [2]  # the rotations do not turn with the tubes out
+
+    def test_homing_needs_a_connection(self, paper):
+        with pytest.raises(ZaberError, match="closed"):
+            Bench(paper).stages.home(0.0)
+
+
+class TestLosing:
+    """A stage in constant-speed motion has no watchdog: those that hear are stopped, the others are named."""
+
+    def test_a_cut_chain_stops_what_it_can_reach_and_says_how_far_the_rest_can_run(self, bench):
+        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
+        bench.chain.faults = Faults(cut=3)
+        cut = bench.now
+        bench.run(2.0, lambda now: [0.1, 0.1, 0.010], until=lambda: bench.stages.condition is Condition.FAULT)
+        assert bench.now - cut < 0.3
+        bench.run(0.5)
+
+        assert bench.moving == [False, False, True]
+        problem = bench.stages.problem
+        assert "inner_translation (device 3 on line 0) cannot be reached" in problem
+        assert "it can run on to -5.0 mm" in problem
+        assert "outer_rotation" not in problem
+        assert not bench.stages.ready
+        bench.run(15.0)
+        assert bench.truth[2] == pytest.approx(-0.005, abs=1e-6)  # it did
+
+    def test_a_lost_stage_that_hears_again_is_stopped(self, bench):
+        bench.run(1.0, lambda now: [0.0, 0.0, 0.010])
+        bench.chain.faults = Faults(cut=3)
+        bench.run(1.0)
+        assert bench.moving == [False, False, True]
+        bench.chain.faults = Faults()
+        bench.run(1.0)
+
+        assert bench.moving == [False, False, False]
+        assert bench.stages.condition is Condition.FAULT
+
+    @pytest.mark.parametrize("seed", range(4))
+    def test_on_a_line_that_loses_bytes_no_stage_runs_on(self, paper, seed):
+        bench = Bench(paper, seed=seed).connect()
+        bench.chain.faults = Faults(drop=2e-3)
+        bench.run(20.0, swing, until=lambda: bench.stages.condition is Condition.FAULT)
+        bench.stages.stop(bench.now)
+        bench.chain.faults = Faults()
+        bench.run(2.0)
+
+        assert bench.moving == [False, False, False]
+
+    def test_a_unit_that_was_reset_unnoticed_is_not_believed(self, bench):
+        bench.units[0].take(Message(1, 0, 0))
+        bench.units[0].deaf_until = 0.0  # it is back at once
+        bench.run(1.0, lambda now: [0.0, 0.0, 0.0])
+
+        assert bench.stages.condition is Condition.FAULT
+        assert "outer_rotation" in bench.stages.problem
+        assert "does not move as it was told" in bench.stages.problem
+        assert not bench.stages.homed[0]
+
+    def test_an_adapter_pulled_out_loses_all_its_stages_and_raises_nothing(self, paper):
+        bench = Bench(paper, apart=True).connect()
+        bench.run(1.0, lambda now: [0.1, -0.1, 0.010])
+        bench.near[1].close()
+        bench.run(0.5, lambda now: [0.1, -0.1, 0.010])
+
+        assert bench.stages.condition is Condition.FAULT
+        assert "inner_rotation (device 1 on line 1) cannot be reached" in bench.stages.problem
+        assert "it can run on to -360.0 deg" in bench.stages.problem
+        assert bench.moving == [False, True, False]
+        assert np.isfinite(bench.reading.positions).all()
+
+    def test_a_mute_unit_that_still_listens_is_stopped_too(self, bench):
+        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
+        bench.chain.faults = Faults(mute=frozenset({1}))
+        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
+
+        assert bench.stages.condition is Condition.FAULT
+        assert bench.moving == [False, False, False]
+
+    def test_after_a_loss_it_connects_to_the_same_units_on_another_port_and_wants_homing(self, bench):
+        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
+        bench.near[0].close()
+        bench.run(0.1)
+        assert bench.stages.condition is Condition.FAULT
+        bench.run(20.0)  # they run to their limits
+
+        bench.stages.connect(bench.now, bench.plug())
+        bench.run(10.0, until=lambda: bench.stages.condition is not Condition.CONNECTING)
+        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
+        assert bench.stages.homed == [False, False, False]
+        bench.home()
+        assert bench.stages.ready, bench.stages.problem
+
+    def test_other_units_in_their_place_are_refused(self, bench):
+        bench.near[0].close()
+        bench.run(0.1)
+        bench.units[2].kind = replace(LINEAR, serial=5)
+        bench.stages.connect(bench.now, bench.plug())
+        bench.run(10.0, until=lambda: bench.stages.condition is not Condition.CONNECTING)
+
+        assert "serial number 5; 1001 is expected" in bench.stages.problem
+
+    def test_slow_replies_within_the_deadline_lose_nothing(self, bench):
+        bench.chain.faults = Faults(delay=0.025)
+        bench.run(3.0, swing)
+        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
+
+    def test_a_unit_that_lost_its_power_is_noticed(self, bench):
+        bench.run(1.0, swing)
+        bench.chain.power_cycle(1)
+        bench.run(2.0, swing)
+
+        assert bench.stages.condition is Condition.FAULT
+        assert "outer_rotation" in bench.stages.problem
+
+    def test_a_stopped_connection_is_not_a_connection(self, paper):
+        bench = Bench(paper)
+        bench.stages.connect(0.0)
+        bench.run(0.2)
+        bench.stages.stop(bench.now)
+        bench.run(0.2)
+        assert bench.stages.condition is Condition.FAULT
+        assert "stopped" in bench.stages.problem
+
+
+def test_deadlines_can_be_changed(paper):
+    bench = Bench(paper)
+    bench.stages = ZaberStages(bench.setups, bench.ports, Line(deadline=0.2))
+    bench.chain.faults = Faults(delay=0.150)
+    bench.connect()
+    assert bench.stages.condition is not Condition.FAULT, bench.stages.problem
+
+
+class HardOfHearing:
+    """The device's end of a link that misses one message, once."""
+
+    def __init__(self, link: Link, message: bytes) -> None:
+        self.name, self.missed = link.name, 0
+        self._link, self._message = link, message
+
+    def read(self) -> bytes:
+        data = self._link.read()
+        if self._message in data and not self.missed:
+            self.missed += 1
+            return data.replace(self._message, b"", 1)
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._link.write(data)
+
+    def close(self) -> None:
+        self._link.close()
+
+
+class FileLink:
+    """The device's end of a pty or a connected socket."""
+
+    name = "device"
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        os.set_blocking(descriptor, False)
+
+    def read(self) -> bytes:
+        try:
+            return os.read(self._descriptor, 4096)
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        os.write(self._descriptor, data)
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+
+@pytest.mark.parametrize("kind", ["pty", "socket"])
+def test_real_time_over_a_pty_and_a_socket(paper, kind):
+    bench = Bench(paper)
+    if kind == "pty":
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        near, far = SerialLink(os.ttyname(slave), 9600), FileLink(master)
+        os.close(slave)
+        rest: Callable[[], None] = far.close
+    else:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            near = SerialLink(f"socket://127.0.0.1:{server.getsockname()[1]}", 9600)
+            connection, _ = server.accept()
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # or the replies come in lumps
+        far, rest = FileLink(connection.fileno()), connection.close
+    stages = ZaberStages(bench.setups, [Port(near, (0, 1, 2))], Line(deadline=2.0))
+
+    def until(reached: Callable[[], bool]) -> None:
+        give_up = time.monotonic() + 60.0
+        while not reached() and time.monotonic() < give_up:
+            stages.poll(time.monotonic())
+            pump(far, bench.chain, time.monotonic())
+            time.sleep(1e-3)
+        assert reached(), stages.problem
+
+    try:
+        stages.connect(time.monotonic())
+        until(lambda: stages.condition is not Condition.CONNECTING)
+        assert stages.ready, stages.problem
+        stages.command(np.array([0.2, -0.2, 0.01]), time.monotonic())
+        until(lambda: bench.places[0] > START[0] + 0.05 and bench.places[2] > START[2] + 0.001)
+        stages.stop(time.monotonic())
+        until(lambda: stages.at_rest)
+        assert bench.moving == [False, False, False]
+        until(lambda: np.abs(stages.poll(time.monotonic()).positions - bench.places).max() < 1e-5)
+    finally:
+        stages.close()
+        rest()

@@ -1,0 +1,42 @@
+"""A simulated Aurora and its driver on a line in memory, in virtual time."""
+
+from typing import Any
+
+import numpy as np
+
+from station.devices.aurora_settings import AuroraSettings
+from station.devices.aurora_tracker import AuroraTracker, TrackerReport
+from station.devices.interfaces import TipReading
+from station.lab.aurora_wire import HostPort, pump
+from station.lab.config import TrackerConfig
+from station.lab.simulated_aurora import SimulatedAurora
+from station.lab.simulated_aurora_coil import MOUNT
+
+TICK = 0.002
+REST = np.array([0.010, -0.020, 0.190])
+
+
+class AuroraBench:
+    """Advances both ends tick by tick."""
+
+    def __init__(self, settings: AuroraSettings | None = None, seed: int = 0, noise: float = 0.0, **unit: Any) -> None:
+        self.unit = SimulatedAurora(TrackerConfig(noise=noise), np.random.default_rng(seed), **unit)
+        self.port = HostPort("aurora")
+        self.tracker = AuroraTracker(self.port, settings, MOUNT)
+        self.now = 0.0
+
+    def run(self, seconds: float, tip=lambda time: REST) -> list[tuple[float, TipReading]]:
+        """Let time pass with the true tip at `tip(time)`; what was read and when."""
+        read = []
+        for _ in range(round(seconds / TICK)):
+            before, self.now = self.now, self.now + TICK
+            self.unit.advance(before, self.now, tip(before), tip(self.now))
+            pump(self.port.device, self.unit, self.now)
+            reading = self.tracker.poll(self.now)
+            if reading is not None:
+                read.append((self.now, reading))
+        return read
+
+    @property
+    def report(self) -> TrackerReport:
+        return self.tracker.report(self.now)
