@@ -13,14 +13,14 @@ from core.robot import Array, Layout, Robot, tube_poses
 
 
 class Fused(NamedTuple):
-    """Load of the whole robot, world frame."""
+    """Load of the whole robot."""
 
     force: Array  #: (3,) [N]
     moment: Array  #: (3,) about the plate's origin [N m]
 
 
 def fuse(wrenches: Array, alpha: Array, beta: Array) -> Fused:
-    """Add up the base wrenches in the world frame, at the plate's origin.
+    """Add up the base wrenches in the plate's frame, at its origin.
 
     Args:
         wrenches: force and moment (q, 6) that each tube exerts on its sensor, in the sensor's own
@@ -34,7 +34,7 @@ def fuse(wrenches: Array, alpha: Array, beta: Array) -> Fused:
 
 
 def fuse_at(robot: Robot, joints: Array, wrenches: Array) -> Fused:
-    """`fuse` for joints (n,) [rad or m], in one call."""
+    """`fuse` for joints (n,) [rad or m], turned into the world frame."""
     total = _fuse_at(robot.layout, joints, wrenches)
     return Fused(total[:3], total[3:])
 
@@ -62,4 +62,10 @@ def _fuse(wrenches: Array, alpha: Array, beta: Array) -> Array:
 @compiled
 def _fuse_at(layout: Layout, joints: Array, wrenches: Array) -> Array:
     alpha, beta, _ = tube_poses(layout, joints)
-    return _fuse(wrenches, alpha, beta)
+    plate = _fuse(wrenches, alpha, beta)
+    world = np.zeros(6)
+    for i in range(3):
+        for j in range(3):
+            world[i] += layout.base[3 * i + j] * plate[j]
+            world[3 + i] += layout.base[3 * i + j] * plate[3 + j]
+    return world

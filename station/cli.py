@@ -57,7 +57,7 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     lab.set_defaults(command=_lab)
 
     bench = commands.add_parser("bench", help="measure this machine")
-    bench.add_argument("what", choices=("model", "accuracy", "cost", "loop", "headless"))
+    bench.add_argument("what", choices=("model", "accuracy", "cost", "tick", "loop", "headless"))
     bench.add_argument("--seconds", type=_seconds, default=60.0, metavar="S", help="of 'loop' (60)")
     bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
@@ -186,8 +186,9 @@ def _bench(parsed: argparse.Namespace) -> int:
             result = accuracy(lambda done: bar.update(task, completed=done))
     else:
         from station.bench_accuracy import cost
+        from station.bench_tick import tick
 
-        result = {"model": bench.model, "cost": cost, "headless": bench.headless}[parsed.what]()
+        result = {"model": bench.model, "cost": cost, "tick": tick, "headless": bench.headless}[parsed.what]()
     if parsed.json:
         print(json.dumps(result))  # noqa: T201
     else:

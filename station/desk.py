@@ -7,10 +7,10 @@ from pydantic import Field
 
 from core.errors import CtrError
 from station.config import Strict, preset_names
-from station.experiments.experiment import ControllerFile, load_experiment
+from station.experiments.experiment import BEST, ControllerFile, load_experiment
 from station.lab.loads import Load, NoLoad
 from station.loop import Task
-from station.motions import CircleMotion, HoldMotion, Motion, Orders, SinusoidMotion, TipMotion
+from station.motions import HoldMotion, Motion, Orders, TipMotion
 from station.states import State
 from station.supervisor import Supervisor
 
@@ -22,8 +22,8 @@ class DeskError(CtrError):
 class Settings(Strict):
     """What the next free motion will be."""
 
-    trajectory: Annotated[HoldMotion | SinusoidMotion | CircleMotion, Field(discriminator="kind")] = HoldMotion()
-    controller: ControllerFile = ControllerFile()
+    trajectory: Annotated[TipMotion, Field(discriminator="kind")] = HoldMotion()
+    controller: ControllerFile = BEST
     load: Load = NoLoad()
     """on the simulated tip; a real bench has its own"""
     duration: Annotated[float, Field(gt=0.0, le=86400.0)] = 60.0

@@ -9,7 +9,7 @@ from pydantic import Field, PrivateAttr
 from core.errors import CtrError
 from station.config import ConfigError, Strict, check, read_toml
 from station.control_process import Bench
-from station.experiments.experiment import ControllerFile, start_pose
+from station.experiments.experiment import BEST, ControllerFile, start_pose
 from station.lab.config import load_lab
 from station.robots import load_robot
 
@@ -25,7 +25,7 @@ class StationFile(Strict):
     """of everything random in the virtual lab"""
     park: Mapping[str, float] = {"outer_rotation": 0.0, "inner_rotation": 1.5707963267948966, "inner_translation": -0.1}
     """joints at power-up [rad or m]"""
-    controller: ControllerFile = ControllerFile(feedforward=True)
+    controller: ControllerFile = BEST
     """the loop's controller until a run brings its own"""
     fifo: bool = True
     """ask for real-time scheduling"""

@@ -97,6 +97,7 @@ class Channels:
                 observed.bias,
                 (observed.uncertainty, observed.used),
                 now.force.value,
+                (now.loaded.stability,),
             )
         )
 
@@ -151,4 +152,5 @@ def _channels(robot: Robot) -> list[Channel]:
         Channel("observer.uncertainty", "m"),
         Channel("observer.used", ""),
         *vector("force_filtered", "N"),
+        Channel("stability", ""),
     ]

@@ -8,9 +8,9 @@ from pydantic import ConfigDict, Field, model_validator
 from station.config import Strict, Vector
 from station.experiments.experiment import ControllerFile
 from station.lab.loads import Load
-from station.motions import CircleMotion, HoldMotion, SinusoidMotion
+from station.motions import TipMotion
 
-TipMotionIn = Annotated[HoldMotion | SinusoidMotion | CircleMotion, Field(discriminator="kind")]
+TipMotionIn = Annotated[TipMotion, Field(discriminator="kind")]
 
 CIRCLE = {"kind": "circle", "radius": 0.01, "period": 20.0, "normal": [0.0, 0.0, 1.0]}
 CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforward": True}

@@ -74,6 +74,10 @@ class ControllerFile(Strict):
         )
 
 
+#: What follows best in the virtual lab; the paper's own choices are the defaults above.
+BEST = ControllerFile(inner="type_2", feedback="observer", feedforward=True, filter_bandwidth=0.5)
+
+
 class PaperNumbers(Strict):
     """What the paper reports, by axis or model; only what it reports."""
 

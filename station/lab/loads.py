@@ -99,4 +99,29 @@ class RampLoad(_Directed):
         return self._along(f0 + (f1 - f0) * (time - t0) / (t1 - t0))
 
 
-Load = Annotated[NoLoad | ConstantLoad | SineLoad | RaisedCosineLoad | RampLoad, Field(discriminator="kind")]
+class HungWeightLoad(_Directed):
+    """A weight that is let go on a rubber band: it swings in at the band's own frequency.
+
+    The tip's own motion is small against the band's stretch and left out.
+    """
+
+    kind: Literal["hung_weight"] = "hung_weight"
+    weight: NotNegative
+    """[N]"""
+    frequency: Positive = 2.0
+    """of the weight on the band [Hz]"""
+    damping: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05
+    """part of the critical one"""
+
+    def force(self, time: float) -> Array:
+        """(3,) [N] at `time` [s] since the weight was let go; nothing before."""
+        if time <= 0.0:
+            return np.zeros(3)
+        rate, root = 2.0 * math.pi * self.frequency, math.sqrt(1.0 - self.damping**2)
+        swing = math.cos(rate * root * time) + self.damping / root * math.sin(rate * root * time)
+        return self._along(self.weight * (1.0 - math.exp(-self.damping * rate * time) * swing))
+
+
+Load = Annotated[
+    NoLoad | ConstantLoad | SineLoad | RaisedCosineLoad | RampLoad | HungWeightLoad, Field(discriminator="kind")
+]

@@ -10,6 +10,7 @@ import os
 import select
 import signal
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, Self
@@ -173,13 +174,16 @@ class OpenLab:
         self._opened.close()
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Keep real time until `stopped`."""
-        start, due = time.monotonic(), 0.0
+        """Keep real time until `stopped`; a robot that cannot follow its stages is reported on stderr."""
+        start, due, trouble = time.monotonic(), 0.0, ""
         while not stopped():
             files = [file for line in self._lines for file in line.files]
             select.select(files, [], [], max(0.0, start + due - time.monotonic()))
             now = time.monotonic() - start
             self.lab.advance(now)
+            if self.lab.trouble and not trouble:
+                sys.stderr.write(f"the robot stays where it is: {' '.join(self.lab.trouble.split())}\n")
+            trouble = self.lab.trouble
             if now >= due:
                 for page in self._pages:
                     page.poll()

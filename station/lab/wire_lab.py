@@ -27,7 +27,7 @@ from station.robots import RobotFile
 
 #: Device IDs of the simulated units; those of the real ones are not known here.
 ROTARY_ID, LINEAR_ID = 4421, 4332
-FIRST_SERIAL = 1001
+SERIALS = 1000  #: the device number is added
 
 
 class Wires(NamedTuple):
@@ -122,7 +122,7 @@ class WireLab:
 def _unit(setup: StageSetup, place: float) -> Unit:
     """The unit of a stage that is `place` from its home sensor's zero [microsteps]."""
     if setup.joint.motion == "rotation":
-        kind = UnitKind(ROTARY_ID, None, round(2.0 * np.pi / setup.joint.microstep), serial=FIRST_SERIAL + setup.device)
+        kind = UnitKind(ROTARY_ID, None, round(2.0 * np.pi / setup.joint.microstep), serial=SERIALS + setup.device)
     else:
-        kind = UnitKind(LINEAR_ID, setup.maximum, serial=FIRST_SERIAL + setup.device)
+        kind = UnitKind(LINEAR_ID, setup.maximum, serial=SERIALS + setup.device)
     return Unit(kind, setup.device, place)
