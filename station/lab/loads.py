@@ -100,7 +100,7 @@ class RampLoad(_Directed):
 
 
 class HungWeightLoad(_Directed):
-    """A weight that is let go on a rubber band: it swings in at the band's own frequency.
+    """A weight lowered onto a rubber band: it goes on swinging at the band's own frequency.
 
     The tip's own motion is small against the band's stretch and left out.
     """
@@ -108,18 +108,25 @@ class HungWeightLoad(_Directed):
     kind: Literal["hung_weight"] = "hung_weight"
     weight: NotNegative
     """[N]"""
+    lowering: Positive = 2.0
+    """time in which the hand lets go [s]"""
     frequency: Positive = 2.0
     """of the weight on the band [Hz]"""
     damping: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05
     """part of the critical one"""
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the weight was let go; nothing before."""
+        """(3,) [N] at `time` [s] since the lowering began; nothing before."""
+        return self._along(self.weight * (self._taken_up(time) - self._taken_up(time - self.lowering)) / self.lowering)
+
+    def _taken_up(self, time: float) -> float:
+        """Integral of the oscillator's step response [s]."""
         if time <= 0.0:
-            return np.zeros(3)
-        rate, root = 2.0 * math.pi * self.frequency, math.sqrt(1.0 - self.damping**2)
-        swing = math.cos(rate * root * time) + self.damping / root * math.sin(rate * root * time)
-        return self._along(self.weight * (1.0 - math.exp(-self.damping * rate * time) * swing))
+            return 0.0
+        rate = 2.0 * math.pi * self.frequency
+        a, b = self.damping * rate, math.sqrt(1.0 - self.damping**2) * rate
+        swing = (b - a * a / b) * math.sin(b * time) - 2.0 * a * math.cos(b * time)
+        return time - (2.0 * a + math.exp(-a * time) * swing) / (rate * rate)
 
 
 Load = Annotated[
