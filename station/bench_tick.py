@@ -1,6 +1,6 @@
 """How long one whole tick of the controller takes, measured where it runs: in the loop.
 
-    python -m station.bench_tick
+    ctr-station bench tick
 
 Fuse, filter, observe, two solves, control, limits; between two of them the virtual lab and the
 telemetry use the caches, as they do at a bench.
