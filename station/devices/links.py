@@ -131,7 +131,11 @@ class SerialLink:
 
     def close(self) -> None:
         """Let go of the port."""
+        # pyserial forgets the socket of a socket:// port whose peer has left first.
+        inner = getattr(self._port, "_socket", None)
         self._port.close()
+        if isinstance(inner, socket.socket):
+            inner.close()
 
 
 class DatagramLink:

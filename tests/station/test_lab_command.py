@@ -119,8 +119,6 @@ def gone(url: str) -> bool:
     return False
 
 
-# pyserial leaves a socket to the garbage collector if the other end has gone first.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     ("options", "prefix", "number"),
     [((), "socket://127.0.0.1:", signal.SIGINT), (("--pty",), "/dev/pts/", signal.SIGTERM)],
