@@ -83,6 +83,11 @@ def execute(top: argparse.ArgumentParser, arguments: Sequence[str] | None) -> in
         return 2
     except KeyboardInterrupt:
         return 130
+    except SystemError as error:
+        # Ctrl-C inside compiled code comes out as this.
+        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            return 130
+        raise
     except BrokenPipeError:
         # Whoever read our output has gone; what is left in the buffer must not fail once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -10,6 +10,7 @@ from core.errors import CtrError
 from core.robot import Array
 from station.clock import Clock
 from station.experiments.experiment import PERIOD, Case
+from station.interrupt import interrupts
 from station.lab.virtual_lab import VirtualLab
 from station.loop import ControlLoop, Phase, Task
 from station.states import Event, State
@@ -46,30 +47,32 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
     rows: list[Array] = []
     tick, motion_start, cause = 0, 0.0, ""
     try:
-        while True:
-            now = tick * PERIOD
-            clock.wait_until(now)
-            row = loop.tick(now, lab.advance(now))
-            if loop.state is State.OFF and row is not None:
-                for event in (Event.CONNECT, Event.HOME, Event.PREPARE):
-                    loop.request(event)
-                loop.start(Task(case.controller, case.orders, case.file.duration, case.start))
-            elif loop.state is State.OFF and now > BRING_UP:
-                cause = f"no sample that the controller can begin with in {BRING_UP:g} s"
-                break
-            elif loop.state is not State.OFF and loop.progress is None:
-                cause = loop.cause
-                break
-            elif loop.phase is Phase.SETTLING and motion_start == 0.0 and loop.progress is not None:
-                motion_start = loop.progress.motion_start
-                lab.pull(case.file.load, motion_start)
-            elif loop.phase is Phase.MOVING and row is not None:
-                rows.append(row)
-            tick += 1
-            if tick % 250 == 0:
-                progress(loop.part_done(now))
-    except KeyboardInterrupt:
-        cause = "interrupted"
+        with interrupts() as interrupted:
+            while True:
+                if interrupted():
+                    cause = "interrupted"
+                    break
+                now = tick * PERIOD
+                clock.wait_until(now)
+                row = loop.tick(now, lab.advance(now))
+                if loop.state is State.OFF and row is not None:
+                    for event in (Event.CONNECT, Event.HOME, Event.PREPARE):
+                        loop.request(event)
+                    loop.start(Task(case.controller, case.orders, case.file.duration, case.start))
+                elif loop.state is State.OFF and now > BRING_UP:
+                    cause = f"no sample that the controller can begin with in {BRING_UP:g} s"
+                    break
+                elif loop.state is not State.OFF and loop.progress is None:
+                    cause = loop.cause
+                    break
+                elif loop.phase is Phase.SETTLING and motion_start == 0.0 and loop.progress is not None:
+                    motion_start = loop.progress.motion_start
+                    lab.pull(case.file.load, motion_start)
+                elif loop.phase is Phase.MOVING and row is not None:
+                    rows.append(row)
+                tick += 1
+                if tick % 250 == 0:
+                    progress(loop.part_done(now))
     except CtrError as error:
         cause = str(error)
     table = np.array(rows) if rows else np.empty((0, len(loop.channels)))
