@@ -15,6 +15,8 @@ import numpy as np
 
 from core.errors import CtrError
 from core.robot import Array
+from core.step import Sample, begin, step
+from core.trajectories import Setpoint
 from station.experiments.experiment import PERIOD, ControllerFile
 from station.lab.config import LabConfig
 from station.lab.loads import Load, NoLoad
@@ -25,6 +27,7 @@ from station.realtime import ask_for_fifo, calm_memory
 from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, Ring
 from station.robots import RobotFile
 from station.states import Event, RefusedError, State
+from station.telemetry import Channels
 
 
 @dataclass(frozen=True)
@@ -81,9 +84,12 @@ def run_control(bench: Bench, ring_name: str, pipe: Connection, parent: int) -> 
 
 def ring_width(robot: RobotFile) -> int:
     """Numbers in a row of telemetry."""
-    from station.telemetry import Channels
-
     return len(Channels(robot.robot()))
+
+
+def compile_plant(bench: Bench) -> None:
+    """Compile the plant into the cache on disk, where the control process will look for it."""
+    VirtualLab(bench.robot, bench.lab, bench.seed, np.array(bench.park))
 
 
 class _LiveLoop:
@@ -199,9 +205,15 @@ class _LiveLoop:
 
 
 def _warm_up(bench: Bench) -> None:
-    """Compile everything a tick can reach, on a bench that is thrown away."""
-    lab = VirtualLab(bench.robot, bench.lab, bench.seed, np.array(bench.park))
+    """Compile everything a tick can reach, on a bench that is thrown away.
+
+    The controller first: the plant is compiled by the station process meanwhile, see `compile_plant`.
+    """
     controller = bench.controller.controller(bench.robot)
+    park, tubes = np.array(bench.park), len(bench.robot.tubes)
+    still = Sample(park, np.zeros_like(park), np.zeros((tubes, 6)), np.zeros(3), 0.0)
+    step(controller, begin(controller, still), still, Setpoint(np.zeros(3), np.zeros(3)))
+    lab = VirtualLab(bench.robot, bench.lab, bench.seed, park)
     loop = ControlLoop(controller, lab.devices)
     task = Task(controller, Orders(HoldMotion(), bench.robot.robot()), 0.1)
     for tick in range(1500):

@@ -13,6 +13,7 @@ import viser
 from rich.console import Console
 
 from core.errors import CtrError
+from station.control_process import compile_plant
 from station.desk import Desk
 from station.station_file import load_station
 from station.supervisor import Supervisor
@@ -44,6 +45,7 @@ def serve(config: Path | None, host: str, port: int, *, browser: bool) -> int:
         out.print(f"ctr-station: {bench.lab.title}")
         supervisor = Supervisor(bench)
         try:
+            compile_plant(bench)
             supervisor.wait_ready(START_TIME)
             desk = Desk(supervisor)
             # viser knows no access control: loopback only, the page comes through our own port.
