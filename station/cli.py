@@ -45,7 +45,11 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     solve = commands.add_parser("solve", help="the loaded model: JSON lines in, JSON lines out")
     solve.add_argument("--robot", default="paper", metavar="FILE", help="preset or .toml file (paper)")
     solve.add_argument(
-        "--sublink", type=_sublink, default=PAPER_SUBLINK, metavar="M", help="sub-link length [m] (0.01)"
+        "--sublink",
+        type=_between(0.0001, 0.1, "a length", "m"),
+        default=PAPER_SUBLINK,
+        metavar="M",
+        help="sub-link length [m] (0.01)",
     )
     solve.add_argument("--exact", action="store_true", help="the exact rod instead of the paper's model; tip only")
     solve.set_defaults(command=_solve)
@@ -53,12 +57,16 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     lab = commands.add_parser("lab", help="only the simulated devices, for drivers to connect to, until interrupted")
     lab.add_argument("--pty", action="store_true", help="serial lines as pseudo-terminals instead of TCP")
     lab.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
-    lab.add_argument("--load", type=_load, default=0.0, metavar="N", help="weight at the tip [N] (0)")
+    lab.add_argument(
+        "--load", type=_between(0.0, 2.0, "a weight", "N"), default=0.0, metavar="N", help="weight at the tip [N] (0)"
+    )
     lab.set_defaults(command=_lab)
 
     bench = commands.add_parser("bench", help="measure this machine")
     bench.add_argument("what", choices=("model", "accuracy", "cost", "tick", "loop", "headless"))
-    bench.add_argument("--seconds", type=_seconds, default=60.0, metavar="S", help="of 'loop' (60)")
+    bench.add_argument(
+        "--seconds", type=_between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of 'loop' (60)"
+    )
     bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
     bench.set_defaults(command=_bench)
@@ -221,24 +229,19 @@ def _bar() -> Progress:
     )  # fmt: skip
 
 
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a time, 1 ... 86400 s") from None
-    if not 1.0 <= value <= 86400.0:
-        raise argparse.ArgumentTypeError(f"{text} s is outside 1 ... 86400 s")
-    return value
+def _between(lower: float, upper: float, what: str, unit: str) -> Callable[[str], float]:
+    """Reads an option's number and says what it should have been."""
 
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}, {lower:g} ... {upper:g} {unit}") from None
+        if not lower <= value <= upper:
+            raise argparse.ArgumentTypeError(f"{text} {unit} is outside {lower:g} ... {upper:g} {unit}")
+        return value
 
-def _load(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a weight, 0 ... 2 N") from None
-    if not 0.0 <= value <= 2.0:
-        raise argparse.ArgumentTypeError(f"{text} N is outside 0 ... 2 N")
-    return value
+    return read
 
 
 def _seed(text: str) -> int:
@@ -248,14 +251,4 @@ def _seed(text: str) -> int:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 ... 2^63 - 1") from None
     if not 0 <= value < 2**63:
         raise argparse.ArgumentTypeError(f"{text} is outside 0 ... 2^63 - 1")
-    return value
-
-
-def _sublink(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a length, 0.0001 ... 0.1 m") from None
-    if not 0.0001 <= value <= 0.1:
-        raise argparse.ArgumentTypeError(f"{text} m is outside 0.0001 ... 0.1 m")
     return value

@@ -48,9 +48,12 @@ def test_the_scene_shows_units_and_a_legend(page: Page) -> None:
 
 
 def test_the_robot_moves_in_pixels_and_in_numbers(page: Page, station: Served) -> None:
-    still = picture(page)
-    page.wait_for_timeout(700)
-    noise = changed(still, picture(page))
+    # What changes by itself: trackers are noisy, texts are refreshed. The quietest of three looks counts.
+    noise = []
+    for _ in range(3):
+        still = picture(page)
+        page.wait_for_timeout(500)
+        noise.append(changed(still, picture(page)))
     assert station.post("/api/start", CIRCLE).status_code == 202
     station.wait_for(lambda s: s["run"]["phase"] == "moving", 10.0)
     before = np.array(station.status()["tip_true"])
@@ -58,7 +61,7 @@ def test_the_robot_moves_in_pixels_and_in_numbers(page: Page, station: Served) -
     page.wait_for_timeout(5000)
     after = np.array(station.status()["tip_true"])
     assert 1e3 * np.linalg.norm(after - before) > 5.0
-    assert changed(first, picture(page)) > 300 + 3 * noise
+    assert changed(first, picture(page)) > 300 + 2 * min(noise)
     assert state(page) == "RUNNING"
     assert "left" in page.locator("#run-left").inner_text()
 
