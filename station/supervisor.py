@@ -107,7 +107,7 @@ class Supervisor:
             return self._run_id()
 
     def stop(self) -> None:
-        """Stop every axis. Never refused; without a control process nothing moves any more."""
+        """Stop every axis. Without a control process there is nothing to stop: the virtual lab lives in it."""
         if self._process.is_alive():
             self._ask(Event.STOP)
 
@@ -188,4 +188,4 @@ class Supervisor:
             how = f"by signal {-code}" if code is not None and code < 0 else f"with status {code}"
             with self._lock:
                 self._state = State.FAULT
-                self._cause = f"the control process ended {how}; its axes are stopped; reset to start it anew"
+                self._cause = f"the control process ended {how}, and the virtual lab with it; reset to start both anew"
