@@ -104,7 +104,7 @@ class ExactRod:
     def _shoot(
         self, alpha: Array, beta: Array, wrench: Array, contact: float, guess: Array, chord: Array
     ) -> Rod | None:
-        unknowns, inverse, tip, rotation, iterations, residual = _shoot(
+        unknowns, inverse, tip, rotation, iterations, residual = shoot(
             self.robot.layout, alpha, beta, wrench, contact, guess, chord, self.step, self.tolerance
         )
         if not residual <= self.tolerance:
@@ -149,23 +149,31 @@ def _rotation(y: Array, out: Array) -> None:
 
 @compiled
 def _slope(
-    y: Array, out: Array, q: int, stiffness: Array, ratio: Array, curvature: Array, total: float, force: Array
-) -> None:
-    """Y = quaternion (4), r (3), m_x, m_y, u_iz (q), psi_i (q); an absent tube has ratio 0."""
+    y: Array, out: Array, turn: Array, bend: Array, twist: Array, ratio: Array, curvature: Array, softness: float,
+    force: Array,
+) -> None:  # fmt: skip
+    """Y = quaternion (4), r (3), m_x, m_y, u_iz (q), psi_i (q); an absent tube has ratio 0.
+
+    `bend` is EI and `twist` GJ of the tubes present (q,), `softness` one over the sum of the former;
+    `turn` (q, 2) is memory for cosine and sine of psi_i. That of the innermost tube is 0.
+    """
+    q = bend.shape[0]
     w, a, b, c = y[0], y[1], y[2], y[3]
     scale = 2.0 / (w * w + a * a + b * b + c * c)
     dx, dy, dz = scale * (a * c + w * b), scale * (b * c - w * a), 1.0 - scale * (a * a + b * b)
     fx, fy, fz = force[0], force[1], force[2]
     nx = fx + scale * (-fx * (b * b + c * c) + fy * (a * b + w * c) + fz * (a * c - w * b))
     ny = fy + scale * (fx * (a * b - w * c) - fy * (a * a + c * c) + fz * (b * c + w * a))
-    ux, uy, mz = y[7], y[8], 0.0
-    for i in range(q):
+    uz = y[9]
+    ux, uy, mz = y[7] + bend[0] * curvature[0, 0], y[8] + bend[0] * curvature[0, 1], twist[0] * uz
+    for i in range(1, q):
         if ratio[i] > 0.0:
             cos, sin = np.cos(y[9 + q + i]), np.sin(y[9 + q + i])
-            ux += stiffness[i] * (cos * curvature[i, 0] - sin * curvature[i, 1])
-            uy += stiffness[i] * (sin * curvature[i, 0] + cos * curvature[i, 1])
-            mz += stiffness[i] / ratio[i] * y[9 + i]
-    ux, uy, uz = ux / total, uy / total, y[9]
+            turn[i, 0], turn[i, 1] = cos, sin
+            ux += bend[i] * (cos * curvature[i, 0] - sin * curvature[i, 1])
+            uy += bend[i] * (sin * curvature[i, 0] + cos * curvature[i, 1])
+            mz += twist[i] * y[9 + i]
+    ux, uy = softness * ux, softness * uy
     out[0] = 0.5 * (-a * ux - b * uy - c * uz)
     out[1] = 0.5 * (w * ux + b * uz - c * uy)
     out[2] = 0.5 * (w * uy - a * uz + c * ux)
@@ -173,10 +181,11 @@ def _slope(
     out[4], out[5], out[6] = dx, dy, dz
     out[7] = -(uy * mz - uz * y[8]) + ny
     out[8] = -(uz * y[7] - ux * mz) - nx
-    for i in range(q):
+    out[9], out[9 + q] = ratio[0] * (ux * curvature[0, 1] - uy * curvature[0, 0]), 0.0
+    for i in range(1, q):
         out[9 + i], out[9 + q + i] = 0.0, 0.0
         if ratio[i] > 0.0:
-            cos, sin = np.cos(y[9 + q + i]), np.sin(y[9 + q + i])
+            cos, sin = turn[i, 0], turn[i, 1]
             uix, uiy = cos * ux + sin * uy, cos * uy - sin * ux
             out[9 + i] = ratio[i] * (uix * curvature[i, 1] - uiy * curvature[i, 0])
             out[9 + q + i] = y[9 + i] - uz
@@ -196,45 +205,50 @@ def _integrate(
     # The unknown moment is in the plate's axes, so that a turn of the innermost tube leaves it alone.
     y[7] = np.cos(theta) * unknowns[0] + np.sin(theta) * unknowns[1]
     y[8] = np.cos(theta) * unknowns[1] - np.sin(theta) * unknowns[0]
-    section, ratio, stiffness, curvature = np.zeros(q, np.int64), np.zeros(q), np.zeros(q), np.zeros((q, 2))
+    section, memory = np.zeros(q, np.int64), np.zeros((3, q))
+    bend, twist, ratio = memory[0], memory[1], memory[2]
+    curvature, turn = np.zeros((q, 2)), np.empty((q, 2))
     for i in range(q):
         y[9 + i] = unknowns[2 + i]
         y[9 + q + i] = alpha[i] - beta[i] * unknowns[2 + i] - theta
         while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
             section[i] += 1
-    k1, k2, k3, k4, at = np.empty_like(y), np.empty_like(y), np.empty_like(y), np.empty_like(y), np.empty_like(y)
+    stages = np.empty((5, y.size))
+    k1, k2, k3, k4, at = stages[0], stages[1], stages[2], stages[3], stages[4]
     start = 0.0
     while True:
         end, end_tube, total = np.inf, -1, 0.0
         for i in range(q):
-            ratio[i] = 0.0
+            bend[i] = twist[i] = ratio[i] = 0.0
             if section[i] < layout.counts[i]:
                 place = beta[i] + layout.ends[i, section[i]]
                 if place < end:
                     end, end_tube = place, i
-                stiffness[i], ratio[i] = layout.stiffness[i, 0], layout.stiffness[i, 1]
+                bend[i], ratio[i] = layout.stiffness[i, 0], layout.stiffness[i, 1]
+                twist[i] = bend[i] / ratio[i]
                 curvature[i, 0] = layout.curvatures[i, section[i], 0]
                 curvature[i, 1] = layout.curvatures[i, section[i], 1]
-                total += stiffness[i]
+                total += bend[i]
         if end_tube < 0:
             break
         if contact < end:
             end, end_tube = contact, -1
         steps = int(np.ceil((end - start) / step))
         h = (end - start) / max(steps, 1)
+        softness = 1.0 / total
         for _ in range(steps):
-            _slope(y, k1, q, stiffness, ratio, curvature, total, force)
+            _slope(y, k1, turn, bend, twist, ratio, curvature, softness, force)
             for i in range(y.size):
                 at[i] = y[i] + 0.5 * h * k1[i]
-            _slope(at, k2, q, stiffness, ratio, curvature, total, force)
+            _slope(at, k2, turn, bend, twist, ratio, curvature, softness, force)
             for i in range(y.size):
                 at[i] = y[i] + 0.5 * h * k2[i]
-            _slope(at, k3, q, stiffness, ratio, curvature, total, force)
+            _slope(at, k3, turn, bend, twist, ratio, curvature, softness, force)
             for i in range(y.size):
                 at[i] = y[i] + h * k3[i]
-            _slope(at, k4, q, stiffness, ratio, curvature, total, force)
+            _slope(at, k4, turn, bend, twist, ratio, curvature, softness, force)
             for i in range(y.size):
-                y[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+                y[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
         start = end
         if end_tube >= 0:
             section[end_tube] += 1
@@ -253,11 +267,16 @@ def _integrate(
 
 
 @compiled
-def _shoot(
+def shoot(
     layout: Layout, alpha: Array, beta: Array, world_wrench: Array, contact: float, guess: Array, chord: Array,
     step: float, tolerance: float,
 ) -> tuple[Array, Array, Array, Array, int, float]:  # fmt: skip
-    """Chord Newton: the derivative (by differences: it only steers) is renewed when progress is slow."""
+    """Chord Newton: the derivative (by differences: it only steers) is renewed when progress is slow.
+
+    Answers with unknowns, chord, tip, frame, integrations and what the end conditions lack at that tip; more than
+    `tolerance` means failure. The unknowns have taken one more step of the chord, so that guesses made from several
+    of them are not spoilt by what was tolerated.
+    """
     q = layout.counts.shape[0]
     size = q + 2
     wrench = _to_plate(layout, world_wrench)
@@ -299,4 +318,4 @@ def _shoot(
             break
         else:
             fresh = True
-    return unknowns, inverse, *_to_world(layout, y), iterations, residual
+    return unknowns - inverse @ ends, inverse, *_to_world(layout, y), iterations, residual

@@ -125,7 +125,7 @@ class Estimator:
         """
         observer, actuation, old = self.observer, self.actuation, last.observed
         state, tips = old.state.copy(), old.tips.copy()
-        vectors, moved, ahead, place, used = _estimate(
+        vectors, moved, ahead, place, used = estimate(
             self.filter.period, *self.filter.gain, 0.5 * actuation.hold, actuation.lead,
             loaded.places.q, loaded.places.n, loaded.numbers, unloaded.numbers,
             last.loaded.numbers, last.unloaded.numbers, last.vectors, force, last.motion.sent, sent,
@@ -136,7 +136,7 @@ class Estimator:
 
 
 @compiled
-def _estimate(
+def estimate(
     period: float, k_value: float, k_rate: float, wait: float, lead: float, q: int, n: int,
     loaded: Array, unloaded: Array, old_loaded: Array, old_unloaded: Array,
     old: Array, force: Array, sent: Array, sent_now: Array,

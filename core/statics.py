@@ -192,6 +192,11 @@ class Statics:
         return self._scheme.sublink
 
     @cached_property
+    def compiled_arguments(self) -> tuple[Array, int, float, tuple[float, ...], tuple[float, ...]]:
+        """What `core.newton` is told in every solve: robot, order, sub-link, and its two widths."""
+        return (*self._fixed, *self._widths)
+
+    @cached_property
     def _scheme(self) -> Scheme:
         return Scheme(INTEGRATORS[self.integrator], self.sublink or SUBLINKS[self.integrator])
 

@@ -17,6 +17,7 @@ from core.errors import NotFinite
 from core.estimation import Estimate, Estimator
 from core.inverse import inverse
 from core.limits import Limits, Situation
+from core.perception import perceive, point_force
 from core.robot import Array
 from core.statics import Statics
 from core.trajectories import JointMotion, Setpoint
@@ -90,7 +91,7 @@ def begin(controller: Controller, sample: Sample) -> Memory:
     if sample.tip is None or not np.isfinite(sample.tip).all():
         raise NotFinite(f"measured tip {sample.tip} m: a finite tracker frame is needed to begin")
     load = fuse_at(controller.statics.robot, sample.joints, sample.wrenches)
-    loaded = controller.statics.solve(sample.joints, _point_force(load))
+    loaded = controller.statics.solve(sample.joints, point_force(load))
     unloaded = controller.statics.solve(sample.joints, _NO_LOAD)
     return Memory(controller.estimator.start(loaded, unloaded, load.force, sample.tip), sample.tip, sample.tip)
 
@@ -113,10 +114,11 @@ def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint
 
     """
     statics, limits, last = controller.statics, controller.limits, memory.estimate
-    load = fuse_at(statics.robot, sample.joints, sample.wrenches)
-    loaded = statics.solve(sample.joints, _point_force(load), last.loaded)
-    unloaded = statics.solve(sample.joints, _NO_LOAD, last.unloaded)
-    now = controller.estimator.update(last, loaded, unloaded, load.force, sample.sent, sample.tip, sample.tip_age)
+    load, now = perceive(
+        statics, controller.estimator, last,
+        sample.joints, sample.wrenches, sample.sent, sample.tip, sample.tip_age,
+    )  # fmt: skip
+    loaded, unloaded = now.loaded, now.unloaded
     tip = memory.tip if sample.tip is None else sample.tip
 
     lower, upper = limits.velocity_bounds(sample.joints)
@@ -151,10 +153,3 @@ def _outer(controller: Controller, order: Setpoint, now: Estimate, tip: Array, o
 
 
 _NO_LOAD, _NO_ROOM = np.zeros(6), np.zeros(0)
-
-
-def _point_force(load: Fused) -> Array:
-    """The measured load taken as a force at the tip, as the paper does: its moment is redundant."""
-    wrench = np.zeros(6)
-    wrench[:3] = load.force
-    return wrench

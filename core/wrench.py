@@ -35,7 +35,7 @@ def fuse(wrenches: Array, alpha: Array, beta: Array) -> Fused:
 
 def fuse_at(robot: Robot, joints: Array, wrenches: Array) -> Fused:
     """`fuse` for joints (n,) [rad or m], turned into the world frame."""
-    total = _fuse_at(robot.layout, joints, wrenches)
+    total = fused_at(robot.layout, joints, wrenches)
     return Fused(total[:3], total[3:])
 
 
@@ -60,7 +60,8 @@ def _fuse(wrenches: Array, alpha: Array, beta: Array) -> Array:
 
 
 @compiled
-def _fuse_at(layout: Layout, joints: Array, wrenches: Array) -> Array:
+def fused_at(layout: Layout, joints: Array, wrenches: Array) -> Array:
+    """`fuse_at`: force and moment (6,)."""
     alpha, beta, _ = tube_poses(layout, joints)
     plate = _fuse(wrenches, alpha, beta)
     world = np.zeros(6)

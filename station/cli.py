@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import NoReturn
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from core.errors import CtrError
 from core.statics import PAPER_SUBLINK
+from station import export_command, report_command, sweep_command
 from station.config import preset_names
+from station.options import between, progress_bar, seed
 
 
 class Parser(argparse.ArgumentParser):
@@ -36,8 +37,9 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
 
     run = commands.add_parser("run", help="carry out an experiment with simulated devices and print how well it went")
     run.add_argument("experiment", metavar="EXPERIMENT", help="name of a preset or a .toml file")
-    run.add_argument("--seed", type=_seed, default=0, metavar="N", help="of everything random in the lab (0)")
+    run.add_argument("--seed", type=seed, default=0, metavar="N", help="of everything random in the lab (0)")
     run.add_argument("--out", type=Path, default=Path("runs"), metavar="DIR", help="where results go (runs)")
+    run.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")
     run.add_argument("--realtime", action="store_true", help="at the pace of the clock instead of as fast as it goes")
     run.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     run.set_defaults(command=_run)
@@ -46,7 +48,7 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     solve.add_argument("--robot", default="paper", metavar="FILE", help="preset or .toml file (paper)")
     solve.add_argument(
         "--sublink",
-        type=_between(0.0001, 0.1, "a length", "m"),
+        type=between(0.0001, 0.1, "a length", "m"),
         default=PAPER_SUBLINK,
         metavar="M",
         help="sub-link length [m] (0.01)",
@@ -58,18 +60,22 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     lab.add_argument("--pty", action="store_true", help="serial lines as pseudo-terminals instead of TCP")
     lab.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
     lab.add_argument(
-        "--load", type=_between(0.0, 2.0, "a weight", "N"), default=0.0, metavar="N", help="weight at the tip [N] (0)"
+        "--load", type=between(0.0, 2.0, "a weight", "N"), default=0.0, metavar="N", help="weight at the tip [N] (0)"
     )
     lab.set_defaults(command=_lab)
 
     bench = commands.add_parser("bench", help="measure this machine")
     bench.add_argument("what", choices=("model", "accuracy", "cost", "tick", "loop", "headless"))
     bench.add_argument(
-        "--seconds", type=_between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of 'loop' (60)"
+        "--seconds", type=between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of 'loop' (60)"
     )
     bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
     bench.set_defaults(command=_bench)
+
+    export_command.add(commands)
+    report_command.add(commands)
+    sweep_command.add(commands)
 
     doctor = commands.add_parser("doctor", help="what this machine offers, in plain words")
     doctor.set_defaults(command=_doctor)
@@ -109,16 +115,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(parsed: argparse.Namespace) -> int:
     from station.clock import RealClock, VirtualClock
+    from station.config import use_experiments
     from station.experiments.experiment import load_experiment
     from station.experiments.output import ResultFolder, result_table
     from station.experiments.results import summarise
     from station.experiments.runner import run_case
 
+    if parsed.experiments is not None:
+        use_experiments(parsed.experiments)
     experiment = load_experiment(parsed.experiment)
-    folder = ResultFolder(parsed.out, experiment.name, parsed.seed)
+    folder = ResultFolder(parsed.out, experiment, parsed.seed)
     cases = {}
     try:
-        with _bar() as bar:
+        with progress_bar() as bar:
             for case in experiment.cases:
                 task = bar.add_task(f"{experiment.name} {case.name}", total=1.0)
                 clock = RealClock() if parsed.realtime else VirtualClock()
@@ -139,9 +148,9 @@ def _run(parsed: argparse.Namespace) -> int:
             "recording": str(folder.path),
             "cases": cases,
         }
-        folder.finish(experiment, summary)
+        folder.finish(summary)
     except BaseException:
-        folder.discard()
+        folder.abandon()
         raise
     if parsed.json:
         print(json.dumps(summary))  # noqa: T201
@@ -188,13 +197,13 @@ def _bench(parsed: argparse.Namespace) -> int:
     if parsed.what == "loop":
         from station.bench_loop import loop
 
-        with _bar() as bar:
+        with progress_bar() as bar:
             task = bar.add_task("bench loop", total=1.0)
             result = loop(parsed.seconds, lambda done: bar.update(task, completed=done), fifo=not parsed.no_fifo)
     elif parsed.what == "accuracy":
         from station.bench_accuracy import accuracy
 
-        with _bar() as bar:
+        with progress_bar() as bar:
             task = bar.add_task("bench accuracy", total=1.0)
             result = accuracy(lambda done: bar.update(task, completed=done))
     else:
@@ -218,37 +227,3 @@ def _doctor(parsed: argparse.Namespace) -> int:  # noqa: ARG001 - it takes no op
         console.print(f"{mark} [bold]{finding.subject}[/]: ", end="")
         console.print(finding.text, markup=False)
     return 0
-
-
-def _bar() -> Progress:
-    """A progress bar on a terminal, nothing elsewhere."""
-    console = Console(stderr=True, highlight=False)
-    return Progress(
-        TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
-        TimeRemainingColumn(), console=console, disable=not console.is_terminal,
-    )  # fmt: skip
-
-
-def _between(lower: float, upper: float, what: str, unit: str) -> Callable[[str], float]:
-    """Reads an option's number and says what it should have been."""
-
-    def read(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not {what}, {lower:g} ... {upper:g} {unit}") from None
-        if not lower <= value <= upper:
-            raise argparse.ArgumentTypeError(f"{text} {unit} is outside {lower:g} ... {upper:g} {unit}")
-        return value
-
-    return read
-
-
-def _seed(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 ... 2^63 - 1") from None
-    if not 0 <= value < 2**63:
-        raise argparse.ArgumentTypeError(f"{text} is outside 0 ... 2^63 - 1")
-    return value

@@ -4,6 +4,7 @@ A message names the file, the key, the value and what was expected. Values are S
 """
 
 import math
+import os
 import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
@@ -49,9 +50,32 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]*$", max_length=
 PRESETS = Path(str(files("station"))) / "presets"
 
 
+#: Environment variable that names the folder of one's own experiments, for child processes too.
+OWN_EXPERIMENTS = "CTR_STATION_EXPERIMENTS"
+
+
+def use_experiments(folder: Path) -> None:
+    """From now on find experiments in this folder too, in this process and those that it starts.
+
+    Raises:
+        ConfigError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder of experiments")
+    os.environ[OWN_EXPERIMENTS] = str(folder.resolve())
+
+
 def preset_names(kind: str) -> list[str]:
-    """Names of the presets of a kind (`robots`, `labs`, `experiments`) that come with the station."""
-    return sorted(path.stem for path in (PRESETS / kind).glob("*.toml"))
+    """Names of the presets of a kind (`robots`, `labs`, `experiments`), one's own experiments among them."""
+    return sorted(_presets(kind))
+
+
+def _presets(kind: str) -> dict[str, Path]:
+    """Files by name; one's own go before those that come with the station."""
+    found = {path.stem: path for path in (PRESETS / kind).glob("*.toml")}
+    if kind == "experiments" and (own := os.environ.get(OWN_EXPERIMENTS)):
+        found |= {path.stem: path for path in Path(own).glob("*.toml")}
+    return found
 
 
 def preset(kind: str, name: str) -> Path:
@@ -65,9 +89,10 @@ def preset(kind: str, name: str) -> Path:
         if not own.is_file():
             raise ConfigError(f"{own}: no such file")
         return own
-    if name not in preset_names(kind):
-        raise ConfigError(f"'{name}' is not one of the {kind}: {', '.join(preset_names(kind))}; or give a .toml file")
-    return PRESETS / kind / f"{name}.toml"
+    presets = _presets(kind)
+    if name not in presets:
+        raise ConfigError(f"'{name}' is not one of the {kind}: {', '.join(sorted(presets))}; or give a .toml file")
+    return presets[name]
 
 
 def read_toml(path: Path) -> dict[str, Any]:

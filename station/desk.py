@@ -1,8 +1,9 @@
 """What an operator or a script may ask of a running station, checked before anything moves."""
 
 import threading
-from typing import Annotated
+from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from core.errors import CtrError
@@ -13,6 +14,10 @@ from station.loop import Task
 from station.motions import HoldMotion, Motion, Orders, TipMotion
 from station.states import State
 from station.supervisor import Supervisor
+
+
+#: Of the tip when it is moved by hand [m/s].
+JOG_TIP_SPEED = 0.010
 
 
 class DeskError(CtrError):
@@ -106,6 +111,27 @@ class Desk:
             raise DeskError(f"{name} needs robot '{chosen.robot.name}', not '{self.supervisor.bench.robot.name}'")
         task = Task(chosen.controller, chosen.orders, chosen.file.duration, chosen.start)
         return self.supervisor.start(task, chosen.file.load, f"{name}, case {chosen.name}")
+
+    def jog(self, space: Literal["joints", "tip"], velocity: tuple[float, ...]) -> None:
+        """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].
+
+        Raises:
+            DeskError: a wrong number of velocities, or one beyond what is allowed by hand.
+            RefusedError: the state does not allow it.
+        """
+        limits = self.supervisor.bench.robot.limits()
+        names = self.supervisor.robot.joint_names if space == "joints" else ("x", "y", "z")
+        most = limits.speed if space == "joints" else np.full(3, JOG_TIP_SPEED)
+        if len(velocity) != len(names):
+            raise DeskError(f"a jog in {space} needs {len(names)} velocities ({', '.join(names)}), not {len(velocity)}")
+        for name, value, bound in zip(names, velocity, most, strict=True):
+            if not abs(value) <= bound:
+                raise DeskError(f"jog velocity {name} = {value:g} is outside +-{bound:g} (rad/s or m/s)")
+        self.supervisor.jog(space, np.array(velocity))
+
+    def pull(self, load: Load) -> None:
+        """Put a load on the virtual lab's tip, now."""
+        self.supervisor.pull(load)
 
     def _start(self, motion: Motion, controller: ControllerFile, load: Load, duration: float, title: str) -> str:
         robot = self.supervisor.bench.robot

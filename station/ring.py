@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.robot import Array
+from station.devices.interfaces import Truth
 
 ROWS = 4096  #: slots, about 8 s at 500 Hz
 BINS = 5001  #: 1 us each; the last holds everything from 5 ms on
 
 WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN = range(6)  #: places of the counters
 COUNTERS = 8
-LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT = range(4)  #: places of the numbers
+LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT = range(5)  #: places of the numbers
 NUMBERS = 8
+TRUTH = 8  #: a count that is odd while they are being written, then tip and force
 
 
 class Timing(NamedTuple):
@@ -37,7 +39,7 @@ class Ring:
 
     def __init__(self, width: int, name: str | None = None) -> None:
         """Create a segment for rows of `width` numbers, or attach to the one called `name`."""
-        size = 8 * (COUNTERS + NUMBERS + 2 * BINS + ROWS * width)
+        size = 8 * (COUNTERS + NUMBERS + TRUTH + 2 * BINS + ROWS * width)
         self._memory = SharedMemory(name=name, create=name is None, size=size)
         self.name: str = self._memory.name
         buffer: Any = self._memory.buf
@@ -51,6 +53,7 @@ class Ring:
 
         self.counters: NDArray[np.int64] = view(COUNTERS, np.int64)
         self.numbers: Array = view(NUMBERS, np.float64)
+        self._truth: Array = view(TRUTH, np.float64)
         self.late: NDArray[np.int64] = view(BINS, np.int64)
         self.busy: NDArray[np.int64] = view(BINS, np.int64)
         self._rows: Array = view(ROWS * width, np.float64).reshape(ROWS, width)
@@ -60,6 +63,21 @@ class Ring:
         written = int(self.counters[WRITTEN])
         self._rows[written % ROWS] = row
         self.counters[WRITTEN] = written + 1
+
+    def tell_truth(self, truth: Truth) -> None:
+        """What the virtual lab knows; only the lab may."""
+        cells = self._truth
+        cells[0] += 1.0
+        cells[1:4], cells[4:7] = truth.tip, truth.force
+        cells[0] += 1.0
+
+    def truth(self) -> Truth | None:
+        """What the virtual lab told last; None without one, or while it is just telling."""
+        before = self._truth[0]
+        values = self._truth.copy()
+        if before == 0.0 or before % 2.0 or values[0] != before or self._truth[0] != before:
+            return None
+        return Truth(values[1:4], values[4:7])
 
     def time_late(self, late: float, skipped: int) -> None:
         """Count how late a tick begins [s] and how many whole periods that skips."""
@@ -113,7 +131,7 @@ class Ring:
 
     def close(self, *, remove: bool) -> None:
         """Let go of the segment; the one who created it also removes it."""
-        del self.counters, self.numbers, self.late, self.busy, self._rows
+        del self.counters, self.numbers, self._truth, self.late, self.busy, self._rows
         self._memory.close()
         if remove:
             try:

@@ -8,7 +8,7 @@ from core.errors import CtrError
 class State(IntEnum):
     """Where the station stands; the number is what telemetry carries."""
 
-    OFF = 0  #: no device is open
+    OFF = 0  #: no device is spoken to
     CONNECTED = 1  #: devices answer, positions are not known
     HOMED = 2  #: positions are known
     READY = 3  #: a motion may be started
@@ -16,14 +16,18 @@ class State(IntEnum):
     HOLD = 5  #: kept in place because something was not right; motors on
     STOPPED = 6  #: stopped by a person
     FAULT = 7  #: stopped by a fault; latched until a person resets it
+    CONNECTING = 8  #: devices are being found and set up
+    HOMING = 9  #: the stages look for their home sensors
 
 
 class Event(StrEnum):
     """What may happen to the station."""
 
     CONNECT = "connect"
+    CONNECTED = "connected"  #: every device answers
     HOME = "home"
-    PREPARE = "prepare"
+    HOMED = "homed"  #: every position is known
+    PREPARE = "prepare"  #: the controller has begun
     START = "start"
     FINISH = "finish"
     HOLD = "hold"
@@ -34,26 +38,30 @@ class Event(StrEnum):
 
 
 TABLE: dict[tuple[State, Event], State] = {
-    (State.OFF, Event.CONNECT): State.CONNECTED,
-    (State.CONNECTED, Event.HOME): State.HOMED,
+    (State.OFF, Event.CONNECT): State.CONNECTING,
+    (State.CONNECTING, Event.CONNECTED): State.CONNECTED,
+    (State.CONNECTED, Event.HOME): State.HOMING,
+    # Stages that were homed before and have kept their power know where they are.
+    (State.CONNECTED, Event.HOMED): State.HOMED,
+    (State.HOMING, Event.HOMED): State.HOMED,
     (State.HOMED, Event.PREPARE): State.READY,
+    (State.READY, Event.HOME): State.HOMING,
     (State.READY, Event.START): State.RUNNING,
     (State.RUNNING, Event.FINISH): State.READY,
     (State.RUNNING, Event.HOLD): State.HOLD,
     (State.READY, Event.HOLD): State.HOLD,
     (State.HOLD, Event.RESET): State.READY,
     (State.STOPPED, Event.RESET): State.READY,
-    # A fault may have lost positions: home again.
-    (State.FAULT, Event.RESET): State.CONNECTED,
-    (State.CONNECTED, Event.DISCONNECT): State.OFF,
-    (State.HOMED, Event.DISCONNECT): State.OFF,
-    (State.READY, Event.DISCONNECT): State.OFF,
-    (State.HOLD, Event.DISCONNECT): State.OFF,
-    (State.STOPPED, Event.DISCONNECT): State.OFF,
-    (State.FAULT, Event.DISCONNECT): State.OFF,
+    # A fault may have lost devices or positions: connect again, and home what has to be.
+    (State.FAULT, Event.RESET): State.CONNECTING,
+    **{
+        (state, Event.DISCONNECT): State.OFF for state in State if state not in (State.OFF, State.RUNNING, State.HOMING)
+    },
     # STOP is accepted everywhere; where nothing can move it changes nothing.
     (State.OFF, Event.STOP): State.OFF,
+    (State.CONNECTING, Event.STOP): State.OFF,
     (State.CONNECTED, Event.STOP): State.CONNECTED,
+    (State.HOMING, Event.STOP): State.CONNECTED,
     (State.HOMED, Event.STOP): State.HOMED,
     (State.READY, Event.STOP): State.STOPPED,
     (State.RUNNING, Event.STOP): State.STOPPED,

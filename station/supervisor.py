@@ -1,6 +1,7 @@
-"""The station process's side of control: starts the control process, asks it, watches it.
+"""The station process's side of control: starts the lab and the control process, asks them, watches them.
 
-Everything a browser or a script may want goes through `Supervisor`; it never touches a device.
+Everything a browser or a script may want goes through `Supervisor`; it touches a device only when the
+control process has died, to stop the stages.
 """
 
 import contextlib
@@ -9,17 +10,21 @@ import multiprocessing
 import os
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from core.errors import CtrError
 from core.robot import Array
 from core.statics import Statics
-from station.control_process import Bench, Command, Notice, Reply, ring_width, run_control
+from station.control_process import Bench, ring_width, run_control
+from station.lab.lab_host import LabError, LabHost
+from station.lab.lab_process import LabBench
 from station.lab.loads import Load, NoLoad
+from station.last_stop import stop_stages
 from station.loop import Phase, Task
-from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, Ring, Timing
+from station.messages import Command, DeviceReport, DeviceStatus, Notice, Reply
+from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, Ring, Timing
 from station.states import Event, RefusedError, State
 from station.telemetry import Channels
 
@@ -27,6 +32,10 @@ from station.telemetry import Channels
 ANSWER_TIME = 1.0
 #: Telemetry older than this is shown as stale [s].
 STALE = 0.5
+#: A control process that has begun to tick and has not for so long is hung: it is ended, the stages are stopped [s].
+HUNG = 1.0
+#: Between two looks of the watchdog [s].
+LOOK = 0.02
 
 
 class Status(NamedTuple):
@@ -41,10 +50,11 @@ class Status(NamedTuple):
     age: float  #: since the last tick [s]
     timing: Timing
     values: Mapping[str, Array]  #: newest telemetry by group; empty until there is some
+    devices: tuple[DeviceStatus, ...] = ()  #: as reported last; empty before
 
 
 class Supervisor:
-    """Owner of the control process."""
+    """Owner of the control process and of the virtual lab's."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -58,13 +68,21 @@ class Supervisor:
         self._runs = itertools.count(1)
         self._lock = threading.Lock()
         self._replies: dict[int, str] = {}
+        self._waiting: set[int] = set()
         self._answered = threading.Condition(self._lock)
         self._cause = ""
         self._state = State.OFF
         self._run, self._title = 0, ""
-        self._closing = False
+        self._load: Load = NoLoad()
+        self._motion_start: float | None = None
+        self._devices: tuple[DeviceStatus, ...] = ()
+        self._endpoints: Mapping[str, Any] = {}  # of the lab's devices
+        self._closing = threading.Event()
         self._context = multiprocessing.get_context("spawn")
+        self._lab = self._start_lab()
         self._start_process()
+        self._watchdog = threading.Thread(target=self._watch_time, name="watchdog")
+        self._watchdog.start()
 
     def wait_ready(self, timeout: float, since: int = 0) -> None:
         """Wait until the loop ticks and telemetry has gone beyond row `since`.
@@ -75,9 +93,10 @@ class Supervisor:
         deadline = time.monotonic() + timeout
         while self.ring.written <= since:
             if self._state is State.FAULT:
-                raise CtrError(f"the control process did not start: {self._cause}")
+                raise CtrError(f"the station did not come up: {self._cause}")
             if time.monotonic() > deadline:
-                raise CtrError(f"the control process did not start within {timeout:g} s")
+                trouble = "; ".join(device.text for device in self._devices if device.text) or self._state.name
+                raise CtrError(f"the station did not come up within {timeout:g} s: {trouble}")
             time.sleep(0.02)
 
     def status(self) -> Status:
@@ -92,7 +111,10 @@ class Supervisor:
                 state, self._cause if state in (State.HOLD, State.STOPPED, State.FAULT) else "", self._run_id(),
                 self._title, Phase(int(counters[PHASE])) if int(counters[RUN]) == self._run else Phase.NONE,
                 float(numbers[PROGRESS]), time.monotonic() - float(numbers[HEARTBEAT]), self.ring.timing(), groups,
+                self._devices,
             )  # fmt: skip
+
+    # What may be asked
 
     def start(self, task: Task, load: Load, title: str) -> str:
         """Start a run; its id.
@@ -101,28 +123,45 @@ class Supervisor:
             RefusedError: the state does not allow it.
         """
         number = next(self._runs)
-        self._ask(Event.START, task, load, number)
+        with self._lock:
+            before, self._load = self._load, load
+        try:
+            self._ask(Command(next(self._numbers), Event.START, task, number))
+        except RefusedError:
+            with self._lock:
+                self._load = before
+            raise
         with self._lock:
             self._run, self._title, self.task = number, title, task
             return self._run_id()
 
-    def stop(self) -> None:
-        """Stop every axis. Without a control process there is nothing to stop: the virtual lab lives in it."""
-        if self._process.is_alive():
-            self._ask(Event.STOP)
+    def stop(self) -> str:
+        """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
+        if not self._process.is_alive():
+            return stop_stages(self._stage_ports) or "there is no control process and nothing that moves"
+        try:
+            self._ask(Command(next(self._numbers), Event.STOP))
+        except RefusedError as error:
+            return f"{error}; the stop is the next thing that it does"
+        return ""
 
     def reset(self) -> None:
-        """A person has seen the fault, stop or hold; a dead control process is started anew.
+        """A person has seen the fault, stop or hold; processes that have died are started anew.
 
         Raises:
             RefusedError: there is nothing to reset.
-            CtrError: the control process does not come back.
+            CtrError: they do not come back.
         """
-        if self._process.is_alive():
-            self._ask(Event.RESET)
+        if self._process.is_alive() and self._lab.alive:
+            self._ask(Command(next(self._numbers), Event.RESET))
             return
-        self._watcher.join(timeout=ANSWER_TIME)
+        if self._process.is_alive():
+            self._process.kill()  # the devices it has open are gone
+        self._watcher.join(timeout=5.0)
         self._pipe.close()
+        if not self._lab.alive:
+            self._lab.close()
+            self._lab, self._endpoints = self._start_lab(), {}
         self.ring.clear_timing()
         since = self.ring.written
         with self._lock:
@@ -130,24 +169,74 @@ class Supervisor:
         self._start_process()
         self.wait_ready(60.0, since)
 
+    def connect(self) -> None:
+        """Find the devices, after they were given up.
+
+        Raises:
+            RefusedError: not OFF.
+        """
+        self._ask(Command(next(self._numbers), Event.CONNECT))
+
+    def home(self) -> None:
+        """Home every stage; a person has said that the way is clear.
+
+        Raises:
+            RefusedError: neither CONNECTED nor READY, or the stages cannot.
+        """
+        self._ask(Command(next(self._numbers), Event.HOME))
+
+    def tare(self) -> None:
+        """Make what the force sensors feel zero.
+
+        Raises:
+            RefusedError: not READY.
+        """
+        self._ask(Command(next(self._numbers), "tare"))
+
+    def jog(self, space: Literal["joints", "tip"], velocity: Array) -> None:
+        """Move by hand for the next 0.3 s: (n,) [rad/s or m/s] joints or (3,) [m/s] tip.
+
+        Raises:
+            RefusedError: not READY.
+        """
+        self._ask(Command(next(self._numbers), "jog", space=space, velocity=velocity))
+
+    def pull(self, load: Load) -> None:
+        """Put a load on the virtual lab's tip, now; the next motion brings its own."""
+        self._lab.pull(load, time.monotonic())
+
+    def inject(self, faults: Sequence[Any]) -> None:
+        """Let these faults of the virtual lab's devices happen from now on; none: mend all."""
+        self._lab.inject(faults, time.monotonic())
+
     def close(self) -> None:
-        """End the control process, its axes stopped, and remove the shared memory."""
-        self._closing = True
+        """End the control process, its axes stopped, then the lab, and remove the shared memory."""
+        self._closing.set()
         with contextlib.suppress(OSError):  # it may be gone already
             self._pipe.send(None)
-        self._process.join(timeout=2.0)
+        self._process.join(timeout=3.0)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        self._watcher.join(timeout=2.0)
+        self._lab.close()
+        self._watcher.join(timeout=3.0)
+        self._watchdog.join(timeout=3.0)
         self._pipe.close()
         self.ring.close(remove=True)
+
+    # Processes
 
     def _run_id(self) -> str:
         return f"{self._session}-{self._run}" if self._run else ""
 
+    def _start_lab(self) -> LabHost:
+        bench = LabBench(self.bench.robot, self.bench.lab, self.bench.seed, self.bench.park)
+        return LabHost(bench, self.ring.name, ring_width(self.bench.robot))
+
     def _start_process(self) -> None:
         self._pipe, child = self._context.Pipe()
+        self.ring.numbers[HEARTBEAT] = 0.0
+        self._stage_ports: tuple[str, ...] = ()
         self._process = self._context.Process(
             target=run_control, args=(self.bench, self.ring.name, child, os.getpid()), name="control", daemon=True
         )
@@ -156,36 +245,85 @@ class Supervisor:
         self._watcher = threading.Thread(target=self._watch, args=(self._pipe, self._process), name="control watcher")
         self._watcher.start()
 
-    def _ask(self, event: Event, task: Task | None = None, load: Load | None = None, run: int = 0) -> None:
-        number = next(self._numbers)
+    def _ask(self, command: Command) -> None:
+        with self._lock:
+            self._waiting.add(command.number)
         try:
+            try:
+                with self._lock:
+                    self._pipe.send(command)
+            except OSError:
+                raise RefusedError("the control process is gone; reset to start it anew") from None
+            with self._answered:
+                if not self._answered.wait_for(lambda: command.number in self._replies, ANSWER_TIME):
+                    raise RefusedError(
+                        f"the control process did not answer '{command.what}' within {ANSWER_TIME:g} s"
+                        f" (it is {self._state.name})"
+                    )
+                refused = self._replies.pop(command.number)
+        finally:
             with self._lock:
-                self._pipe.send(Command(number, event, task, load or NoLoad(), run))
-        except OSError:
-            raise RefusedError("the control process is gone; reset to start it anew") from None
-        with self._answered:
-            if not self._answered.wait_for(lambda: number in self._replies, ANSWER_TIME):
-                raise RefusedError(f"the control process did not answer '{event}' within {ANSWER_TIME:g} s")
-            refused = self._replies.pop(number)
+                self._waiting.discard(command.number)
         if refused:
             raise RefusedError(refused)
 
     def _watch(self, pipe: Any, process: Any) -> None:
-        """Take replies and notices until the process ends; its end unasked is a fault."""
+        """Give the control process its devices, take what it says until it ends; its end unasked is a fault."""
+        cause = ""
         try:
-            while True:
-                message: Reply | Notice = pipe.recv()
-                with self._answered:
-                    if isinstance(message, Reply):
-                        self._replies[message.number] = message.refused
-                        self._answered.notify_all()
-                    else:
-                        self._state, self._cause = message.state, message.cause
-        except (EOFError, OSError):
-            process.join()
-        if not self._closing:
-            code = process.exitcode
-            how = f"by signal {-code}" if code is not None and code < 0 else f"with status {code}"
+            if not self._endpoints:
+                self._endpoints = self._lab.endpoints()
+            self._stage_ports = (str(self._endpoints["zaber"]),)
             with self._lock:
-                self._state = State.FAULT
-                self._cause = f"the control process ended {how}, and the virtual lab with it; reset to start both anew"
+                pipe.send(self._endpoints)
+            while True:
+                self._hear(pipe.recv())
+        except LabError as error:
+            cause = str(error)
+            process.kill()
+        except (EOFError, OSError):
+            pass  # it has ended
+        if self._closing.is_set():
+            process.join()
+            return
+        stopped = stop_stages(self._stage_ports)
+        process.join()
+        code = process.exitcode
+        how = f"by signal {-code}" if code is not None and code < 0 else f"with status {code}"
+        with self._lock:
+            # What it has said last is the cause, if it was a fault.
+            said = self._cause if self._state is State.FAULT else f"the control process ended {how}"
+            self._state = State.FAULT
+            self._cause = "; ".join(part for part in (cause or said, stopped, "reset to start it anew") if part)
+            self._motion_start = None
+        self._lab.pull(NoLoad(), 0.0)
+
+    def _hear(self, message: Reply | Notice | DeviceReport) -> None:
+        with self._answered:
+            if isinstance(message, Reply):
+                if message.number in self._waiting:
+                    self._replies[message.number] = message.refused
+                    self._answered.notify_all()
+                return
+            if isinstance(message, DeviceReport):
+                self._devices = message.devices
+                return
+            self._state, self._cause = message.state, message.cause
+            before, self._motion_start, load = self._motion_start, message.motion_start, self._load
+        if message.motion_start != before:
+            # The load is on during the motion only.
+            if message.motion_start is None:
+                self._lab.pull(NoLoad(), 0.0)
+            else:
+                self._lab.pull(load, message.motion_start)
+
+    def _watch_time(self) -> None:
+        """Show the control process that this one lives; end it when it hangs."""
+        while not self._closing.wait(LOOK):
+            numbers = self.ring.numbers
+            numbers[STATION_HEARTBEAT] = time.monotonic()
+            ticked = float(numbers[HEARTBEAT])
+            if ticked > 0.0 and time.monotonic() - ticked > HUNG and self._process.is_alive():
+                with self._lock:
+                    self._state, self._cause = State.FAULT, f"the control loop has not ticked for {HUNG:g} s"
+                self._process.kill()

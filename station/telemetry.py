@@ -30,6 +30,7 @@ class Channels:
     def __init__(self, robot: Robot) -> None:
         self.all: tuple[Channel, ...] = tuple(_channels(robot))
         self._at: dict[str, slice] = {}
+        self._scalars, self._true = np.zeros(13), np.zeros(6)  # of the row that is being made
         names = [channel.name for channel in self.all]
         groups = [name.rsplit(".", 1)[0] for name in names]
         for group in dict.fromkeys(groups):
@@ -56,50 +57,58 @@ class Channels:
         frame: TipReading | None,
         tick: Tick,
         truth: Truth | None,
+        troubles: tuple[int, ...] = (0, 0, 0),
     ) -> Array:
         """One tick as numbers, in the order of `all`.
 
         Between tracker frames `tip_new` is 0 and the last frame's values stand. Without a virtual
-        lab nothing is known to be true: `truth_known` is 0 and the true channels are 0.
+        lab nothing is known to be true: `truth_known` is 0 and the true channels are 0. `troubles` are
+        the severities of what is wrong with stages, tracker and force sensors, 0 where nothing is.
         """
         memory, now = tick.memory, tick.memory.estimate
         observed = now.observed
-        desired = memory.origin + tick.setpoint.position
-        true = (1.0, *truth.tip, *truth.force) if truth else (0.0,) * 7
-        return np.concatenate(
-            (
-                (time, state),
-                joints.positions,
-                tick.command,
-                joints.sent,
-                wrenches.wrenches.ravel(),
-                tick.load.force,
-                tick.load.moment,
-                (0.0, 0.0) if frame is None else (1.0, frame.time),
-                memory.tip,
-                now.loaded.tip,
-                now.unloaded.tip,
-                desired,
-                true,
-                tick.u_int,
-                now.difference,
-                now.difference_rate,
-                now.deflection.rate,
-                now.delta_1,
-                now.delta_2,
-                tick.sigma,
-                tick.at_bound,
-                (now.loaded.iterations, now.unloaded.iterations),
-                now.deflection_rate_exact,
-                tick.delta,
-                observed.tip,
-                now.velocity,
-                observed.bias,
-                (observed.uncertainty, observed.used),
-                now.force.value,
-                (now.loaded.stability,),
-            )
-        )
+        scalars, true = self._scalars, self._true
+        new, frame_time = (0.0, 0.0) if frame is None else (1.0, frame.time)
+        scalars[:] = (
+            time, state, new, frame_time, now.loaded.iterations, now.unloaded.iterations,
+            observed.uncertainty, observed.used, now.loaded.stability, *troubles, truth is not None,
+        )  # fmt: skip
+        if truth is None:
+            true[:] = 0.0
+        else:
+            true[:3], true[3:] = truth.tip, truth.force
+        # One call for all: an assignment for each would take longer than the model.
+        return np.concatenate((
+            scalars, true,
+            joints.positions, tick.command, joints.sent, wrenches.wrenches.ravel(),
+            tick.load.force, tick.load.moment,
+            memory.tip, now.loaded.tip, now.unloaded.tip, memory.origin + tick.setpoint.position,
+            tick.u_int, tick.delta, tick.sigma, tick.at_bound,
+            observed.tip, observed.bias, now.vectors.ravel(),
+        ))  # fmt: skip
+
+    def held(
+        self,
+        last: Array,
+        time: float,
+        state: State,
+        joints: JointReading,
+        wrenches: WrenchReading,
+        troubles: tuple[int, ...] = (0, 0, 0),
+    ) -> Array:
+        """The last row with what was read since: the controller has nothing new to say."""
+        row = last.copy()
+        row[0], row[1] = time, state
+        if np.isfinite(joints.positions).all():
+            self.of(row, "joints")[:] = joints.positions
+        self.of(row, "velocity_commanded")[:] = 0.0
+        if np.isfinite(joints.sent).all():
+            self.of(row, "velocity_sent")[:] = joints.sent
+        if np.isfinite(wrenches.wrenches).all():
+            self.of(row, "wrench_raw")[:] = wrenches.wrenches.ravel()
+        self.of(row, "tip_new")[:] = 0.0
+        self.of(row, "trouble")[:] = troubles
+        return row
 
 
 def _channels(robot: Robot) -> list[Channel]:
@@ -119,38 +128,45 @@ def _channels(robot: Robot) -> list[Channel]:
     return [
         Channel("time", "s"),
         Channel("state", ""),
+        Channel("tip_new", ""),
+        Channel("tip_time", "s"),
+        Channel("passes.loaded", ""),
+        Channel("passes.unloaded", ""),
+        Channel("observer.uncertainty", "m"),
+        Channel("observer.used", ""),
+        Channel("stability", ""),
+        *[Channel(f"trouble.{device}", "") for device in ("stages", "tracker", "sensors")],
+        Channel("truth_known", ""),
+        *vector("tip_true", "m"),
+        *vector("force_true", "N"),
         *joints("joints"),
         *joints("velocity_commanded", "/s"),
         *joints("velocity_sent", "/s"),
         *raw,
         *vector("force", "N"),
         *vector("moment", "N m"),
-        Channel("tip_new", ""),
-        Channel("tip_time", "s"),
         *vector("tip_measured", "m"),
         *vector("tip_estimated", "m"),
         *vector("tip_unloaded", "m"),
         *vector("tip_desired", "m"),
-        Channel("truth_known", ""),
-        *vector("tip_true", "m"),
-        *vector("force_true", "N"),
         *vector("u_int", "m/s"),
-        *vector("deflection", "m"),
-        *vector("deflection_rate_raw", "m/s"),
-        *vector("deflection_rate", "m/s"),
-        *vector("delta_1", "m"),
-        *vector("delta_2", "m"),
+        *vector("delta", "m/s"),
         *sigma,
         *[Channel(f"at_bound.{joint.name}", "") for joint in robot.joints],
-        Channel("passes.loaded", ""),
-        Channel("passes.unloaded", ""),
-        *vector("deflection_rate_exact", "m/s"),
-        *vector("delta", "m/s"),
         *vector("tip_observed", "m"),
-        *vector("velocity_observed", "m/s"),
         *vector("bias", "m"),
-        Channel("observer.uncertainty", "m"),
-        Channel("observer.used", ""),
+        # the rows of `core.estimation.Estimate.vectors`
+        *vector("deflection", "m"),
+        *vector("deflection_rate_raw", "m/s"),
+        *vector("deflection_filtered", "m"),
+        *vector("deflection_rate", "m/s"),
         *vector("force_filtered", "N"),
-        Channel("stability", ""),
+        *vector("force_rate", "N/s"),
+        *vector("force_smooth", "N"),
+        *vector("load_rate", "m/s"),
+        *vector("deflection_rate_exact", "m/s"),
+        *vector("delta_1", "m"),
+        *vector("delta_2", "m"),
+        *vector("velocity_observed", "m/s"),
+        *vector("tip_ahead", "m"),
     ]

@@ -4,6 +4,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -79,6 +80,11 @@ def shared_memory() -> set[str]:
 @contextmanager
 def serving(*arguments: str) -> Iterator[Served]:
     port = free_port()
+    with tempfile.TemporaryDirectory() as data:
+        yield from _serving(port, data, *arguments)
+
+
+def _serving(port: int, data: str, *arguments: str) -> Iterator[Served]:
     process = subprocess.Popen(
         [
             sys.executable,
@@ -88,6 +94,8 @@ def serving(*arguments: str) -> Iterator[Served]:
             "--port",
             str(port),
             "--no-browser",
+            "--data",
+            data,
             *arguments,
         ],
         stdout=subprocess.PIPE,

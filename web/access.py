@@ -1,24 +1,29 @@
 """Who may talk to the station: exact hosts, same origin, JSON only, small bodies, a token beyond loopback.
 
-Plain ASGI, so that the same checks stand before HTTP requests and websockets.
+Plain ASGI, so that the same checks stand before HTTP requests and websockets. What is let through
+carries its sender (`who`) in the scope's state.
 """
 
 import contextlib
-import hmac
 import ipaddress
 import json
-import secrets
-from http.cookies import SimpleCookie
-from typing import Any
+import socket
+from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs
 
-from starlette.datastructures import Headers
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from web.tokens import Role, Tokens
+from web.who import sender
 
 #: Largest request body [bytes].
 BODY_LIMIT = 64 * 1024
 COOKIE = "ctr_station"
 CHANGES = ("POST", "PUT", "PATCH", "DELETE")
+#: What viewers may send beside questions: STOP, and questions that need a body.
+FOR_VIEWERS = ("/api/stop", "/api/model/solve")
+FRAMES = ("iframe", "frame", "embed", "object")
 
 
 def is_loopback(host: str) -> bool:
@@ -31,11 +36,6 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def new_token() -> str:
-    """A token nobody guesses."""
-    return secrets.token_urlsafe(24)
-
-
 class _TooLargeError(Exception):
     """The body goes on beyond the limit."""
 
@@ -43,15 +43,18 @@ class _TooLargeError(Exception):
 class Access:
     """Refuses what does not come from the station's own page or from a script that may."""
 
-    def __init__(self, app: ASGIApp, host: str, port: int, token: str | None) -> None:
+    def __init__(self, app: ASGIApp, host: str, port: int, tokens: Tokens | None) -> None:
+        """`host` and `port` are where the station listens; without `tokens` everybody is operator."""
         self._app = app
-        self._token = token
-        if is_loopback(host):
-            self._hosts: set[str] | None = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
-        elif host in ("0.0.0.0", "::"):  # noqa: S104 - compared, not bound
-            self._hosts = None  # any name of this machine; the token's cookie belongs to one of them
-        else:
-            self._hosts = {f"{host}:{port}"}
+        self._tokens = tokens
+        self._port = port
+        # Cookies know no ports: two stations on one machine must not take each other's.
+        self._cookie = f"{COOKIE}_{port}"
+        self._any_address = host in ("0.0.0.0", "::")  # noqa: S104 - compared, not bound
+        names = {"127.0.0.1", "localhost", "[::1]"} if is_loopback(host) or self._any_address else {_bracketed(host)}
+        if self._any_address:
+            names |= {socket.gethostname().lower(), socket.getfqdn().lower()}
+        self._hosts = {f"{name}:{port}" for name in names}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check one connection."""
@@ -62,47 +65,58 @@ class Access:
         refusal = self._refusal(scope, headers)
         if refusal is not None:
             await _refuse(scope, send, *refusal)
-        elif self._token is not None and not self._has_token(headers):
+            return
+        role = Role.OPERATOR if self._tokens is None else self._role(self._tokens, headers)
+        if role is None:
             await self._ask_for_token(scope, send)
-        elif scope["type"] == "http":
-            await self._with_limit(scope, receive, send)
-        else:
+            return
+        scope.setdefault("state", {})["who"] = sender(scope, headers, role)
+        if scope["type"] == "websocket":
             await self._app(scope, receive, send)
+        elif role is Role.VIEWER and scope["method"] in CHANGES and scope["path"] not in FOR_VIEWERS:
+            await _refuse(scope, send, 403, "viewers may look and press STOP; this needs the operators' token")
+        else:
+            await self._with_limit(scope, receive, _unframed(send))
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
-        host, origin = headers.get("host", ""), headers.get("origin")
-        if self._hosts is not None and host not in self._hosts:
+        host, origin = headers.get("host", "").lower(), headers.get("origin")
+        if not (host in self._hosts or (self._any_address and self._is_address(host))):
             return 403, f"host '{host}' is not this station's; use {sorted(self._hosts)[0]}"
         # Scripts send no origin; a browser always does where it matters.
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return 403, f"requests from pages of '{origin}' are refused"
         foreign = headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none")
         follows_link = headers.get("sec-fetch-mode") == "navigate" and scope.get("method") == "GET"
-        if foreign and not follows_link:
+        if foreign and not (follows_link and headers.get("sec-fetch-dest") not in FRAMES):
             return 403, "requests from other sites are refused"
         if scope["type"] == "http" and scope["method"] in CHANGES:
-            kind, length = headers.get("content-type"), headers.get("content-length", "0")
-            if kind is None and length not in ("", "0"):
-                return 415, "the body must be application/json; set the content-type header"
-            if kind is not None and kind.split(";")[0].strip().lower() != "application/json":
-                return 415, f"content-type '{kind}' is not application/json"
-            if length.isdigit() and int(length) > BODY_LIMIT:
-                return 413, f"the body has {length} bytes; at most {BODY_LIMIT} are taken"
+            return _refused_body(headers)
         return None
 
-    def _has_token(self, headers: Headers) -> bool:
-        cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+    def _is_address(self, host: str) -> bool:
+        """A number and our port: unlike a name it cannot be made to point here by somebody else."""
+        name, _, port = host.rpartition(":")
+        try:
+            ipaddress.ip_address(name.strip("[]"))
+        except ValueError:
+            return False
+        return port == str(self._port)
+
+    def _role(self, tokens: Tokens, headers: Headers) -> Role | None:
+        try:
+            cookie = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
+        except CookieError:
+            cookie = None
         bearer = headers.get("authorization", "").removeprefix("Bearer ")
-        return any(
-            hmac.compare_digest(given.encode(), str(self._token).encode())
-            for given in (cookie.value if cookie else "", bearer)
-        )
+        return (tokens.role(cookie.value) if cookie else None) or tokens.role(bearer)
 
     async def _ask_for_token(self, scope: Scope, send: Send) -> None:
         given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
-        if scope["type"] == "http" and hmac.compare_digest(given.encode(), str(self._token).encode()):
-            cookie = f"{COOKIE}={self._token}; Path=/; HttpOnly; SameSite=Strict"
-            await _answer(send, 303, {"location": scope["path"], "set-cookie": cookie}, b"")
+        if scope["type"] == "http" and self._tokens is not None and self._tokens.role(given):
+            cookie = f"{self._cookie}={given}; Path=/; HttpOnly; SameSite=Strict"
+            # Only the path, and only one slash: an address that begins with two is another host's.
+            location = "/" + scope["path"].lstrip("/\\")
+            await _answer(send, 303, {"location": location, "set-cookie": cookie, "cache-control": "no-store"}, b"")
         else:
             await _refuse(
                 scope, send, 401, "open the address with ?token=... printed at the start, or send it as a bearer token"
@@ -131,6 +145,35 @@ class Access:
             await _refuse(scope, send, 413, f"the body is larger than {BODY_LIMIT} bytes")
 
 
+def _refused_body(headers: Headers) -> tuple[int, str] | None:
+    kind, length = headers.get("content-type"), headers.get("content-length", "0")
+    if kind is None and length not in ("", "0"):
+        return 415, "the body must be application/json; set the content-type header"
+    if kind is not None and kind.split(";")[0].strip().lower() != "application/json":
+        return 415, f"content-type '{kind}' is not application/json"
+    if length.isdigit() and int(length) > BODY_LIMIT:
+        return 413, f"the body has {length} bytes; at most {BODY_LIMIT} are taken"
+    return None
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host.lower()
+
+
+def _unframed(send: Send) -> Send:
+    """No page of another site shows ours in a frame, where clicks could be led astray."""
+
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            headers.append("content-security-policy", "frame-ancestors 'self'")
+            headers.append("x-content-type-options", "nosniff")
+            headers.append("referrer-policy", "no-referrer")
+        await send(message)
+
+    return sending
+
+
 async def _refuse(scope: Scope, send: Send, status: int, reason: str) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": 1008, "reason": reason[:120]})
@@ -138,7 +181,7 @@ async def _refuse(scope: Scope, send: Send, status: int, reason: str) -> None:
     await _answer(send, status, {"content-type": "application/json"}, json.dumps({"error": reason}).encode())
 
 
-async def _answer(send: Send, status: int, headers: dict[str, Any], body: bytes) -> None:
+async def _answer(send: Send, status: int, headers: dict[str, str], body: bytes) -> None:
     lines = [(name.encode(), value.encode("latin-1")) for name, value in headers.items()]
     lines.append((b"content-length", str(len(body)).encode()))
     await send({"type": "http.response.start", "status": status, "headers": lines})

@@ -1,6 +1,7 @@
-"""The application: access checks, page, REST and the proxied scene on one port."""
+"""The application: audit, access checks, page, REST and the proxied scene on one port."""
 
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -12,29 +13,42 @@ from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 
 from core.errors import CtrError
+from station.audit import Audit
 from station.desk import Desk
 from station.states import RefusedError
 from web.access import Access
 from web.api import api_routes
+from web.audited import Audited
+from web.bench_api import bench_routes
+from web.commands import commands, operator_routes
+from web.lease import Lease
+from web.scene_api import scene_routes
+from web.tokens import Tokens
+from web.view import View
 from web.viser_proxy import viser_routes
 
 STATIC = Path(__file__).parent / "static"
+#: What the page may load: its own files only. The scene brings its own page.
+POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
 
 
-def build_app(desk: Desk, viser_port: int, host: str, port: int, token: str | None) -> Access:
+def build_app(desk: Desk, view: View, audit: Audit, host: str, port: int, tokens: Tokens | None) -> Audited:
     """The station's web application.
 
     Args:
         desk: what requests may do.
-        viser_port: where viser listens on loopback.
+        view: the scene behind the page.
+        audit: where commands and refusals are written down.
         host, port: where the application will be reached.
-        token: demanded from everybody; None on loopback.
+        tokens: demanded from everybody; None on loopback.
     """
+    stopping = ThreadPoolExecutor(4, "stop")
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         yield
         await app.state.scene.aclose()
+        stopping.shutdown()
 
     app = FastAPIOffline(
         title="ctr-station",
@@ -44,13 +58,18 @@ def build_app(desk: Desk, viser_port: int, host: str, port: int, token: str | No
         openapi_url="/api/openapi.json",
         lifespan=lifespan,
     )
-    routes, app.state.scene = viser_routes(viser_port)
-    app.include_router(api_routes(desk))
+    of = commands(Lease())
+    routes, app.state.scene = viser_routes(view.door, of.lease, audit)
+    app.include_router(api_routes(desk, of, stopping))
+    app.include_router(operator_routes(of))
+    app.include_router(bench_routes(desk, of, audit))
+    app.include_router(scene_routes(view, desk, of))
     app.include_router(routes)
 
     @app.get("/", include_in_schema=False)
     def page() -> FileResponse:
-        return FileResponse(STATIC / "index.html", headers={"cache-control": "no-cache"})
+        headers = {"cache-control": "no-cache", "content-security-policy": POLICY}
+        return FileResponse(STATIC / "index.html", headers=headers)
 
     app.mount("/static", StaticFiles(directory=STATIC))
 
@@ -71,7 +90,7 @@ def build_app(desk: Desk, viser_port: int, host: str, port: int, token: str | No
     def other(_request: Request, error: HTTPException) -> JSONResponse:
         return JSONResponse({"error": str(error.detail)}, error.status_code, headers=error.headers)
 
-    return Access(app, host, port, token)
+    return Audited(Access(app, host, port, tokens), audit)
 
 
 def _reason(error: RequestValidationError) -> str:

@@ -16,6 +16,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         target.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
         target.add_argument("--host", default="127.0.0.1", metavar="H", help="address to listen on (127.0.0.1)")
         target.add_argument("--port", type=_port, default=8000, metavar="P", help="port of page and REST (8000)")
+        target.add_argument(
+            "--data", type=Path, default=Path("runs"), metavar="DIR", help="folder of runs and audit log (runs)"
+        )
         target.add_argument("--no-browser", action="store_true", help="do not open a browser")
         target.set_defaults(command=_serve)
     sys.exit(execute(top, arguments))
@@ -24,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _serve(parsed: argparse.Namespace) -> int:
     from web.serve import serve
 
-    return serve(parsed.config, parsed.host, parsed.port, browser=not parsed.no_browser)
+    return serve(parsed.config, parsed.host, parsed.port, parsed.data, browser=not parsed.no_browser)
 
 
 def _port(text: str) -> int:

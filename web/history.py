@@ -1,4 +1,4 @@
-"""The last seconds of telemetry as the plots and the trace show them: means over a tenth of a second."""
+"""The last seconds of telemetry as the scene shows them: means over a tenth of a second."""
 
 from collections import deque
 from typing import NamedTuple
@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from core.robot import Array
-from station.loop import Phase
 from station.ring import Ring
 from station.telemetry import Channels
 
@@ -15,12 +14,9 @@ BIN = 0.1  #: [s]
 
 
 class Point(NamedTuple):
-    """Means over one bin; errors are NaN while no motion is on."""
+    """Means over one bin."""
 
-    time: float  #: end of the bin [s]
-    error: Array  #: desired minus measured tip (3,) [m]
-    true_error: Array  #: desired minus true tip (3,) [m]; NaN where no truth is known
-    force: Array  #: at the tip, from the base sensors (3,) [N]
+    time: float  #: middle of the bin [s]
     tip: Array  #: measured (3,) [m]
 
 
@@ -30,40 +26,36 @@ class History:
     def __init__(self, channels: Channels) -> None:
         self.points: deque[Point] = deque(maxlen=round(SPAN / BIN))
         self.recent = np.empty((0, len(channels)))  #: rows of the last bin's length, newest last
-        self.frame_age = np.inf  #: of the newest tracker frame when the newest row was written [s]
-        self.truth_known = False
         self._channels = channels
         self._next = 0
         self._open = self.recent
 
-    def read(self, ring: Ring, phase: Phase) -> None:
+    def read(self, ring: Ring) -> None:
         """Take what has been written since the last call.
 
         Time that runs backward, after a restart of the control process, begins a new history.
         """
         rows, self._next, _ = ring.read(self._next)
         if len(rows):
-            self.take(rows, phase)
+            self.take(rows)
 
-    def take(self, rows: Array, phase: Phase) -> None:
-        """Add telemetry `rows` (n, channels), written while the run was in `phase`."""
+    def take(self, rows: Array) -> None:
+        """Add telemetry `rows` (n, channels)."""
         of = self._channels.of
         times = of(rows, "time")[:, 0]
         backward = np.flatnonzero(np.diff(times, prepend=self.now) < 0.0)
         if len(backward):
             rows, times = rows[backward[-1] :], times[backward[-1] :]
             self.points.clear()
-            self.recent, self._open, self.frame_age = self.recent[:0], self.recent[:0], np.inf
-        self.truth_known = bool(of(rows[-1], "truth_known")[0])
-        arrivals = times[of(rows, "tip_new")[:, 0] > 0.0]
-        newest = arrivals[-1] if len(arrivals) else self.now - self.frame_age
+            self.recent, self._open = self.recent[:0], self.recent[:0]
         self.recent = np.concatenate((self.recent, rows))
         self.recent = self.recent[of(self.recent, "time")[:, 0] > times[-1] - BIN]
-        self.frame_age = float(times[-1] - newest)
         self._open = np.concatenate((self._open, rows))
         numbers = np.floor(of(self._open, "time")[:, 0] / BIN + 1e-6)
         *closed, self._open = np.split(self._open, np.flatnonzero(np.diff(numbers)) + 1)
-        self.points.extend(self._point(part, moving=phase is Phase.MOVING) for part in closed)
+        self.points.extend(
+            Point(float(of(part, "time")[0, 0]) + 0.5 * BIN, of(part, "tip_measured").mean(axis=0)) for part in closed
+        )
 
     @property
     def now(self) -> float:
@@ -73,17 +65,3 @@ class History:
     def mean(self, group: str) -> Array:
         """Mean of a group over the last bin's length; the sensors' noise would make a picture tremble."""
         return self._channels.of(self.recent, group).mean(axis=0)
-
-    def _point(self, rows: Array, *, moving: bool) -> Point:
-        time, desired, measured, true, force = (
-            self._channels.of(rows, group).mean(axis=0)
-            for group in ("time", "tip_desired", "tip_measured", "tip_true", "force")
-        )
-        nothing = np.full(3, np.nan)
-        return Point(
-            float(time[0]) + 0.5 * BIN,
-            desired - measured if moving else nothing,
-            desired - true if moving and self.truth_known else nothing,
-            force,
-            measured,
-        )

@@ -1,13 +1,62 @@
-"""Which marker of the scene is what: a small window over its lower left corner."""
+"""A small window over the scene's lower left corner: views to choose from, and which marker is what."""
 
+import numpy as np
 import viser
 
 from core.robot import Robot
 from web import palette
+from web.overlays import LARGER, SIGMAS
+
+#: Where the camera stands and what it looks at, scene units; x points down on the screen.
+VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
+    "Overview": ((-1.4, -4.2, 2.3), (0.2, -0.1, 0.66)),
+    "Side": ((0.2, -5.0, 1.0), (0.2, 0.0, 1.0)),
+    "Above": ((-5.0, -0.05, 1.0), (0.0, -0.05, 1.0)),
+    "Front": ((0.2, -0.1, 6.0), (0.2, -0.1, 0.0)),
+    "Tip": ((-0.3, -1.6, 2.6), (0.25, -0.4, 1.94)),
+}
+BACKGROUNDS = ("Light", "Dark")
 
 
-def add_legend(gui: viser.GuiApi, robot: Robot) -> None:
-    """Signs and names of everything that is drawn at or near the tip."""
+def add_legend(server: viser.ViserServer, robot: Robot) -> dict[str, tuple[str, ...]]:
+    """Buttons that change the view of the one who presses them, and signs and names of what is drawn.
+
+    Returns:
+        The values that each button group may have, by its identity.
+    """
+    gui = server.gui
+    gui.configure_theme(show_logo=False, show_share_button=False, brand_color=palette.BLUE)
+    panel = gui.add_panel()
+    with panel.add_tab("Legend"):
+        gui.add_html(f'<div style="padding:4px 8px;font-size:12px">{_rows(robot)}</div>')
+    with panel.add_tab("View"):
+        views = gui.add_button_group("Camera", tuple(VIEWS))
+        backgrounds = gui.add_button_group("Colours", BACKGROUNDS)
+    panel.float(x=12, y=-12, width=262)
+
+    # On viser's own thread, and for the one client only.
+    async def look(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+        if event.client is not None and event.target.value in VIEWS:
+            position, look_at = VIEWS[event.target.value]
+            with event.client.atomic():
+                above = event.target.value == "Above"
+                event.client.camera.up_direction = (0.0, 1.0, 0.0) if above else (-1.0, 0.0, 0.0)
+                event.client.camera.position = np.array(position)
+                event.client.camera.look_at = np.array(look_at)
+
+    async def paint(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+        if event.client is not None:
+            event.client.gui.configure_theme(
+                show_logo=False, show_share_button=False, brand_color=palette.BLUE,
+                dark_mode=event.target.value == "Dark",
+            )  # fmt: skip
+
+    views.on_click(look)
+    backgrounds.on_click(paint)
+    return {views._impl.uuid: tuple(VIEWS), backgrounds._impl.uuid: BACKGROUNDS}
+
+
+def _rows(robot: Robot) -> str:
     entries = [
         (_disc(palette.DESIRED, 14, 0.45), "desired tip"),
         (_disc(palette.MEASURED, 9), "measured tip, trace of 20 s"),
@@ -15,16 +64,14 @@ def add_legend(gui: viser.GuiApi, robot: Robot) -> None:
         (_bar(palette.FORCE, 3), "force, 100 mm for 1 N"),
         (_bar(palette.DESIRED, 2), "reference path"),
         *((_bar(palette.tube(number), 5), f"tube '{tube.name}'") for number, tube in enumerate(robot.tubes)),
+        (_bar(palette.SLATE, 2), "shape without load (on demand)"),
+        (_disc(palette.ESTIMATED, 14, 0.3), f"uncertainty, {SIGMAS:g}σ × {LARGER:g} (on demand)"),
     ]
-    rows = "".join(
+    return "".join(
         f'<div style="display:flex;align-items:center;height:19px"><span style="width:26px;display:flex;'
         f'justify-content:center">{sign}</span><span style="margin-left:6px">{name}</span></div>'
         for sign, name in entries
     )
-    panel = gui.add_panel()
-    with panel.add_tab("Legend"):
-        gui.add_html(f'<div style="padding:4px 8px;font-size:12px;color:#343a40">{rows}</div>')
-    panel.float(x=12, y=-12, width=230)
 
 
 def _disc(colour: palette.Colour, size: int, opacity: float = 1.0, corner: int = 50) -> str:

@@ -1,7 +1,7 @@
 """What goes in and out over REST: SI units, finite numbers, no unknown field."""
 
 from collections.abc import Mapping
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -9,8 +9,24 @@ from station.config import Strict, Vector
 from station.experiments.experiment import ControllerFile
 from station.lab.loads import Load
 from station.motions import TipMotion
+from web.tokens import Role
+from web.who import LONGEST_NAME
 
 TipMotionIn = Annotated[TipMotion, Field(discriminator="kind")]
+
+
+
+class ErrorOut(Strict):
+    """Why a request was refused."""
+
+    error: str
+
+
+REFUSED: dict[int | str, dict[str, Any]] = {
+    403: {"model": ErrorOut, "description": "viewers, foreign hosts and pages of other sites"},
+    409: {"model": ErrorOut, "description": "the present state, or another operator, does not allow it"},
+    422: {"model": ErrorOut, "description": "a value is missing, unknown or out of range"},
+}
 
 CIRCLE = {"kind": "circle", "radius": 0.01, "period": 20.0, "normal": [0.0, 0.0, 1.0]}
 CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforward": True}
@@ -59,6 +75,8 @@ class DoneOut(Strict):
     """The state after a request."""
 
     state: str
+    note: str = ""
+    """what a person should know about it"""
 
 
 class RunOut(Strict):
@@ -90,8 +108,34 @@ class LoopOut(Strict):
 class DeviceOut(Strict):
     """One device's light."""
 
-    ok: bool
+    severity: int
+    """0 well, 1 worth a look, 2 a motion must not go on, 3 stopped, 4 fault"""
+    condition: str
+    """closed, connecting, homing, connected or fault"""
     text: str
+    """what is wrong and what to do about it"""
+
+
+class OperatorIn(Strict):
+    """A wish to be operator."""
+
+    name: str | None = Field(default=None, max_length=LONGEST_NAME)
+    """shown to everybody; the sender's own when left out"""
+    take_over: bool = False
+    """also when somebody else is operator"""
+
+
+class OperatorOut(Strict):
+    """Who may command."""
+
+    name: str | None
+    """of the operator; null when there is none, and the next command makes its sender operator"""
+    you: bool
+    """it is the one who asks"""
+    role: Role
+    """of the one who asks: viewers can only look, and STOP"""
+    lapses_s: float | None
+    """after so long without a word from the operator anybody else may command [s]"""
 
 
 class StatusOut(Strict):
@@ -100,7 +144,12 @@ class StatusOut(Strict):
     state: str
     """OFF, CONNECTED, HOMED, READY, RUNNING, HOLD, STOPPED or FAULT"""
     cause: str
-    """why it is HOLD, STOPPED or FAULT, and what to do"""
+    """why it is HOLD, STOPPED or FAULT"""
+    says: str
+    """what is going on, for a person"""
+    next: str
+    """what to do next; empty when there is nothing to do"""
+    operator: OperatorOut
     stale: bool
     """no tick for half a second: the values below are old"""
     age: float
@@ -132,6 +181,9 @@ class CaseOut(Strict):
     """[s]"""
     strategy: str
     trajectory: str
+    load: str
+    start: Mapping[str, float]
+    """pose that the robot goes to first [rad or m]"""
 
 
 class ExperimentOut(Strict):
@@ -176,9 +228,3 @@ class SolveOut(Strict):
     compliance: tuple[tuple[float, ...], ...]
     """3 x 3 [m/N]"""
     iterations: int
-
-
-class ErrorOut(Strict):
-    """Why a request was refused."""
-
-    error: str

@@ -13,39 +13,42 @@ import viser
 from rich.console import Console
 
 from core.errors import CtrError
-from station.control_process import compile_plant
+from station.audit import Audit
 from station.desk import Desk
 from station.station_file import load_station
 from station.supervisor import Supervisor
-from web.access import is_loopback, new_token
+from web.access import is_loopback
 from web.app import build_app
+from web.tokens import new_tokens
 from web.view import View
 
 #: The control process has this long to compile and to begin [s].
 START_TIME = 120.0
+#: That a browser may send over a websocket [bytes].
+LONGEST_MESSAGE = 64 * 1024
 
 
 class PortError(CtrError):
     """A port that cannot be had."""
 
 
-def serve(config: Path | None, host: str, port: int, *, browser: bool) -> int:
-    """Run the station until Ctrl-C.
+def serve(config: Path | None, host: str, port: int, data: Path, *, browser: bool) -> int:
+    """Run the station until Ctrl-C; runs and the audit log are kept in the folder `data`.
 
     Raises:
         ConfigError: the configuration cannot be.
+        AuditError: the folder cannot be written.
         PortError: the port is in use.
         CtrError: the control process does not start.
     """
     out = Console(highlight=False, soft_wrap=True)
     bench = load_station(config).bench()
-    token = None if is_loopback(host) else new_token()
-    with contextlib.closing(_listen(host, port)) as listening:
+    tokens = None if is_loopback(host) else new_tokens()
+    with contextlib.closing(_listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
         port = listening.getsockname()[1]
         out.print(f"ctr-station: {bench.lab.title}")
         supervisor = Supervisor(bench)
         try:
-            compile_plant(bench)
             supervisor.wait_ready(START_TIME)
             desk = Desk(supervisor)
             # viser knows no access control: loopback only, the page comes through our own port.
@@ -53,11 +56,15 @@ def serve(config: Path | None, host: str, port: int, *, browser: bool) -> int:
                 scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
             view = View(scene, desk)
             try:
-                app = build_app(desk, scene.get_port(), host, port, token)
+                app = build_app(desk, view, audit, host, port, tokens)
                 settings = uvicorn.Config(
-                    app, log_level="warning", ws_per_message_deflate=False, timeout_graceful_shutdown=1, lifespan="on"
-                )
-                address = f"http://{_shown(host)}:{port}/" + (f"?token={token}" if token else "")
+                    app, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
+                    timeout_graceful_shutdown=1, lifespan="on",
+                )  # fmt: skip
+                page = f"http://{_shown(host)}:{port}/"
+                address = page + (f"?token={tokens.operator}" if tokens else "")
+                if tokens:
+                    out.print(f"for those who only look: {page}?token={tokens.viewer}")
                 out.print(f"ctr-station is at {address}   (Ctrl-C ends it)")
                 sys.stdout.flush()
                 if browser and sys.stdout.isatty():

@@ -1,17 +1,25 @@
-"""The viser view of the station: one thread that keeps scene and panel up to date."""
+"""The viser view of the station: one thread that keeps the scene up to date."""
 
 import logging
 import threading
 import time
 
+import numpy as np
 import viser
 
+from core.robot import Array
 from station.desk import Desk
+from station.supervisor import STALE, Status
+from web.gizmos import TARGET, Gizmo, boxes
 from web.history import History
-from web.panel import Panel
-from web.scene import Scene
+from web.legend import add_legend
+from web.overlays import Overlays, Shown
+from web.scene import UNIT, Scene
+from web.scene_messages import Handles
+from web.target import Way, way_to
+from web.viser_proxy import SceneDoor
 
-#: Pictures a second; plots, trace and texts come with every third.
+#: Pictures a second; trace and target come with every third.
 RATE = 30.0
 SLOW = 3
 
@@ -19,19 +27,59 @@ log = logging.getLogger(__name__)
 
 
 class View:
-    """Scene and panel on a viser server of the caller's, until closed."""
+    """The scene on a viser server of the caller's, until closed."""
 
     def __init__(self, server: viser.ViserServer, desk: Desk) -> None:
         self._server = server
+        self._desk = desk
         self._supervisor = desk.supervisor
         # A client may ask for a public tunnel to this server: there is none.
         server.request_share_url = _no_share
         self._history = History(desk.supervisor.channels)
+        self._limits = desk.supervisor.bench.robot.limits()
         self._scene = Scene(server, desk.supervisor)
-        self._panel = Panel(server, desk)
+        self._overlays = Overlays(server.scene, desk.supervisor.statics, self._limits, UNIT)
+        self._target = Gizmo(server.scene, TARGET, UNIT, 0.35)
+        self._verdict = server.scene.add_label("/handle/verdict", "", anchor="bottom-center", visible=False)
+        buttons = add_legend(server, desk.supervisor.robot)
+        self.door = SceneDoor(server.get_port(), Handles(buttons, {TARGET: boxes(UNIT)[TARGET]}))
+        self._shown = Shown()
+        self._way: Way | None = None
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="viser view")
         self._thread.start()
+
+    @property
+    def shown(self) -> Shown:
+        """What is shown beside the robot."""
+        return self._shown
+
+    def show(self, shown: Shown) -> None:
+        """Show something else beside the robot; a target begins at the tip."""
+        values = self._supervisor.status().values
+        if shown.target and not self._shown.target and "tip_observed" in values:
+            self.place_target(values["tip_observed"])
+        self._shown = shown
+
+    def place_target(self, place: Array) -> None:
+        """Put the target at (3,) [m]."""
+        self._target.put(place)
+        self._way = self.way_to_target()
+
+    @property
+    def target(self) -> Array:
+        """Where the target is (3,) [m]."""
+        return self._target.place
+
+    def way_to_target(self) -> Way:
+        """How the tip gets from where it is now to the target."""
+        values = self._supervisor.status().values
+        if not values:
+            return Way(None, 0.0, "there is no telemetry yet")
+        return way_to(
+            self._target.place, self._supervisor.statics, self._limits, values["joints"], values["tip_observed"],
+            values["force_filtered"],
+        )  # fmt: skip
 
     def close(self) -> None:
         """End the thread; the server is the caller's to stop."""
@@ -52,12 +100,31 @@ class View:
 
     def _frame(self, *, slow: bool) -> None:
         status = self._supervisor.status()
-        self._history.read(self._supervisor.ring, status.phase)
+        self._history.read(self._supervisor.ring)
         with self._server.atomic():
             self._scene.update(status, self._history)
+            self._overlay(status)
             if slow:
                 self._scene.update_trace(self._history)
-                self._panel.update(status, self._history)
+                self._show_target()
+
+    def _overlay(self, status: Status) -> None:
+        values = status.values
+        live = bool(values) and status.age <= STALE and bool(np.isfinite(values["joints"]).all())
+        shown = self._shown if live else Shown()
+        if live:
+            self._overlays.update(shown, values["joints"], values["tip_observed"], float(values["observer"][0]))
+
+    def _show_target(self) -> None:
+        self._target.show(self._shown.target)
+        self._verdict.visible = self._shown.target
+        if not self._shown.target:
+            return
+        if self._target.taken() is not None or self._way is None:
+            self._way = self.way_to_target()
+        self._verdict.position = UNIT * (self._target.place - np.array((0.012, 0.0, 0.0)))
+        reachable = f"\N{CHECK MARK} reachable in {self._way.duration:.0f} s"
+        self._verdict.text = reachable if self._way.motion else "\N{CROSS MARK} out of reach"
 
 
 def _no_share(verbose: bool = True) -> str | None:  # noqa: ARG001 - viser's signature

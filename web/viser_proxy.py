@@ -1,9 +1,12 @@
-"""viser behind the station's one public port: its page and its websocket, passed through unchanged.
+"""viser behind the station's one public port: its page, and its websocket with a gate before it.
 
-viser itself listens on loopback only and knows no access control; `access` stands before this.
+viser itself listens on loopback only and knows no access control; `access` stands before this. The
+page asks for the scene under its own identity, so that its socket can be told from others'.
 """
 
 import asyncio
+import time
+from typing import NamedTuple
 from urllib.parse import quote
 
 import httpx
@@ -12,17 +15,32 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.typing import Subprotocol
 
-#: Where the page finds viser.
+from station.audit import Audit
+from web.lease import Lease
+from web.scene_messages import Gate, Handles
+from web.who import Who, is_client, who_of
+
+#: Where the page finds viser; with an identity below `AS`.
 PREFIX = "/viser"
+AS = PREFIX + "/as/{client}"
 _KEPT = ("content-type", "content-encoding", "cache-control", "etag", "last-modified", "vary")
 
 
-def viser_routes(port: int) -> tuple[APIRouter, httpx.AsyncClient]:
-    """Routes that pass everything under `PREFIX` on to viser on a loopback `port`, and the client to close."""
-    router = APIRouter(include_in_schema=False)
-    client = httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}", timeout=10.0)
+class SceneDoor(NamedTuple):
+    """Where the scene is, and what of it can be touched."""
 
+    port: int  #: viser's, on loopback
+    handles: Handles
+
+
+def viser_routes(door: SceneDoor, lease: Lease, audit: Audit) -> tuple[APIRouter, httpx.AsyncClient]:
+    """Routes that pass everything under `PREFIX` on to viser, and the client to close."""
+    router = APIRouter(include_in_schema=False)
+    client = httpx.AsyncClient(base_url=f"http://127.0.0.1:{door.port}", timeout=10.0)
+
+    # The last decorator registers first, and the first route that fits is taken.
     @router.get(PREFIX + "/{path:path}")
+    @router.get(AS + "/{path:path}")
     async def page(path: str, request: Request) -> Response:
         asked = {name: value for name in ("accept-encoding", "if-none-match") if (value := request.headers.get(name))}
         try:
@@ -34,19 +52,34 @@ def viser_routes(port: int) -> tuple[APIRouter, httpx.AsyncClient]:
         headers = {name: value for name in _KEPT if (value := answer.headers.get(name))}
         return Response(body, answer.status_code, headers)
 
+    # A browser's socket arrives without the trailing slash of its page.
+    @router.websocket(AS)
+    @router.websocket(AS + "/")
+    async def known(browser: WebSocket, client: str) -> None:
+        who = who_of(browser)
+        await _serve(browser, who._replace(client=client) if is_client(client) else who)
+
     @router.websocket(PREFIX)
     @router.websocket(PREFIX + "/")
-    async def socket(browser: WebSocket) -> None:
+    async def unknown(browser: WebSocket) -> None:
+        await _serve(browser, who_of(browser))
+
+    async def _serve(browser: WebSocket, who: Who) -> None:
         wanted = [Subprotocol(name) for name in browser.scope.get("subprotocols", [])]
         try:
             scene = await connect(
-                f"ws://127.0.0.1:{port}/", subprotocols=wanted or None, max_size=None, compression=None, proxy=None
+                f"ws://127.0.0.1:{door.port}/", subprotocols=wanted or None, max_size=None, compression=None, proxy=None
             )
         except (OSError, WebSocketException):
             await browser.close(1011, "the scene does not answer")
             return
         await browser.accept(subprotocol=scene.subprotocol)
-        tasks = [asyncio.create_task(_to_scene(browser, scene)), asyncio.create_task(_to_browser(scene, browser))]
+
+        def report(reason: str) -> None:
+            audit.write(str(who), "scene message", who.where, f"dropped: {reason}")
+
+        gate = Gate(door.handles, lease, who, time.monotonic, report)
+        tasks = [asyncio.create_task(_to_scene(browser, scene, gate)), asyncio.create_task(_back(scene, browser))]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -58,18 +91,20 @@ def viser_routes(port: int) -> tuple[APIRouter, httpx.AsyncClient]:
     return router, client
 
 
-async def _to_scene(browser: WebSocket, scene: ClientConnection) -> None:
+async def _to_scene(browser: WebSocket, scene: ClientConnection, gate: Gate) -> None:
     try:
         while True:
             message = await browser.receive()
             if message["type"] == "websocket.disconnect":
                 return
-            await scene.send(message["bytes"] if message.get("bytes") is not None else message["text"])
+            passed = gate.passes(message.get("bytes"))
+            if passed is not None:
+                await scene.send(passed)
     except (ConnectionClosed, WebSocketDisconnect, RuntimeError):
         return  # either side has gone; the other is closed by the caller
 
 
-async def _to_browser(scene: ClientConnection, browser: WebSocket) -> None:
+async def _back(scene: ClientConnection, browser: WebSocket) -> None:
     try:
         async for message in scene:
             if isinstance(message, str):

@@ -2,13 +2,11 @@
 
 Six gauge voltages become a wrench by a 6x6 matrix. The file has one row an axis, to be divided by its
 scale, at the transducer's own origin, and a translation to the tool's origin; newer files (version 1.1)
-have the result ready as well. The card itself needs the optional package `nidaqmx`.
+have the result ready as well.
 """
 
-import importlib
 import math
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers import expat
@@ -191,32 +189,3 @@ def _compare(computed: Array, given: Array) -> None:
             f"UserAxis {AXES[worst]} differs from Axis and BasicTransform by {off[worst]:.2g} of the row; "
             f"expected at most {ROUNDING:g}"
         )
-
-
-def open_card(channels: str, volts: float, rate: float = 1000.0) -> tuple[Callable[[], Array], Callable[[], None]]:
-    """Sample six differential inputs of an NI card, such as `Dev1/ai0:5`.
-
-    Args:
-        channels: in the order of the gauges.
-        volts: range, either way [V].
-        rate: [1/s].
-
-    Returns:
-        What reads the newest voltages (6,) [V] without waiting, and what closes the card.
-
-    Raises:
-        CalibrationError: `nidaqmx` is not installed.
-    """
-    try:
-        daq, constants = importlib.import_module("nidaqmx"), importlib.import_module("nidaqmx.constants")
-    except ImportError:
-        raise CalibrationError("an NI card needs the package nidaqmx and NI's driver; pip install nidaqmx") from None
-    task = daq.Task()
-    differential = constants.TerminalConfiguration.DIFF
-    task.ai_channels.add_ai_voltage_chan(channels, terminal_config=differential, min_val=-volts, max_val=volts)
-    task.timing.cfg_samp_clk_timing(rate, sample_mode=constants.AcquisitionType.CONTINUOUS)
-    task.in_stream.relative_to = constants.ReadRelativeTo.MOST_RECENT_SAMPLE
-    task.in_stream.offset = -1
-    task.in_stream.over_write = constants.OverwriteMode.OVERWRITE_UNREAD_SAMPLES
-    task.start()
-    return lambda: np.asarray(task.read(number_of_samples_per_channel=1), dtype=float)[:, 0], task.close

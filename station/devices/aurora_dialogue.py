@@ -22,7 +22,9 @@ class Rate(NamedTuple):
 
 
 class Break(NamedTuple):
-    """Order to the port: hold the line low for a moment, which resets the unit to 9600 baud."""
+    """Order to the port: hold the line low, or let it go again; a while of that resets the unit to 9600 baud."""
+
+    low: bool
 
 
 class Pause(NamedTuple):

@@ -25,7 +25,7 @@ class Measurement(NamedTuple):
     frame: int
     time: float  #: when it was measured, by the frame number [s]
     quality: Quality
-    position: tuple[float, ...] | None  #: in the field generator's frame, only when GOOD [mm]
+    position: tuple[float, ...] | None  #: of the robot's tip in the field generator's frame, only when GOOD [mm]
     error: float = 0.0  #: the unit's own figure [mm]
 
 

@@ -75,6 +75,14 @@ class Transform(NamedTuple):
     position: tuple[float, ...]  #: x y z [mm]
     error: float  #: the unit's own figure of the fit [mm]
 
+    def ahead(self, distance: float) -> tuple[float, ...]:
+        """The point [mm] so far from the tool's origin along its z axis, the coil's, which needs no roll."""
+        if distance == 0.0:
+            return self.position
+        w, x, y, z = self.quaternion
+        axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+        return tuple(p + distance * a for p, a in zip(self.position, axis, strict=True))
+
 
 class ToolFrame(NamedTuple):
     """One handle in one frame."""

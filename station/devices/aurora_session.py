@@ -51,6 +51,7 @@ class AuroraSession:
         self._script = self._whole()
         self._step: Pause | Ask = Pause(-math.inf)
         self._deadline = math.inf  # of what was asked [s]
+        self.wake = -math.inf  #: until then there is nothing to do unless bytes come [s]
 
     def receive(self, data: bytes, now: float) -> list[Measurement]:
         """Take bytes that arrived by `now` [s]; new frames of the tip's coil."""
@@ -78,6 +79,7 @@ class AuroraSession:
                 self.counts.timeouts += 1
             self._go_on(None)
         orders, self._orders = self._orders, []
+        self.wake = self._step.until if isinstance(self._step, Pause) else self._deadline
         return orders
 
     def farewell(self) -> list[bytes | Rate | Break]:
@@ -133,7 +135,8 @@ class AuroraSession:
         transform = tool.transform if self.quality is Quality.GOOD else None
         if transform is None:
             return [Measurement(frame, time, self.quality, None)]
-        return [Measurement(frame, time, self.quality, transform.position, transform.error)]
+        tip = transform.ahead(self.talk.settings.coil_to_tip)
+        return [Measurement(frame, time, self.quality, tip, transform.error)]
 
     def _judge(self, tool: ToolFrame, time: float) -> Quality:
         if self.system_status & HARDWARE_FAILURE or tool.port_status & self.talk.settings.fault_bits:

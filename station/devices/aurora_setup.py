@@ -7,6 +7,7 @@ from station.devices.aurora import BAUD_CODES, POWER_UP_BAUD, AuroraError
 from station.devices.aurora_dialogue import Ask, Break, Dialogue, Pause, Rate, Reply, Script, is_okay
 from station.devices.aurora_replies import NOT_IN_THIS_MODE, error_code, error_words, parse_phinf, parse_phsr
 
+BREAK = 0.25  #: that the line is held low [s]
 #: Firmware that has no usable BX (a public Aurora client's list).
 NEEDS_TX = ("AURORA Rev 007", "AURORA Rev 008")
 
@@ -31,7 +32,9 @@ def contact(talk: Dialogue) -> Script:
                 yield from _change_rate(talk)
             return None
         yield Rate(POWER_UP_BAUD)
-        yield Break()
+        yield Break(True)
+        yield Pause(talk.now + BREAK)
+        yield Break(False)
         yield Ask("", lambda text: text == "RESET", settings.reset_wait)
 
 

@@ -1,8 +1,9 @@
 """An Aurora as the control loop's tracker: a session on a link, looked at once a tick."""
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,11 +13,13 @@ from station.devices.aurora_measurement import Counts, Measurement, Quality
 from station.devices.aurora_replies import ToolIdentity
 from station.devices.aurora_session import AuroraSession
 from station.devices.aurora_settings import AuroraSettings
-from station.devices.interfaces import TipReading
+from station.devices.interfaces import Condition, Severity, TipReading, Trouble
 from station.devices.links import Link, LinkError
 
 #: Without a new frame for this long the tracker is silent: four frames [s].
 SILENCE = 0.1
+#: Without a good position for this long nothing may move [s].
+BLIND = 0.25
 
 
 @dataclass(frozen=True)
@@ -48,8 +51,14 @@ class AuroraTracker:
     """Driver of one Aurora; implements `Tracker`. Nothing that the bytes do raises out of `poll`."""
 
     def __init__(
-        self, link: Link, settings: AuroraSettings | None = None, registration: Registration | None = None
+        self,
+        link: Link,
+        settings: AuroraSettings | None = None,
+        registration: Registration | None = None,
+        reopen: Callable[[Link], Link] | None = None,
     ) -> None:
+        """`reopen` opens a link anew that has gone; it raises LinkError where it cannot."""
+        self._reopen = reopen
         self._link = link
         self._settings = settings or AuroraSettings()
         self._registration = registration or Registration()
@@ -57,13 +66,53 @@ class AuroraTracker:
         self._lost = ""
         self._good_time = -math.inf
 
+    @property
+    def condition(self) -> Condition:
+        """CONNECTED once it has tracked: what is amiss since then is `trouble`."""
+        if self._lost:
+            return Condition.FAULT
+        return Condition.CONNECTED if self._good_time > -math.inf else Condition.CONNECTING
+
+    def connect(self, now: float) -> None:  # noqa: ARG002 - the session connects by itself when it is polled
+        """Try again on a link that had gone; a session that goes on is left alone."""
+        if self._lost and self._reopen is not None:
+            try:
+                self.attach(self._reopen(self._link))
+            except LinkError as error:
+                self._lost = str(error)
+
+    def trouble(self, now: float) -> Trouble | None:
+        """No good position: a warning, after 0.25 s a HOLD, with the reason."""
+        if now - self._good_time <= SILENCE and not self._lost:
+            return None
+        report = self.report(now)
+        severity = Severity.HOLD if self._lost or report.good_age > BLIND else Severity.WARN
+        what = report.quality.name.lower().replace("_", " ")
+        since = "" if math.isinf(report.good_age) else f"; no good position for {report.good_age:.2f} s"
+        return Trouble(severity, f"tracker ({self._link.name}): {what}{since}{report.trouble and '; '}{report.trouble}")
+
+    def details(self) -> Mapping[str, Any]:
+        """Who it is and what it has counted."""
+        report = self.report(self._session.talk.now)
+        return {
+            "port": self._link.name,
+            "firmware": report.firmware,
+            "tool": None if report.tool is None else report.tool._asdict(),
+            **vars(report.counts),
+            "noise_bytes": report.noise,
+            "crc_errors": report.crc_errors,
+        }
+
     def poll(self, now: float) -> TipReading | None:
         """The newest good frame that arrived since the last poll, if any."""
         if self._lost:
             return None
         measurements: list[Measurement] = []
         try:
-            measurements = self._session.receive(self._link.read(), now)
+            data = self._link.read()
+            if not data and now < self._session.wake:
+                return None
+            measurements = self._session.receive(data, now)
             for order in self._session.due(now):
                 self._carry_out(order)
         except LinkError as error:
@@ -121,6 +170,6 @@ class AuroraTracker:
             if set_baud is not None:
                 set_baud(order.baud)
         else:
-            send_break = getattr(self._link, "send_break", None)
-            if send_break is not None:
-                send_break()
+            set_break = getattr(self._link, "set_break", None)
+            if set_break is not None:
+                set_break(order.low)

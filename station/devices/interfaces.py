@@ -1,24 +1,53 @@
 """What the control loop asks of devices: polled at every tick, never waited for.
 
 A device answers with what has arrived by `now`; a driver on a serial port, a socket or a simulated
-bench fits behind the same few methods.
+bench fits behind the same few methods. Only `connect` at the very start may raise; from then on a
+device says what is wrong through `trouble`, and the loop acts on its severity.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from enum import IntEnum, StrEnum
+from typing import Any, NamedTuple, Protocol
 
 from core.robot import Array
+
+
+class Condition(StrEnum):
+    """How far a device has come."""
+
+    CLOSED = "closed"
+    CONNECTING = "connecting"
+    HOMING = "homing"  #: stages only
+    CONNECTED = "connected"
+    FAULT = "fault"  #: until somebody connects it again
+
+
+class Severity(IntEnum):
+    """What a trouble asks of the station; the worst wins."""
+
+    WARN = 1  #: said, nothing else
+    HOLD = 2  #: a motion ends where it is
+    STOP = 3
+    FAULT = 4  #: every axis that can be reached is stopped; latched until a person resets it
+
+
+class Trouble(NamedTuple):
+    """What is wrong with a device."""
+
+    severity: Severity
+    text: str  #: what, where, and what to do about it
 
 
 class JointReading(NamedTuple):
     """Positions of the stages."""
 
-    positions: Array  #: (n,) [rad or m]
+    positions: Array  #: (n,) [rad or m]; NaN for a stage that has never answered
     sent: Array  #: (n,) velocities that really went out, after limits and quantisation [rad/s or m/s]
 
 
 class TipReading(NamedTuple):
-    """One tracker frame."""
+    """One tracker frame, fit for control."""
 
     frame: int  #: the tracker's own count
     time: float  #: when it was measured, by the frame number, not by its arrival [s]
@@ -30,6 +59,7 @@ class WrenchReading(NamedTuple):
 
     time: float  #: [s]
     wrenches: Array  #: (q, 6) force and moment in each sensor's own axes, untared [N, N m]
+    usable: bool = True  #: False: some sensor has nothing fit for control; its last good wrench stands
 
 
 class Truth(NamedTuple):
@@ -39,31 +69,69 @@ class Truth(NamedTuple):
     force: Array  #: (3,) at the tip [N]
 
 
-class Stages(Protocol):
+class Device(Protocol):
+    """What all kinds have in common."""
+
+    @property
+    def condition(self) -> Condition:
+        """How far it has come."""
+        ...
+
+    def connect(self, now: float) -> None:
+        """Begin to connect; `poll` carries it on until `condition` is CONNECTED or FAULT. Also after a FAULT."""
+        ...
+
+    def trouble(self, now: float) -> Trouble | None:
+        """What is wrong at `now` [s], the worst of it; None if nothing is. Cheap: asked at every tick."""
+        ...
+
+    def details(self) -> Mapping[str, Any]:
+        """Who it is and what it has counted, as plain numbers and texts for a person and for the report."""
+        ...
+
+    def close(self) -> None:
+        """Let go of its ports."""
+        ...
+
+
+class Stages(Device, Protocol):
     """Motors that turn and slide the tubes."""
+
+    @property
+    def ready(self) -> bool:
+        """Connected, homed, and every position is known."""
+        ...
+
+    def home(self, now: float) -> None:
+        """Begin to home every stage; `poll` carries it on while `condition` is HOMING.
+
+        Raises:
+            CtrError: not connected, or busy.
+        """
+        ...
 
     def poll(self, now: float) -> JointReading:
         """Positions at `now` [s]."""
         ...
 
     def command(self, velocities: Array, now: float) -> None:
-        """Ask for joint velocities (n,) [rad/s or m/s]; the latest wins."""
+        """Ask for joint velocities (n,) [rad/s or m/s]; the latest wins. Not heeded unless `ready`."""
         ...
 
     def stop(self, now: float) -> None:
-        """Stop every axis, ahead of whatever waits to be sent."""
+        """Stop every axis that can be reached, ahead of whatever waits to be sent."""
         ...
 
 
-class Tracker(Protocol):
+class Tracker(Device, Protocol):
     """Measures where the tip is."""
 
     def poll(self, now: float) -> TipReading | None:
-        """The newest frame that arrived since the last poll, if any."""
+        """The newest good frame that arrived since the last poll, if any."""
         ...
 
 
-class BaseSensors(Protocol):
+class BaseSensors(Device, Protocol):
     """Six-axis sensors at the tubes' proximal ends."""
 
     def poll(self, now: float) -> WrenchReading:

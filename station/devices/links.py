@@ -1,20 +1,19 @@
-"""Links that carry a device's bytes: serial ports and sockets, datagrams, and pipes in memory.
+"""Links that carry a device's bytes: serial ports, sockets and datagrams.
 
-A link is looked at, never waited for. What a device makes of the bytes is its protocol's business.
+A link is looked at, never waited for. What a device makes of the bytes is its protocol's business. A link
+has its device for itself, and one that has gone can be opened anew.
 """
 
 import contextlib
 import errno
 import socket
-import time
-from collections import deque
 from typing import Any, Protocol, cast
 
 import serial
 
 from core.errors import CtrError
-
-BREAK = 0.25  #: that a serial line is held low [s]
+from station.devices.port_lock import PortLock, PortTaken
+from station.devices.rediscover import describe, find, usb_ports
 
 
 class LinkError(CtrError):
@@ -47,41 +46,17 @@ class Link(Protocol):
         ...
 
 
-class MemoryLink:
-    """One end of a pipe in memory, for virtual time."""
+def reopen(link: Link) -> Link:
+    """Open a link anew whose other end had gone: the same device, under whatever name its port has now.
 
-    def __init__(self, name: str, incoming: deque[bytes], outgoing: deque[bytes]) -> None:
-        self.name = name
-        self._incoming, self._outgoing = incoming, outgoing
-        self._open = True
-
-    def read(self) -> bytes:
-        """What the other end has written."""
-        if not self._open:
-            raise LinkError(f"{self.name} is closed")
-        if not self._incoming:
-            return b""
-        data = b"".join(self._incoming)
-        self._incoming.clear()
-        return data
-
-    def write(self, data: bytes) -> None:
-        """Give `data` to the other end."""
-        if not self._open:
-            raise LinkError(f"{self.name} is closed")
-        if data:
-            self._outgoing.append(data)
-
-    def close(self) -> None:
-        """Take part no more."""
-        self._open = False
-
-
-def memory_pipe(name: str) -> tuple[MemoryLink, MemoryLink]:
-    """Two ends of a pipe: the host's and the device's."""
-    to_device: deque[bytes] = deque()
-    to_host: deque[bytes] = deque()
-    return MemoryLink(name, to_host, to_device), MemoryLink(f"{name} (device)", to_device, to_host)
+    Raises:
+        LinkError: it is not there, or the link is of a kind that cannot come back.
+    """
+    again = getattr(link, "reopen", None)
+    if again is None:
+        raise LinkError(f"{link.name} cannot be opened anew; start the station again")
+    again()
+    return link
 
 
 class SerialLink:
@@ -89,13 +64,10 @@ class SerialLink:
 
     def __init__(self, url: str, baud: int) -> None:
         """Raises LinkError when it cannot be opened or another program has it."""
-        self.name = url
-        try:
-            self._port = cast(Any, serial).serial_for_url(
-                url, baudrate=baud, timeout=0.0, write_timeout=0.0, **({} if "://" in url else {"exclusive": True})
-            )
-        except (serial.SerialException, OSError, ValueError) as error:
-            raise LinkError(f"{url} cannot be opened: {error}; is it plugged in, and free?") from None
+        self.name, self._baud = url, baud
+        self._lock, self._port = _open(url, baud)
+        #: By which it is found again, if it is on USB.
+        self._adapter = None if "://" in url else describe(url, usb_ports())
 
     def read(self) -> bytes:
         """What the port has."""
@@ -118,16 +90,28 @@ class SerialLink:
         except (serial.SerialException, OSError, ValueError) as error:
             raise LinkError(f"{self.name} cannot run at {baud} baud: {error}") from None
 
-    def send_break(self) -> None:
-        """Hold the line low; waits for the 0.25 s that it takes: for connecting only, never for the loop.
+    def set_break(self, low: bool) -> None:
+        """Hold the line low, or let it go again: a break lasts for as long as the caller says.
 
-        A pty and a socket carry no break: nothing but the wait happens.
+        A pty and a socket carry no break: nothing happens.
         """
-        # Not the port's own send_break: on Linux it makes 0.1 s of the 0.25 s that it is asked for.
         with contextlib.suppress(serial.SerialException, OSError, NotImplementedError):
-            self._port.break_condition = True
-            time.sleep(BREAK)
-            self._port.break_condition = False
+            self._port.break_condition = low
+
+    def reopen(self) -> None:
+        """Open it anew at its first rate: the same USB adapter, whatever its port is called now.
+
+        Raises:
+            LinkError: it is not plugged in, or another program has it.
+        """
+        self.close()
+        url = self.name
+        if self._adapter is not None:
+            url = find(self._adapter, usb_ports())
+            if url is None:
+                raise LinkError(f"{self.name} is gone and {self._adapter} is not found again; is it plugged in?")
+        self._lock, self._port = _open(url, self._baud)
+        self.name = url
 
     def close(self) -> None:
         """Let go of the port."""
@@ -136,20 +120,41 @@ class SerialLink:
         self._port.close()
         if isinstance(inner, socket.socket):
             inner.close()
+        self._lock.release()
+
+
+def _open(url: str, baud: int) -> tuple[PortLock, Any]:
+    """A port and the right to it."""
+    try:
+        lock = PortLock(url)
+    except PortTaken as error:
+        raise LinkError(str(error)) from None
+    try:
+        return lock, cast(Any, serial).serial_for_url(
+            url, baudrate=baud, timeout=0.0, write_timeout=0.0, **({} if "://" in url else {"exclusive": True})
+        )
+    except (serial.SerialException, OSError, ValueError) as error:
+        lock.release()
+        raise LinkError(f"{url} cannot be opened: {error}; is it plugged in, and free?") from None
 
 
 class DatagramLink:
     """Datagrams to and from one UDP peer."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Raises LinkError when the address means nothing."""
+        """Raises LinkError when the address means nothing or another link has it."""
         self.name = f"udp://{host}:{port}"
+        try:
+            self._lock = PortLock(self.name)
+        except PortTaken as error:
+            raise LinkError(str(error)) from None
         try:
             family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, kind, protocol)
             self._socket.setblocking(False)
             self._socket.connect(address)
         except OSError as error:
+            self._lock.release()
             raise LinkError(f"{self.name} cannot be reached: {error}") from None
 
     def receive(self) -> list[bytes]:
@@ -178,3 +183,4 @@ class DatagramLink:
     def close(self) -> None:
         """Let go of the socket."""
         self._socket.close()
+        self._lock.release()

@@ -117,7 +117,7 @@ def records(datagram: bytes) -> list[Record] | None:
     """Records of a datagram; None if its length is not that of whole records."""
     if not datagram or len(datagram) % RECORD.size:
         return None
-    return [Record(rdt, ft, status, tuple(counts)) for rdt, ft, status, *counts in RECORD.iter_unpack(datagram)]
+    return [Record(*fields[:3], fields[3:]) for fields in RECORD.iter_unpack(datagram)]
 
 
 def is_usable(status: int) -> bool:
@@ -163,7 +163,7 @@ class SampleClock:
 
     def latest(self, now: float) -> float:
         """The count that can be here at `now` [s] at the latest."""
-        return (now - self._offset + self.doubt(now)) * SAMPLE_RATE
+        return (now - self._offset + 2.0 * DRIFT * (now - self._confirmed)) * SAMPLE_RATE
 
 
 class Stream:
@@ -172,9 +172,10 @@ class Stream:
     def __init__(self, latency: float = LATENCY) -> None:
         self._latency = latency
         self._clock = SampleClock(latency)
-        self._last: Record | None = None
+        self._begun = False
+        self._rdt = self._ft = 0  # both sequences of the last record
         self._count = 0  # ft_sequence of the last record, unwrapped
-        self._astray: Record | None = None  # the last one that was not in line
+        self._astray: tuple[int, ...] | None = None  # the last one that was not in line
         self._in_line = 0  # how many of those follow one another
         # Internal samples from one record to the next, if those that began the stream agree; 0: not known.
         self._step = self._candidate = 0
@@ -207,28 +208,30 @@ class Stream:
 
     def restart(self) -> None:
         """A new request is sent: its sequence begins at 1."""
-        self._last = self._astray = None
-        self._in_line = 0
+        self._begun, self._astray, self._in_line = False, None, 0
 
     def feed(self, datagram: bytes, now: float) -> list[Sample]:
         """Take a datagram that has arrived by `now` [s]; give the samples in it that are in line."""
-        found = records(datagram)
-        if found is None:
+        if not datagram or len(datagram) % RECORD.size:
             self._malformed += 1
             return []
-        return [sample for record in found if (sample := self._take(record, now)) is not None]
+        samples: list[Sample] = []
+        for fields in RECORD.iter_unpack(datagram):
+            sample = self._take(fields, now)
+            if sample is not None:
+                samples.append(sample)
+        return samples
 
-    def _take(self, record: Record, now: float) -> Sample | None:
-        last = self._last
-        if last is not None:
-            steps = record.rdt_sequence - last.rdt_sequence & WRAP - 1
-            samples = record.ft_sequence - last.ft_sequence & WRAP - 1
+    def _take(self, fields: tuple[int, ...], now: float) -> Sample | None:
+        if self._begun:
+            steps = fields[0] - self._rdt & WRAP - 1
+            samples = fields[1] - self._ft & WRAP - 1
             step = self._step
             if steps and (samples == step * steps if step else steps <= samples <= LONGEST_STEP * steps):
                 count = self._count + samples
                 if count <= self._clock.latest(now) + AHEAD:
                     self._lost += steps - 1
-                    return self._accept(record, count, now)
+                    return self._accept(fields, count, now)
             if steps == 0:
                 self._duplicates += 1
                 return None
@@ -236,25 +239,25 @@ class Stream:
                 self._late += 1
             else:
                 self._implausible += 1
-        return self._consider(record, now)
+        return self._consider(fields, now)
 
-    def _accept(self, record: Record, count: int, now: float) -> Sample:
-        self._last, self._count = record, count
+    def _accept(self, fields: tuple[int, ...], count: int, now: float) -> Sample:
+        self._begun, self._rdt, self._ft, self._count = True, fields[0], fields[1], count
         self._astray, self._in_line = None, 0
         self._accepted += 1
-        return Sample(self._clock.observe(count, now), record.status, record.counts)
+        return Sample(self._clock.observe(count, now), fields[2], fields[3:])
 
-    def _consider(self, record: Record, now: float) -> Sample | None:
-        """Begin with `record` if enough of those that are not in line are in line with one another."""
-        before, self._astray = self._astray, record
-        ratio = _ratio(before, record)
+    def _consider(self, fields: tuple[int, ...], now: float) -> Sample | None:
+        """Begin with this record if enough of those that are not in line are in line with one another."""
+        before, self._astray = self._astray, fields
+        ratio = _ratio(before, fields)
         self._in_line = self._in_line + 1 if ratio else 1
         self._candidate = ratio if self._in_line == 2 or ratio == self._candidate else 0
-        if self._in_line < (BEGIN if self._last is None and self._candidate else REPLACE):
+        if self._in_line < (BEGIN if not self._begun and self._candidate else REPLACE):
             return None
-        self._resyncs += self._last is not None
+        self._resyncs += self._begun
         self._step = int(self._candidate) if self._candidate == int(self._candidate) else 0
-        count = record.ft_sequence
+        count = fields[1]
         if self._clock.is_set:
             latest = round(self._clock.latest(now))
             off = (count - latest + WRAP // 2) % WRAP - WRAP // 2
@@ -263,13 +266,13 @@ class Stream:
             else:
                 self._resets += 1
                 self._clock = SampleClock(self._latency)
-        return self._accept(record, count, now)
+        return self._accept(fields, count, now)
 
 
-def _ratio(before: Record | None, after: Record) -> float:
+def _ratio(before: tuple[int, ...] | None, after: tuple[int, ...]) -> float:
     """Internal samples a record from one to the other; 0 if it cannot follow."""
     if before is None:
         return 0.0
-    steps = after.rdt_sequence - before.rdt_sequence & WRAP - 1
-    samples = after.ft_sequence - before.ft_sequence & WRAP - 1
+    steps = after[0] - before[0] & WRAP - 1
+    samples = after[1] - before[1] & WRAP - 1
     return samples / steps if steps and steps <= samples <= LONGEST_STEP * steps else 0.0

@@ -4,18 +4,20 @@ What comes is not always fit for control. A sample that is not never replaces th
 reading stays, and `quality` says what is wrong with it.
 """
 
+import contextlib
 import math
+import operator
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import httpx
 import numpy as np
 
 from core.errors import CtrError
-from station.devices.interfaces import WrenchReading
+from station.devices.interfaces import Condition, Severity, Trouble, WrenchReading
 from station.devices.links import DatagramLink, LinkError
 from station.devices.netft import (
     LATENCY,
@@ -127,9 +129,9 @@ class _Sensor:
     def send(self, command: Command) -> None:
         self.link.send(request(command))
 
-    def poll(self, now: float) -> None:
-        """Take what has arrived; nothing of it raises."""
-        stream, gone = self.stream, 0
+    def poll(self, now: float) -> bool:
+        """Take what has arrived; nothing of it raises. Whether there was anything."""
+        stream, settings, flags = self.stream, self._settings, 0
         lost, resets = stream.lost, stream.resets
         samples: list[Sample] = []
         try:
@@ -137,12 +139,12 @@ class _Sensor:
                 samples += stream.feed(datagram, now)
             if samples:
                 self._heard = now
-            elif self._streaming and now - self._heard >= self._settings.retry_after:
+            elif self._streaming and now - self._heard >= settings.retry_after:
                 self._heard = now
                 stream.restart()
                 self._ask()
         except LinkError:
-            gone = _GONE
+            flags = _GONE
         if samples:
             self._newest = 0
             for sample in samples:
@@ -150,12 +152,13 @@ class _Sensor:
         if stream.resets > resets:
             self._lasting |= _RESET
             self.good.clear()
-        flags = self._newest | self._lasting | gone
+        flags |= self._newest | self._lasting
         if stream.lost > lost:
             flags |= _GAP
-        if not self.good or now - self._fresh > self._settings.stale_after:
+        if not self.good or now - self._fresh > settings.stale_after:
             flags |= _STALE
         self.flags = flags
+        return bool(samples)
 
     def counts_at(self, time: float) -> Sequence[float]:
         """Counts (6,) at `time` [s], on the line between the records next to it."""
@@ -177,10 +180,9 @@ class _Sensor:
             return
         if sample.status == THRESHOLD_LATCHED:
             self._newest |= _LATCHED
-        for count, limit in zip(sample.counts, self._limits, strict=True):
-            if not -limit <= count <= limit:
-                self._newest |= _RANGE
-                return
+        if any(map(operator.gt, map(abs, sample.counts), self._limits)):
+            self._newest |= _RANGE
+            return
         if self.good and sample.time <= self.good[-1].time:  # a less delayed record has set the clock back
             sample = sample._replace(time=self.good[-1].time)
         self.good.append(sample)
@@ -202,6 +204,7 @@ class NetftSensors:
         self._scale = np.array([[page.force_count] * 3 + [page.torque_count] * 3 for page in pages])
         self._reading = WrenchReading(0.0, np.zeros((len(self._sensors), 6)))
         self._time = -math.inf  # of the reading; it never runs back
+        self._started = False
 
     @property
     def quality(self) -> tuple[Quality, ...]:
@@ -238,13 +241,41 @@ class NetftSensors:
             if not quality.is_usable
         )
 
+    @property
+    def condition(self) -> Condition:
+        """CONNECTED once every sensor has sent something usable: what is amiss since then is `trouble`."""
+        if not self._started:
+            return Condition.CLOSED
+        return Condition.CONNECTED if math.isfinite(self._time) else Condition.CONNECTING
+
+    def connect(self, now: float) -> None:
+        """Ask for the streams; a port that is gone shows in `trouble`."""
+        with contextlib.suppress(LinkError):
+            self.start(now)
+
+    def trouble(self, now: float) -> Trouble | None:  # noqa: ARG002 - it is as at the last poll
+        """Nothing fit for control from some sensor: HOLD, with what the box says."""
+        return None if self.is_usable else Trouble(Severity.HOLD, self.complaint())
+
+    def details(self) -> Mapping[str, Any]:
+        """Who the sensors are and what they have counted."""
+        return {
+            sensor.link.name: {
+                "calibration": sensor.page.serial,
+                "quality": [str(flag.name).lower() for flag in Quality if flag in quality],
+                "requests": sensor.requests,
+                **sensor.stream.counters._asdict(),
+            }
+            for sensor, quality in zip(self._sensors, self.quality, strict=True)
+        }
+
     def start(self, now: float) -> None:
         """Ask for the streams; also what a person does after a box has started anew.
 
         Raises:
             LinkError: a port is gone.
         """
-        self._reading, self._time = self._reading._replace(time=now), -math.inf
+        self._reading, self._time, self._started = self._reading._replace(time=now), -math.inf, True
         for sensor in self._sensors:
             sensor.start(now)
 
@@ -263,16 +294,21 @@ class NetftSensors:
 
         A sensor whose `quality` is not usable keeps its last good wrench; before its first, all are zero.
         """
-        for sensor in self._sensors:
-            sensor.poll(now)
-        there = [sensor for sensor in self._sensors if sensor.good]
-        if len(there) < len(self._sensors):
-            return self._reading
-        fresh = [sensor for sensor in there if not sensor.flags & _STALE]
-        if fresh:
-            self._time = time = max(self._time, min(sensor.good[-1].time for sensor in fresh))
-            counts = np.array([sensor.counts_at(time) for sensor in there])
-            self._reading = WrenchReading(time, counts * self._scale)
+        sensors, news, complete, flags, time = self._sensors, False, True, 0, math.inf
+        for sensor in sensors:
+            news |= sensor.poll(now)
+            flags |= sensor.flags
+            if not sensor.good:
+                complete = False
+            elif not sensor.flags & _STALE:
+                time = min(time, sensor.good[-1].time)
+        usable = not flags & ~(_LATCHED | _GAP)
+        if complete and news and time < math.inf:
+            self._time = time = max(self._time, time)
+            counts = np.array([sensor.counts_at(time) for sensor in sensors])
+            self._reading = WrenchReading(time, counts * self._scale, usable)
+        elif usable != self._reading.usable:
+            self._reading = self._reading._replace(usable=usable)
         return self._reading
 
     def stop(self) -> None:
@@ -314,37 +350,33 @@ def fetch_page(host: str, port: int = 80, timeout: float = 2.0) -> NetftPage:
     return read_page(page)
 
 
-def connect(
-    hosts: Sequence[str],
-    settings: NetftSettings | None = None,
-    serials: Sequence[str] | None = None,
-    rdt_port: int = RDT_PORT,
-    http_port: int = 80,
-) -> NetftSensors:
-    """Find the boxes of the tubes' sensors, in the order of the tubes; blocks, `start` is still to come.
+class BoxAddress(NamedTuple):
+    """Where one box is, and which it must be."""
 
-    Args:
-        hosts: names or addresses.
-        settings: of the driver.
-        serials: calibration serial numbers that are expected; None takes what is there.
-        rdt_port: of every box.
-        http_port: of every box.
+    host: str  #: name or address
+    rdt_port: int = RDT_PORT
+    http_port: int = 80
+    serial: str | None = None  #: of its calibration; None takes what is there
+
+
+def connect(boxes: Sequence[BoxAddress], settings: NetftSettings | None = None) -> NetftSensors:
+    """Find the boxes of the tubes' sensors, in the order of the tubes; blocks, `start` is still to come.
 
     Raises:
         SensorError: a box does not answer or is another one.
         PageError: its page cannot be trusted.
-        LinkError: its address means nothing.
+        LinkError: its address means nothing, or another station has it.
     """
-    pages = [fetch_page(host, http_port) for host in hosts]
-    for host, page, serial in zip(hosts, pages, serials or [page.serial for page in pages], strict=True):
-        if page.serial != serial:
+    pages = [fetch_page(box.host, box.http_port) for box in boxes]
+    for box, page in zip(boxes, pages, strict=True):
+        if box.serial is not None and page.serial != box.serial:
             raise SensorError(
-                f"the force sensor at {host} has calibration '{page.serial}', expected '{serial}'; "
+                f"the force sensor at {box.host} has calibration '{page.serial}', expected '{box.serial}'; "
                 "are the cables or addresses exchanged?"
             )
     links: list[DatagramLink] = []
     try:
-        links.extend(DatagramLink(host, rdt_port) for host in hosts)
+        links.extend(DatagramLink(box.host, box.rdt_port) for box in boxes)
     except LinkError:
         for link in links:
             link.close()

@@ -146,10 +146,14 @@ class Chain:
         if self._ask is not None and self._asked and self._ask.reply is None:
             self._ask = None
             happenings.append(Answer())
-        if self._pending:
-            for key in [key for key, (deadline, _, _) in self._pending.items() if deadline < now]:
-                _, axis, poll = self._pending.pop(key)
-                self._miss(axis, poll, happenings, now)
+        while self._pending:
+            # They wait in the order of their deadlines.
+            key = next(iter(self._pending))
+            deadline, axis, poll = self._pending[key]
+            if deadline >= now:
+                break
+            del self._pending[key]
+            self._miss(axis, poll, happenings, now)
         return happenings
 
     # Bytes out

@@ -50,8 +50,9 @@ class Estimate:
 
     def advance(self, now: float) -> None:
         """Let time pass."""
-        while self._ahead and self._ahead[0][0] <= now:
-            when, velocity = self._ahead.popleft()
+        ahead = self._ahead
+        while ahead and ahead[0][0] <= now:
+            when, velocity = ahead.popleft()
             self._run(when)
             if velocity is None:
                 self._sample = self.position
@@ -96,12 +97,16 @@ class Estimate:
         if time <= 0.0:
             return
         self._time = until
-        velocity, change = self._velocity, self._target - self._velocity
+        velocity = self._velocity
+        change = self._target - velocity
         if not self.known or (change == 0.0 and velocity == 0.0):
             return
-        most = self._acceleration * time
-        change = min(max(change, -most), most)
-        self.position += velocity * time + change * (time - 0.5 * abs(change) / self._acceleration)
-        self._velocity = velocity + change
-        if not 0.0 <= self.position <= self._maximum:  # the unit does not go further
-            self.position = min(max(self.position, 0.0), self._maximum)
+        position = self.position + velocity * time
+        if change != 0.0:
+            most = self._acceleration * time
+            change = min(max(change, -most), most)
+            position += change * (time - 0.5 * abs(change) / self._acceleration)
+            self._velocity = velocity + change
+        if not 0.0 <= position <= self._maximum:  # the unit does not go further
+            position = min(max(position, 0.0), self._maximum)
+        self.position = position

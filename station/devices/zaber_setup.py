@@ -28,6 +28,7 @@ class StageSetup:
     home_speed: float  #: [rad/s or m/s]
     device_id: int | None = None  #: expected; None: any
     serial: int | None = None  #: expected; None: any, and old units have none
+    backwards: bool = False  #: its count rises where the joint's position falls
 
     def __post_init__(self) -> None:
         name = self.joint.name
@@ -48,14 +49,32 @@ class StageSetup:
                 raise ZaberError(f"{name}: {what} of {value} units is outside 1 ... {top_speed(RESOLUTION)}")
 
     @classmethod
-    def of(cls, joint: JointFile, device: int) -> "StageSetup":
+    def of(cls, joint: JointFile, device: int, home_at: float | None = None, backwards: bool = False) -> "StageSetup":
         """The usual one: a rotation has its sensor at joint 0, with as much travel either way; a translation
-        has it at the retracted end, where the unit counts 0.
+        has it at the retracted end, where the unit counts 0. `home_at` is where else the sensor is [rad or m].
+
+        Raises:
+            ZaberError: the sensor of a translation is inside the travel, which could not be used behind it.
         """
+        begin, end = (joint.upper, joint.lower) if backwards else (joint.lower, joint.upper)
         turns = joint.motion == "rotation"
-        count = round(-joint.lower / joint.microstep) if turns else 0
-        maximum = math.floor((joint.upper - joint.lower) / joint.microstep + 1e-6)
-        return cls(joint, device, 0.0 if turns else joint.lower, count, maximum, 0.25 * joint.speed)
+        if home_at is None:
+            home_at = 0.0 if turns else begin
+        # A unit that turns on and on may count anything at its sensor; another counts from 0 there.
+        count = round(abs(home_at - begin) / joint.microstep) if turns else 0
+        inside = (home_at - begin) * (-1.0 if backwards else 1.0)
+        if not turns and inside > joint.microstep:
+            raise ZaberError(
+                f"{joint.name}: home_at {home_at:g} m is inside the travel {joint.lower:g} ... {joint.upper:g} m; "
+                "behind its home sensor a stage cannot go: change home_at or the joint's limits"
+            )
+        maximum = math.floor(abs(end - (begin if turns else home_at)) / joint.microstep + 1e-6)
+        return cls(joint, device, home_at, count, maximum, 0.25 * joint.speed, backwards=backwards)
+
+    @property
+    def step(self) -> float:
+        """What a microstep adds to the joint's position [rad or m]."""
+        return -self.joint.microstep if self.backwards else self.joint.microstep
 
     @property
     def top(self) -> int:
@@ -74,7 +93,7 @@ class StageSetup:
 
     def position(self, microsteps: float) -> float:
         """Joint position at a count [rad or m]."""
-        return self.home_at + self.joint.microstep * (microsteps - self.home_count)
+        return self.home_at + self.step * (microsteps - self.home_count)
 
 
 @dataclass(frozen=True)

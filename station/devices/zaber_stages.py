@@ -5,13 +5,13 @@ are good for, and says so in words.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from enum import Enum
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from core.robot import Array
-from station.devices.interfaces import JointReading
+from station.devices.interfaces import Condition, JointReading, Severity, Trouble
 from station.devices.links import LinkError
 from station.devices.zaber import SPEED_UNIT, ZaberError, error_text
 from station.devices.zaber_chain import Axis, Chain, Counts, Line
@@ -21,20 +21,18 @@ from station.devices.zaber_setup import Port, StageSetup
 from station.devices.zaber_units import Identity, Units
 
 
-class Condition(Enum):
-    """What the stages are good for."""
-
-    CLOSED = "closed"
-    CONNECTING = "connecting"
-    HOMING = "homing"
-    CONNECTED = "connected"
-    FAULT = "fault"
-
-
 class ZaberStages:
     """`Stages` on Zaber units. Nothing raises out of `poll`, `command` and `stop`: see `condition` and `problem`."""
 
-    def __init__(self, setups: Sequence[StageSetup], ports: Sequence[Port], line: Line | None = None) -> None:
+    def __init__(
+        self,
+        setups: Sequence[StageSetup],
+        ports: Sequence[Port],
+        line: Line | None = None,
+        reopen: Callable[[Sequence[Port]], Sequence[Port]] | None = None,
+    ) -> None:
+        """`reopen` opens ports anew whose links have gone; it raises LinkError where it cannot."""
+        self._reopen = reopen
         self._units = Units(setups)
         self._sequences = Sequences(self._units)
         self.setups = self._units.setups
@@ -42,7 +40,8 @@ class ZaberStages:
         self.problem = ""  #: why the condition is FAULT
         self.complaints: list[str] = []  #: errors that the units reported by themselves, the last ten
         self._line = line or Line()
-        self._scale = np.array([SPEED_UNIT * setup.joint.microstep for setup in setups])
+        self._scale = [SPEED_UNIT * setup.step for setup in setups]
+        self._sent: tuple[list[int], Array] = ([], np.zeros(0))  # in speed units, and as it is told
         self._script: Script | None = None
         self._wait_until = -math.inf
         self._started = self._held_back = False
@@ -62,19 +61,24 @@ class ZaberStages:
             self._held_back = False  # `command` follows, with newer velocities
         else:
             self._send(now)
-        positions = [setup.position(self._units.estimate(i).position) for i, setup in enumerate(self.setups)]
-        sent = [chain.sent[axis] for chain, axis in self._units.where]
-        return JointReading(np.array(positions), self._scale * sent)
+        where = self._units.where
+        positions = [s.position(chain.estimates[axis].position) for s, (chain, axis) in zip(self.setups, where)]  # noqa: B905
+        sent = [chain.sent[axis] for chain, axis in where]
+        if sent != self._sent[0]:
+            self._sent = sent, np.array(self._scale) * sent
+            self._sent[1].flags.writeable = False
+        return JointReading(np.array(positions), self._sent[1])
 
     def command(self, velocities: Array, now: float) -> None:
         """Ask for joint velocities (n,) [rad/s or m/s]; the latest wins. Not heeded unless `ready`; NaN stops."""
         if not self.ready:
             return
-        if not np.isfinite(velocities).all():
+        asked: list[float] = velocities.tolist()
+        if not all(map(math.isfinite, asked)):
             self.stop(now)
             return
-        for (chain, axis), speed in zip(self._units.where, np.rint(velocities / self._scale).tolist(), strict=True):
-            chain.command(axis, int(speed))
+        for (chain, axis), velocity, scale in zip(self._units.where, asked, self._scale, strict=True):
+            chain.command(axis, round(velocity / scale))
         self._held_back = True
         self._send(now)
 
@@ -92,11 +96,12 @@ class ZaberStages:
     @property
     def ready(self) -> bool:
         """Connected, homed, and every position is known."""
-        return (
-            self.condition is Condition.CONNECTED
-            and all(self.homed)
-            and all(chain.estimates[axis].known for chain, axis in self._units.where)
-        )
+        if self.condition is not Condition.CONNECTED or not all(self._units.homed):
+            return False
+        for chain, axis in self._units.where:
+            if not chain.estimates[axis].known:
+                return False
+        return True
 
     @property
     def ports(self) -> tuple[Port, ...]:
@@ -130,10 +135,35 @@ class ZaberStages:
 
     def connect(self, now: float, ports: Sequence[Port] | None = None) -> None:
         """Identify and set up every unit; on other ports after a loss. The units must be those of the first time."""
+        if ports is None and self._broken and self._reopen is not None:
+            try:
+                ports = self._reopen(self.ports)
+            except LinkError as error:
+                self.condition, self.problem = Condition.FAULT, str(error)
+                return
         if ports is not None or self.condition is not Condition.CLOSED:
             self._use(ports or self.ports)
         self._sequences.now, self.condition, self.problem = now, Condition.CONNECTING, ""
         self._begin(self._sequences.connect())
+
+    def trouble(self, now: float) -> Trouble | None:  # noqa: ARG002 - it is as at the last poll
+        """A FAULT with its cause; what the units complained about by themselves is in `details`."""
+        return Trouble(Severity.FAULT, self.problem) if self.condition is Condition.FAULT else None
+
+    def details(self) -> Mapping[str, Any]:
+        """Who the units are, where, and how many messages each has got."""
+        return {
+            setup.joint.name: {
+                "device": setup.device,
+                "port": next(port.link.name for port in self.ports if i in port.stages),
+                "identity": None if identity is None else identity._asdict(),
+                "homed": homed,
+                **vars(counts),
+            }
+            for i, (setup, identity, homed, counts) in enumerate(
+                zip(self.setups, self.identities, self.homed, self.counts, strict=True)
+            )
+        } | {"lost_bytes": self.lost_bytes, "complaints": list(self.complaints)}
 
     def home(self, now: float) -> None:
         """Home every stage: the translations first, then one rotation after the other.
@@ -260,23 +290,26 @@ class ZaberStages:
     def _read(self, which: int) -> bytes:
         if which in self._broken:
             return b""
-        return self._try(which, self.ports[which].link.read) or b""
+        try:
+            return self._units.ports[which].link.read()
+        except LinkError as error:
+            self._break(which, error)
+            return b""
 
     def _send(self, now: float) -> None:
+        if self.condition is Condition.CLOSED:
+            return
         for which, chain in enumerate(self._units.chains):
-            if which not in self._broken and self.condition is not Condition.CLOSED:
-                data = chain.due(now)
-                if data:
-                    self._try(which, lambda which=which, data=data: self.ports[which].link.write(data))
+            if which not in self._broken and (data := chain.due(now)):
+                try:
+                    self._units.ports[which].link.write(data)
+                except LinkError as error:
+                    self._break(which, error)
 
-    def _try(self, which: int, act: Callable[[], bytes | None]) -> bytes | None:
-        """Use a link; one that is gone loses all its stages."""
-        try:
-            return act()
-        except LinkError as error:
-            self._broken.add(which)
-            chain = self._units.chains[which]
-            chain.lost |= set(range(len(chain.axes)))
-            chain.stopping.clear()
-            self._lose(self.ports[which].stages, str(error))
-            return None
+    def _break(self, which: int, error: LinkError) -> None:
+        """A link that is gone loses all its stages."""
+        self._broken.add(which)
+        chain = self._units.chains[which]
+        chain.lost |= set(range(len(chain.axes)))
+        chain.stopping.clear()
+        self._lose(self.ports[which].stages, str(error))

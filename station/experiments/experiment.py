@@ -16,8 +16,9 @@ from core.observer import Observer
 from core.robot import Array
 from core.statics import PAPER_SUBLINK, Statics
 from core.step import Controller
-from station.config import ConfigError, Name, NotNegative, Strict, check, merged, preset, read_toml
+from station.config import ConfigError, Name, NotNegative, Row, Strict, check, merged, preset, read_toml
 from station.lab.config import LabConfig, load_lab
+from station.lab.faults import LabFault, check_faults
 from station.lab.loads import Load, NoLoad
 from station.motions import Motion, Orders
 from station.robots import RobotFile, load_robot
@@ -101,6 +102,8 @@ class CaseFile(Strict):
     trajectory: Motion
     load: Load = NoLoad()
     controller: ControllerFile = ControllerFile()
+    faults: Annotated[tuple[LabFault, ...], Row] = ()
+    """what goes wrong at the simulated devices"""
 
 
 class Case(NamedTuple):
@@ -133,8 +136,12 @@ class _CasesTable(Strict):
     cases: Mapping[Name, Mapping[str, Any]]
 
 
-def load_experiment(name: str) -> Experiment:
+def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Experiment:
     """An experiment by preset name or by file, all of it checked before anything runs.
+
+    Args:
+        name: of a preset, or a file.
+        changes: laid on top of every case.
 
     Raises:
         ConfigError: with file, case, key, value and what was expected.
@@ -144,8 +151,8 @@ def load_experiment(name: str) -> Experiment:
     paper = check(_PaperTable, {"paper": table.pop("paper", {})}, str(path)).paper
     variations = check(_CasesTable, {"cases": table.pop("cases", {})}, str(path)).cases or {path.stem: {}}
     cases: list[Case] = []
-    for case, changes in variations.items():
-        cases.append(_case(path, case, merged(table, changes)))
+    for case, variation in variations.items():
+        cases.append(_case(path, case, merged(merged(table, variation), changes or {})))
     if unknown := [case for case in paper if case not in variations]:
         raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
     return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, path.read_text(encoding="utf-8"))
@@ -153,11 +160,14 @@ def load_experiment(name: str) -> Experiment:
 
 def _case(path: Path, name: str, table: Mapping[str, Any]) -> Case:
     source = f"{path}: case '{name}'"
-    file = check(CaseFile, table, source)
+    file = check(CaseFile, _paths_beside(path, table), source)
     robot = load_robot(file.robot)
     lab = load_lab(file.lab, robot)
     try:
         start = start_pose(file.start, robot)
+        check_faults(file.faults, robot)
+        if file.faults and lab.devices == "ideal":
+            raise ConfigError(f"faults: the devices of lab '{file.lab}' are ideal and have none; choose another lab")
         controller = file.controller.controller(robot)
         controller.limits.check(start)
         controller.statics.robot.check_pose(start)
@@ -168,6 +178,21 @@ def _case(path: Path, name: str, table: Mapping[str, Any]) -> Case:
     except CtrError as error:
         raise ConfigError(f"{source}: {error}") from None
     return Case(name, file, robot, lab, controller, orders, start)
+
+
+def _paths_beside(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    """The table with the files that it names where it means them: beside itself."""
+
+    def placed(holder: Mapping[str, Any], key: str, ending: str) -> dict[str, Any]:
+        named = holder.get(key)
+        if isinstance(named, str) and named.endswith(ending):
+            return {**holder, key: str(path.parent / named)}
+        return dict(holder)
+
+    result = placed(placed(table, "robot", ".toml"), "lab", ".toml")
+    if isinstance(motion := result.get("trajectory"), Mapping):
+        result["trajectory"] = placed(motion, "file", "")
+    return result
 
 
 def start_pose(start: Mapping[str, float], robot: RobotFile) -> Array:

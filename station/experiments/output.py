@@ -1,10 +1,6 @@
 """Results on disk and on the screen."""
 
-import itertools
-import json
-import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -12,64 +8,96 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from core.errors import CtrError
-from station.experiments.experiment import Experiment, PaperNumbers
+from station.experiments.experiment import Case, Experiment, PaperNumbers
 from station.experiments.runner import Recording
-
-
-class OutputError(CtrError):
-    """Results that cannot be written."""
+from station.recording.case_recorder import BLOCK, CaseRecorder
+from station.recording.label import Label
+from station.recording.recover import recover
+from station.recording.run_folder import RunFolder
+from station.recording.writer import FAST_PICTURES, CaseWriter
+from station.telemetry import Channels
 
 
 class ResultFolder:
-    """A folder of its own for each run; it gets its name only when everything is in it."""
+    """A folder of its own for each run of an experiment; it gets its name only when everything is in it."""
 
-    def __init__(self, out: Path, experiment: str, seed: int) -> None:
-        """Make the folder under a provisional name, before anything runs.
+    def __init__(self, out: Path, experiment: Experiment, seed: int) -> None:
+        """Make the folder under a provisional name, before anything runs; earlier ones left behind are recovered.
 
         Raises:
-            OutputError: `out` cannot be written to.
+            RecordingError: `out` cannot be written to.
         """
-        self._out = out
-        name = f"{experiment}-seed{seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-        with self._written():
-            out.mkdir(parents=True, exist_ok=True)
-            for number in itertools.count(1):
-                self.path = out / (name if number == 1 else f"{name}-{number}")
-                self._partial = self.path.with_name(self.path.name + ".partial")
-                try:
-                    self._partial.mkdir()
-                except FileExistsError:
-                    continue
-                if not self.path.exists():
-                    break
-                self._partial.rmdir()
+        self._out, self._experiment, self._seed = out, experiment, seed
+        self._folder = RunFolder(out, f"{experiment.name}-seed{seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}")
+        self._folder.add_source(experiment.source)
+        self.recovered = recover(out)  #: folders of earlier runs that were killed
+
+    @property
+    def path(self) -> Path:
+        """Where the folder will be."""
+        return self._folder.path
+
+    def record(self, case: Case) -> CaseRecorder:
+        """A recorder for the rows of a case as they come; close it.
+
+        Raises:
+            RecordingError: the file cannot be made.
+        """
+        channels = Channels(case.robot.robot())
+        return CaseRecorder(self._writer(case, channels), len(channels))
 
     def write_case(self, recording: Recording) -> None:
-        """All channels of a case as CSV, units in the column names."""
-        path = self._partial / f"{recording.case.name}.csv"
-        with self._written(), path.open("w", encoding="ascii") as file:
-            file.write(",".join(channel.column for channel in recording.channels.all) + "\n")
-            line = ",".join(["%.9g"] * len(recording.channels)) + "\n"
-            file.writelines(line % tuple(row) for row in recording.rows.tolist())
+        """All channels of a case that was run.
 
-    def finish(self, experiment: Experiment, summary: Mapping[str, Any]) -> None:
-        """The experiment's file and the summary; then the folder gets its name."""
-        with self._written():
-            (self._partial / "experiment.toml").write_text(experiment.source, encoding="utf-8")
-            (self._partial / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-            self._partial.rename(self.path)
+        Raises:
+            RecordingError: the disk takes no more.
+        """
+        writer = self._writer(recording.case, recording.channels)
+        for first in range(0, len(recording.rows), BLOCK):
+            writer.write(recording.rows[first : first + BLOCK])
+        writer.close(label_of(completed=recording.completed, cause=recording.cause), recording.cause)
 
-    def discard(self) -> None:
-        """Leave nothing behind."""
-        shutil.rmtree(self._partial, ignore_errors=True)
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Add the summary; then the folder gets its name.
 
-    @contextmanager
-    def _written(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise OutputError(f"{self._out}: cannot write results there: {error.strerror}") from None
+        Raises:
+            RecordingError: the disk takes no more; what is there is kept for the next recovery.
+        """
+        cases = summary.get("cases", {}).values()
+        cause = next((case["cause"] for case in cases if case.get("cause")), "")
+        ended = {"label": label_of(completed=bool(summary.get("completed")), cause=cause), "cause": cause}
+        self._folder.finish({"title": self._experiment.title, "started": self._folder.started, **summary, **ended})
+
+    def abandon(self) -> None:
+        """Something went wrong: keep what was recorded, as a run that was interrupted; nothing if there is nothing."""
+        self._folder.let_go()
+        recover(self._out)
+
+    def _writer(self, case: Case, channels: Channels) -> CaseWriter:
+        metadata = case_metadata(self._experiment, case, self._seed)
+        robot = case.robot.robot()
+        return CaseWriter(self._folder.case(case.name), robot, channels.all, metadata, FAST_PICTURES)
+
+
+def case_metadata(experiment: Experiment, case: Case, seed: int) -> dict[str, Any]:
+    """Everything that a case depends on, for its recording."""
+    return {
+        "experiment": experiment.name,
+        "title": experiment.title,
+        "case": case.name,
+        "seed": seed,
+        "settings": case.file.model_dump(mode="json"),
+        "robot": case.robot.model_dump(mode="json"),
+        "lab": case.lab.model_dump(mode="json"),
+        "source": experiment.source,
+    }
+
+
+def label_of(*, completed: bool, cause: str) -> Label:
+    """How a run ended, from what its runner says."""
+    if completed:
+        return Label.COMPLETE
+    return Label.INTERRUPTED if cause == "interrupted" else Label.STOPPED
 
 
 def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:

@@ -79,13 +79,23 @@ def _step(recording: Recording, group: str, motion: StepMotion) -> dict[str, flo
     }
 
 
+def hindsight_rate(deflection: Array) -> Array | None:
+    """Rate of a deflection (ticks, 3) [m] as only hindsight knows it: a cubic through a second of it [m/s].
+
+    None when there is no second.
+    """
+    if len(deflection) <= HINDSIGHT:
+        return None
+    smoothed = savgol_filter(deflection, HINDSIGHT, 3, deriv=1, delta=PERIOD, axis=0)
+    return np.asarray(smoothed, dtype=np.float64)
+
+
 def _rate_errors(recording: Recording) -> dict[str, Any]:
-    """How far the rates of Delta_total are from what it does: a cubic through a second of it, as hindsight can."""
+    """How far the rates of Delta_total are from what it does."""
     channels, rows = recording.channels, recording.rows
-    if len(rows) <= HINDSIGHT:
+    true = hindsight_rate(channels.of(rows, "deflection"))
+    if true is None:
         return {}
-    smoothed = savgol_filter(channels.of(rows, "deflection"), HINDSIGHT, 3, deriv=1, delta=PERIOD, axis=0)
-    true = np.asarray(smoothed, dtype=np.float64)
     first = int(np.searchsorted(channels.of(rows, "time")[:, 0], recording.case.file.settling - 1e-9))
     groups = {"raw": "deflection_rate_raw", "filtered": "deflection_rate", "exact": "deflection_rate_exact"}
     return {

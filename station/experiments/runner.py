@@ -11,13 +11,13 @@ from core.robot import Array
 from station.clock import Clock
 from station.experiments.experiment import PERIOD, Case
 from station.interrupt import interrupts
-from station.lab.virtual_lab import VirtualLab
+from station.lab.virtual_bench import virtual_bench
 from station.loop import ControlLoop, Phase, Task
-from station.states import Event, State
+from station.states import State
 from station.telemetry import Channels
 
-#: Longest wait for the devices' first samples [s].
-BRING_UP = 10.0
+#: Longest wait until the devices are connected and the controller has begun [s].
+BRING_UP = 60.0
 
 
 class Recording(NamedTuple):
@@ -42,10 +42,11 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
         progress: told the fraction done, twice a simulated second.
     """
     wall = time.perf_counter()
-    lab = VirtualLab(case.robot, case.lab, seed, case.start)
-    loop = ControlLoop(case.controller, lab.devices)
+    lab, devices = virtual_bench(case.robot, case.lab, seed, case.start)
+    loop = ControlLoop(case.controller, devices)
     rows: list[Array] = []
-    tick, motion_start, cause = 0, 0.0, ""
+    tick, motion_start, cause, begun = 0, 0.0, "", False
+    loop.connect(0.0)
     try:
         with interrupts() as interrupted:
             while True:
@@ -55,20 +56,23 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
                 now = tick * PERIOD
                 clock.wait_until(now)
                 row = loop.tick(now, lab.advance(now))
-                if loop.state is State.OFF and row is not None:
-                    for event in (Event.CONNECT, Event.HOME, Event.PREPARE):
-                        loop.request(event)
-                    loop.start(Task(case.controller, case.orders, case.file.duration, case.start))
-                elif loop.state is State.OFF and now > BRING_UP:
-                    cause = f"no sample that the controller can begin with in {BRING_UP:g} s"
-                    break
-                elif loop.state is not State.OFF and loop.progress is None:
+                if not begun:
+                    if loop.state is State.READY:
+                        loop.start(Task(case.controller, case.orders, case.file.duration, case.start))
+                        begun = True
+                    elif loop.cause or now > BRING_UP:
+                        cause = loop.cause or f"{loop.state.name} after {BRING_UP:g} s: {_waiting_for(loop, now)}"
+                        break
+                elif loop.progress is None:
                     cause = loop.cause
                     break
                 elif loop.phase is Phase.SETTLING and motion_start == 0.0 and loop.progress is not None:
                     motion_start = loop.progress.motion_start
                     lab.pull(case.file.load, motion_start)
                 elif loop.phase is Phase.MOVING and row is not None:
+                    if lab.trouble:
+                        cause = f"the simulated robot cannot follow its stages: {lab.trouble}"
+                        break
                     rows.append(row)
                 tick += 1
                 if tick % 250 == 0:
@@ -79,3 +83,10 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
     for group in ("time", "tip_time"):
         loop.channels.of(table, group)[:] -= motion_start
     return Recording(case, loop.channels, table, not cause, cause, tick * PERIOD, time.perf_counter() - wall)
+
+
+def _waiting_for(loop: ControlLoop, now: float) -> str:
+    """What keeps the bench from coming up."""
+    devices = loop.devices
+    troubles = [device.trouble(now) for device in (devices.stages, devices.tracker, devices.sensors)]
+    return "; ".join(trouble.text for trouble in troubles if trouble is not None) or "the stages are not homed"

@@ -1,10 +1,12 @@
 """The line of a simulated Aurora: a pipe in memory with a rate and a break, and a pump for any link."""
 
-import contextlib
-
 from station.devices.aurora import POWER_UP_BAUD
 from station.devices.links import Link, LinkError
+from station.devices.memory_pipe import Cable
 from station.lab.simulated_aurora import SimulatedAurora
+
+
+BUFFER = 4096  #: of a port, each way; what it does not hold is lost [bytes]
 
 
 class HostPort:
@@ -13,25 +15,39 @@ class HostPort:
     def __init__(self, name: str) -> None:
         self.name = name
         self.device = DeviceEnd(name)
+        self._pulls = 0
 
     def read(self) -> bytes:
         """What has arrived."""
+        self._check()
         return self.device.given()
 
     def write(self, data: bytes) -> None:
         """Send `data`."""
+        self._check()
         self.device.take(data)
+
+    def reopen(self) -> None:
+        """Take part again; raises LinkError while it is unplugged."""
+        if not self.device.cable.plugged:
+            raise LinkError(f"{self.name} cannot be opened: it is not plugged in")
+        self.device.given()
+        self._pulls = self.device.cable.pulls
 
     def set_baud(self, baud: int) -> None:
         """Talk at another rate [bit/s]."""
         self.device.host_baud = baud
 
-    def send_break(self) -> None:
-        """Hold the line low for a moment."""
-        self.device.broken = True
+    def set_break(self, low: bool) -> None:
+        """Hold the line low, or let it go again."""
+        self.device.broken |= low
 
     def close(self) -> None:
         """Let go of it; the unit goes on."""
+
+    def _check(self) -> None:
+        if self._pulls != self.device.cable.pulls:
+            raise LinkError(f"{self.name} is gone: unplugged")
 
 
 class DeviceEnd:
@@ -41,54 +57,66 @@ class DeviceEnd:
         self.name = f"{name} (device)"
         self.host_baud = POWER_UP_BAUD
         self.broken = False  #: the host sent a break that nobody has seen yet
-        self._to_device, self._to_host, self._open = bytearray(), bytearray(), True
+        self.cable = Cable()
+        self._to_device, self._to_host = bytearray(), bytearray()
 
     def read(self) -> bytes:
         """What the host has written."""
-        data = bytes(self._to_device)
-        self._to_device.clear()
-        return data
+        return _emptied(self._to_device)
 
     def write(self, data: bytes) -> None:
         """Give `data` to the host."""
-        self._to_host += data
+        if self.cable.plugged:
+            self._to_host += data[: BUFFER - len(self._to_host)]
+
+    def unplug(self) -> None:
+        """Pull the cable: the host's port is gone."""
+        self.cable.unplug()
+        self._to_device.clear()
+
+    def plug(self) -> None:
+        """Put it back: the host may open its port anew."""
+        self.cable.plug()
 
     def close(self) -> None:
-        """Pull the cable."""
-        self._open = False
+        """Pull the cable for good."""
+        self.unplug()
 
     def take(self, data: bytes) -> None:
         """From the host's end."""
-        if not self._open:
-            raise LinkError(f"{self.name} is unplugged")
-        self._to_device += data
+        self._to_device += data[: BUFFER - len(self._to_device)]
 
     def given(self) -> bytes:
         """To the host's end."""
-        if not self._open:
-            raise LinkError(f"{self.name} is unplugged")
-        data = bytes(self._to_host)
-        self._to_host.clear()
-        return data
+        return _emptied(self._to_host)
 
 
-def pump(link: Link, unit: SimulatedAurora, now: float) -> bool:
-    """Move bytes between the device's end of any link and the unit; false once the link is gone.
+def _emptied(buffer: bytearray) -> bytes:
+    if not buffer:
+        return b""
+    data = bytes(buffer)
+    buffer.clear()
+    return data
+
+
+def pump(link: Link, unit: SimulatedAurora, now: float) -> None:
+    """Move bytes between the device's end of any link and the unit; without the link the unit goes on.
 
     A link that knows the host's rate says so as `host_baud`, one that carries a break as `broken`.
     `now` [s] is virtual or real, the same time that `advance` counts.
     """
-    if unit.faults.disconnected:
-        link.close()
-        return False
     if getattr(link, "broken", False):
         link.broken = False  # type: ignore[attr-defined]
         unit.restart(now)
-    host_baud = getattr(link, "host_baud", None)
-    with contextlib.suppress(LinkError):
-        unit.receive(link.read(), now, host_baud)
+    try:
+        data = link.read()
+        if not data and unit.due > now:
+            unit.looked = now
+            return
+        host_baud = getattr(link, "host_baud", None)
+        unit.receive(data, now, host_baud)
         data = unit.transmit(now, host_baud)
         if data:
             link.write(data)
-        return True
-    return False
+    except LinkError:
+        return

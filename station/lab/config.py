@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from station.config import ConfigError, NotNegative, Strict, check, preset, read_toml
+from station.config import ConfigError, NotNegative, Strict, Vector, check, preset, read_toml
 from station.robots import RobotFile
 
 
@@ -52,19 +52,6 @@ class PlantConfig(Strict):
                 )
 
 
-class LineConfig(Strict):
-    """The serial line to the stages, as a hold and a delay."""
-
-    hold: NotNegative = 0.025
-    """between two commands to the same axis [s]"""
-    transport: NotNegative = 0.012
-    """from the command to the motor [s]"""
-    quantised: bool = True
-    """speeds in units of 9.375 microsteps/s and positions in microsteps"""
-    ramps: bool = True
-    """speed changes at the stages' acceleration"""
-
-
 class TrackerConfig(Strict):
     """Electromagnetic tracker."""
 
@@ -95,14 +82,51 @@ class BaseSensorConfig(Strict):
     """[N m]"""
 
 
+class HiddenConfig(Strict):
+    """What a new bench does not know about itself; directions and signs are drawn from the seed."""
+
+    registration_translation: NotNegative = 0.0
+    """by how much the tracker stands elsewhere than it is said to [m]"""
+    registration_rotation: NotNegative = 0.0
+    """[rad]"""
+    coil_offset: Vector = (0.0, 0.0, 0.0)
+    """of the coil from the tip, in the frame of the innermost tube's tip [m]"""
+    base_position: NotNegative = 0.0
+    """by how much the plate stands elsewhere than the robot's file says [m]"""
+    base_rotation: NotNegative = 0.0
+    """[rad]"""
+    rotation_zero: NotNegative = 0.0
+    """largest error of a rotation's zero, but the outermost tube's: that is zero by convention [rad]"""
+    translation_zero: NotNegative = 0.0
+    """[m]"""
+    mirrored: tuple[str, ...] = Field(default=(), strict=False)
+    """joints whose stage runs the other way, about the middle of its travel"""
+    tracker_latency: NotNegative = 0.0
+    """on top of the one that is known [s]"""
+    sensor_mounting: NotNegative = 0.0
+    """by which angle each base sensor is mounted askew [rad]"""
+    sensor_weight: NotNegative = 0.0
+    """of what hangs on each base sensor beside the tube [N]"""
+
+    def check_names(self, robot: RobotFile) -> None:
+        """Refuse joints that the robot does not have."""
+        has = [joint.name for joint in robot.joints]
+        if unknown := [name for name in self.mirrored if name not in has]:
+            raise ConfigError(
+                f"hidden.mirrored: '{unknown[0]}' is no joint of robot '{robot.name}'; it has {', '.join(has)}"
+            )
+
+
 class LabConfig(Strict):
     """The virtual lab."""
 
     title: str = "virtual lab: simulated tubes and devices, parameters that differ from the controller's"
+    devices: Literal["wire", "ideal"] = "wire"
+    """as real ones behave on their wires, or without flaw: no noise, no delay, no wires"""
     plant: PlantConfig = PlantConfig()
-    line: LineConfig = LineConfig()
     tracker: TrackerConfig = TrackerConfig()
     sensors: BaseSensorConfig = BaseSensorConfig()
+    hidden: HiddenConfig = HiddenConfig()
 
 
 def load_lab(name: str, robot: RobotFile) -> LabConfig:
@@ -115,6 +139,7 @@ def load_lab(name: str, robot: RobotFile) -> LabConfig:
     lab = check(LabConfig, read_toml(path), str(path))
     try:
         lab.plant.check_names(robot)
+        lab.hidden.check_names(robot)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     return lab

@@ -2,6 +2,7 @@
 
 import bisect
 import math
+from functools import lru_cache
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -13,15 +14,28 @@ from station.config import Direction, NotNegative, Positive, Row, Strict
 GRAVITY = (1.0, 0.0, 0.0)
 
 
-class _Directed(Strict):
+@lru_cache(maxsize=64)
+def _unit(direction: tuple[float, float, float]) -> Array:
+    unit = np.array(direction) / math.hypot(*direction)
+    unit.flags.writeable = False
+    return unit
+
+
+class _AtTip(Strict):
+    @property
+    def contact(self) -> float:
+        """Arc length from the plate at which it acts [m]; inf for the tip."""
+        return math.inf
+
+
+class _Directed(_AtTip):
     direction: Direction = GRAVITY
 
     def _along(self, magnitude: float) -> Array:
-        vector = np.array(self.direction)
-        return vector * (magnitude / float(np.linalg.norm(vector)))
+        return magnitude * _unit(self.direction)
 
 
-class NoLoad(Strict):
+class NoLoad(_AtTip):
     """Nothing."""
 
     kind: Literal["none"] = "none"
@@ -129,6 +143,26 @@ class HungWeightLoad(_Directed):
         return time - (2.0 * a + math.exp(-a * time) * swing) / (rate * rate)
 
 
+class ContactLoad(_Directed):
+    """Something leans on the shaft."""
+
+    kind: Literal["contact"] = "contact"
+    magnitude: NotNegative
+    """[N]"""
+    place: NotNegative
+    """arc length from the plate [m]"""
+
+    @property
+    def contact(self) -> float:
+        """Where on the shaft."""
+        return self.place
+
+    def force(self, time: float) -> Array:
+        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        return self._along(self.magnitude if time >= 0.0 else 0.0)
+
+
 Load = Annotated[
-    NoLoad | ConstantLoad | SineLoad | RaisedCosineLoad | RampLoad | HungWeightLoad, Field(discriminator="kind")
+    NoLoad | ConstantLoad | SineLoad | RaisedCosineLoad | RampLoad | HungWeightLoad | ContactLoad,
+    Field(discriminator="kind"),
 ]

@@ -13,12 +13,13 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, Self
 
 from core.robot import Array
 from station.lab.config import LabConfig
 from station.lab.loads import Load
-from station.lab.netft_wire import PageServer, UdpEnd
+from station.lab.netft_wire import AddressTaken, PageServer, UdpEnd
 from station.lab.wire_lab import WireLab, Wires
 from station.robots import RobotFile
 
@@ -34,7 +35,8 @@ class TcpEnd:
         self._server = socket.create_server((HOST, 0))
         self._server.setblocking(False)
         self._host: socket.socket | None = None
-        self.name = f"socket://{HOST}:{self._server.getsockname()[1]}"
+        self._port: int = self._server.getsockname()[1]
+        self.name = f"socket://{HOST}:{self._port}"
 
     @property
     def files(self) -> list[int]:
@@ -66,6 +68,18 @@ class TcpEnd:
             with contextlib.suppress(OSError):
                 self._host.send(data)
 
+    def unplug(self) -> None:
+        """Pull the cable: the host is cut off, and nobody answers a new one."""
+        self.close()
+
+    def plug(self) -> None:
+        """Put it back; raises AddressTaken when another program has the port meanwhile."""
+        try:
+            self._server = socket.create_server((HOST, self._port))
+        except OSError as error:
+            raise AddressTaken(f"{self.name} cannot be had again: {error.strerror}") from None
+        self._server.setblocking(False)
+
     def close(self) -> None:
         """Let go of the port and of the host."""
         if self._host is not None:
@@ -89,14 +103,12 @@ class TcpEnd:
 class PtyEnd:
     """The device's end of a line that is reached as a pseudo-terminal."""
 
-    def __init__(self) -> None:
-        import tty  # not on Windows
-
-        # The host's side is kept open, or the line would hang up when a host leaves.
-        self._files = list(os.openpty())
-        tty.setraw(self._files[1])
-        os.set_blocking(self._files[0], False)
-        self.name = os.ttyname(self._files[1])
+    def __init__(self, link: Path | None = None) -> None:
+        """`link` is another name of it, which stays when the terminal comes back as another one."""
+        self._link = link
+        self._files: list[int] = []
+        self.plug()
+        self.name = str(link or os.ttyname(self._files[1]))
 
     @property
     def files(self) -> list[int]:
@@ -116,8 +128,24 @@ class PtyEnd:
             if self._files:
                 os.write(self._files[0], data)
 
+    def unplug(self) -> None:
+        """Pull the cable: the host's terminal is gone."""
+        self.close()
+
+    def plug(self) -> None:
+        """Put it back: another terminal, as an adapter may come back under another name."""
+        import tty  # not on Windows
+
+        # The host's side is kept open, or the line would hang up when a host leaves.
+        self._files = list(os.openpty())
+        tty.setraw(self._files[1])
+        os.set_blocking(self._files[0], False)
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+            self._link.symlink_to(os.ttyname(self._files[1]))
+
     def close(self) -> None:
-        """Pull the cable."""
+        """Let go of the terminal."""
         while self._files:
             os.close(self._files.pop())
 
@@ -126,29 +154,44 @@ class OpenLab:
     """A `WireLab` whose devices can be reached. Use it as a context."""
 
     def __init__(
-        self, robot: RobotFile, config: LabConfig, seed: int, positions: Array, pty: bool = False, netft_port: int = 0
+        self,
+        robot: RobotFile,
+        config: LabConfig,
+        seed: int,
+        positions: Array,
+        pty: bool = False,
+        netft_port: int = 0,
+        homed: bool = False,
+        folder: Path | None = None,
     ) -> None:
         """`pty`: terminals instead of TCP; `netft_port`: UDP port of the first box, the others follow; 0: any.
+
+        `homed`: the stages have been left on since they were homed. `folder`: terminals are told by links
+        in there, which stay when a terminal comes back as another one.
 
         Raises:
             AddressTaken: a given port is another program's.
             PoseError, NoSolution: the true robot cannot stand at `positions` (n,).
         """
         with contextlib.ExitStack() as opened:
-            line = PtyEnd if pty else TcpEnd
-            self._lines = (line(), line())
+
+            def line(name: str) -> PtyEnd | TcpEnd:
+                return PtyEnd(None if folder is None else folder / name) if pty else TcpEnd()
+
+            self._lines = (line("zaber"), line("aurora"))
             for end in self._lines:
                 opened.callback(end.close)
             boxes: list[UdpEnd] = []
             for number in range(len(robot.tubes)):
                 boxes.append(UdpEnd(HOST, netft_port + number if netft_port else 0))
                 opened.callback(boxes[-1].close)
-            self.lab = WireLab(robot, config, seed, positions, Wires(*self._lines, tuple(boxes)))
+            self.lab = WireLab(robot, config, seed, positions, Wires(*self._lines, tuple(boxes)), homed)
             self._pages: list[PageServer] = []
             for box in self.lab.boxes:
                 self._pages.append(PageServer(HOST, 0, box.page))
                 opened.callback(self._pages[-1].close)
             self._opened = opened.pop_all()
+        self.begun = time.monotonic()  #: when the lab's time was 0
         #: Where everything is: what `ctr-station lab` prints.
         self.endpoints: dict[str, Any] = {
             "zaber": self._lines[0].name,
@@ -174,8 +217,8 @@ class OpenLab:
         self._opened.close()
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Keep real time until `stopped`; a robot that cannot follow its stages is reported on stderr."""
-        start, due, trouble = time.monotonic(), 0.0, ""
+        """Keep real time until `stopped`, which is asked at every look; a robot that cannot follow its stages is reported on stderr."""
+        start, due, trouble = self.begun, 0.0, ""
         while not stopped():
             files = [file for line in self._lines for file in line.files]
             select.select(files, [], [], max(0.0, start + due - time.monotonic()))

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled
-from core.cosserat import ExactRod, Rod
-from core.robot import Array, Robot
+from core.cosserat import ExactRod, Rod, shoot
+from core.robot import Array, Robot, tube_poses, unpack
 from station.devices.interfaces import Truth
 from station.lab.config import PlantConfig
 
@@ -50,38 +50,115 @@ class Plant:
     def __init__(self, robot: Robot, config: PlantConfig, rng: np.random.Generator, positions: Array) -> None:
         self.robot = true_robot(robot, config, rng)
         # 1e-7 of the end conditions leaves less than 1e-8 m at the tip.
-        self._rod_solver = ExactRod(self.robot, step=config.step, tolerance=1e-7)
-        self._play = np.array([config.play.get(joint.name, 0.0) for joint in robot.joints])
-        self._tubes_at = positions.copy()
-        self._friction = np.zeros((len(robot.tubes), 2))
-        self._most_friction = np.array([config.friction_force, config.friction_moment])
-        self._torsion = np.array([tube.bending_stiffness / tube.stiffness_ratio for tube in self.robot.tubes])
-        self._poses = self.robot.tube_poses(positions)
-        self._to_plate = np.ascontiguousarray(self.robot.base.rotation.T)
-        self._plate = np.array(self.robot.base.position)
-        self._rod: Rod = self._rod_solver.solve(positions, np.zeros(6))
-        self._before = self._rod
+        self._exact = ExactRod(self.robot, step=config.step, tolerance=1e-7)
+        q, n = len(robot.tubes), len(robot.joints)
+        self._packed = np.zeros(_size(q, n))
+        self._memory = memory = _unpack(self._packed, q, n)
+        memory.play[:] = [config.play.get(joint.name, 0.0) for joint in robot.joints]
+        memory.most[:] = config.friction_force, config.friction_moment
+        memory.stiffness[:] = [tube.bending_stiffness / tube.stiffness_ratio for tube in self.robot.tubes]
+        memory.tubes_at[:] = positions
+        memory.poses[:] = self.robot.tube_poses(positions)
+        self._take(self._exact.solve(positions, np.zeros(6)))
 
-    def advance(self, positions: Array, force: Array) -> PlantState:
-        """Move the stages to `positions` (n,) with `force` (3,) [N] at the tip.
+    @property
+    def rotation(self) -> Array:
+        """Frame of the innermost tube at the tip (3, 3), world frame."""
+        return self._memory.rotation.copy()
+
+    def advance(self, positions: Array, force: Array, contact: float = np.inf) -> PlantState:
+        """Move the joints to `positions` (n,) with `force` (3,) [N] at arc length `contact` [m], inf for the tip.
 
         Raises:
-            PoseError, NoSolution: the true robot cannot stand so.
+            NotFinite, NoSolution: the true robot cannot stand so; it stays as it was.
         """
-        half = 0.5 * self._play
-        self._tubes_at = np.minimum(np.maximum(self._tubes_at, positions - half), positions + half)
-        poses = self.robot.tube_poses(self._tubes_at)
-        wrench = np.zeros(6)
-        wrench[:3] = force
-        # Extrapolating the last two solutions saves a Newton step in most ticks.
-        guess = self._rod._replace(unknowns=2.0 * self._rod.unknowns - self._before.unknowns)
-        self._before, self._rod = self._rod, self._rod_solver.solve_tubes(*poses, wrench, guess)
-        # The sensors stand on the plate: load and tip as seen from there.
-        pull, tip = self._to_plate @ force, self._to_plate @ (self._rod.tip - self._plate)
-        torsion = self._torsion * self._rod.torsion
-        wrenches = _base_wrenches(pull, tip, torsion, self._friction, self._most_friction, self._poses, poses)
-        self._poses = poses
-        return PlantState(Truth(self._rod.tip, force), wrenches)
+        exact, memory = self._exact, self._memory
+        if not _advance(self.robot.packed, self._packed, positions, force, contact, exact.step, exact.tolerance):
+            wrench = np.concatenate((force, np.zeros(3)))
+            self._take(exact.solve_tubes(*self.robot.tube_poses(memory.tubes_at), wrench, None, contact))
+            _feel(self.robot.packed, self._packed, force, contact)
+        return PlantState(Truth(memory.tip.copy(), force), memory.wrenches.copy())
+
+    def _take(self, rod: Rod) -> None:
+        """Go on from this solution."""
+        memory = self._memory
+        memory.unknowns[:] = rod.unknowns
+        memory.chord[:], memory.tip[:], memory.rotation[:] = rod.chord, rod.tip, rod.rotation
+
+
+class _Memory(NamedTuple):
+    """What a plant keeps from one tick to the next, for the compiled code: views of one packed array."""
+
+    tubes_at: Array  #: (n,) where the tubes are behind the play of their drives [rad or m]
+    play: Array  #: (n,) [rad or m]
+    poses: Array  #: (2, q) rotations [rad] and proximal ends [m] of the tubes at the last tick
+    friction: Array  #: (q, 2) axial force [N] and moment [N m] between a tube and the next outer one
+    most: Array  #: (2,) of the friction
+    stiffness: Array  #: (q,) GJ [N m^2]
+    unknowns: Array  #: (2, q + 2) of the rod, now and at the tick before
+    chord: Array  #: (q + 2, q + 2)
+    tip: Array  #: (3,) world frame [m]
+    wrenches: Array  #: (q, 6)
+    rotation: Array  #: (3, 3) frame of the innermost tube at the tip, world frame
+
+
+@compiled
+def _size(q: int, n: int) -> int:
+    """Length of the packed memory of q tubes and n joints."""
+    return 2 * n + 2 * q + 2 * q + 2 + q + 2 * (q + 2) + (q + 2) * (q + 2) + 3 + 6 * q + 9
+
+
+@compiled
+def _unpack(packed: Array, q: int, n: int) -> _Memory:
+    """Views of the packed memory."""
+    a = 2 * n
+    b = a + 2 * q
+    c = b + 2 * q
+    d = c + 2 + q
+    e = d + 2 * (q + 2)
+    f = e + (q + 2) * (q + 2)
+    return _Memory(
+        packed[:n],
+        packed[n:a],
+        packed[a:b].reshape(2, q),
+        packed[b:c].reshape(q, 2),
+        packed[c : c + 2],
+        packed[c + 2 : d],
+        packed[d:e].reshape(2, q + 2),
+        packed[e:f].reshape(q + 2, q + 2),
+        packed[f : f + 3],
+        packed[f + 3 : f + 3 + 6 * q].reshape(q, 6),
+        packed[f + 3 + 6 * q : f + 12 + 6 * q].reshape(3, 3),
+    )
+
+
+@compiled
+def _advance(
+    robot: Array, packed: Array, positions: Array, force: Array, contact: float, step: float, tolerance: float
+) -> bool:
+    """One tick in one call; false where the rod has not followed, with only the tubes moved."""
+    layout = unpack(robot)
+    q, n = layout.counts.shape[0], positions.shape[0]
+    memory = _unpack(packed, q, n)
+    for j in range(n):
+        half = 0.5 * memory.play[j]
+        memory.tubes_at[j] = min(max(memory.tubes_at[j], positions[j] - half), positions[j] + half)
+    alpha, beta, _ = tube_poses(layout, memory.tubes_at)
+    wrench, guess = np.zeros(6), np.empty(q + 2)
+    wrench[:3] = force
+    # Along a steady motion the line through the last two solutions ends next to this one.
+    for i in range(q + 2):
+        guess[i] = 2.0 * memory.unknowns[0, i] - memory.unknowns[1, i]
+    unknowns, chord, tip, rotation, _, residual = shoot(
+        layout, alpha, beta, wrench, contact, guess, memory.chord, step, tolerance
+    )
+    if not residual <= tolerance:
+        return False
+    memory.unknowns[1] = memory.unknowns[0]
+    memory.unknowns[0] = unknowns
+    memory.chord[:], memory.tip[:], memory.rotation[:] = chord, tip, rotation
+    _feel(robot, packed, force, contact)
+    return True
 
 
 #: How far tubes move against each other before friction has turned round [m, rad].
@@ -89,46 +166,60 @@ STICK = (20e-6, 1.7e-3)
 
 
 @compiled
-def _base_wrenches(
-    force: Array, tip: Array, torsion: Array, friction: Array, most: Array,
-    before: tuple[Array, Array], poses: tuple[Array, Array],
-) -> Array:  # fmt: skip
-    """Shares of the load at the bases (q, 6), each in its sensor's axes; `friction` (q, 2) goes on with the motion.
+def _feel(robot: Array, packed: Array, load: Array, contact: float) -> None:
+    """Shares of the load at the bases (q, 6), each in its sensor's axes; friction goes on with the motion.
 
     The guide belongs to the outermost tube's holder and takes all bending; an inner tube's base
     feels its own torsion and friction, the innermost also the axial pull of the load. The shares
     add up to the tip load, so the way they are split cancels in the fusion. Friction is Coulomb's
     with a stick zone: what the outer of two neighbours does to the inner one, and back.
     """
-    alpha, beta = poses
-    q = alpha.shape[0]
-    world = np.zeros((q, 6))  # at the plate's origin, world axes
+    layout = unpack(robot)
+    q, n = layout.counts.shape[0], layout.joint_tube.shape[0]
+    memory = _unpack(packed, q, n)
+    friction, most, poses, world = memory.friction, memory.most, memory.poses, memory.wrenches
+    now = np.empty((2, q))
+    now[0], now[1], _ = tube_poses(layout, memory.tubes_at)
+    # The sensors stand on the plate: load and tip as seen from there.
+    force, tip = np.zeros(3), np.zeros(3)
+    for i in range(3):
+        for k in range(3):
+            force[i] += layout.base[3 * k + i] * load[k]
+            tip[i] += layout.base[3 * k + i] * (memory.tip[k] - layout.base[9 + k])
+    world[:] = 0.0  # at the plate's origin, axes of the plate
     for i in range(q - 1):
         for k in range(2):
-            slip = (poses[1 - k][i + 1] - before[1 - k][i + 1]) - (poses[1 - k][i] - before[1 - k][i])
-            now = friction[i, k] + slip * most[k] / STICK[k]
-            friction[i, k] = min(max(now, -most[k]), most[k])
+            slip = (now[1 - k, i + 1] - poses[1 - k, i + 1]) - (now[1 - k, i] - poses[1 - k, i])
+            rubbed = friction[i, k] + slip * most[k] / STICK[k]
+            friction[i, k] = min(max(rubbed, -most[k]), most[k])
             world[i, 2 + 3 * k] += friction[i, k]
             world[i + 1, 2 + 3 * k] -= friction[i, k]
-        world[i, 5] += torsion[i]
+        world[i, 5] += memory.stiffness[i] * memory.unknowns[0, 2 + i]
     if q > 1:
         world[0, 2] += force[2]
-    total = np.array([
-        force[0], force[1], force[2],
+    moment = (
         tip[1] * force[2] - tip[2] * force[1],
         tip[2] * force[0] - tip[0] * force[2],
         tip[0] * force[1] - tip[1] * force[0],
-    ])  # fmt: skip
+    )
+    if contact < np.inf:
+        # What the rod carries at the plate: r x F of wherever on the shaft the force acts.
+        twist = 0.0
+        for i in range(q):
+            twist += memory.stiffness[i] * memory.unknowns[0, 2 + i]
+        moment = (memory.unknowns[0, 0], memory.unknowns[0, 1], twist)
+    total = (force[0], force[1], force[2], moment[0], moment[1], moment[2])
     for k in range(6):
         share = 0.0
         for i in range(q - 1):
             share += world[i, k]
         world[q - 1, k] = total[k] - share
     for i in range(q):
-        cos, sin = np.cos(alpha[i]), np.sin(alpha[i])
+        alpha, beta = now[0, i], now[1, i]
+        cos, sin = np.cos(alpha), np.sin(alpha)
         fx, fy = world[i, 0], world[i, 1]
         # moment about (0, 0, beta): m - (0, 0, beta) x f
-        mx, my = world[i, 3] + beta[i] * fy, world[i, 4] - beta[i] * fx
+        mx, my = world[i, 3] + beta * fy, world[i, 4] - beta * fx
         world[i, 0], world[i, 1] = cos * fx + sin * fy, cos * fy - sin * fx
         world[i, 3], world[i, 4] = cos * mx + sin * my, cos * my - sin * mx
-    return world
+    poses[:] = now

@@ -5,6 +5,7 @@ after its last byte has arrived. Times on the line, and not only what is said, a
 of a serial port, whatever carries the bytes.
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -24,6 +25,7 @@ from station.lab.simulated_aurora_ports import PortHandles
 TURN_ROUND = {"INIT": 0.02, "PINIT": 0.05, "PENA": 0.02, "TSTART": 0.02, "TSTOP": 0.02}
 USUAL_TURN_ROUND = 0.0005
 RESET_TIME = 0.5  #: from a break to RESET (unconfirmed) [s]
+MOST_HEARD = 64  #: commands, and replies, that wait; more are lost
 
 
 @dataclass
@@ -33,7 +35,6 @@ class AuroraFaults:
     drop: float = 0.0  #: part of the bytes that are lost, either way
     flip: float = 0.0  #: part of the bytes with a wrong bit, either way
     mute: bool = False  #: hears nothing, says nothing
-    disconnected: bool = False  #: the cable is out: the device's end of the link is closed
     delay: float = 0.0  #: of each reply on top of the usual [s]
     tool_lost: bool = False  #: the coil is not seen
 
@@ -71,7 +72,8 @@ class SimulatedAurora:
         self._firmware, self._lacks = firmware, lacks
         self._initialised = False
         self._character = 10  # bits
-        self._looked = 0.0  # when the line was looked at last [s]
+        self.looked = 0.0  #: when the line was looked at last [s]
+        self.due = math.inf  #: when there is something to say, or to do, next [s]
         self._line = bytearray()
         self._heard_until = 0.0
         self._heard: deque[tuple[float, bytes]] = deque()
@@ -85,7 +87,8 @@ class SimulatedAurora:
         self, begin: float, end: float, tip_begin: Array, tip_end: Array, direction: Array | None = None
     ) -> None:
         """See the true tip go from `tip_begin` to `tip_end`, world frame [m]; the coil along `direction`."""
-        self._coil.advance(begin, end, tip_begin, tip_end, direction, self.faults.tool_lost)
+        if self._coil.due <= end + 1e-9:
+            self._coil.advance(begin, end, tip_begin, tip_end, direction, self.faults.tool_lost)
 
     def unplug(self) -> None:
         """Pull the tool's plug."""
@@ -106,12 +109,13 @@ class SimulatedAurora:
         self._saying.clear()
         self._heard_until = self._busy_until = now
         self._say(framed("RESET"), now + RESET_TIME)
+        self._plan()
 
     # -- the line -----------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now: float, host_baud: int | None = None) -> None:
         """Hear what the host has written since the last look; `host_baud` where the link can tell it."""
-        begin, self._looked = self._looked, now
+        begin, self.looked = self.looked, now
         if not data or self.faults.mute:
             return
         if host_baud not in (None, self.baud):
@@ -120,11 +124,13 @@ class SimulatedAurora:
         for byte in self._disturbed(data):
             time += self._character / self.baud
             if byte == 0x0D:
-                self._heard.append((time, bytes(self._line)))
+                if len(self._heard) < MOST_HEARD:
+                    self._heard.append((time, bytes(self._line)))
                 self._line.clear()
             elif byte != 0x0A and len(self._line) <= LONGEST_COMMAND:
                 self._line.append(byte)
         self._heard_until = time
+        self._plan()
 
     def transmit(self, now: float, host_baud: int | None = None) -> bytes:
         """What the line carries to the host by `now` [s]."""
@@ -141,9 +147,16 @@ class SimulatedAurora:
                 break
             if self._rate_after and not self._saying:
                 (self.baud, self._character), self._rate_after = self._rate_after, None
+        self._plan()
         return b"" if self.faults.mute else self._disturbed(out)
 
+    def _plan(self) -> None:
+        heard, saying = self._heard, self._saying
+        self.due = min(heard[0][0] if heard else math.inf, saying[0].begin if saying else math.inf)
+
     def _say(self, data: bytes, begin: float) -> None:
+        if len(self._saying) >= MOST_HEARD:
+            return
         character = self._character / self.baud
         begin = max(begin, self._busy_until)
         self._busy_until = begin + len(data) * character

@@ -13,8 +13,10 @@ from station.lab.config import TrackerConfig
 #: workspace is in the middle of its volume.
 MOUNT = Registration(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, -0.2]))
 #: The 0.5 m cube that is measured, in the generator's frame, and how far beyond it a coil is still seen [mm].
-VOLUME = np.array([[-250.0, 250.0], [-250.0, 250.0], [-550.0, -50.0]])
+VOLUME = ((-250.0, 250.0), (-250.0, 250.0), (-550.0, -50.0))
 SEEN_BEYOND = 50.0
+#: Noise is drawn for so many frames at once.
+BLOCK = 64
 #: One tool's BX reply at 115200 baud, part of the configured latency [s].
 USUAL_REPLY = 10.0 * 53 / 115200
 
@@ -24,7 +26,7 @@ class Seen(NamedTuple):
 
     frame: int
     available: float  #: when BX and TX begin to tell it [s]
-    position: Array  #: (3,) in the generator's frame [mm]
+    position: tuple[float, ...]  #: in the generator's frame [mm]
     quaternion: tuple[float, ...]
     beyond: float  #: how far outside the volume [mm]
     lost: bool
@@ -34,7 +36,9 @@ class Coil:
     """A five-degree-of-freedom coil in the generator's field."""
 
     def __init__(self, config: TrackerConfig, rng: np.random.Generator, mount: Registration) -> None:
-        self._config, self._noise, self._mount = config, rng, mount
+        self.due = 0.0  #: when the next frame is measured [s]
+        self._config, self._rng, self._mount = config, rng, mount
+        self._noise: list[list[float]] = []  # of the frames to come, the next one last [m]
         self._frames: deque[Seen] = deque(maxlen=400)
         self._count, self._count_base = 0, 0
 
@@ -42,19 +46,22 @@ class Coil:
         self, begin: float, end: float, tip_begin: Array, tip_end: Array, direction: Array | None, lost: bool
     ) -> None:
         """The coil goes from `tip_begin` to `tip_end`, world frame [m], along `direction`; `lost`: it is not seen."""
-        while (time := self._count / self._config.rate) <= end + 1e-9:
-            part = 1.0 if end == begin else min(max((time - begin) / (end - begin), 0.0), 1.0)
-            tip = tip_begin + part * (tip_end - tip_begin) + self._config.noise * self._noise.standard_normal(3)
-            position = 1e3 * (self._mount.rotation.T @ (tip - self._mount.position))
-            beyond = float(np.maximum(VOLUME[:, 0] - position, position - VOLUME[:, 1]).max())
+        while self.due <= end + 1e-9:
+            part = 1.0 if end == begin else min(max((self.due - begin) / (end - begin), 0.0), 1.0)
+            if not self._noise:
+                self._noise = (self._config.noise * self._rng.standard_normal((BLOCK, 3)))[::-1].tolist()
+            tip = tip_begin + part * (tip_end - tip_begin) + self._noise.pop()
+            position = (1e3 * (self._mount.rotation.T @ (tip - self._mount.position))).tolist()
+            beyond = max(max(low - x, x - high) for x, (low, high) in zip(position, VOLUME, strict=True))
             axis = None if direction is None else self._mount.rotation.T @ direction
             # The configured latency ends with the arrival of the reply.
-            available = time + max(0.0, self._config.latency - USUAL_REPLY)
+            available = self.due + max(0.0, self._config.latency - USUAL_REPLY)
             frame = (self._count - self._count_base) & 0xFFFFFFFF
             self._frames.append(
-                Seen(frame, available, position, _without_roll(axis), beyond, lost or beyond > SEEN_BEYOND)
+                Seen(frame, available, tuple(position), _without_roll(axis), beyond, lost or beyond > SEEN_BEYOND)
             )
             self._count += 1
+            self.due = self._count / self._config.rate
 
     def count_anew(self) -> None:
         """The next frame is number 0."""

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.robot import Array
+from core.compiled import compiled
+from core.robot import Array, Indices
 from station.devices.netft import ERROR_SUMMARY, HEADER, LATENCY, RECORD, REQUEST, SATURATED, WRAP, Command
 from station.lab.config import BaseSensorConfig
 from station.lab.netft_wire import Address, DeviceEnd
@@ -23,6 +24,8 @@ ELSEWHERE = 0x8000
 LONG_REQUEST = struct.Struct(">HHI4sH")
 #: Noise is drawn for so many records at once.
 BLOCK = 256
+#: Datagrams that a delay can keep on the way; the oldest get lost.
+MOST_ON_THE_WAY = 65536
 
 
 @dataclass(frozen=True)
@@ -78,19 +81,26 @@ class SimulatedNetft:
         self.faults = NetftFaults()
         self._end = end
         self._rng, self._chance = rng, rng.spawn(1)[0]
-        self._ranges = [self.settings.force_range] * 3 + [self.settings.torque_range] * 3
-        self._counts = [self.settings.force_counts] * 3 + [self.settings.torque_counts] * 3
-        self._steps = [config.force_count] * 3 + [config.moment_count] * 3
-        self._deviations = np.repeat([config.force_noise, config.moment_noise], 3)
-        self._offset = np.repeat([config.force_offset, config.moment_offset], 3) * rng.uniform(-1.0, 1.0, 6)
-        self._drift = np.concatenate([config.drift * rng.choice([-1.0, 1.0], 3), np.zeros(3)])
-        self._noise: list[list[float]] = []
+        own = self.settings
+        offset = np.repeat([config.force_offset, config.moment_offset], 3) * rng.uniform(-1.0, 1.0, 6)
+        drift = np.concatenate([config.drift * rng.choice([-1.0, 1.0], 3), np.zeros(3)])
+        #: By rows: offset, drift [1/s], deviation of the noise, step of quantisation, range, bias [N, N m]; counts of one.
+        self._axes = np.array([
+            offset,
+            drift,
+            np.repeat([config.force_noise, config.moment_noise], 3),
+            np.repeat([config.force_count, config.moment_count], 3),
+            np.repeat([own.force_range, own.torque_range], 3),
+            np.zeros(6),
+            np.repeat([own.force_counts, own.torque_counts], 3),
+        ])
+        self._noise, self._drawn = np.empty((BLOCK, 6)), BLOCK
         self._true = np.zeros(6)
         self._now = 0.0
         self._period = self.settings.divisor / (RATE * (1.0 + self.settings.clock_error))
         self._first_count = self.settings.first_count
         self._next = 0  # record of the box's own grid
-        self._on_the_way: deque[tuple[float, bytes, Address]] = deque()
+        self._on_the_way: deque[tuple[float, bytes, Address]] = deque(maxlen=MOST_ON_THE_WAY)
         self._held: tuple[float, bytes, Address] | None = None  # the one that changes places
         self._power_up()
 
@@ -106,8 +116,8 @@ class SimulatedNetft:
         while self._next <= last and self._client is not None:
             time = self._next * self._period
             if time >= self._begins:
-                part = (time - begin) / (now - begin) if time < now and now > begin else 1.0
-                self._measure(time, wrench if part >= 1.0 else before + max(part, 0.0) * (wrench - before))
+                part = (time - begin) / (now - begin) if begin < time < now else float(time >= now)
+                self._measure(time, before, wrench, part)
             self._next += 1
         self._now, self._true = now, wrench
         while self._on_the_way and self._on_the_way[0][0] <= now + 1e-9:
@@ -125,14 +135,14 @@ class SimulatedNetft:
         """`netftapi2.xml`; None if the box is mute."""
         if self.faults.mute:
             return None
-        own, (counts, saturated) = self.settings, self._read(self._now, self._true)
+        own, (counts, saturated) = self.settings, self._read(self._now, self._true, self._true, 1.0)
         ranges = [own.force_range] * 3 + [own.torque_range] * 3
         elements = {
             "runstat": f"0x{self._status(saturated):08X}",
             "runft": _array(counts),
             "runsg": _array([0] * 6),
             "prodname": own.product,
-            "setbias": _array([round(b * c) for b, c in zip(self._bias, self._counts, strict=True)]),
+            "setbias": _array([round(bias * scale) for bias, scale in self._axes[5:].T.tolist()]),
             "cfgnam": own.serial,
             "cfgcalsn": own.serial,
             "cfgfu": "2",
@@ -151,14 +161,14 @@ class SimulatedNetft:
         return f'<?xml version="1.0"?>\n<netft>\n{body}</netft>\n'.encode()
 
     def _power_up(self) -> None:
-        self._bias = [0.0] * 6
+        self._axes[5] = 0.0
         self._client: Address | None = None
         self._begins = 0.0
         self._left = 0  # records to send; 0: until stopped
         self._sequence = 0
         self._batch = 1
         self._buffered: list[bytes] = []
-        self._latest: tuple[int, int, list[int]] | None = None
+        self._latest: tuple[int, int, list[int]] | None = None  # count, status, counts
 
     def _hear(self, datagram: bytes, sender: Address) -> None:
         """One request; whatever is not one is ignored, as the box does."""
@@ -183,34 +193,29 @@ class SimulatedNetft:
             self._on_the_way.clear()
             self._client, self._buffered = None, []
         elif command == Command.BIAS:
-            counts, _ = self._read(self._now, self._true)
-            self._bias = [b + n / c for b, n, c in zip(self._bias, counts, self._counts, strict=True)]
+            counts, _ = self._read(self._now, self._true, self._true, 1.0)
+            self._axes[5] += np.array(counts) / self._axes[6]
         elif command == Command.RESET_LATCH:
             self.faults.status &= ~(1 << 16)
 
-    def _read(self, time: float, wrench: Array) -> tuple[list[int], bool]:
-        """What the box makes of a wrench (6,): counts, and whether the transducer is at its end."""
-        if not self._noise:
-            self._noise = (self._offset + self._deviations * self._rng.standard_normal((BLOCK, 6))).tolist()
-        noise, drift, saturated, counts = self._noise.pop(), (time * self._drift).tolist(), False, []
-        for axis, value in enumerate(wrench.tolist()):
-            value += noise[axis] + drift[axis]
-            if step := self._steps[axis]:
-                value = round(value / step) * step
-            reach = self._ranges[axis]
-            if self.faults.saturate or not -reach <= value <= reach:
-                saturated, value = True, math.copysign(reach, value)
-            counts.append(round((value - self._bias[axis]) * self._counts[axis]))
-        return counts, saturated
+    def _read(self, time: float, before: Array, after: Array, part: float) -> tuple[list[int], bool]:
+        """What the box makes of the wrench between two (6,): counts, and whether the transducer is at its end."""
+        if self._drawn == BLOCK:
+            self._noise, self._drawn = self._rng.standard_normal((BLOCK, 6)), 0
+        counts, saturated = _sense(
+            self._axes, self._noise, self._drawn, time, before, after, part, self.faults.saturate
+        )
+        self._drawn += 1
+        return counts.tolist(), saturated
 
     def _status(self, saturated: bool) -> int:
         status = self.faults.status | (SATURATED if saturated else 0)
         return status | ERROR_SUMMARY if status else 0
 
-    def _measure(self, time: float, wrench: Array) -> None:
+    def _measure(self, time: float, before: Array, after: Array, part: float) -> None:
         """One record of the stream."""
         if not self.faults.freeze or self._latest is None:
-            counts, saturated = self._read(time, wrench)
+            counts, saturated = self._read(time, before, after, part)
             count = self._first_count + self._next * self.settings.divisor
             self._latest = (count % WRAP, self._status(saturated), counts)
         count, status, counts = self._latest
@@ -246,6 +251,23 @@ class SimulatedNetft:
         if self._held is not None:
             self._on_the_way.append((item[0], *self._held[1:]))
             self._held = None
+
+
+@compiled
+def _sense(
+    axes: Array, noise: Array, row: int, time: float, before: Array, after: Array, part: float, saturate: bool
+) -> tuple[Indices, bool]:
+    """Counts (6,) of the wrench between two, and whether the transducer is at its end; `axes` as in the box."""
+    counts, saturated = np.empty(6, np.int64), False
+    for k in range(6):
+        value = before[k] + part * (after[k] - before[k]) + axes[0, k] + time * axes[1, k] + axes[2, k] * noise[row, k]
+        if axes[3, k] > 0.0:
+            value = np.rint(value / axes[3, k]) * axes[3, k]
+        reach = axes[4, k]
+        if saturate or not -reach <= value <= reach:
+            saturated, value = True, math.copysign(reach, value)
+        counts[k] = np.int64(np.rint((value - axes[5, k]) * axes[6, k]))
+    return counts, saturated
 
 
 def _array(values: list[int] | list[str]) -> str:

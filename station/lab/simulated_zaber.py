@@ -11,14 +11,12 @@ from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
-from core.robot import Array
 from station.devices.links import Link
-from station.devices.zaber import BYTE_TIME, Command, Message, Parser, encode
+from station.devices.zaber import BYTE_TIME, GAP, SIZE, Command, Message, decode, encode
 from station.lab.simulated_zaber_unit import Unit
 
 RENUMBERING = 0.5  #: the units are deaf so long after Renumber [s]
+BUFFER = 4096  #: of a serial port, each way [bytes]
 
 
 class Faults(NamedTuple):
@@ -32,27 +30,78 @@ class Faults(NamedTuple):
     stalled: frozenset[int] = frozenset()  #: places whose motors count on and do not turn
 
 
+class Waiting(NamedTuple):
+    """Bytes that go over the line one after the other."""
+
+    begin: float  #: of the first one [s]
+    data: bytes
+
+
 class PacedLine:
-    """One direction of the line: a byte takes its time, and they come one after the other."""
+    """The line to the host: a byte takes its time, and they come one after the other."""
 
     def __init__(self) -> None:
         self._free = -math.inf
-        self._bytes: deque[tuple[float, int]] = deque()
+        self._waiting: deque[Waiting] = deque()
 
     def put(self, data: bytes, now: float) -> None:
-        """Bytes to send, at `now` [s] or as soon as the line is free."""
-        time = max(self._free, now)
-        for byte in data:
-            time += BYTE_TIME
-            self._bytes.append((time, byte))
-        self._free = time
+        """Bytes to send, at `now` [s] or as soon as the line is free; what the buffer does not hold is lost."""
+        begin = max(self._free, now)
+        data = data[: room(begin - now)]
+        self._free = begin + len(data) * BYTE_TIME
+        self._waiting.append(Waiting(begin, data))
 
-    def take(self, until: float) -> list[tuple[float, int]]:
-        """Bytes that have been carried by then, and when [s]."""
-        carried: list[tuple[float, int]] = []
-        while self._bytes and self._bytes[0][0] <= until + 1e-9:
-            carried.append(self._bytes.popleft())
+    def take(self, until: float) -> bytes:
+        """Bytes that have been carried by then."""
+        carried = b""
+        while self._waiting:
+            begin, data = self._waiting[0]
+            count = int((until - begin) / BYTE_TIME + 1e-6)
+            if count < len(data):
+                if count > 0:
+                    carried += data[:count]
+                    self._waiting[0] = Waiting(begin + count * BYTE_TIME, data[count:])
+                break
+            carried += data
+            self._waiting.popleft()
         return carried
+
+
+class HeardLine:
+    """The line to the units: whole messages, each when its last byte arrives."""
+
+    def __init__(self) -> None:
+        self.messages: deque[tuple[float, Message]] = deque()
+        self._free = self._last = self._deaf_until = -math.inf
+        self._part = b""
+
+    def put(self, data: bytes, now: float) -> None:
+        """Bytes that the host sends, from `now` [s] or as soon as the line is free; what its buffer does not hold
+        is lost. A message with a silence of more than 10 ms inside is dropped, as the units do.
+        """
+        time = max(self._free, now)
+        data = data[: room(time - now)]
+        self._free = time + len(data) * BYTE_TIME
+        while data:
+            if time + BYTE_TIME < self._deaf_until:
+                time, data = time + BYTE_TIME, data[1:]
+                continue
+            if time + BYTE_TIME - self._last > GAP:
+                self._part = b""
+            taken = data[: SIZE - len(self._part)]
+            data = data[len(taken) :]
+            self._part += taken
+            self._last = time = time + len(taken) * BYTE_TIME
+            if len(self._part) == SIZE:
+                message, self._part = decode(self._part), b""
+                self.messages.append((time, message))
+                if message.device == 0 and message.command == Command.RENUMBER:
+                    self._deaf_until = time + RENUMBERING
+
+
+def room(backlog: float) -> int:
+    """Bytes that go into a port's buffer from which others have so long to go [s]."""
+    return max(0, BUFFER - math.ceil(backlog / BYTE_TIME))
 
 
 class SimulatedChain:
@@ -64,9 +113,7 @@ class SimulatedChain:
         self.time = 0.0
         self._processing = processing
         self._random = random.Random(seed)  # noqa: S311 - noise, no secret
-        self._parser = Parser()
-        self._in, self._out = PacedLine(), PacedLine()
-        self._renumbering_until = -math.inf
+        self._in, self._out = HeardLine(), PacedLine()
         self._faults = Faults()
 
     @property
@@ -85,10 +132,6 @@ class SimulatedChain:
         """Where each stage really is, from its home sensor's zero [microsteps]."""
         return [unit.place for unit in self.units]
 
-    def positions(self, microstep: Array, home_at: Array) -> Array:
-        """True joint positions (n,) [rad or m], for the plant."""
-        return home_at + microstep * np.array(self.places)
-
     def power_cycle(self, place: int) -> None:
         """Switch one unit off and on."""
         self.units[place - 1].take(Message(0, Command.RESET, 0))
@@ -105,28 +148,26 @@ class SimulatedChain:
 
     def advance(self, now: float) -> bytes:
         """Let time pass; the bytes that have reached the host by `now` [s]."""
-        for time, byte in self._in.take(now):
-            if time < self._renumbering_until:
-                continue
-            for message in self._parser.feed(bytes((byte,)), time):
-                self._run(time)
-                self._deliver(message, time)
+        heard = self._in.messages
+        while heard and heard[0][0] <= now + 1e-9:
+            time, message = heard.popleft()
+            self._run(time)
+            self._deliver(message, time)
         self._run(now)
-        data = bytes(byte for _, byte in self._out.take(now))
+        data = self._out.take(now)
         return data if self._faults.cut != 1 else b""
 
     def _run(self, until: float) -> None:
         said: list[tuple[float, int, Message]] = []
         for place, unit in enumerate(self.units, 1):
-            said += [(time, place, message) for time, message in unit.advance(until)]
+            for time, message in unit.advance(until):
+                said.append((time, place, message))  # noqa: PERF401 - hardly ever there is any
         for time, place, message in sorted(said):
             self._say(place, message, time)
         self.time = until
 
     def _deliver(self, message: Message, now: float) -> None:
         to_all = message.device == 0
-        if to_all and message.command == Command.RENUMBER:
-            self._renumbering_until = now + RENUMBERING
         for place, unit in enumerate(self.units, 1):
             if self._faults.cut is not None and place >= self._faults.cut:
                 return

@@ -6,6 +6,7 @@ give can be changed.
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from station.devices.zaber import (
@@ -77,9 +78,9 @@ class Unit:
         self._stored = [0] * 16
         self._shift = place - self.position  # place - count
         self._stuck: float | None = None
-        self._velocity = 0.0
         self._plan: deque[Segment] = deque()
-        self._begun = 0.0  # when the first segment of the plan did [s]
+        # When, where and how fast the plan's first part began, and when there is something to do next.
+        self._begun, self._start_at, self._start_velocity, self._due = 0.0, 0.0, 0.0, math.inf
         self._goal: float | None = None
         self._answer: int | None = None
         self._identity = self._move_identity = 0  # of the last command, of the one that moves
@@ -105,34 +106,56 @@ class Unit:
         self.position = min(max(self.position + microsteps, 0.0), float(self.settings[Command.SET_MAXIMUM]))
         return [] if mode & Mode.NO_MANUAL_TRACKING else [self._reply(Command.MANUAL_MOVE, round(self.position))]
 
-    def advance(self, until: float) -> list[tuple[float, Message]]:
+    def advance(self, until: float) -> Sequence[tuple[float, Message]]:
         """Run the motor until then; what the unit says meanwhile, and when."""
-        said: list[tuple[float, Message]] = []
-        while self._plan:
-            duration, acceleration = self._plan[0]
-            end = self._begun + duration
-            time = min(end, until, self._track)
-            step = time - self.time
-            if step > 0.0:
-                self.position += (self._velocity + 0.5 * acceleration * step) * step
-                self._velocity += acceleration * step
-                self.time = time
-            if time == self._track:
-                said.append((time, self._reply(Command.MOVE_TRACKING, round(self.position))))
-                self._track += TRACKING
-            elif time < end:
-                break
-            else:
-                self._begun = end
-                self._plan.popleft()
-                if not self._plan:
-                    said += self._arrive()
-        self.time = until
+        said: Sequence[tuple[float, Message]] = ()
+        if self._due <= until:
+            said = self._pass(until)
+        elif not self._plan:
+            self.time = until
+            return said
+        self._go(until)
         if self.kind.travel is not None and self._stuck is None:
             place = self.position + self._shift
-            inside = min(max(place, -STOPS), self.kind.travel + STOPS)
-            self._shift += inside - place  # at a hard stop the motor loses steps
+            if not -STOPS <= place <= self.kind.travel + STOPS:  # at a hard stop the motor loses steps
+                self._shift += min(max(place, -STOPS), self.kind.travel + STOPS) - place
         return said
+
+    def _go(self, until: float) -> None:
+        """Be where the present part of the motion leads to."""
+        self.time = until
+        if self._plan:
+            step = until - self._begun
+            self.position = self._start_at + (self._start_velocity + 0.5 * self._plan[0].acceleration * step) * step
+
+    def _pass(self, until: float) -> list[tuple[float, Message]]:
+        """Go through the ends of the motion's parts and the times of move tracking that are due."""
+        said: list[tuple[float, Message]] = []
+        while self._plan and self._due <= until:
+            self._go(self._due)
+            if self.time == self._track:
+                said.append((self.time, self._reply(Command.MOVE_TRACKING, round(self.position))))
+                self._track += TRACKING
+                self._due = min(self._begun + self._plan[0].duration, self._track)
+            else:
+                velocity = self._velocity
+                self._plan.popleft()
+                self._begin(velocity)
+                if not self._plan:
+                    said += self._arrive()
+        return said
+
+    def _begin(self, velocity: float) -> None:
+        """Begin the plan's first part here and now."""
+        self._begun, self._start_at, self._start_velocity = self.time, self.position, velocity
+        self._due = min(self.time + self._plan[0].duration, self._track) if self._plan else math.inf
+
+    @property
+    def _velocity(self) -> float:
+        """[microsteps/s]"""
+        if not self._plan:
+            return 0.0
+        return self._start_velocity + self._plan[0].acceleration * (self.time - self._begun)
 
     def take(self, message: Message) -> list[Message]:
         """Carry out a command that arrives now; what the unit says at once."""
@@ -225,11 +248,13 @@ class Unit:
 
     def _start(self, command: int, goal: float, top: float, answer: int, status: int | None = None) -> None:
         """Move, and answer at the end; a motion that was on is never answered."""
-        self._plan = deque(way(self.position, self._velocity, goal, top, self._acceleration))
-        self._begun, self._move_identity = self.time, self._identity
+        velocity = self._velocity
+        self._plan = deque(way(self.position, velocity, goal, top, self._acceleration))
+        self._move_identity = self._identity
         self._goal, self._answer, self.status = goal, answer, command if status is None else status
         tracked = self.settings[Command.SET_MODE] & Mode.MOVE_TRACKING
         self._track = self.time + TRACKING if tracked else math.inf
+        self._begin(velocity)
 
     def _home(self) -> None:
         speed = self.settings[Command.SET_HOME_SPEED] * SPEED_UNIT
@@ -246,7 +271,7 @@ class Unit:
         return math.floor((self.place + HOME_SENSOR) / self.kind.turn) * self.kind.turn
 
     def _arrive(self) -> list[tuple[float, Message]]:
-        self._velocity, answer, self._track = 0.0, self._answer, math.inf
+        answer, self._track = self._answer, math.inf
         homing, self.status = self.status == Status.HOMING, int(Status.IDLE)
         if self._goal is not None:
             self.position = self._goal
@@ -281,6 +306,7 @@ class Unit:
             return Command.ERROR, 4000 + (data & ~_MODE_BITS).bit_length() - 1
         if command == Command.SET_POSITION:
             self._shift -= data - self.position
+            self._start_at += data - self.position
             self.position = float(data)
             self.settings[Command.SET_MODE] |= Mode.HOMED
         else:
@@ -300,7 +326,7 @@ class Unit:
     def _reset(self) -> None:
         """Power-up: at rest at once, not homed, the count begins anew."""
         self._plan.clear()
-        self._velocity, self.status, self._track = 0.0, int(Status.IDLE), math.inf
+        self.status, self._track, self._due = int(Status.IDLE), math.inf, math.inf
         self._shift += self.position
         self.position = 0.0
         self.settings[Command.SET_MODE] &= ~Mode.HOMED

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 
 from station.cli import main
+from station.recording.label import Label
+from station.recording.read import read_case
 
 GOOD = b'{"joints": {"outer_rotation": 0, "inner_rotation": 1.57, "inner_translation": -0.1}, "force": [0.2, 0, 0]}\n'
 TWO_CASES = "[cases.one]\n[cases.two.controller]\nfeedforward = true\n[paper.one]\nmax_abs_error_mm = { x = 7.9 }\n"
@@ -55,7 +57,7 @@ def test_run_prints_one_json_object_and_leaves_a_complete_folder(command_line, w
     summary = json.loads(done.stdout)
     assert {"experiment", "seed", "completed", "simulated_s", "wall_s", "recording", "cases"} <= set(summary)
     assert (summary["experiment"], summary["seed"], summary["completed"]) == ("own", 7, True)
-    assert 6.0 < summary["simulated_s"] < 6.2  # twice 1 s and the rest before it
+    assert 6.0 < summary["simulated_s"] < 12.0  # twice 1 s, the rest before it, and connecting
     assert list(summary["cases"]) == ["one", "two"]
     for case in summary["cases"].values():
         for key in ("max_abs_error_mm", "rms_error_mm", "true_max_abs_error_mm", "true_rms_error_mm"):
@@ -66,22 +68,23 @@ def test_run_prints_one_json_object_and_leaves_a_complete_folder(command_line, w
 
     assert folders(tmp_path / "out") == [Path(summary["recording"]).name]
     folder = tmp_path / summary["recording"]
-    assert folders(folder) == ["experiment.toml", "one.csv", "summary.json", "two.csv"]
-    assert json.loads((folder / "summary.json").read_text(encoding="utf-8")) == summary
+    assert folders(folder) == ["experiment.toml", "one.mcap", "summary.json", "two.mcap"]
+    kept = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert kept == summary | {key: kept[key] for key in ("title", "started", "label", "cause")}
+    assert kept["label"] == "complete"
     assert (folder / "experiment.toml").read_text(encoding="utf-8") == path.read_text(encoding="utf-8")
-    header, *rows = (folder / "one.csv").read_text(encoding="ascii").splitlines()
-    assert header.startswith("time [s],state,joints.outer_rotation [rad],")
-    assert len(rows) == 500
-    assert {row.count(",") for row in rows} == {header.count(",")}
+    recorded = read_case(folder / "one.mcap")
+    assert [channel.column for channel in recorded.channels[:3]] == ["time [s]", "state", "joints.outer_rotation [rad]"]
+    assert recorded.rows.shape == (500, len(recorded.channels))
 
 
-def test_the_same_seed_gives_the_same_file_and_another_seed_another(call, write, short, tmp_path):
+def test_the_same_seed_gives_the_same_rows_and_another_seed_others(call, write, short, tmp_path):
     for seed in ("1", "1", "2"):
         assert call("run", str(write(short)), "--seed", seed, "--out", "out").status == 0
-    first, again, other = (path.read_bytes() for path in sorted((tmp_path / "out").glob("*/own.csv")))
+    first, again, other = (read_case(path).rows for path in sorted((tmp_path / "out").glob("*/own.mcap")))
 
-    assert first == again
-    assert first != other
+    assert (first == again).all()
+    assert not (first == other).all()
 
 
 def test_the_table_has_units_and_the_papers_number_beside_ours(call, write, short):
@@ -158,14 +161,18 @@ def test_a_bad_command_gets_one_line_that_names_it(call, tmp_path, arguments, sa
     assert folders(tmp_path) == ["taken"]
 
 
-def test_a_disk_that_fills_up_gets_one_line_and_leaves_nothing(environment, write, short, tmp_path):
-    path = write(short.replace("duration = 1.0", "duration = 4.0"))  # some 1.8 MB of rows
+def test_a_disk_that_fills_up_gets_one_line_and_keeps_what_it_took(environment, write, short, tmp_path):
+    path = write(short.replace("duration = 1.0", "duration = 8.0"))  # some 2.4 MB of recording
     command = f"ulimit -f 1024; exec '{sys.executable}' -m station run '{path}' --out out"
     done = subprocess.run(["bash", "-c", command], capture_output=True, cwd=tmp_path, env=environment, timeout=110)
 
-    assert done.returncode == 2
-    assert done.stderr == b"ctr-station: out: cannot write results there: File too large\n"
-    assert folders(tmp_path / "out") == []
+    assert done.returncode != 0
+    assert b"the disk takes no more of the recording: File too large" in done.stderr + done.stdout
+    (folder,) = (tmp_path / "out").iterdir()
+    assert json.loads((folder / "summary.json").read_text(encoding="utf-8"))["label"] == "incomplete"
+    recorded = read_case(folder / "own.mcap")
+    assert recorded.label is Label.INCOMPLETE
+    assert 500 <= len(recorded.rows) < 4000
 
 
 def test_a_run_that_cannot_go_on_says_why_and_is_kept_as_incomplete(call, write, short, tmp_path):
@@ -179,7 +186,7 @@ def test_a_run_that_cannot_go_on_says_why_and_is_kept_as_incomplete(call, write,
     assert not summary["completed"]
     assert list(summary["cases"]) == ["one"]
     assert "1000000" in summary["cases"]["one"]["cause"]
-    assert folders(tmp_path / summary["recording"]) == ["experiment.toml", "one.csv", "summary.json"]
+    assert folders(tmp_path / summary["recording"]) == ["experiment.toml", "one.mcap", "summary.json"]
 
     shown = call("run", str(path), "--out", "out")
     assert shown.status == 1

@@ -17,14 +17,16 @@ import pytest
 
 from core.wrench import fuse_at
 from station.cli import main
+from station.devices.aurora import framed
 from station.devices.aurora_settings import AuroraSettings
 from station.devices.aurora_tracker import AuroraTracker
-from station.devices.links import DatagramLink, Link, LinkError, SerialLink
+from station.devices.links import DatagramLink, Link, LinkError, SerialLink, reopen
 from station.devices.netft_sensors import NetftSensors, NetftSettings, fetch_page
 from station.devices.zaber_chain import Line
 from station.devices.zaber_setup import Port, StageSetup
 from station.devices.zaber_stages import Condition, ZaberStages
 from station.lab.config import LabConfig
+from station.lab.faults import LabFault
 from station.lab.loads import ConstantLoad
 from station.lab.netft_wire import AddressTaken
 from station.lab.open_lab import OpenLab
@@ -203,9 +205,9 @@ def test_a_line_is_one_programs_at_a_time(start, stages):
     try:
         motors.connect(time.monotonic())
         wait(lambda: motors.identities[0] is not None, lambda: motors.poll(time.monotonic()))
-        second = SerialLink(lab.where["zaber"], 9600)
-        assert wait(lambda: is_cut(second), lambda: motors.poll(time.monotonic()))
-        second.close()
+        part = urlsplit(lab.where["zaber"])
+        with socket.create_connection((part.hostname, part.port), timeout=10.0) as second:
+            assert second.recv(1) == b""  # sent away
         assert wait(lambda: motors.condition is Condition.CONNECTED, lambda: motors.poll(time.monotonic()))
     finally:
         motors.close()
@@ -237,13 +239,33 @@ def test_the_boxes_can_be_given_their_ports(paper):
         assert lab.lab.boxes[0].faults == NetftFaults()
 
 
-def test_a_pulled_cable_is_pulled_only_once(paper):
-    with OpenLab(paper, LabConfig(), 0, np.array(PARK)) as lab:
-        lab.lab.aurora.faults.disconnected = True
-        end = time.monotonic() + 0.05
-        lab.run(lambda: time.monotonic() > end)
-        assert gone(lab.endpoints["aurora"])
-        assert not gone(lab.endpoints["zaber"])
+@pytest.mark.parametrize("pty", [False, True])
+def test_a_pulled_cable_is_a_dead_port_and_the_same_device_comes_back(paper, tmp_path: Path, pty):
+    pulled = LabFault(kind="disconnect", device="tracker")
+    with OpenLab(paper, LabConfig(), 0, np.array(PARK), pty=pty, folder=tmp_path) as lab:
+
+        def run() -> None:
+            end = time.monotonic() + 0.05
+            lab.run(lambda: time.monotonic() > end)
+
+        link, other = SerialLink(lab.endpoints["aurora"], 9600), SerialLink(lab.endpoints["zaber"], 9600)
+        try:
+            run()
+            lab.lab.inject((pulled,), 0.0)
+            run()
+            assert wait(lambda: is_cut(link), lambda: None, 5.0)
+            assert not is_cut(other)
+            with pytest.raises(LinkError):
+                reopen(link)
+            lab.lab.inject((), 0.0)
+            run()
+            reopen(link)
+            link.write(framed("INIT:"))
+            heard = bytearray()
+            assert wait(lambda: heard == framed("OKAY"), lambda: (run(), heard.extend(link.read())), 5.0)
+        finally:
+            link.close()
+            other.close()
 
 
 def test_a_robot_that_cannot_follow_is_reported_once(paper, capsys):

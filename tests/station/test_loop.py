@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from core.robot import Array
-from station.devices.interfaces import Devices, JointReading, Stages, TipReading, Truth, WrenchReading
+from station.devices.interfaces import Condition, Devices, JointReading, Stages, TipReading, Truth, WrenchReading
+from station.devices.zaber import Command
 from station.experiments.experiment import PERIOD, Case, load_experiment
 from station.lab.loads import ConstantLoad
-from station.lab.virtual_lab import VirtualLab
+from station.lab.virtual_bench import virtual_bench
 from station.loop import ControlLoop, Phase, Task
 from station.motions import CircleMotion, HoldMotion, JointSweepMotion, Orders
-from station.states import Event, RefusedError, State
+from station.states import RefusedError, State
 
 #: Rest before a motion: what settles, and what is averaged [s].
 SETTLE, AVERAGE = 0.5, 1.5
@@ -39,6 +40,9 @@ class Watched:
         self.stops.append(now)
         self.stages.stop(now)
 
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stages, name)
+
 
 @dataclass
 class Broken:
@@ -62,8 +66,8 @@ class Bench:
     """A virtual lab under control, tick by tick, and what came of it."""
 
     def __init__(self, case: Case, start: Array | None = None, breaks: str = "") -> None:
-        self.lab = VirtualLab(case.robot, case.lab, 0, case.start if start is None else start)
-        devices = self.lab.devices
+        self.lab, devices = virtual_bench(case.robot, case.lab, 0, case.start if start is None else start)
+        self.devices = devices
         self.broken = Broken(getattr(devices, breaks)) if breaks else None
         if self.broken is not None:
             devices = replace(devices, **{breaks: self.broken})
@@ -92,9 +96,11 @@ class Bench:
         return row
 
     def ready(self) -> None:
-        self.tick(20)
-        for event in (Event.CONNECT, Event.HOME, Event.PREPARE):
-            self.loop.request(event)
+        self.loop.connect(self.now)
+        while self.loop.state is not State.READY:
+            assert self.now < 10.0, (self.loop.state, self.loop.cause)
+            self.tick()
+        self.stages.stops.clear()
 
     def of(self, group: str, rows: list[Array] | None = None) -> Array:
         return self.loop.channels.of(np.array(self.rows if rows is None else rows), group)
@@ -119,28 +125,46 @@ def task(case: Case, motion: Any, duration: float, start: Array | None = None) -
 CIRCLE = CircleMotion(radius=0.010, period=8.0)
 
 
-def test_nothing_is_known_until_the_first_frame_has_come_and_nothing_is_sent(case):
+def test_nothing_is_asked_of_devices_before_connect(case):
     bench = Bench(case)
 
-    assert bench.tick(12) is None  # frame 0 arrives at 24 ms
-    assert bench.tick() is not None
+    assert bench.tick(200) is None
     assert bench.loop.state is State.OFF
+    assert bench.lab.chain.units[0].settings[Command.SET_MAXIMUM] == 1_536_000  # as from the factory
+
+
+def test_the_states_on_the_way_to_ready_follow_the_devices(case):
+    bench = Bench(case)
+    bench.loop.connect(0.0)
+    seen = [bench.loop.state]
+    conditions = []
+    while bench.loop.state is not State.READY:
+        assert bench.now < 10.0
+        row = bench.tick()
+        if bench.loop.state is not seen[-1]:
+            seen.append(bench.loop.state)
+            conditions.append(
+                (bench.stages.condition, bench.devices.tracker.condition, bench.devices.sensors.condition)
+            )
+        if bench.loop.state is State.CONNECTING:
+            assert row is None
+
+    # Homed stages say so themselves: CONNECTED lasts no longer than a tick.
+    assert seen == [State.CONNECTING, State.HOMED, State.READY]
+    assert conditions[0] == (Condition.CONNECTED,) * 3
     assert bench.stages.commands == []
 
 
-@pytest.mark.parametrize("events", [[], [Event.CONNECT], [Event.CONNECT, Event.HOME]])
-def test_a_start_is_refused_before_the_station_is_ready(case, events):
+def test_a_start_is_refused_before_the_station_is_ready(case):
     bench = Bench(case)
-    bench.tick(20)
-    for event in events:
-        bench.loop.request(event)
-    before = bench.loop.state
+    bench.loop.connect(0.0)
+    bench.tick(50)
 
     with pytest.raises(RefusedError, match="it needs READY"):
         bench.loop.start(task(case, CIRCLE, 1.0))
 
     bench.tick(50)
-    assert bench.loop.state is before
+    assert bench.loop.state is State.CONNECTING
     assert bench.loop.phase is Phase.NONE
     assert bench.stages.commands == []
 
@@ -250,7 +274,7 @@ def test_a_stop_in_mid_motion_brings_every_axis_to_rest_and_stays(case):
     assert np.abs(bench.of("velocity_sent")[-1]).min() > 0.0
     last = bench.stages.commands[-1][0]
     bench.loop.stop(bench.now)
-    bench.tick()
+    bench.tick(5)  # a message may be on the line, then the stop for all takes 6.25 ms
 
     assert bench.loop.state is State.STOPPED
     assert bench.loop.cause == "stopped by the operator"
@@ -262,7 +286,7 @@ def test_a_stop_in_mid_motion_brings_every_axis_to_rest_and_stays(case):
     assert bench.stages.commands[-1][0] == last
     with pytest.raises(RefusedError, match="STOPPED"):
         bench.loop.start(task(case, CIRCLE, 1.0))
-    bench.loop.request(Event.RESET)
+    bench.loop.reset(bench.now)
     assert (bench.loop.state, bench.loop.cause) == (State.READY, "")
 
 
@@ -330,7 +354,7 @@ def test_after_a_hold_the_station_works_on_when_the_numbers_are_back(case):
     bench.broken.since = math.inf
     bench.tick(10)
     assert bench.loop.state is State.HOLD
-    bench.loop.request(Event.RESET)
+    bench.loop.reset(bench.now)
     bench.loop.start(task(case, HoldMotion(), 0.1))
     while bench.loop.progress is not None:
         bench.tick()
@@ -347,10 +371,13 @@ def test_a_tip_that_is_never_seen_at_rest_leads_to_hold_and_names_the_tracker(ca
 
         def poll(self, now: float) -> TipReading | None:
             reading = self.tracker.poll(now)
-            return reading if now < 0.5 else None
+            return reading if now < 1.5 else None
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self.tracker, name)
 
     bench = Bench(case)
-    devices = bench.lab.devices
+    devices = bench.devices
     bench.loop = ControlLoop(case.controller, Devices(bench.stages, Blind(devices.tracker), devices.sensors))
     bench.ready()
     bench.loop.start(task(case, CIRCLE, 1.0))
@@ -372,14 +399,18 @@ def test_a_row_holds_what_the_devices_said_at_its_tick(case):
             said.append(self.sensors.poll(now))
             return said[-1]
 
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self.sensors, name)
+
     bench = Bench(case)
-    devices = bench.lab.devices
+    devices = bench.devices
     bench.loop = ControlLoop(case.controller, Devices(bench.stages, devices.tracker, Overheard(devices.sensors)))
+    bench.ready()
     row = bench.tick(30)
 
     assert row is not None
     assert bench.of("time", [row]).item() == pytest.approx(bench.now)
     assert bench.of("wrench_raw", [row])[0] == pytest.approx(said[-1].wrenches.ravel())
-    assert bench.of("joints", [row])[0] == pytest.approx(bench.lab.devices.stages.poll(bench.now).positions)
+    assert bench.of("joints", [row])[0] == pytest.approx(bench.devices.stages.poll(bench.now).positions)
     assert bench.of("tip_true", [row])[0] == pytest.approx(bench.truths[-1].tip)
     assert bench.of("truth_known", [row]).item() == 1.0

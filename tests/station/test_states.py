@@ -6,15 +6,17 @@ from station.states import Event, RefusedError, State, after
 
 #: What follows from each state (rows) at each event (columns); - is refused.
 DRAWN = """
-            connect    home   prepare  start    finish  hold  stop       fault  reset      disconnect
-OFF         CONNECTED  -      -        -        -       -     OFF        -      -          -
-CONNECTED   -          HOMED  -        -        -       -     CONNECTED  FAULT  -          OFF
-HOMED       -          -      READY    -        -       -     HOMED      FAULT  -          OFF
-READY       -          -      -        RUNNING  -       HOLD  STOPPED    FAULT  -          OFF
-RUNNING     -          -      -        -        READY   HOLD  STOPPED    FAULT  -          -
-HOLD        -          -      -        -        -       -     STOPPED    FAULT  READY      OFF
-STOPPED     -          -      -        -        -       -     STOPPED    FAULT  READY      OFF
-FAULT       -          -      -        -        -       -     FAULT      FAULT  CONNECTED  OFF
+           connect    connected home   homed prepare start   finish hold stop      fault reset      disconnect
+OFF        CONNECTING -         -      -     -       -       -      -    OFF       -     -          -
+CONNECTING -          CONNECTED -      -     -       -       -      -    OFF       FAULT -          OFF
+CONNECTED  -          -         HOMING HOMED -       -       -      -    CONNECTED FAULT -          OFF
+HOMING     -          -         -      HOMED -       -       -      -    CONNECTED FAULT -          -
+HOMED      -          -         -      -     READY   -       -      -    HOMED     FAULT -          OFF
+READY      -          -         HOMING -     -       RUNNING -      HOLD STOPPED   FAULT -          OFF
+RUNNING    -          -         -      -     -       -       READY  HOLD STOPPED   FAULT -          -
+HOLD       -          -         -      -     -       -       -      -    STOPPED   FAULT READY      OFF
+STOPPED    -          -         -      -     -       -       -      -    STOPPED   FAULT READY      OFF
+FAULT      -          -         -      -     -       -       -      -    FAULT     FAULT CONNECTING OFF
 """
 
 HEAD, *ROWS = (line.split() for line in DRAWN.strip().splitlines())
@@ -46,11 +48,11 @@ def test_stop_is_accepted_everywhere_and_never_leaves_anything_running():
     assert all(after(state, Event.STOP) is not State.RUNNING for state in State)
 
 
-def test_a_fault_stays_until_somebody_resets_it_and_then_positions_must_be_found_again():
+def test_a_fault_stays_until_somebody_resets_it_and_then_devices_must_be_found_again():
     accepted = {event for event in Event if CELLS["FAULT", event.value] not in ("-", "FAULT")}
 
     assert accepted == {Event.RESET, Event.DISCONNECT}
-    assert after(State.FAULT, Event.RESET) is State.CONNECTED
+    assert after(State.FAULT, Event.RESET) is State.CONNECTING
 
 
 def test_only_ready_may_start():

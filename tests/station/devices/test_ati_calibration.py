@@ -1,11 +1,10 @@
 """ATI calibration files in both forms, and the arithmetic from six voltages to a wrench."""
 
-import sys
 
 import numpy as np
 import pytest
 
-from station.devices.ati_calibration import AXES, CalibrationError, open_card, parse_calibration, read_calibration
+from station.devices.ati_calibration import AXES, CalibrationError, parse_calibration, read_calibration
 
 HEAD = {
     "PartNumber": "SI-18-0.25",
@@ -134,10 +133,3 @@ def test_the_file_is_named_when_it_is_refused(tmp_path):
 
     path.write_bytes(file(AXIS_ROWS + TRANSFORM))
     assert read_calibration(path).serial == "FT9999"
-
-
-def test_without_the_cards_package_a_person_is_told_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "nidaqmx", None)
-
-    with pytest.raises(CalibrationError, match="pip install nidaqmx"):
-        open_card("Dev1/ai0:5", 10.0)

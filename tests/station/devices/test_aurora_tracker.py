@@ -15,7 +15,8 @@ from station.devices.aurora import AuroraError
 from station.devices.aurora_measurement import Quality
 from station.devices.aurora_settings import AuroraSettings
 from station.devices.aurora_tracker import AuroraTracker
-from station.devices.links import LinkError, SerialLink, memory_pipe
+from station.devices.links import LinkError, SerialLink
+from station.devices.memory_pipe import memory_pipe
 from station.lab.aurora_wire import HostPort, pump
 from station.lab.config import TrackerConfig
 from station.lab.simulated_aurora import SimulatedAurora
@@ -203,12 +204,12 @@ def test_a_mute_unit_is_told_and_found_again_when_it_speaks():
 def test_a_pulled_cable_is_lost_for_good_until_a_link_is_attached():
     bench = AuroraBench()
     bench.run(1.0)
-    bench.unit.faults.disconnected = True
+    bench.port.device.unplug()
     assert not bench.run(1.0)
     assert bench.report.quality is Quality.LOST
     assert "unplugged" in bench.report.trouble
 
-    bench.unit.faults.disconnected = False
+    bench.port.device.plug()
     assert not bench.run(1.0)
     bench.port = HostPort("aurora again")
     bench.tracker.attach(bench.port)
@@ -220,7 +221,7 @@ def test_after_a_lost_cable_another_tool_is_not_taken_for_the_first():
     bench = AuroraBench()
     bench.run(1.0)
     other = AuroraBench(serial="99999999")
-    bench.unit.faults.disconnected = True
+    bench.port.device.unplug()
     bench.run(0.1)
     bench.unit, bench.port = other.unit, other.port
     bench.tracker.attach(bench.port)

@@ -9,7 +9,7 @@ import pytest
 from station.devices.links import LinkError
 from station.devices.netft import LATENCY
 from station.devices.netft_page import NetftPage
-from station.devices.netft_sensors import NetftSensors, Quality, SensorError, connect, fetch_page
+from station.devices.netft_sensors import BoxAddress, NetftSensors, Quality, SensorError, connect, fetch_page
 from station.lab.netft_wire import MemoryEnd
 
 #: Counts as a box set to N and N-mm has them.
@@ -263,4 +263,4 @@ def test_an_address_where_nobody_answers_is_named():
     with pytest.raises(SensorError, match=r"http://127\.0\.0\.1:9/netftapi2\.xml does not answer"):
         fetch_page("127.0.0.1", 9, timeout=0.5)
     with pytest.raises(SensorError, match="does not answer"):
-        connect(["127.0.0.1"], http_port=9)
+        connect([BoxAddress("127.0.0.1", http_port=9)])

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.devices.links import Link, SerialLink, memory_pipe
+from station.devices.links import Link, SerialLink
+from station.devices.memory_pipe import memory_pipe
 from station.devices.zaber import Message, ZaberError
 from station.devices.zaber_chain import Line
 from station.devices.zaber_setup import Port, StageSetup

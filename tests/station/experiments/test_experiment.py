@@ -1,6 +1,7 @@
 """The presets are the agreed experiments; a file that cannot be run is refused before anything runs."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -111,14 +112,12 @@ def test_lift_and_drop_takes_half_a_newton_up_and_down_within_2_5_seconds_each()
 def test_the_simulations_of_the_paper_use_the_nominal_rod_and_ideal_devices_and_say_so():
     for name in ("fig3", "fig4"):
         for case in load_experiment(name).cases:
-            plant, line, sensors = case.lab.plant, case.lab.line, case.lab.sensors
+            plant = case.lab.plant
             assert "ideal" in case.lab.title
             assert (dict(plant.tubes), dict(plant.play), plant.vary) == ({}, {}, 0.0)
             assert {tube.poisson_ratio for tube in case.robot.tubes} == {plant.poisson_ratio}
             assert (plant.friction_force, plant.friction_moment) == (0.0, 0.0)
-            assert (line.hold, line.transport, line.quantised, line.ramps) == (0.0, 0.0, False, False)
-            assert (case.lab.tracker.latency, case.lab.tracker.noise) == (0.0, 0.0)
-            assert set(sensors.model_dump().values()) == {0.0}
+            assert case.lab.devices == "ideal"
 
 
 def test_the_experiments_of_the_paper_use_the_default_lab():
@@ -129,7 +128,7 @@ def test_the_experiments_of_the_paper_use_the_default_lab():
 def test_the_default_lab_has_the_agreed_numbers():
     lab = LabConfig()
 
-    assert (lab.line.hold, lab.line.transport, lab.line.quantised, lab.line.ramps) == (0.025, 0.012, True, True)
+    assert lab.devices == "wire"
     assert (lab.tracker.rate, lab.tracker.latency, lab.tracker.noise) == (40.0, 0.024, 0.1e-3)
     assert (lab.sensors.force_noise, lab.sensors.moment_noise) == (0.02, 0.2e-3)
     assert lab.sensors.drift == pytest.approx(0.005 / 60.0)
@@ -267,7 +266,7 @@ def test_a_mistake_in_the_robot_or_the_lab_is_told_with_that_file(write, short, 
         ("[plant.play]\nelbow = 0.1", "plant.play.elbow: robot 'paper' has no such part; it has outer_rotation"),
         ("[plant]\nvary = 0.6", "plant.vary = 0.6: Input should be less than 0.5"),
         ("[plant.tubes.inner]\nstiffness = -1.0", "plant.tubes.inner.stiffness = -1.0: "),
-        ("[line]\nquantised = 1", "line.quantised = 1: "),
+        ('devices = "perfect"', "devices = 'perfect': "),
     ],
 )
 def test_a_lab_that_does_not_fit_the_robot_is_refused(write, short, table, said):
@@ -276,3 +275,35 @@ def test_a_lab_that_does_not_fit_the_robot_is_refused(write, short, table, said)
     with pytest.raises(ConfigError) as refused:
         load_experiment(str(write(f'lab = "{lab}"\n' + short)))
     assert str(refused.value).startswith(f"{lab}: {said}")
+
+
+FAULT = '\n[[faults]]\nkind = "{}"\ndevice = "{}"\nat = 0.2\nduration = 0.3\n'
+
+
+def test_faults_are_part_of_an_experiment(write, short):
+    text = short + FAULT.format("mute", "stages") + FAULT.format("lose_tool", "tracker")
+    (case,) = load_experiment(str(write(text))).cases
+
+    assert [(fault.kind, fault.at, fault.duration) for fault in case.file.faults] == [
+        ("mute", 0.2, 0.3),
+        ("lose_tool", 0.2, 0.3),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (FAULT.format("stall", "elbow"), "faults.0.device = 'elbow': expected one of stages, tracker, sensors"),
+        (FAULT.format("stall", "tracker"), "faults.0.kind = 'stall': to 'tracker' can happen"),
+        (FAULT.format("explode", "tracker"), "faults.0.kind = 'explode'"),
+        (FAULT.format("restart", "tracker"), "'restart' happens at once"),
+    ],
+)
+def test_a_fault_that_cannot_happen_is_refused(write, short, text, said):
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        load_experiment(str(write(short + text)))
+
+
+def test_ideal_devices_have_no_faults(write, short):
+    with pytest.raises(ConfigError, match="the devices of lab 'ideal' are ideal"):
+        load_experiment(str(write('lab = "ideal"\n' + short + FAULT.format("mute", "stages"))))

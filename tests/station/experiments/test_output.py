@@ -2,14 +2,17 @@
 
 import io
 import json
+import time
 
-import numpy as np
 import pytest
 from rich.console import Console
 
 from station.experiments.experiment import Experiment, load_experiment
-from station.experiments.output import OutputError, ResultFolder, result_table
+from station.experiments.output import ResultFolder, result_table
 from station.experiments.results import summarise
+from station.recording.label import Label, RecordingError
+from station.recording.read import read_case
+from station.robots import RobotFile
 
 
 @pytest.fixture(scope="module")
@@ -29,74 +32,92 @@ def shown(experiment: Experiment, summary: dict, width: int = 110) -> list[str]:
 
 
 def test_a_folder_gets_its_name_only_when_everything_is_in_it(tmp_path, experiment, recording):
-    folder = ResultFolder(tmp_path / "deep" / "out", "fig7", 5)
+    folder = ResultFolder(tmp_path / "deep" / "out", experiment, 5)
     folder.write_case(recording)
     assert not folder.path.exists()
-    folder.finish(experiment, {"completed": True})
+    folder.finish({"completed": True, "cases": {"regulation": {"cause": ""}}})
 
     assert [path.name for path in folder.path.parent.iterdir()] == [folder.path.name]
     assert folder.path.name.startswith("fig7-seed5-")
     assert sorted(path.name for path in folder.path.iterdir()) == [
         "experiment.toml",
-        "regulation.csv",
+        "regulation.mcap",
         "summary.json",
     ]
-    assert json.loads((folder.path / "summary.json").read_text(encoding="utf-8")) == {"completed": True}
+    summary = json.loads((folder.path / "summary.json").read_text(encoding="utf-8"))
+    assert summary["completed"] is True
+    assert summary["label"] == "complete"
+    assert summary["title"] == experiment.title
+    assert summary["started"] == pytest.approx(time.time(), abs=60.0)
     assert (folder.path / "experiment.toml").read_text(encoding="utf-8") == experiment.source
 
 
-def test_the_csv_has_all_rows_with_units_in_the_column_names(tmp_path, experiment, recording):
-    folder = ResultFolder(tmp_path, "fig7", 0)
+def test_a_recording_has_all_rows_to_the_bit_and_all_that_they_depend_on(tmp_path, experiment, recording):
+    folder = ResultFolder(tmp_path, experiment, 3)
     folder.write_case(recording)
-    folder.finish(experiment, {})
-    path = folder.path / "regulation.csv"
-    header = path.read_text(encoding="ascii").splitlines()[0].split(",")
-    rows = np.loadtxt(path, delimiter=",", skiprows=1)
+    folder.finish({"completed": True})
+    read = read_case(folder.path / "regulation.mcap")
 
-    assert rows == pytest.approx(recording.rows, rel=1e-8, abs=1e-12)
-    assert len(rows) == 250
-    assert len(header) == len(set(header)) == rows.shape[1]
-    for column in (
-        "time [s]",
-        "joints.outer_rotation [rad]",
-        "joints.inner_translation [m]",
-        "velocity_sent.inner_translation [m/s]",
-        "wrench_raw.inner_fx [N]",
-        "wrench_raw.outer_mz [N m]",
-        "force.x [N]",
-        "tip_measured.z [m]",
-        "tip_true.x [m]",
-        "delta_2.y [m]",
-    ):
-        assert column in header
-    x = recording.channels.of(recording.rows, "tip_true")[:, 0]
-    assert rows[:, header.index("tip_true.x [m]")] == pytest.approx(x)
+    assert (read.rows == recording.rows).all()
+    assert len(read.rows) == 250
+    assert read.channels == recording.channels.all
+    assert read.label is Label.COMPLETE
+    assert read.metadata["seed"] == 3
+    assert read.metadata["case"] == "regulation"
+    assert read.metadata["source"] == experiment.source
+    assert read.metadata["settings"]["duration"] == 0.5
+    assert RobotFile.model_validate_json(json.dumps(read.metadata["robot"])) == recording.case.robot
+    assert type(recording.case.lab).model_validate_json(json.dumps(read.metadata["lab"])) == recording.case.lab
+    assert read.metadata["versions"]["numpy"]
 
 
-def test_a_discarded_folder_leaves_nothing(tmp_path, recording):
-    folder = ResultFolder(tmp_path, "fig7", 0)
-    folder.write_case(recording)
-    folder.discard()
+def test_rows_one_at_a_time_give_the_same_recording(tmp_path, experiment, recording):
+    folder = ResultFolder(tmp_path, experiment, 0)
+    recorder = folder.record(recording.case)
+    for row in recording.rows:
+        recorder.write(row)
+    recorder.close(Label.STOPPED, "stopped by the operator")
+    folder.finish({"completed": False, "cases": {"regulation": {"cause": "stopped by the operator"}}})
+    read = read_case(folder.path / "regulation.mcap")
+
+    assert (read.rows == recording.rows).all()
+    assert (read.label, read.cause) == (Label.STOPPED, "stopped by the operator")
+    assert json.loads((folder.path / "summary.json").read_text(encoding="utf-8"))["label"] == "stopped"
+
+
+def test_an_abandoned_folder_without_a_recording_leaves_nothing(tmp_path, experiment):
+    ResultFolder(tmp_path, experiment, 0).abandon()
 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_abandoned_folder_keeps_what_was_recorded(tmp_path, experiment, recording):
+    folder = ResultFolder(tmp_path, experiment, 0)
+    folder.write_case(recording)
+    folder.abandon()
+
+    assert list(tmp_path.iterdir()) == [folder.path]
+    assert (read_case(folder.path / "regulation.mcap").rows == recording.rows).all()
+    summary = json.loads((folder.path / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["label"], summary["completed"], summary["experiment"]) == ("interrupted", False, "fig7")
+
+
 def test_folders_made_in_the_same_second_do_not_meet(tmp_path, experiment):
-    folders = [ResultFolder(tmp_path, "fig7", 0) for _ in range(4)]
+    folders = [ResultFolder(tmp_path, experiment, 0) for _ in range(4)]
     for folder in folders:
-        folder.finish(experiment, {})
-    folders.append(ResultFolder(tmp_path, "fig7", 0))
-    folders[-1].finish(experiment, {})
+        folder.finish({})
+    folders.append(ResultFolder(tmp_path, experiment, 0))
+    folders[-1].finish({})
 
     assert len(list(tmp_path.iterdir())) == 5
 
 
 @pytest.mark.parametrize("name", ["taken", "taken/below", "x" * 300])
-def test_a_folder_that_cannot_be_made_is_refused_by_name_before_anything_runs(tmp_path, name):
+def test_a_folder_that_cannot_be_made_is_refused_by_name_before_anything_runs(tmp_path, experiment, name):
     (tmp_path / "taken").write_text("a file", encoding="utf-8")
 
-    with pytest.raises(OutputError) as refused:
-        ResultFolder(tmp_path / name, "fig7", 0)
+    with pytest.raises(RecordingError) as refused:
+        ResultFolder(tmp_path / name, experiment, 0)
 
     assert str(refused.value).startswith(f"{tmp_path / name}: cannot write results there: ")
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]

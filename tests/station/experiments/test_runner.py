@@ -39,8 +39,8 @@ def test_there_is_a_row_for_every_tick_of_the_motion_with_time_from_its_start(a_
     assert time == pytest.approx(np.arange(350) * 0.002, abs=1e-9)
     assert (recording.channels.of(recording.rows, "state") == State.RUNNING).all()
     assert np.isfinite(recording.rows).all()
-    # the start and 2 s at rest before
-    assert 2.7 < recording.simulated_s < 2.8
+    # connecting and 2 s at rest before
+    assert 3.2 < recording.simulated_s < 5.0
     assert recording.wall_s > 0.0
 
 
@@ -51,7 +51,8 @@ def test_frames_keep_their_own_time(a_case, a_run):
 
     assert new.sum() == 20
     assert (late >= 0.024 - 1e-9).all()
-    assert (late < 0.026).all()
+    # asked for up to 5 ms after it was there, and the reply has to come in and be looked at
+    assert (late < 0.034).all()
 
 
 def test_the_loads_time_counts_from_the_start_of_the_motion(a_case, a_run):
@@ -109,7 +110,7 @@ def test_a_lab_whose_tracker_never_answers_ends_the_run_with_a_cause(a_case, a_r
 
     assert not recording.completed
     assert recording.cause
-    assert recording.simulated_s < 60.0
+    assert "tracker" in recording.cause
 
 
 def test_tubes_drawn_from_the_seed_are_another_robot(a_case, a_run):

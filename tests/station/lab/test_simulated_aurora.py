@@ -7,6 +7,7 @@ import pytest
 
 from station.devices.aurora import ReplyReader, framed
 from station.devices.aurora_replies import ToolState, parse_bx, parse_tx
+from station.devices.links import LinkError
 from station.lab.aurora_wire import HostPort, pump
 from station.lab.config import TrackerConfig
 from station.lab.simulated_aurora import SimulatedAurora
@@ -196,7 +197,8 @@ def test_a_break_resets_it_to_9600():
 def test_a_line_in_memory_carries_a_break():
     port, unit = HostPort("aurora"), SimulatedAurora(TrackerConfig(), np.random.default_rng(0))
     unit.baud = 115200
-    port.send_break()
+    port.set_break(True)
+    port.set_break(False)
     pump(port.device, unit, 0.0)
     pump(port.device, unit, 1.0)
 
@@ -334,11 +336,25 @@ def test_each_fault_is_on_the_line():
     assert len(host.say(framed("BX:0801"))) == 53
 
 
-def test_a_pulled_cable_closes_the_devices_end():
+def test_a_pulled_cable_is_a_dead_port_until_it_is_opened_anew():
     port, unit = HostPort("aurora"), SimulatedAurora(TrackerConfig(), np.random.default_rng(0))
-    assert pump(port.device, unit, 0.0)
-    unit.faults.disconnected = True
-    assert not pump(port.device, unit, 0.1)
+    port.write(framed("INIT:"))
+    port.device.unplug()
+    for now in (0.1, 0.2):
+        pump(port.device, unit, now)
+    for use in (port.read, lambda: port.write(b"x"), port.reopen):
+        with pytest.raises(LinkError, match=r"aurora .*plugged"):
+            use()
+    port.device.plug()
+    with pytest.raises(LinkError, match="gone"):
+        port.read()
+    port.reopen()
+    pump(port.device, unit, 0.3)
+    assert port.read() == b""  # what was on its way is lost
+    port.write(framed("INIT:"))
+    for now in (0.4, 0.5, 0.6):
+        pump(port.device, unit, now)
+    assert port.read() == framed("OKAY")
 
 
 def test_the_same_seed_measures_the_same():

@@ -13,7 +13,7 @@ import pytest
 
 from station.devices.netft import LATENCY
 from station.devices.netft_page import read_page
-from station.devices.netft_sensors import NetftSensors, Quality, SensorError, connect
+from station.devices.netft_sensors import BoxAddress, NetftSensors, Quality, SensorError, connect
 from station.lab.config import BaseSensorConfig
 from station.lab.netft_wire import AddressTaken, MemoryDatagrams, MemoryEnd, PageServer, UdpEnd, respond
 from station.lab.simulated_netft import BoxSettings, SimulatedNetft
@@ -370,7 +370,7 @@ def served() -> Iterator[Served]:
 
 
 def test_over_http_and_udp_the_driver_connects_streams_biases_and_stops(served):
-    sensors = connect(["127.0.0.1"], None, ["FT77"], served.end.port, served.server.port)
+    sensors = connect([BoxAddress("127.0.0.1", served.end.port, served.server.port, "FT77")])
     try:
         sensors.start(time.perf_counter())
         for _ in range(10_000):
@@ -392,7 +392,7 @@ def test_over_http_and_udp_the_driver_connects_streams_biases_and_stops(served):
 
 def test_another_sensor_than_the_expected_one_is_refused_by_its_serial_number(served):
     with pytest.raises(SensorError, match="calibration 'FT77', expected 'FT78'"):
-        connect(["127.0.0.1"], None, ["FT78"], served.end.port, served.server.port)
+        connect([BoxAddress("127.0.0.1", served.end.port, served.server.port, "FT78")])
 
 
 def test_a_browser_gets_the_page_and_nothing_else(served):

@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import pytest
 
-from station.devices.links import SerialLink, memory_pipe
+from station.devices.links import SerialLink
+from station.devices.memory_pipe import memory_pipe
 from station.devices.zaber import BYTE_TIME, MESSAGE_TIME, Message, Parser, decode, encode, with_id
 from station.lab.simulated_zaber import RENUMBERING, Faults, SimulatedChain, pump
 from station.lab.simulated_zaber_motion import way

@@ -1,0 +1,175 @@
+"""Base force sensors: offset, drift, mounting angles and the weight that hangs on them, from a set of poses.
+
+Sensor i, mounted a little askew (R_i), with the weight W_i of what is fixed to it at c_i, reads
+
+    y_i = R_i^T (w_i + g_i) + b_i + d_i (t - t_0),    g_i = (W_i Rz(alpha)^T e, c_i x W_i Rz(alpha)^T e),
+
+w_i being what the tube exerts on it and e the direction of gravity. What the tubes do to each other is in every
+w_i and unknown, so one sensor alone cannot be calibrated on a robot; in the sum over the sensors it cancels, and
+the sum must be the load: nothing, or a known weight W e at the tip r with the moment r x W e, or an unknown
+force F of which only the moment equation M = r x F is known. What the sum does not see (how an axial offset is
+shared out between the sensors, say) does not matter to the load, and the account says so.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from core.calibration.fit import Fit, Parameter, Unobservable, fit
+from core.calibration.rigid import rotation_of
+from core.calibration.visits import Noise, Visit
+from core.robot import Array, Robot
+from core.sensors import Sensors
+from core.wrench import Fused, fuse_at
+
+#: What is known beforehand, one standard deviation, and how far each may be off before it matters.
+OFFSET, OFFSET_SIZE = (2.0, 30e-3), (5e-3, 0.2e-3)  # [N], [N m]
+DRIFT, DRIFT_SIZE = (10e-3 / 60.0, 1e-3 / 60.0), (5e-3 / 60.0, 0.2e-3 / 60.0)  # [N/s], [N m/s]
+MOUNTING, MOUNTING_SIZE = 0.05, 0.01  # [rad]
+WEIGHT, WEIGHT_SIZE = 0.5, 5e-3  # [N]
+FIRST_MOMENT, FIRST_MOMENT_SIZE = 20e-3, 0.2e-3  # weight times its distance [N m]
+#: Fewer cannot tell an offset that turns with its sensor from a weight that does not.
+LEAST_VISITS = 8
+
+
+class SensorCalibration(NamedTuple):
+    """Sensors as they were found to be."""
+
+    sensors: Sensors
+    offset: Array  #: (q, 6) at `time` [N, N m]
+    drift: Array  #: (q, 6) [N/s, N m/s]
+    time: float  #: [s]
+    fit: Fit
+
+    def load(self, robot: Robot, visit: Visit) -> Fused:
+        """Load of the whole robot at a visit, world frame."""
+        readings = visit.wrenches - self.offset - (visit.time - self.time) * self.drift
+        alpha, _ = robot.tube_poses(visit.joints)
+        return fuse_at(robot, visit.joints, self.sensors.exerted(readings, alpha))
+
+
+class WeightCheck(NamedTuple):
+    """A known weight as it was measured."""
+
+    force: Array  #: (3,) mean [N]
+    magnitude: float  #: of it [N]
+    error: float  #: magnitude - known [N]
+    angle: float  #: between it and gravity [rad]
+
+
+def calibrate_sensors(
+    robot: Robot, visits: Sequence[Visit], tips: Array, noise: Noise, tip_error: float, gravity: Array | None = None
+) -> SensorCalibration:
+    """Fit the sensors to visits with the tip at `tips` (m, 3), world frame [m].
+
+    Args:
+        robot: for the poses of the tubes.
+        visits: untared; some without load, and best some under a known weight.
+        tips: as measured.
+        noise: of the fused loads.
+        tip_error: standard deviation of each component of `tips` [m].
+        gravity: its direction (3,), world frame; +x when left out.
+
+    Raises:
+        Unobservable: too few visits without load, or all at the same rotations.
+
+    """
+    free = [visit for visit in visits if visit.weight == 0.0]
+    if len(free) < LEAST_VISITS:
+        raise Unobservable(f"{len(free)} visits without load; the sensors' offsets need at least {LEAST_VISITS}")
+    for j, joint in enumerate(robot.joints):
+        turned = float(np.ptp([visit.joints[j] for visit in free]))
+        if joint.motion == "rotation" and turned < 1.0:
+            raise Unobservable(
+                f"an offset that turns with the sensor of tube '{robot.tubes[joint.tube].name}' cannot be told from a"
+                f" weight: turn {joint.name} by more than 60 deg without load (it turned {np.degrees(turned):.1f} deg)"
+            )
+    down = np.array([1.0, 0.0, 0.0]) if gravity is None else gravity / np.linalg.norm(gravity)
+    problem = _Sum(robot, visits, tips, tip_error, noise, down)
+    found = fit(problem, problem.parameters)
+    return SensorCalibration(*problem.unpacked(found.values), problem.middle, found)
+
+
+def check_weight(loads: Array, known: float, gravity: Array) -> WeightCheck:
+    """Measured forces (m, 3) against a known weight [N] that hangs along `gravity` (3,)."""
+    force = loads.mean(axis=0)
+    magnitude = float(np.linalg.norm(force))
+    cosine = float(force @ gravity) / (magnitude * float(np.linalg.norm(gravity)))
+    return WeightCheck(force, magnitude, magnitude - known, float(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+@dataclass(frozen=True)
+class _Sum:
+    """The fit's problem: the sum of all sensors is the load."""
+
+    robot: Robot
+    visits: Sequence[Visit]
+    tips: Array
+    tip_error: float
+    noise: Noise
+    down: Array
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        found: list[Parameter] = []
+        for tube in self.robot.tubes:
+            for what, sizes, priors, per in (("offset", OFFSET_SIZE, OFFSET, ""), ("drift", DRIFT_SIZE, DRIFT, "/s")):
+                for name, unit, size, prior in zip(("force", "moment"), ("N", "N m"), sizes, priors, strict=True):
+                    found += [Parameter(f"{tube.name} {name} {what} {a}", unit + per, size, prior) for a in "xyz"]
+            found += [Parameter(f"{tube.name} mounting {a}", "rad", MOUNTING_SIZE, MOUNTING) for a in "xyz"]
+            found.append(Parameter(f"{tube.name} weight", "N", WEIGHT_SIZE, WEIGHT))
+            found += [Parameter(f"{tube.name} first moment {a}", "N m", FIRST_MOMENT_SIZE, FIRST_MOMENT) for a in "xyz"]
+        return tuple(found)
+
+    @property
+    def middle(self) -> float:
+        """Time from which the drift counts [s]."""
+        return float(np.mean([visit.time for visit in self.visits]))
+
+    def unpacked(self, values: Array) -> tuple[Sensors, Array, Array]:
+        """Sensors, offset (q, 6) and drift (q, 6)."""
+        rows = values.reshape(len(self.robot.tubes), -1)
+        mounting = np.array([rotation_of(row[12:15]) for row in rows])
+        gravity = self.robot.base.rotation.T @ self.down
+        return Sensors(mounting, rows[:, 15].copy(), rows[:, 16:19].copy(), gravity), rows[:, :6], rows[:, 6:12]
+
+    def residuals(self, values: Array) -> Array:
+        sensors, offset, drift = self.unpacked(values)
+        found: list[Array] = []
+        for k, visit in enumerate(self.visits):
+            readings = visit.wrenches - offset - (visit.time - self.middle) * drift
+            alpha, _ = self._poses[k]
+            load = fuse_at(self.robot, visit.joints, sensors.exerted(readings, alpha))
+            if visit.weight is None:
+                # Of an unknown force only the moment equation is known.
+                found += [np.zeros(3), (load.moment - np.cross(self.tips[k], load.force)) / self._closure_noise]
+                continue
+            force = visit.weight * self.down
+            found.append((load.force - force) / self.noise.force)
+            found.append((load.moment - np.cross(self.tips[k], force)) / self._moment_noise(visit.weight))
+        return np.concatenate(found)
+
+    def jacobian(self, values: Array) -> Array:
+        """Central differences: the residuals are linear in all but the mounting angles."""
+        columns: list[Array] = []
+        for k, parameter in enumerate(self.parameters):
+            half = np.zeros_like(values)
+            half[k] = 1e-2 * parameter.size
+            columns.append((self.residuals(values + half) - self.residuals(values - half)) / (2.0 * half[k]))
+        return np.column_stack(columns)
+
+    @cached_property
+    def _poses(self) -> list[tuple[Array, Array]]:
+        return [self.robot.tube_poses(visit.joints) for visit in self.visits]
+
+    @cached_property
+    def _closure_noise(self) -> float:
+        lever = float(np.linalg.norm(self.tips, axis=1).max())
+        return float(np.hypot(self._moment_noise(0.5), lever * self.noise.force))
+
+    def _moment_noise(self, weight: float) -> float:
+        """Of the moment under a weight: the place of the tip is not known exactly."""
+        return float(np.hypot(self.noise.moment, self.tip_error * weight))

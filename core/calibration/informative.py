@@ -1,0 +1,139 @@
+"""Which poses to visit: those that say most by the model, reachable one after the other.
+
+Greedy D-optimal design: of many candidates inside the limits the next one is always that which adds most to
+log det of the information, log det(1 + J A^-1 J^T) for its rows J. The chosen ones are then put in an order of
+short ways, and each way is walked on the model before it is taken.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from core.calibration.prediction import Frames, Prediction
+from core.calibration.quantities import Quantity
+from core.calibration.rigid import Rigid
+from core.calibration.visits import Noise, Visit
+from core.errors import CtrError, Unreachable
+from core.limits import Limits, Situation
+from core.robot import Array, Robot
+from core.statics import Statics
+
+#: Rotations further than half a turn from zero show nothing new [rad].
+HALF_TURN = np.pi
+#: Part of each travel that is left free at either end.
+MARGIN = 0.03
+#: Below this margin of elastic stability a pose is left out.
+STABLE = 0.25
+#: Poses that are looked at on the way between two visits.
+STEPS = 12
+
+
+def candidates(statics: Statics, limits: Limits, force: Array, count: int) -> Array:
+    """Joint positions (m, n) spread evenly over what the limits allow under a tip force (3,); m <= count."""
+    lower = np.array([max(j.lower, -HALF_TURN) if j.unit == "rad" else j.lower for j in limits.joints])
+    upper = np.array([min(j.upper, HALF_TURN) if j.unit == "rad" else j.upper for j in limits.joints])
+    room = upper - lower
+    found = [
+        joints
+        for part in evenly(count, room.size)
+        if possible(statics, limits, joints := lower + room * (MARGIN + (1.0 - 2.0 * MARGIN) * part), force)
+    ]
+    if not found:
+        raise Unreachable(f"none of {count} poses inside the travel is inside all limits under {force.tolist()} N")
+    return np.array(found)
+
+
+def evenly(count: int, n: int) -> Array:
+    """Points (count, n) that fill the unit cube evenly: the additive recurrence of the generalised golden ratio."""
+    ratio = 2.0
+    for _ in range(40):
+        ratio = (1.0 + ratio) ** (1.0 / (n + 1.0))
+    steps = (1.0 / ratio) ** np.arange(1, n + 1)
+    return (0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0
+
+
+def possible(statics: Statics, limits: Limits, joints: Array, force: Array) -> bool:
+    """Whether the robot can stand there: inside travel, order, workspace, and far from snapping."""
+    try:
+        limits.check(joints)
+        pose = statics.solve(joints, np.concatenate((force, np.zeros(3))))
+        at = Situation(joints, pose.jacobian[:3], pose.tip, force)
+        for limit in limits.others:
+            limit.check(at)
+    except CtrError:
+        return False
+    return pose.stability > STABLE
+
+
+def choose(
+    robot: Robot, what: tuple[Quantity, ...], poses: Array, force: Array, noise: Noise, count: int,
+    known: Array | None = None,
+) -> tuple[Array, Array]:  # fmt: skip
+    """The `count` most informative of poses (m, n) under a force (3,) at the tip [N].
+
+    Args:
+        robot: as it is believed to be.
+        what: quantities of its tubes that are asked for beside the frames.
+        poses: to choose from.
+        force: at the tip, world frame [N].
+        noise: of a visit.
+        count: how many.
+        known: information (p, p), in sizes, of what has been visited already.
+
+    Returns:
+        Indices (count,) in order of choice, and the information (p, p) of all together.
+
+    """
+    empty = np.zeros((len(robot.tubes), 6))
+    weight = None if force.any() else 0.0
+    visits = [Visit(0.0, joints, np.zeros(3), empty, weight) for joints in poses]
+    frames = Frames(Rigid(np.eye(3), np.zeros(3)), np.zeros(3), np.zeros(3))
+    problem = Prediction(robot, what, placed(robot, visits, force), np.tile(force, (len(poses), 1)), noise, frames)
+    sizes = np.array([p.size for p in problem.parameters])
+    rows = (problem.jacobian(np.zeros(sizes.size)) * sizes).reshape(len(poses), 3, -1)
+    # What nothing is known of beforehand starts nearly unknown, so that the first choices have a value.
+    information = np.diag([max((p.size / p.prior) ** 2, 1e-4) for p in problem.parameters]) if known is None else known
+    chosen: list[int] = []
+    for _ in range(min(count, len(poses))):
+        inner = np.eye(3) + rows @ np.linalg.inv(information) @ rows.transpose(0, 2, 1)
+        gain = np.linalg.slogdet(inner)[1]
+        gain[chosen] = -np.inf
+        best = int(np.argmax(gain))
+        chosen.append(best)
+        information = information + rows[best].T @ rows[best]
+    return np.array(chosen), information
+
+
+def placed(robot: Robot, visits: Sequence[Visit], force: Array) -> list[Visit]:
+    """Visits with the coil where the model has the tip."""
+    model, wrench = Statics(robot, integrator="fourth_order"), np.concatenate((force, np.zeros(3)))
+    return [visit._replace(coil=model.solve(visit.joints, wrench).tip) for visit in visits]
+
+
+def tour(statics: Statics, limits: Limits, start: Array, poses: Array, force: Array) -> Array:
+    """Poses (m, n) in an order of short ways from `start` (n,), each way inside the limits.
+
+    A pose that cannot be reached straight from where the robot is waits for another turn; one that can be reached
+    from nowhere is left out.
+
+    Raises:
+        Unreachable: none can be reached.
+
+    """
+    left, at = list(poses), start
+    order: list[Array] = []
+    while left:
+        left.sort(key=lambda pose: float(np.abs((pose - at) / limits.speed).max()))
+        following = next((k for k, pose in enumerate(left) if way_is_free(statics, limits, at, pose, force)), None)
+        if following is None:
+            break
+        at = left.pop(following)
+        order.append(at)
+    if not order:
+        raise Unreachable(f"none of {len(poses)} poses can be reached from {start.tolist()} inside the limits")
+    return np.array(order)
+
+
+def way_is_free(statics: Statics, limits: Limits, start: Array, end: Array, force: Array) -> bool:
+    """Whether the straight way between two joint positions stays inside all limits."""
+    return all(possible(statics, limits, start + (end - start) * step / STEPS, force) for step in range(1, STEPS + 1))

@@ -1,0 +1,193 @@
+"""What the tracker should see at every visit, as a function of frames and tubes: the residuals of all fits.
+
+    e_k = R (p_k) + t - (x(q_k, F_k; tubes) + A(q_k, F_k; tubes) c)
+
+p is the coil in the tracker's frame, (R, t) the registration, x and A tip and frame of the innermost
+tube by the model, c the coil in that frame. R is turned about the middle of the visited points, so that rotation
+and translation do not get in each other's way. A coil that tells directions adds R a_k - A d for each.
+
+The load is measured, too: its error reaches the residual through the compliance, so that a visit counts with
+sigma_p^2 1 + sigma_F^2 C C^T.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from core.calibration.fit import Parameter
+from core.calibration.quantities import Quantity, changed
+from core.calibration.rigid import Rigid, rotation_of
+from core.calibration.visits import Noise, Visit
+from core.robot import Array, Robot
+from core.solution import Solution
+from core.statics import Statics
+
+#: How far frames may be off before it matters [rad, m]; the coil sits within a few millimetres of the tip.
+FRAME_ANGLE, FRAME_PLACE, COIL = 1e-2, 1e-3, 3e-3
+#: What is known of the coil's direction beforehand [rad].
+COIL_TILT = 0.2
+
+
+class Frames(NamedTuple):
+    """Where tracker and coil are."""
+
+    registration: Rigid  #: tracker's frame -> robot's frame
+    coil: Array  #: (3,) in the frame of the innermost tube's tip [m]
+    tilt: Array  #: (3,) rotation vector of the coil's axes in that frame [rad]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The fit's problem: parameters are tubes' quantities, then 3 + 3 of the registration, 3 of the coil, its tilt."""
+
+    robot: Robot
+    what: tuple[Quantity, ...]
+    visits: Sequence[Visit]
+    forces: Array  #: (m, 3) at the tip, world frame [N]
+    noise: Noise
+    start: Frames
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Of the fit, in order."""
+        frames = [Parameter(f"frame rotation {axis}", "rad", FRAME_ANGLE) for axis in "xyz"]
+        frames += [Parameter(f"frame position {axis}", "m", FRAME_PLACE) for axis in "xyz"]
+        frames += [Parameter(f"coil {axis}", "m", COIL, COIL) for axis in "xyz"]
+        frames += [Parameter(f"coil tilt {axis}", "rad", COIL_TILT, COIL_TILT) for axis in "xyz"[: self._tilts]]
+        return (*(quantity.parameter(self.robot) for quantity in self.what), *frames)
+
+    def residuals(self, values: Array) -> Array:
+        """(3 m,) in standard deviations; with directions, 3 more for each."""
+        return self._weighted(*self._errors(values, self.solutions(values)))
+
+    def jacobian(self, values: Array) -> Array:
+        """By the quantities: central differences of the solved model; by the frames: in closed form."""
+        columns: list[Array] = []
+        for k, parameter in enumerate(self.parameters[: len(self.what)]):
+            half = np.zeros_like(values)
+            half[k] = 1e-3 * parameter.size
+            up, down = (self._errors(v, self.solutions(v)) for v in (values + half, values - half))
+            difference = tuple((a - b) / (2.0 * half[k]) for a, b in zip(up, down, strict=True))
+            columns.append(self._weighted(difference[0], difference[1]))
+        frames = self.frames(values)
+        solved = self.solutions(values)
+        turned = self._turned(values)
+        turning = rotation_of(values[len(self.what) : len(self.what) + 3])
+        for k in range(6):
+            place, direction = np.zeros((len(solved), 3)), np.zeros_like(self._directions)
+            if k < 3:
+                # exp(v + dv) = exp(J dv) exp(v) with the left Jacobian, by a difference: v is small
+                step = np.zeros(3)
+                step[k] = 1e-6
+                rate = (
+                    rotation_of(values[len(self.what) : len(self.what) + 3] + step) @ turning.T
+                    - rotation_of(values[len(self.what) : len(self.what) + 3] - step) @ turning.T
+                ) / 2e-6
+                place = turned @ rate.T
+                direction = (self._directions @ frames.registration.rotation.T) @ rate.T
+            else:
+                place[:, k - 3] = 1.0
+            columns.append(self._weighted(place, direction))
+        tips = np.array([s.rotation for s in solved])
+        columns += [self._weighted(-tips[:, :, k], np.zeros_like(self._directions)) for k in range(3)]
+        for k in range(self._tilts):
+            step = np.zeros(3)
+            step[k] = 1e-6
+            rate = (rotation_of(frames.tilt + step) - rotation_of(frames.tilt - step))[:, self._columns] / 2e-6
+            columns.append(self._weighted(np.zeros((len(solved), 3)), -np.einsum("mij,jc->mci", tips, rate)))
+        return np.column_stack(columns)
+
+    def frames(self, values: Array) -> Frames:
+        """Registration and coil at parameters (p,)."""
+        own = values[len(self.what) :]
+        rotation = rotation_of(own[:3])
+        base = self.start.registration
+        position = rotation @ (base.position - self.middle) + self.middle + own[3:6]
+        tilt = np.zeros(3)
+        tilt[: self._tilts] = own[9:]
+        return Frames(Rigid(rotation @ base.rotation, position), self.start.coil + own[6:9], self.start.tilt + tilt)
+
+    def tubes(self, values: Array) -> Robot:
+        """The robot at parameters (p,)."""
+        return changed(self.robot, self.what, values)
+
+    def solutions(self, values: Array) -> list[Solution]:
+        """The model at every visit."""
+        model = Statics(self.tubes(values), integrator="fourth_order")
+        near = self._nominal
+        found: list[Solution] = []
+        for k, visit in enumerate(self.visits):
+            wrench = np.concatenate((self.forces[k], np.zeros(3)))
+            found.append(model.solve(visit.joints, wrench, near[k] if near else None))
+        return found
+
+    def errors(self, values: Array) -> Array:
+        """Measured minus predicted coil (m, 3), robot's frame [m]."""
+        return self._errors(values, self.solutions(values))[0]
+
+    @cached_property
+    def _nominal(self) -> list[Solution]:
+        model = Statics(self.robot, integrator="fourth_order")
+        return [
+            model.solve(visit.joints, np.concatenate((force, np.zeros(3))))
+            for visit, force in zip(self.visits, self.forces, strict=True)
+        ]
+
+    @cached_property
+    def _coils(self) -> Array:
+        return np.array([visit.coil for visit in self.visits])
+
+    @cached_property
+    def _directions(self) -> Array:
+        """(m, c, 3) in the tracker's frame; c = 0 without any."""
+        axes = [visit.axes for visit in self.visits]
+        if any(a is None for a in axes):
+            return np.zeros((len(self.visits), 0, 3))
+        return np.array(axes)
+
+    @property
+    def _columns(self) -> slice:
+        """Which axes of the coil are seen: z alone, or all."""
+        return slice(2, 3) if self._directions.shape[1] == 1 else slice(0, self._directions.shape[1])
+
+    @property
+    def _tilts(self) -> int:
+        """A coil without roll does not tell a turn about its own axis."""
+        return {0: 0, 1: 2, 3: 3}[self._directions.shape[1]]
+
+    @cached_property
+    def middle(self) -> Array:
+        """Mean of the visited points in the robot's frame (3,) [m]: the registration turns about it."""
+        return self.start.registration.apply(self._coils).mean(axis=0)
+
+    @cached_property
+    def _weights(self) -> Array:
+        """(m, 3, 3): inverse Cholesky factors of the visits' covariances."""
+        found: list[Array] = []
+        for visit, solution in zip(self.visits, self._nominal, strict=True):
+            c = solution.compliance[:3, :3]
+            force = 0.0 if visit.weight == 0.0 else self.noise.force
+            covariance = self.noise.coil**2 * np.eye(3) + force**2 * c @ c.T
+            found.append(np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64))
+        return np.array(found)
+
+    def _turned(self, values: Array) -> Array:
+        """Measured coils (m, 3) in the robot's frame, from the middle about which R turns."""
+        own = values[len(self.what) :]
+        return (self.start.registration.apply(self._coils) - self.middle) @ rotation_of(own[:3]).T
+
+    def _errors(self, values: Array, solved: Sequence[Solution]) -> tuple[Array, Array]:
+        """Of the positions (m, 3) [m] and of the directions (m, c, 3)."""
+        frames = self.frames(values)
+        tips, turns = np.array([s.tip for s in solved]), np.array([s.rotation for s in solved])
+        place = frames.registration.apply(self._coils) - tips - turns @ frames.coil
+        seen = self._directions @ frames.registration.rotation.T
+        axes = rotation_of(frames.tilt)[:, self._columns]
+        return place, seen - np.einsum("mij,jc->mci", turns, axes)
+
+    def _weighted(self, place: Array, direction: Array) -> Array:
+        whole = np.einsum("mij,mj->mi", self._weights, place).ravel()
+        return np.concatenate((whole, direction.ravel() / self.noise.axes))

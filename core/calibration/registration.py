@@ -1,0 +1,149 @@
+"""Tracker to robot, and coil to tip: from poses where the robot rested (`Visit`).
+
+Start: the closed form of Kabsch between the coil's places and the model's tips. Then least squares over rotation,
+translation, the coil's place in the tip's frame and, when it tells directions, its tilt. The model's tubes are taken
+as they are: with tubes that differ from their description the residuals are millimetres and the
+covariance says so; `tubes` then fits both together.
+
+The rotation about z is counted from the zero angle of the outermost tube that turns: a zero error of that stage and a
+turn of the whole tracker about z are one and the same to every measurement.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from core.calibration.fit import Fit, Unobservable, fit, weak_combinations
+from core.calibration.prediction import Frames, Prediction
+from core.calibration.rigid import kabsch
+from core.calibration.visits import Noise, Visit
+from core.limits import Limits
+from core.robot import Array, Robot
+from core.statics import Statics
+
+#: Every so many-th visit is held out of the check's fit.
+HOLD_OUT = 4
+#: Fewer cannot be checked against each other.
+LEAST_VISITS = 6
+#: The motion must be enough to determine the frames even if the model is no better than this [m]: what small moves
+#: and small noise seem to tell, the model's own error would spoil.
+MODEL_ERROR = 0.3e-3
+#: Turns and slides that are tried, one joint at a time, to say which motion is missing.
+AMOUNTS = {"rad": tuple(math.radians(a) for a in (10, 20, 30, 45, 60, 90)), "m": (0.005, 0.010, 0.020, 0.040)}
+
+
+class Registration(NamedTuple):
+    """The frames, and how good they are."""
+
+    frames: Frames
+    fit: Fit
+    errors: Array  #: (m,) distance of each coil from where the model puts it [m]
+    held_out: Array  #: (k,) the same for visits that the fit had not seen [m]
+    middle: Array  #: (3,) about which the rotation was turned [m]
+
+    @property
+    def rms(self) -> float:
+        """Of the errors [m]."""
+        return float(np.sqrt(np.mean(self.errors**2)))
+
+    def error_at(self, points: Array) -> Array:
+        """Standard deviation (m,) with which points (m, 3) of the robot's frame are registered [m].
+
+        The covariance of rotation and translation, carried to the place where it is asked for.
+        """
+        names = [p.name for p in self.fit.parameters]
+        first = names.index("frame rotation x")
+        covariance = self.fit.covariance[first : first + 6, first : first + 6]
+        return np.array([math.sqrt(float(np.trace(j @ covariance @ j.T))) for j in map(self._carry, points)])
+
+    def _carry(self, point: Array) -> Array:
+        x, y, z = point - self.middle
+        return np.hstack((np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]), np.eye(3)))
+
+
+def closed_form(robot: Robot, visits: Sequence[Visit], forces: Array) -> Frames:
+    """Frames with the coil at the tip."""
+    model = Statics(robot, integrator="fourth_order")
+    tips = np.array([
+        model.solve(visit.joints, np.concatenate((force, np.zeros(3)))).tip
+        for visit, force in zip(visits, forces, strict=True)
+    ])  # fmt: skip
+    return Frames(kabsch(np.array([visit.coil for visit in visits]), tips), np.zeros(3), np.zeros(3))
+
+
+def register(
+    robot: Robot, visits: Sequence[Visit], forces: Array, noise: Noise, limits: Limits | None = None
+) -> Registration:
+    """Fit the frames to visits under known tip forces (m, 3) [N].
+
+    Raises:
+        Unobservable: too few visits, or the robot has not moved enough to tell; with the missing motion.
+        CtrError: the model has no shape at a visit.
+
+    """
+    if len(visits) < LEAST_VISITS:
+        raise Unobservable(f"{len(visits)} visits; a registration that can be checked needs at least {LEAST_VISITS}")
+    start = closed_form(robot, visits, forces)
+    problem = Prediction(robot, (), visits, forces, noise, start)
+    found = fit(problem, problem.parameters)
+    rows = found.jacobian * min(noise.coil / MODEL_ERROR, 1.0)
+    if open_ := [c for c in weak_combinations(rows, problem.parameters) if not c.held]:
+        raise Unobservable(f"the visited poses cannot tell {open_[0]}: {missing_motion(problem, rows, found, limits)}")
+    held = held_out_errors(robot, visits, forces, noise, start)
+    errors = np.linalg.norm(problem.errors(found.values), axis=1)
+    return Registration(problem.frames(found.values), found, errors, held, problem.middle)
+
+
+def held_out_errors(robot: Robot, visits: Sequence[Visit], forces: Array, noise: Noise, start: Frames) -> Array:
+    """Distances [m] at every `HOLD_OUT`-th visit after a fit to the others."""
+    out = np.arange(len(visits)) % HOLD_OUT == HOLD_OUT - 1
+    kept = Prediction(robot, (), [v for v, o in zip(visits, out, strict=True) if not o], forces[~out], noise, start)
+    found = fit(kept, kept.parameters)
+    rest = Prediction(
+        robot, (), [v for v, o in zip(visits, out, strict=True) if o], forces[out], noise, kept.frames(found.values)
+    )
+    return np.linalg.norm(rest.errors(np.zeros(len(rest.parameters))), axis=1)
+
+
+def missing_motion(problem: Prediction, rows: Array, found: Fit, limits: Limits | None) -> str:
+    """Which joint has to move, and by how much, for every frame to be determined."""
+    joints = np.array([visit.joints for visit in problem.visits])
+    rest, frames = joints.mean(axis=0), problem.frames(found.values)
+    assumed = problem.noise._replace(coil=max(problem.noise.coil, MODEL_ERROR))
+    moved = np.ptp(joints, axis=0) / np.array([1.0 if j.unit == "rad" else 0.05 for j in problem.robot.joints])
+    least: list[int] = np.argsort(moved).tolist()
+    for k in least:
+        joint = problem.robot.joints[k]
+        for amount in AMOUNTS[joint.unit]:
+            extra = [rest.copy(), rest.copy()]
+            extra[0][k] -= amount
+            extra[1][k] += amount
+            if limits is not None:
+                extra = [np.clip(e, [j.lower for j in limits.joints], [j.upper for j in limits.joints]) for e in extra]
+            added = [Visit(0.0, e, np.zeros(3), np.zeros((len(problem.robot.tubes), 6)), 0.0) for e in extra]
+            more = Prediction(problem.robot, (), _seen(problem, added, frames), np.zeros((2, 3)), assumed, frames)
+            both = np.vstack((rows, more.jacobian(np.zeros(len(more.parameters)))))
+            if all(c.held for c in weak_combinations(both, problem.parameters)):
+                so_far = float(np.ptp(joints[:, k]))
+                if joint.unit == "rad":
+                    return (
+                        f"turn {joint.name} by {math.degrees(amount):.0f} deg either way"
+                        f" (it turned {math.degrees(so_far):.1f} deg in all)"
+                    )
+                return f"slide {joint.name} by {1e3 * amount:g} mm either way (it slid {1e3 * so_far:.1f} mm in all)"
+    return "no single joint makes up for it: move all of them, at several insertions"
+
+
+def _seen(problem: Prediction, visits: Sequence[Visit], frames: Frames) -> list[Visit]:
+    """Visits with what the tracker would see there."""
+    model, back = Statics(problem.robot, integrator="fourth_order"), frames.registration.inverse()
+    seen: list[Visit] = []
+    for visit in visits:
+        pose = model.solve(visit.joints, np.zeros(6))
+        axes = None
+        if problem.visits[0].axes is not None:
+            axes = pose.rotation.T[-problem.visits[0].axes.shape[0] :] @ back.rotation.T
+        seen.append(visit._replace(coil=back.apply(pose.tip + pose.rotation @ frames.coil), axes=axes))
+    return seen

@@ -1,0 +1,70 @@
+"""A calibration as a conversation: it says what to do next, and is told what was measured.
+
+A procedure is a generator. It yields steps, `GoTo` a pose and rest there or `Ask` a person for something,
+and is sent the `Visit` of each pose. Who carries the steps out, a loop in virtual time or a station with an
+operator, does not matter to it; to abort is to close it.
+"""
+
+from collections.abc import Generator
+from typing import Generic, NamedTuple, TypeVar
+
+from core.calibration.visits import Visit
+from core.errors import CtrError
+from core.robot import Array
+
+Result = TypeVar("Result")
+
+
+class GoTo(NamedTuple):
+    """Go to a pose, rest, measure; answered with a `Visit`."""
+
+    joints: Array  #: (n,) [rad or m]
+    weight: float | None  #: known to hang at the tip meanwhile [N]
+    done: float  #: part of the procedure that is done before it, 0 ... 1
+
+
+class Ask(NamedTuple):
+    """Something that a person does while the robot rests; answered with None when it is done."""
+
+    text: str
+    weight: float  #: that hangs at the tip from then on [N]
+    done: float
+
+
+Step = GoTo | Ask
+Procedure = Generator[Step, Visit | None, Result]
+
+
+class AbortedError(CtrError):
+    """A procedure that was ended before it had a result."""
+
+
+class Guided(Generic[Result]):
+    """A procedure under way."""
+
+    def __init__(self, procedure: Procedure[Result]) -> None:
+        """Begin; raises what the procedure raises while it plans."""
+        self.step: Step | None = None  #: what is to be done now; None at the end
+        self.result: Result | None = None  #: at the end
+        self._procedure = procedure
+        self._advance(None, first=True)
+
+    @property
+    def done(self) -> float:
+        """Part that is done, 0 ... 1."""
+        return 1.0 if self.step is None else self.step.done
+
+    def answer(self, visit: Visit | None) -> None:
+        """The step was carried out; raises what the procedure makes of it (`Unobservable` and others)."""
+        self._advance(visit, first=False)
+
+    def abort(self) -> None:
+        """Give up; nothing is kept."""
+        self._procedure.close()
+        self.step = None
+
+    def _advance(self, visit: Visit | None, first: bool) -> None:
+        try:
+            self.step = next(self._procedure) if first else self._procedure.send(visit)
+        except StopIteration as end:
+            self.step, self.result = None, end.value

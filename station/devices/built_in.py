@@ -1,0 +1,144 @@
+"""The station's own drivers: what a station file says about them, checked, and how to open them."""
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from core.errors import CtrError
+from station.config import ConfigError, check
+from station.devices.ati_calibration import Calibration, read_calibration
+from station.devices.aurora import POWER_UP_BAUD
+from station.devices.aurora_settings import AuroraSettings
+from station.devices.aurora_tracker import AuroraTracker, Registration
+from station.devices.config import AuroraFile, CardFile, NetftFile, NidaqFile, StageFile, ZaberFile, in_order
+from station.devices.interfaces import BaseSensors
+from station.devices.links import SerialLink, reopen
+from station.devices.mounting import mounted
+from station.devices.netft_sensors import BoxAddress, NetftSettings, connect
+from station.devices.ni_card import NiCard, device_of
+from station.devices.nidaq_sensors import CardSensors, Wiring
+from station.devices.zaber import BAUD
+from station.devices.zaber_setup import Port, StageSetup
+from station.devices.zaber_stages import ZaberStages
+from station.robots import JointFile, RobotFile
+
+
+def zaber(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], ZaberStages]:
+    """Zaber T-series stages; raises ConfigError."""
+    key = "devices.stages"
+    file = check(ZaberFile, options, key)
+    if file.joints:
+        stages = in_order(file.joints, [joint.name for joint in robot.joints], f"{key}.joints")
+    else:
+        stages = [StageFile(device=number) for number, _ in enumerate(robot.joints, 1)]
+    lines: dict[str, list[int]] = {}
+    for i, (joint, stage) in enumerate(zip(robot.joints, stages, strict=True)):
+        port = stage.port or file.port
+        if port is None:
+            raise ConfigError(f"{key}.port is missing: {joint.name} has neither a port of its own nor a chain's")
+        others = lines.setdefault(port, [])
+        twin = next((k for k in others if stages[k].device == stage.device), None)
+        if twin is not None:
+            raise ConfigError(
+                f"{key}.joints.{joint.name}.device = {stage.device}: {robot.joints[twin].name} has that number on "
+                f"{port} too; each unit of a chain needs its own"
+            )
+        others.append(i)
+    setups = [_setup(joint, stage, f"{key}.joints") for joint, stage in zip(robot.joints, stages, strict=True)]
+
+    def opener() -> ZaberStages:
+        with contextlib.ExitStack() as opened:
+            ports: list[Port] = []
+            for url, places in lines.items():
+                link = SerialLink(url, BAUD)
+                opened.callback(link.close)
+                ports.append(Port(link, tuple(places)))
+            stages = ZaberStages(setups, ports, reopen=_reopened)
+            opened.pop_all()
+            return stages
+
+    return opener
+
+
+def _reopened(ports: Sequence[Port]) -> list[Port]:
+    return [Port(reopen(port.link), port.stages) for port in ports]
+
+
+def _setup(joint: JointFile, stage: StageFile, key: str) -> StageSetup:
+    try:
+        usual = StageSetup.of(joint, stage.device, stage.home_at, stage.backwards)
+        speed = usual.home_speed if stage.home_speed is None else stage.home_speed
+        return replace(usual, home_speed=speed, device_id=stage.device_id, serial=stage.serial)
+    except CtrError as error:
+        raise ConfigError(f"{key}.{error}") from None
+
+
+def aurora(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], AuroraTracker]:  # noqa: ARG001
+    """An NDI Aurora; raises ConfigError."""
+    key = "devices.tracker"
+    file = check(AuroraFile, options, key)
+    try:
+        settings = AuroraSettings(
+            tool_serial=file.tool,
+            baud=file.baud,
+            frame_rate=file.frame_rate,
+            latency=file.latency,
+            always_tx=file.always_tx,
+            coil_to_tip=1e3 * file.coil_to_tip,
+            fault_bits=file.fault_bits,
+        )
+    except CtrError as error:
+        raise ConfigError(f"{key}.baud = {file.baud}: {error}") from None
+    registration = Registration(file.mount.rotation, np.array(file.mount.position))
+    return lambda: AuroraTracker(SerialLink(file.port, POWER_UP_BAUD), settings, registration, reopen)
+
+
+def netft(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], BaseSensors]:
+    """ATI Net F/T boxes; raises ConfigError."""
+    file = check(NetftFile, options, "devices.sensors")
+    boxes = in_order(file.tubes, [tube.name for tube in robot.tubes], "devices.sensors.tubes")
+    settings = NetftSettings(stale_after=file.stale_after, latency=file.latency, ranges=file.ranges)
+    addresses = [BoxAddress(box.host, box.rdt_port, box.http_port, box.serial) for box in boxes]
+    return lambda: mounted(connect(addresses, settings), [box.mount for box in boxes])
+
+
+def nidaq(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], BaseSensors]:
+    """ATI sensors on NI cards; raises ConfigError."""
+    key = "devices.sensors"
+    file = check(NidaqFile, options, key)
+    sensors = in_order(file.tubes, [tube.name for tube in robot.tubes], f"{key}.tubes")
+    cards: dict[str, list[tuple[str, float]]] = {}
+    places: list[tuple[str, int, Calibration]] = []
+    for tube, sensor in zip(robot.tubes, sensors, strict=True):
+        calibration = _calibration(sensor, f"{key}.tubes.{tube.name}")
+        inputs = cards.setdefault(device_of(sensor.channels), [])
+        places.append((device_of(sensor.channels), 6 * len(inputs), calibration))
+        inputs.append((sensor.channels, calibration.volts))
+    wirings = [Wiring(list(cards).index(card), first, calibration) for card, first, calibration in places]
+
+    def cards_opened() -> list[NiCard]:
+        with contextlib.ExitStack() as opened:
+            found: list[NiCard] = []
+            for inputs in cards.values():
+                found.append(NiCard(inputs, file.rate))
+                opened.callback(found[-1].close)
+            opened.pop_all()
+            return found
+
+    return lambda: mounted(CardSensors(cards_opened, wirings, file.stale_after), [sensor.mount for sensor in sensors])
+
+
+def _calibration(sensor: CardFile, key: str) -> Calibration:
+    try:
+        calibration = read_calibration(Path(sensor.calibration))
+    except CtrError as error:
+        raise ConfigError(f"{key}.calibration: {error}") from None
+    if sensor.serial is not None and calibration.serial != sensor.serial:
+        raise ConfigError(
+            f"{key}.serial = '{sensor.serial}': {sensor.calibration} is for '{calibration.serial}'; exchanged?"
+        )
+    return calibration

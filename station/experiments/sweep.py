@@ -1,0 +1,269 @@
+"""Many seeds of one experiment, as it is or with keys of its file set to each of several values.
+
+Every run is a case in virtual time in a process of its own, bit for bit what `run` does with that seed.
+"""
+
+import itertools
+import os
+import re
+import signal
+import threading
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context, parent_process
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from station.clock import VirtualClock
+from station.config import ConfigError
+from station.experiments.experiment import Case, Experiment, load_experiment
+from station.experiments.results import summarise
+from station.experiments.runner import run_case
+from station.interrupt import interrupts
+
+#: Threads that libraries start by themselves would only fight over the processors.
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+#: What stands for itself as a text.
+WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
+
+#: Dotted keys of an experiment's file and the values they get, in the order they were given.
+Setting = tuple[tuple[str, Any], ...]
+
+
+class Job(NamedTuple):
+    """One run of a sweep."""
+
+    setting: Setting
+    case: Case
+    seed: int
+
+
+class Outcome(NamedTuple):
+    """A run and its numbers."""
+
+    job: Job
+    numbers: Mapping[str, Any]  #: those of `summarise`
+
+
+class Spread(NamedTuple):
+    """One number over all seeds."""
+
+    median: float
+    worst: float
+    p5: float
+    p95: float
+
+
+def settings(options: Sequence[str]) -> list[Setting]:
+    """Every combination of the values in `key=a,b,c` options; values are TOML, plain words are texts.
+
+    Raises:
+        ConfigError: no key, no value, or a key twice.
+    """
+    choices: list[list[tuple[str, Any]]] = []
+    for option in options:
+        key, equals, text = option.partition("=")
+        key = key.strip()
+        if not key or not equals or not text.strip():
+            raise ConfigError(f"--set {option}: write KEY=VALUE or KEY=A,B,C, for example controller.k1=1,2.5,5")
+        if key in [listed[0][0] for listed in choices]:
+            raise ConfigError(f"--set {option}: '{key}' was set before; give all its values at once")
+        choices.append([(key, _value(part, option)) for part in _parts(text)])
+    return list(itertools.product(*choices))
+
+
+def nested(setting: Setting) -> dict[str, Any]:
+    """The setting as a table of an experiment's file.
+
+    Raises:
+        ConfigError: one key goes through another's value.
+    """
+    table: dict[str, Any] = {}
+    for key, value in setting:
+        at = table
+        *way, last = key.split(".")
+        for part in way:
+            at = at.setdefault(part, {})
+            if not isinstance(at, dict):
+                raise ConfigError(f"--set {key}: '{part}' has a value of its own")
+        if last in at:
+            raise ConfigError(f"--set {key}: parts of it are set too")
+        at[last] = value
+    return table
+
+
+def jobs(experiment: str, chosen: Sequence[Setting], seeds: Sequence[int], only: str | None = None) -> list[Job]:
+    """All runs, after the experiment has been checked whole with every setting.
+
+    Args:
+        experiment: preset or file.
+        chosen: what is set on top of every case.
+        seeds: of everything random in the virtual lab.
+        only: the one case to run; None: all.
+
+    Raises:
+        ConfigError: with file, case, key, value and what was expected.
+    """
+    listed: list[Job] = []
+    for setting in chosen:
+        cases = load_experiment(experiment, nested(setting)).cases
+        if only is not None and only not in [case.name for case in cases]:
+            raise ConfigError(f"--case {only}: the cases are {', '.join(case.name for case in cases)}")
+        listed += [Job(setting, case, seed) for case in cases if only in (None, case.name) for seed in seeds]
+    return listed
+
+
+def run_job(job: Job) -> Outcome:
+    """One run."""
+    return Outcome(job, summarise(run_case(job.case, job.seed, VirtualClock(), lambda _: None)))
+
+
+def sweep(listed: Sequence[Job], processes: int, told: Callable[[int], None]) -> list[Outcome]:
+    """Carry out all of `listed`, `processes` at a time; `told` how many are done.
+
+    Ctrl-C ends the runs that are on, leaves out the others, and what is done comes back.
+    """
+    before = set(active_children())
+    with (
+        _one_thread_each(),
+        interrupts() as interrupted,
+        ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_prepare) as pool,
+    ):
+        futures = [pool.submit(run_job, job) for job in listed]
+        waiting = set(futures)
+        while waiting:
+            done, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
+            if done:
+                told(len(futures) - len(waiting))
+            if interrupted():
+                pool.shutdown(wait=False, cancel_futures=True)
+                for child in set(active_children()) - before:
+                    # A run takes it as a question and ends; between runs it is ignored.
+                    os.kill(child.pid or 0, signal.SIGINT)
+                break
+    return [future.result() for future in futures if not future.cancelled()]
+
+
+def spreads(outcomes: Sequence[Outcome]) -> dict[str, Spread]:
+    """Every number that all completed runs have, by its dotted name; axes are x, y and z."""
+    tables = [dict(_numbers("", outcome.numbers)) for outcome in outcomes if outcome.numbers["completed"]]
+    found: dict[str, Spread] = {}
+    for name in tables[0] if tables else ():
+        values = [table[name] for table in tables if name in table]
+        if len(values) == len(tables):
+            p5, median, p95 = np.round(np.percentile(values, (5.0, 50.0, 95.0)), 5).tolist()
+            found[name] = Spread(median, max(values), p5, p95)
+    return found
+
+
+def grouped(outcomes: Sequence[Outcome]) -> Iterator[tuple[Setting, str, list[Outcome]]]:
+    """Outcomes of each setting and case, in the order of the jobs."""
+    for (setting, case), group in itertools.groupby(outcomes, lambda one: (one.job.setting, one.job.case.name)):
+        yield setting, case, list(group)
+
+
+def sweep_summary(
+    experiment: Experiment, listed: Sequence[Job], outcomes: Sequence[Outcome], wall_s: float
+) -> dict[str, Any]:
+    """All of it as one JSON object; the numbers of each single run are in it too."""
+    completed = len(outcomes) == len(listed) and all(outcome.numbers["completed"] for outcome in outcomes)
+    return {
+        "experiment": experiment.name,
+        "title": experiment.title,
+        "labs": sorted({job.case.lab.title for job in listed}),
+        "completed": completed,
+        "wall_s": round(wall_s, 3),
+        "seeds": sorted({job.seed for job in listed}),
+        "planned": len(listed),
+        "settings": [
+            {
+                "setting": dict(setting),
+                "case": case,
+                "runs": len(group),
+                "completed": sum(bool(outcome.numbers["completed"]) for outcome in group),
+                "spreads": {name: spread._asdict() for name, spread in spreads(group).items()},
+            }
+            for setting, case, group in grouped(outcomes)
+        ],
+        "runs": [
+            {
+                "setting": dict(outcome.job.setting),
+                "case": outcome.job.case.name,
+                "seed": outcome.job.seed,
+                **outcome.numbers,
+            }
+            for outcome in outcomes
+        ],
+    }
+
+
+def _prepare() -> None:
+    """In each new process: ends with its parent, leaves Ctrl-C to the runs."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+
+    def end_with_parent() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """New processes start with this environment."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _parts(text: str) -> Iterator[str]:
+    """Split at commas outside brackets and quotes."""
+    depth, quote, begin = 0, "", 0
+    for at, sign in enumerate(text):
+        if quote:
+            quote = "" if sign == quote else quote
+        elif sign in "\"'":
+            quote = sign
+        elif sign in "[{":
+            depth += 1
+        elif sign in "]}":
+            depth -= 1
+        elif sign == "," and depth == 0:
+            yield text[begin:at].strip()
+            begin = at + 1
+    yield text[begin:].strip()
+
+
+def _value(text: str, option: str) -> Any:
+    if not text:
+        raise ConfigError(f"--set {option}: a value is missing between the commas")
+    if WORD.fullmatch(text) and text not in ("true", "false", "inf", "nan"):
+        return text
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"--set {option}: '{text}' is no value: {error}; texts with signs go in quotes") from None
+
+
+def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _numbers(f"{name}.{key}" if name else key, inner)
+    elif isinstance(value, list) and len(value) == 3:
+        for axis, inner in zip("xyz", value, strict=True):
+            yield from _numbers(f"{name}.{axis}", inner)
+    elif isinstance(value, float | int) and not isinstance(value, bool) and name not in ("wall_s", "simulated_s"):
+        yield name, float(value)

@@ -1,0 +1,63 @@
+"""A bench in virtual time: the plant, its simulated devices, and the drivers that a real bench has too."""
+
+from typing import NamedTuple, Protocol
+
+from core.robot import Array
+from station.devices.aurora_settings import AuroraSettings
+from station.devices.aurora_tracker import AuroraTracker
+from station.devices.interfaces import Devices, Truth
+from station.devices.netft_page import read_page
+from station.devices.netft_sensors import NetftSensors
+from station.devices.zaber_setup import Port
+from station.devices.zaber_stages import ZaberStages
+from station.lab.config import LabConfig
+from station.lab.ideal_lab import IdealLab
+from station.lab.loads import Load
+from station.lab.simulated_aurora_coil import MOUNT
+from station.lab.wire_lab import WireLab
+from station.robots import RobotFile
+
+
+class Lab(Protocol):
+    """What goes on at the other side of the devices."""
+
+    trouble: str  #: why the true robot has stayed where it was; empty when it follows its stages
+
+    def pull(self, load: Load, start: float) -> None:
+        """Put a load on the tip whose time counts from `start` [s]."""
+        ...
+
+    def advance(self, now: float) -> Truth:
+        """Let time pass until `now` [s]."""
+        ...
+
+
+class VirtualBench(NamedTuple):
+    """A lab and the devices that lead to it."""
+
+    lab: Lab
+    devices: Devices
+
+
+def virtual_bench(robot: RobotFile, config: LabConfig, seed: int, positions: Array) -> VirtualBench:
+    """Stages homed, with the joints at `positions` (n,); nothing is connected yet. Everything random is from `seed`.
+
+    Raises:
+        PoseError, NoSolution: the true robot cannot stand there.
+    """
+    if config.devices == "ideal":
+        ideal = IdealLab(robot, config, seed, positions)
+        return VirtualBench(ideal, ideal.devices)
+    lab = WireLab(robot, config, seed, positions, homed=True)
+    return VirtualBench(lab, drivers(lab))
+
+
+def drivers(lab: WireLab) -> Devices:
+    """Drivers on the other ends of the lab's wires in memory."""
+    tracker = lab.config.tracker
+    settings = AuroraSettings(frame_rate=tracker.rate, latency=tracker.latency)
+    return Devices(
+        ZaberStages(lab.setups, [Port(lab.hosts.zaber, tuple(range(len(lab.setups))))]),
+        AuroraTracker(lab.hosts.aurora, settings, MOUNT),
+        NetftSensors(lab.hosts.netft, [read_page(box.page() or b"") for box in lab.boxes]),
+    )

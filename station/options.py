@@ -1,0 +1,57 @@
+"""What commands share: how options are read, and the progress bar."""
+
+import argparse
+from collections.abc import Callable
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+def progress_bar() -> Progress:
+    """A progress bar on a terminal, nothing elsewhere."""
+    console = Console(stderr=True, highlight=False)
+    return Progress(
+        TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
+        TimeRemainingColumn(), console=console, disable=not console.is_terminal,
+    )  # fmt: skip
+
+
+def between(lower: float, upper: float, what: str, unit: str) -> Callable[[str], float]:
+    """Reads an option's number and says what it should have been."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}, {lower:g} ... {upper:g} {unit}") from None
+        if not lower <= value <= upper:
+            raise argparse.ArgumentTypeError(f"{text} {unit} is outside {lower:g} ... {upper:g} {unit}")
+        return value
+
+    return read
+
+
+def seed(text: str) -> int:
+    """Reads a seed."""
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 ... 2^63 - 1") from None
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"{text} is outside 0 ... 2^63 - 1")
+    return value
+
+
+def count(most: int) -> Callable[[str], int]:
+    """Reads an option's whole number, from 1 on."""
+
+    def read(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 1 ... {most}") from None
+        if not 1 <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text} is outside 1 ... {most}")
+        return value
+
+    return read

@@ -1,0 +1,186 @@
+"""The runs that are kept: found by name, listed, annotated, thrown away."""
+
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from station.recording.label import RecordingError
+from station.recording.run_folder import RECORDING, SUMMARY, write_json
+from station.recording.writer import PARTIAL
+
+#: What a person wrote about a run.
+NOTES = "notes.json"
+#: What a sweep leaves beside the folders of its runs.
+SWEEP = "sweep.json"
+#: The newest run, wherever a name is asked for.
+LATEST = "latest"
+#: Longest notes [characters].
+LONGEST = 20_000
+
+
+class RunError(RecordingError):
+    """No such run, or not to be done with it."""
+
+
+class Run(NamedTuple):
+    """A run at one look."""
+
+    id: str  #: name of its folder
+    experiment: str
+    title: str
+    label: str  #: complete, stopped, interrupted or incomplete
+    cause: str  #: why it is not complete
+    started: float  #: [s] since 1970
+    cases: tuple[str, ...]  #: those with a recording
+    size: int  #: [bytes]
+    notes: str
+    summary: Mapping[str, Any]
+
+
+class History:
+    """Runs in one folder."""
+
+    def __init__(self, runs: Path) -> None:
+        self._runs = runs
+
+    def runs(self, experiment: str = "", label: str = "", text: str = "") -> list[Run]:
+        """Runs, newest first.
+
+        Args:
+            experiment, label: only these; empty for all.
+            text: only those with it in name, title, cause or notes; upper and lower case are the same.
+        """
+        found = [_look(folder) for folder in self._folders()]
+        words = text.casefold()
+        chosen = [
+            run
+            for run in found
+            if experiment in ("", run.experiment)
+            and label in ("", run.label)
+            and words in " ".join((run.id, run.title, run.cause, run.notes)).casefold()
+        ]
+        return sorted(chosen, key=lambda run: (run.started, run.id), reverse=True)
+
+    def find(self, name: str) -> Path:
+        """The folder of a run by its name; `latest` is the newest.
+
+        Raises:
+            RunError: there is no such run here.
+        """
+        if name == LATEST:
+            newest = self.runs()
+            if not newest:
+                raise RunError(f"{self._runs}: no runs there yet")
+            return self._runs / newest[0].id
+        # Compared with what is there and never made into a path: a name cannot lead elsewhere.
+        for folder in self._folders():
+            if folder.name == name:
+                return folder
+        raise RunError(f"'{name}' is not one of the runs in {self._runs}")
+
+    def run(self, name: str) -> Run:
+        """One run.
+
+        Raises:
+            RunError: there is no such run here.
+        """
+        return _look(self.find(name))
+
+    def recording(self, name: str, case: str = "") -> Path:
+        """The recording of a case; of the only one when no case is named.
+
+        Raises:
+            RunError: no such run or case, or several cases to choose from.
+        """
+        folder = self.find(name)
+        cases = {path.stem: path for path in sorted(folder.glob(f"*{RECORDING}"))}
+        if case in cases:
+            return cases[case]
+        if not case and len(cases) == 1:
+            return next(iter(cases.values()))
+        wrong = f"'{case}' is not one of the cases" if case else "choose one of the cases" if cases else "no recording"
+        raise RunError(f"run '{folder.name}': {wrong}{': ' if cases else ''}{', '.join(cases)}")
+
+    def set_notes(self, name: str, notes: str) -> Run:
+        """Replace a run's notes.
+
+        Raises:
+            RunError: no such run, too long, or the disk does not take them.
+        """
+        folder = self.find(name)
+        if len(notes) > LONGEST:
+            raise RunError(f"notes have {len(notes)} characters; at most {LONGEST} are kept")
+        try:
+            write_json(folder / NOTES, {"notes": notes})
+        except OSError as error:
+            raise RunError(f"run '{folder.name}': notes cannot be written: {error.strerror}") from None
+        return _look(folder)
+
+    def delete(self, name: str, confirm: str) -> None:
+        """Remove a run for good.
+
+        Args:
+            name: of the run; `latest` is refused, it may be another one by now.
+            confirm: the same name again.
+
+        Raises:
+            RunError: no such run, not confirmed, or it cannot be removed.
+        """
+        folder = self.find(name) if name != LATEST else None
+        if folder is None or confirm != folder.name:
+            raise RunError(f"to delete run '{name}' for good, confirm with its own name, not '{confirm}'")
+        try:
+            shutil.rmtree(folder)
+        except OSError as error:
+            raise RunError(f"run '{folder.name}': cannot be deleted: {error.strerror}") from None
+
+    def _folders(self) -> Iterator[Path]:
+        """Folders of finished runs; links are left alone."""
+        if not self._runs.is_dir():
+            return
+        for folder in self._runs.iterdir():
+            if folder.name.endswith(PARTIAL) or folder.is_symlink() or not folder.is_dir():
+                continue
+            if any((folder / name).is_file() for name in (SUMMARY, SWEEP)) or any(folder.glob(f"*{RECORDING}")):
+                yield folder
+
+
+def resolve_run(name: str, runs: Path) -> Path:
+    """The folder of a run, given as a folder, as a name in `runs` or as `latest`.
+
+    Raises:
+        RunError: there is none.
+    """
+    folder = Path(name)
+    if folder.is_dir() and name != LATEST:
+        return folder
+    return History(runs).find(name)
+
+
+def _look(folder: Path) -> Run:
+    summary = _json(folder / SUMMARY)
+    recordings = sorted(folder.glob(f"*{RECORDING}"))
+    told = summary.get("started")
+    return Run(
+        folder.name,
+        str(summary.get("experiment", "")),
+        str(summary.get("title", "")),
+        str(summary.get("label", "complete" if summary.get("completed") else "stopped")),
+        str(summary.get("cause", "")),
+        float(told) if isinstance(told, int | float) else folder.stat().st_mtime,
+        tuple(path.stem for path in recordings),
+        sum(path.stat().st_size for path in folder.iterdir() if path.is_file()),
+        str(_json(folder / NOTES).get("notes", "")),
+        summary,
+    )
+
+
+def _json(path: Path) -> dict[str, Any]:
+    """A JSON object from a file; empty when a person has spoilt or removed it."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,161 @@
+"""Reading recordings: the whole case at once, or block by block for what does not fit into memory."""
+
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.summary import Summary
+from zstandard import ZstdError
+
+from core.robot import Array
+from station.recording.events import TOPIC as EVENTS
+from station.recording.events import Event, event_of
+from station.recording.label import Label, RecordingError
+from station.recording.metadata import CHANNELS, RUN, channels_of, values_of
+from station.recording.row_message import PREFIX, TOPIC
+from station.recording.summary import HEAD, RESULT
+from station.telemetry import Channel
+
+
+class CaseRecording(NamedTuple):
+    """One case as it was recorded."""
+
+    channels: tuple[Channel, ...]
+    rows: Array  #: (ticks, channels)
+    events: tuple[Event, ...]
+    metadata: Mapping[str, Any]  #: configuration, versions, seed, start: what the writer was told
+    label: Label
+    cause: str  #: why it is not complete
+
+    def of(self, group: str) -> Array:
+        """The columns of a group, e.g. `tip_measured`: (ticks, 3).
+
+        Raises:
+            RecordingError: it has no such channels.
+        """
+        return self.rows[:, columns(self.channels, group)]
+
+
+class CaseReader:
+    """An open recording; its rows are read as they are asked for."""
+
+    def __init__(self, path: Path, file: IO[bytes]) -> None:
+        """Read what is not rows.
+
+        Raises:
+            RecordingError: damaged, never finished, or not a recording of this program.
+        """
+        self._path, self._file = path, file
+        with _undamaged(path):
+            self._reader = make_reader(file, validate_crcs=True)
+            summary = self._reader.get_summary()
+            if summary is None or summary.statistics is None:
+                raise RecordingError(f"{path}: not a finished recording; the next start of the station recovers it")
+            self._summary: Summary = summary
+            self._topics = {topic.topic: number for number, topic in summary.channels.items()}
+            written = {record.name: record.metadata for record in self._reader.iter_metadata()}
+            self.channels = channels_of(written[CHANNELS])
+            self.metadata: Mapping[str, Any] = values_of(written[RUN])
+            result = values_of(written[RESULT])
+            self.label, self.cause = Label(result["label"]), str(result["cause"])
+            #: Rows in the file.
+            self.ticks = summary.statistics.channel_message_counts.get(self._topics[TOPIC], 0)
+
+    def blocks(self) -> Iterator[Array]:
+        """All rows in the order they were recorded, a chunk at a time: (n, channels).
+
+        Raises:
+            RecordingError: a chunk is damaged.
+        """
+        for index in sorted(self._summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
+            with _undamaged(self._path):
+                self._file.seek(index.chunk_start_offset + HEAD)
+                stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(self._file)), validate_crc=True)
+                rows = _rows(stream.read(length), self._topics[TOPIC], len(self.channels))
+            yield rows
+
+    def events(self) -> tuple[Event, ...]:
+        """Everything that happened, in time.
+
+        Raises:
+            RecordingError: a chunk is damaged.
+        """
+        with _undamaged(self._path):
+            found = self._reader.iter_messages(topics=EVENTS)
+            return tuple(event_of(json.loads(message.data)) for _, _, message in found)
+
+
+@contextmanager
+def open_case(path: Path) -> Iterator[CaseReader]:
+    """A recording to be read block by block.
+
+    Raises:
+        RecordingError: there is none, it is damaged, or it was never finished.
+    """
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    with file:
+        yield CaseReader(path, file)
+
+
+@contextmanager
+def _undamaged(path: Path) -> Iterator[None]:
+    try:
+        yield
+    # What a damaged file makes of the library's arithmetic is in nobody's documentation.
+    except (McapError, ZstdError, OSError, ValueError, KeyError, IndexError, struct.error) as error:
+        raise RecordingError(f"{path}: not a recording of this program, or damaged: {error!r}") from None
+
+
+def read_case(path: Path) -> CaseRecording:
+    """All of a recording in memory.
+
+    Raises:
+        RecordingError: there is none, it is damaged, or it was never finished.
+    """
+    with open_case(path) as case:
+        rows = np.empty((case.ticks, len(case.channels)))
+        filled = 0
+        for block in case.blocks():
+            rows[filled : filled + len(block)] = block
+            filled += len(block)
+        return CaseRecording(case.channels, rows, case.events(), case.metadata, case.label, case.cause)
+
+
+def columns(channels: tuple[Channel, ...], group: str) -> list[int]:
+    """Places of a group's channels.
+
+    Raises:
+        RecordingError: there are none.
+    """
+    found = [at for at, channel in enumerate(channels) if group in (channel.name, channel.name.rpartition(".")[0])]
+    if not found:
+        raise RecordingError(f"the recording has no channels '{group}'")
+    return found
+
+
+def _rows(content: bytes, topic: int, width: int) -> Array:
+    """Rows in a chunk's content: (n, width)."""
+    size = 8 * width
+    rows: list[Array] = []
+    place = 0
+    while place < len(content):
+        length = int.from_bytes(content[place + 1 : place + HEAD], "little")
+        if content[place] == Opcode.MESSAGE and content[place + HEAD] + 256 * content[place + HEAD + 1] == topic:
+            rows.append(np.frombuffer(content, "<f8", width, place + PREFIX))
+            if length != PREFIX - HEAD + size:
+                raise ValueError(f"a row of {length - PREFIX + HEAD} bytes instead of {size}")
+        place += HEAD + length
+    return np.array(rows) if rows else np.empty((0, width))

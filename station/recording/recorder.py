@@ -1,0 +1,265 @@
+"""The live recorder: a process of its own that copies the telemetry ring to disk every 0.2 s.
+
+It only ever reads the ring, so the control loop cannot feel it; what the ring has overwritten before it
+was read is counted. When its parent is gone it finishes the recording as interrupted and ends.
+"""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Mapping
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from station.recording.events import WARNING, Event
+from station.recording.label import Label, RecordingError
+from station.recording.recover import recover
+from station.recording.run_folder import RunFolder
+from station.recording.writer import CaseWriter
+from station.ring import Ring
+from station.robots import RobotFile
+from station.telemetry import Channels
+
+#: A chunk is closed and handed to the operating system so often [s].
+FLUSH = 0.2
+#: The process has this long to begin and to finish a recording [s].
+START_TIME, ANSWER_TIME = 60.0, 10.0
+#: Name of the only case of a live run.
+CASE = "run"
+
+
+class Begin(NamedTuple):
+    """Parent -> recorder."""
+
+    name: str
+    metadata: Mapping[str, Any]
+    since: int  #: number of the first row
+
+
+class End(NamedTuple):
+    """Parent -> recorder."""
+
+    label: Label
+    cause: str
+    until: int  #: rows in the ring when the run ended
+    summary: Mapping[str, Any]
+
+
+class Answer(NamedTuple):
+    """Recorder -> parent: begun or ended as asked, or why not."""
+
+    path: Path | None  #: the run's folder
+    problem: str
+
+
+class Trouble(NamedTuple):
+    """Recorder -> parent, unasked: the recording has ended by itself."""
+
+    text: str
+
+
+class Recorder:
+    """The parent's side. One thread may use it at a time."""
+
+    def __init__(self, ring: Ring, robot: RobotFile, runs: Path) -> None:
+        """Start the process.
+
+        Args:
+            ring: telemetry to record, owned by the caller.
+            robot: whose telemetry it is.
+            runs: folder of runs.
+        """
+        self._ring = ring
+        self._trouble = ""
+        context = multiprocessing.get_context("spawn")
+        self.pipe, child = context.Pipe()  #: has something to read when `trouble` has something new
+        self.process = context.Process(
+            target=run_recorder, args=(ring.name, robot, runs, child, os.getpid()), name="recorder", daemon=True
+        )
+        self.process.start()
+        child.close()
+        self._begun = False
+
+    def begin(self, name: str, metadata: Mapping[str, Any]) -> Path:
+        """Record from the next row on, as a run called `name`; where its folder will be.
+
+        Raises:
+            RecordingError: the folder cannot be made, or the recorder is gone.
+        """
+        self._trouble = ""
+        path = self._ask(Begin(name, metadata, self._ring.written), ANSWER_TIME if self._begun else START_TIME)
+        self._begun = True
+        return path
+
+    def event(self, event: Event) -> None:
+        """Note something that happened; without a recording it is forgotten."""
+        with contextlib.suppress(OSError):  # `trouble` says that the recorder is gone
+            self.pipe.send(event)
+
+    def end(self, label: Label, cause: str = "", summary: Mapping[str, Any] | None = None) -> Path:
+        """Finish the recording with the rows so far; the run's folder.
+
+        Raises:
+            RecordingError: it could not be finished, had ended before, or the recorder is gone.
+        """
+        return self._ask(End(label, cause, self._ring.written, summary or {}), ANSWER_TIME)
+
+    def trouble(self) -> str:
+        """Why the recording has ended by itself; empty while all is well. Never waits."""
+        try:
+            while self.pipe.poll():
+                self._note(self.pipe.recv())
+        except (EOFError, OSError):
+            self._trouble = self._trouble or self._gone()
+        return self._trouble
+
+    def close(self) -> None:
+        """End the process; a recording that is on is finished as interrupted."""
+        with contextlib.suppress(OSError):
+            self.pipe.send(None)
+        self.process.join(ANSWER_TIME)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        self.pipe.close()
+
+    def _ask(self, question: Begin | End, patience: float) -> Path:
+        deadline = time.monotonic() + patience
+        try:
+            self.pipe.send(question)
+            while self.pipe.poll(max(0.0, deadline - time.monotonic())):
+                message = self.pipe.recv()
+                if isinstance(message, Answer):
+                    if message.path is None:
+                        raise RecordingError(message.problem)
+                    return message.path
+                self._note(message)
+        except (EOFError, OSError):
+            raise RecordingError(self._gone()) from None
+        # A late answer would be taken for the answer to the next question.
+        self.process.kill()
+        raise RecordingError(f"the recorder did not answer within {patience:g} s and was ended; is the disk very slow?")
+
+    def _note(self, message: Answer | Trouble) -> None:
+        if isinstance(message, Trouble):
+            self._trouble = message.text
+
+    def _gone(self) -> str:
+        self.process.join(1.0)
+        code = self.process.exitcode
+        how = f"by signal {-code}" if code is not None and code < 0 else f"with status {code}"
+        return f"the recorder ended {how}; what it had written is recovered at the next start"
+
+
+def run_recorder(ring_name: str, robot: RobotFile, runs: Path, pipe: Connection, parent: int) -> None:
+    """Main function of the recorder's process."""
+    # Ctrl-C in a terminal reaches the whole group: the parent decides when we end.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    asked: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
+    channels = Channels(robot.robot())
+    ring = Ring(len(channels), ring_name)
+    recording: _Recording | None = None
+    due = time.monotonic() + FLUSH
+    try:
+        while not asked and os.getppid() == parent:
+            if pipe.poll(max(0.0, due - time.monotonic())):
+                message: Begin | End | Event | None = pipe.recv()
+                if message is None:
+                    break
+                if isinstance(message, Begin):
+                    recording, answer = _begin(message, recording, robot, channels, runs, ring)
+                    pipe.send(answer)
+                elif isinstance(message, End):
+                    answer = recording.end(message) if recording else Answer(None, "nothing is being recorded")
+                    recording = None
+                    pipe.send(answer)
+                elif recording is not None:
+                    recording.writer.event(message)
+                continue
+            # A machine that was asleep does not make up for what it missed.
+            due = max(due + FLUSH, time.monotonic())
+            if recording is not None:
+                try:
+                    recording.copy()
+                except RecordingError as error:
+                    recording.give_up(str(error))
+                    recording = None
+                    pipe.send(Trouble(str(error)))
+    except (EOFError, OSError):
+        pass  # the parent is gone; what it had begun is finished below
+    finally:
+        if recording is not None:
+            recording.end(End(Label.INTERRUPTED, "the station process is gone", ring.written, {}))
+        ring.close(remove=os.getppid() != parent)
+
+
+class _Recording:
+    """The recording that is on."""
+
+    def __init__(self, folder: RunFolder, writer: CaseWriter, begin: Begin, ring: Ring) -> None:
+        self.writer = writer
+        self._folder, self._ring, self._begin = folder, ring, begin
+        self._next = begin.since
+        self._missed = 0
+        self._last = 0.0
+
+    def copy(self) -> None:
+        """Rows since the last time, to disk."""
+        rows, self._next, missed = self._ring.read(self._next)
+        if missed:
+            self._missed += missed
+            text = f"{missed} rows were overwritten before the recorder came to read them"
+            self.writer.event(Event(self._last, "recorder", text, WARNING, {"missed": missed}))
+        if len(rows):
+            self._last = float(rows[-1, 0])
+        self.writer.write(rows)
+
+    def end(self, end: End) -> Answer:
+        """Finish as asked."""
+        try:
+            self.copy()
+            self.writer.close(end.label, end.cause, missed=self._missed)
+            self._folder.finish(self._summary(end.label, end.cause, end.summary))
+        except RecordingError as error:
+            self.give_up(str(error))
+            return Answer(None, str(error))
+        return Answer(self._folder.path, "")
+
+    def give_up(self, problem: str) -> None:
+        """The disk takes no more: what is there is kept, by the next recovery if not now."""
+        with contextlib.suppress(RecordingError):
+            self._folder.finish(self._summary(Label.INCOMPLETE, problem, {}))
+
+    def _summary(self, label: Label, cause: str, more: Mapping[str, Any]) -> dict[str, Any]:
+        told = {
+            key: self._begin.metadata[key] for key in ("experiment", "title", "seed") if key in self._begin.metadata
+        }
+        done = label is Label.COMPLETE
+        return {
+            **told, "started": self.writer.started, "label": label, "cause": cause, "completed": done,
+            "cases": {CASE: {"completed": done, "cause": cause}}, **more,
+        }  # fmt: skip
+
+
+def _begin(
+    begin: Begin, before: _Recording | None, robot: RobotFile, channels: Channels, runs: Path, ring: Ring
+) -> tuple[_Recording | None, Answer]:
+    if before is not None:
+        return before, Answer(None, "a recording is on already")
+    try:
+        folder = RunFolder(runs, begin.name)
+    except RecordingError as error:
+        return None, Answer(None, str(error))
+    try:
+        writer = CaseWriter(
+            folder.case(CASE), robot.robot(), channels.all, {**begin.metadata, "robot": robot.model_dump(mode="json")}
+        )
+    except RecordingError as error:
+        folder.let_go()
+        recover(runs)
+        return None, Answer(None, str(error))
+    return _Recording(folder, writer, begin, ring), Answer(folder.path, "")

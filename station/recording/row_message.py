@@ -1,0 +1,124 @@
+"""A row of telemetry as an MCAP message, exact to the bit and readable by Foxglove at the full rate.
+
+The payload is the row itself: little-endian float64, one after the other. That is also how ROS 1
+serialises a message whose fields are all float64, so the schema that goes with it is a ROS 1 message
+definition: one field a channel, channels of a group in a part of their own, the unit as a comment.
+No ROS is needed: `numpy.frombuffer(data, "<f8")` is the row, in the order of the schema.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from core.robot import Array
+from station.telemetry import Channel
+
+TOPIC = "/telemetry"
+SCHEMA = "ctr_station/Telemetry"
+#: Bytes of a message record before its payload: opcode, length, topic, sequence and two times.
+PREFIX = 31
+
+
+class Rows(NamedTuple):
+    """Consecutive message records, one a row, and where each begins."""
+
+    times: NDArray[np.uint64]  #: (n,) [ns]
+    records: bytes
+    offsets: NDArray[np.uint64]  #: (n,) from the start of `records`
+
+
+def definition(channels: Sequence[Channel]) -> str:
+    """The ROS 1 message definition of a row with these channels."""
+    main: list[str] = []
+    parts: list[str] = []
+    fields, types = _Names(), _Names()
+    for group, members in _grouped(channels):
+        if members[0][0] == "":
+            main.append(f"float64 {fields.of(group)}{_comment(members[0][1])}")
+            continue
+        kind = types.of("".join(word.capitalize() for word in _identifier(group).split("_")))
+        main.append(f"{kind} {fields.of(group)}")
+        inner = _Names()
+        parts.append(f"{'=' * 80}\nMSG: ctr_station/{kind}")
+        parts += [f"float64 {inner.of(name)}{_comment(channel)}" for name, channel in members]
+    return "\n".join((*main, *parts)) + "\n"
+
+
+def message_records(rows: Array, times: NDArray[np.uint64], topic: int, first: int) -> Rows:
+    """Message records of rows (n, width).
+
+    Args:
+        rows: what was recorded.
+        times: of each row (n,) [ns].
+        topic: MCAP channel id.
+        first: sequence number of the first row.
+    """
+    count, width = rows.shape
+    records = np.empty(count, _record(width))
+    records["opcode"], records["length"] = Opcode.MESSAGE, records.itemsize - 9
+    records["topic"] = topic
+    records["sequence"] = np.arange(first, first + count, dtype=np.uint64)
+    records["log_time"] = records["publish_time"] = times
+    records["row"] = rows
+    return Rows(times, records.tobytes(), np.arange(count, dtype=np.uint64) * np.uint64(records.itemsize))
+
+
+def row_of(payload: bytes) -> Array:
+    """The row that a message carries."""
+    return np.frombuffer(payload, "<f8")
+
+
+def _record(width: int) -> np.dtype[np.void]:
+    return np.dtype(
+        [
+            ("opcode", "u1"),
+            ("length", "<u8"),
+            ("topic", "<u2"),
+            ("sequence", "<u4"),
+            ("log_time", "<u8"),
+            ("publish_time", "<u8"),
+            ("row", "<f8", (width,)),
+        ]
+    )
+
+
+def _grouped(channels: Sequence[Channel]) -> Iterator[tuple[str, list[tuple[str, Channel]]]]:
+    """Group name and members by their own names; a channel outside a group has the empty one."""
+
+    def group(channel: Channel) -> str:
+        return channel.name.rpartition(".")[0] or channel.name
+
+    for name, members in groupby(channels, group):
+        listed = list(members)
+        alone = listed[0].name == name
+        yield name, [("" if alone else channel.name.rpartition(".")[2], channel) for channel in listed]
+
+
+def _comment(channel: Channel) -> str:
+    return f"  # [{channel.unit}]" if channel.unit else ""
+
+
+def _identifier(name: str) -> str:
+    """The name as a ROS field may be called."""
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return plain if plain[:1].isalpha() else f"c_{plain}"
+
+
+class _Names:
+    """Keeps apart what becomes the same when only letters, digits and underscores are left."""
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set()
+
+    def of(self, name: str) -> str:
+        plain = base = _identifier(name)
+        number = 2
+        while plain in self._taken:
+            plain, number = f"{base}_{number}", number + 1
+        self._taken.add(plain)
+        return plain

@@ -1,0 +1,136 @@
+"""One case on disk: rows, events and what Foxglove draws, in chunks that are whole or not there."""
+
+import contextlib
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from core.robot import Array, Robot
+from station.recording.data_section import DataSection, Said, Topic
+from station.recording.drawing import Drawing
+from station.recording.events import SCHEMA as EVENTS_SCHEMA
+from station.recording.events import TOPIC as EVENTS
+from station.recording.events import Event, event_json
+from station.recording.foxglove import json_topic
+from station.recording.label import Label, RecordingError
+from station.recording.metadata import CHANNELS, RUN, channel_texts, texts, versions
+from station.recording.row_message import SCHEMA, TOPIC, definition, message_records
+from station.recording.summary import finish_file
+from station.telemetry import Channel
+
+#: A file that is being written, or was when its writer was killed.
+PARTIAL = ".partial"
+#: A file that the disk had no room to finish.
+FULL = ".full"
+#: Pictures a second: a drawing costs as much as thirty rows, which a loop that runs as fast as it can would feel.
+LIVE_PICTURES, FAST_PICTURES = 25.0, 10.0
+ROWS, EVENT, DRAWN = 1, 2, 3  #: topics by id
+
+
+class CaseWriter:
+    """Writes `<case>.mcap`, under a provisional name until it is closed."""
+
+    def __init__(
+        self,
+        path: Path,
+        robot: Robot,
+        channels: Sequence[Channel],
+        metadata: Mapping[str, Any],
+        pictures: float = LIVE_PICTURES,
+    ) -> None:
+        """Make the file.
+
+        Args:
+            path: its final name.
+            robot: to be drawn.
+            channels: of the rows.
+            metadata: everything the run depends on, by name; versions and the start are added.
+            pictures: drawn for each second of the run.
+
+        Raises:
+            RecordingError: it cannot be made.
+        """
+        self.path = path
+        self.started = time.time()  #: [s] since 1970
+        self._epoch: int | None = None  #: of the rows' own time, which may count from anywhere [ns] since 1970
+        self._drawing = Drawing(robot, channels, DRAWN)
+        self._said: list[Said] = []
+        self._rate, self._picture = pictures, -np.inf
+        self._rows = 0
+        self._section: DataSection | None = None
+        topics = (
+            Topic(TOPIC, "ros1", SCHEMA, "ros1msg", definition(channels)),
+            json_topic(EVENTS, EVENTS_SCHEMA),
+            *self._drawing.topics,
+        )
+        run = {"started": self.started, "versions": versions(), **metadata}
+        try:
+            self._section = DataSection(self._partial, {RUN: texts(run), CHANNELS: channel_texts(channels)}, topics)
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be recorded: {error.strerror}") from None
+
+    @property
+    def _partial(self) -> Path:
+        return self.path.with_name(self.path.name + PARTIAL)
+
+    def event(self, event: Event) -> None:
+        """Note something that happened; it goes with the next rows."""
+        stamp = self._start(event.time) + round(1e9 * event.time)
+        self._said.append(Said(EVENT, stamp, event_json(event, stamp)))
+
+    def write(self, rows: Array) -> None:
+        """Write rows (n, channels) and the events since the last time; they outlive this process from now on.
+
+        Raises:
+            RecordingError: the disk does not take them. The recording has ended and is labelled so.
+        """
+        if self._section is None:
+            raise RecordingError(f"{self.path}: the recording has ended")
+        times = rows[:, 0]
+        epoch = self._start(float(times[0])) if len(rows) else 0
+        stamps = (epoch + np.rint(1e9 * times).astype(np.int64)).astype(np.uint64)
+        pictures = np.floor(self._rate * times + 1e-6)
+        for number in np.flatnonzero(np.diff(pictures, prepend=self._picture)).tolist():
+            self._said += self._drawing.messages(rows[number], int(stamps[number]))
+        self._picture = float(pictures[-1]) if len(rows) else self._picture
+        try:
+            self._section.write_chunk(message_records(rows, stamps, ROWS, self._rows), ROWS, self._said)
+        except OSError as error:
+            problem = f"{self.path}: the disk takes no more of the recording: {error.strerror}"
+            with contextlib.suppress(RecordingError):  # the reason is the one above
+                self.close(Label.INCOMPLETE, problem)
+            raise RecordingError(problem) from None
+        self._rows += len(rows)
+        self._said = []
+
+    def close(self, label: Label, cause: str = "", **more: Any) -> None:
+        """Finish the file and give it its name.
+
+        Args:
+            label, cause: how the run ended.
+            more: what else is known only at the end.
+
+        Raises:
+            RecordingError: the disk has no room for the end; the next recovery finishes the file.
+        """
+        if self._section is None:
+            return
+        section, self._section = self._section, None
+        result = {"label": label, "cause": cause, "ended": time.time(), **more}
+        try:
+            section.close()
+            finish_file(section.path, texts(result), verify=False)
+            section.path.rename(self.path)
+        except OSError as error:
+            if label is Label.INCOMPLETE:
+                section.path.rename(self.path.with_name(self.path.name + FULL))
+            raise RecordingError(f"{self.path}: the recording cannot be finished: {error.strerror}") from None
+
+    def _start(self, moment: float) -> int:
+        """When the rows' time was 0, from the first moment that is heard of [ns] since 1970."""
+        if self._epoch is None:
+            self._epoch = time.time_ns() - round(1e9 * moment)
+        return self._epoch

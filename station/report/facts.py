@@ -1,0 +1,122 @@
+"""What a report says besides figures: how it ended, what was simulated, the line, configuration and versions."""
+
+import json
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from station.report import document
+from station.report.comparison import all_errors, beside_the_paper
+from station.report.run import Run
+from station.report.style import AXES
+
+
+def origin(run: Run) -> str:
+    """Where the data come from, short enough for a figure."""
+    seed = run.summary.get("seed")
+    return f"simulated bench, seed {seed}" if run.simulated else "bench"
+
+
+def head(run: Run) -> Iterator[str]:
+    """Title, and in plain words what was simulated."""
+    title = run.table.get("title") or run.experiment
+    yield f"<h1>{escape(str(title))}</h1>"
+    yield document.paragraph(run.folder.name, "sub")
+    if run.simulated:
+        yield document.paragraph(
+            f"Simulated bench. {run.summary.get('lab', 'virtual lab')}; seed {run.summary.get('seed')}."
+            " The paper's numbers come from a real bench (those of its Figs. 3 and 4 from a simulation of its own).",
+            "note",
+        )
+    for name, numbers in run.summary.get("cases", {}).items():
+        if not numbers.get("completed", True):
+            yield document.paragraph(f"Case '{name}' did not complete: {numbers.get('cause')}", "note")
+    for case in run.cases:
+        if case.stride > 1:
+            yield document.paragraph(f"Case '{case.name}' is long: figures show every {case.stride}th tick.", "note")
+
+
+def beside_table(run: Run) -> Iterator[str]:
+    """The paper's numbers beside ours."""
+    printed = list(beside_the_paper(run))
+    bent = any(row.case.endswith("_distorted") for row in printed)
+    if printed:
+        yield document.heading("The paper's numbers and ours")
+        yield document.paragraph(
+            "Millimetres. Measured: against the tracker, as in the paper. True: against the simulated tip."
+            " Ratio: measured here to the paper's number."
+            + (" Distorted: the tracker's field is bent, so that it shows the tip where it is not." if bent else "")
+        )
+        head = ("case", "quantity", "paper", "here, measured", "here, true", "ratio")
+        cells = (
+            (row.case, row.quantity, f"{row.paper:g}", f"{row.measured:.2f}",
+             "" if row.true is None else f"{row.true:.2f}", f"{row.ratio:.2f}")
+            for row in printed
+        )  # fmt: skip
+        yield document.table(head, cells, texts=2)
+
+
+def error_table(run: Run) -> Iterator[str]:
+    """All errors of all cases."""
+    errors = list(all_errors(run))
+    if errors:
+        yield document.heading("Errors of the tip")
+        yield document.paragraph("Millimetres, after the settling time.")
+        cells = ((row.case, row.kind, *(f"{value:.3f}" for value in row.values)) for row in errors)
+        yield document.table(("case", "error", *AXES), cells, texts=2)
+
+
+def line_table(run: Run) -> Iterator[str]:
+    """What each axis really got over its line, where stages were driven over one."""
+    rows = []
+    for name, numbers in run.summary.get("cases", {}).items():
+        lasted = float(numbers.get("simulated_s", 0.0))
+        for axis, counts in numbers.get("devices", {}).get("stages", {}).items():
+            if lasted > 0.0 and isinstance(counts, dict) and {"velocities", "polls"} <= set(counts):
+                rows.append((name, axis, f"{counts['velocities'] / lasted:.1f}", f"{counts['polls'] / lasted:.1f}"))
+    if rows:
+        yield document.heading("Serial line")
+        yield document.table(("case", "axis", "velocities per second", "position polls per second"), rows, texts=2)
+
+
+def source(folder: Path) -> Iterator[str]:
+    """The experiment's file."""
+    if text := _source_text(folder):
+        yield document.heading("Experiment")
+        yield document.text_block(text)
+
+
+def _source_text(folder: Path) -> str:
+    path = folder / "experiment.toml"
+    return path.read_text(encoding="utf-8") if path.is_file() else ""
+
+
+def configuration(run: Run) -> Iterator[str]:
+    """The experiment's file, and everything that the recordings know about how they were made."""
+    yield from source(run.folder)
+    text = _source_text(run.folder)
+    first: dict[str, str] = {}
+    for case in run.cases:
+        lines = dict(_lines("", {key: value for key, value in case.metadata.items() if value != text}))
+        changed = {key: value for key, value in lines.items() if first.get(key) != value}
+        if changed:
+            more = ", what differs from the first case" if first else ""
+            yield document.heading(f"Configuration and versions, case '{case.name}'{more}")
+            yield document.text_block("\n".join(f"{key} = {value}" for key, value in changed.items()))
+        first = first or lines
+
+
+def _lines(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Nested tables as dotted keys."""
+    if isinstance(value, Mapping) and value:
+        for key, inner in value.items():
+            yield from _lines(f"{name}.{key}" if name else str(key), inner)
+    elif isinstance(value, list | tuple) and any(isinstance(inner, Mapping) for inner in value):
+        for number, inner in enumerate(value):
+            yield from _lines(f"{name}[{number}]", inner)
+    elif name == "started" and isinstance(value, float | int):
+        yield name, datetime.fromtimestamp(value).astimezone().isoformat(timespec="seconds")
+    else:
+        yield name, json.dumps(value, ensure_ascii=False)

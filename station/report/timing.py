@@ -1,0 +1,43 @@
+"""How punctual the loop was, for runs on a clock."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from station.report import style
+from station.report.drawn import Drawn
+from station.report.run import Run
+
+PARTS = (
+    ("late_counts", "late_us", "from the deadline to the start of the tick [µs]", style.BLUE),
+    ("tick_counts", "tick_us", "work of a tick [µs]", style.VERMILLION),
+)
+
+
+def draw(run: Run) -> Iterator[Drawn]:
+    """Two histograms for each case that has them: counts of ticks, a bin a microsecond, the last one open."""
+    for name, numbers in run.summary.get("cases", {}).items():
+        timing = numbers.get("timing")
+        if not timing or "late_counts" not in timing:
+            continue
+        figure = Figure(figsize=(style.WIDTH, 2.6))
+        for axes, (counts, _, label, colour) in zip(figure.subplots(1, 2), PARTS, strict=True):
+            found = np.asarray(timing[counts], dtype=float)
+            axes.stairs(found, np.arange(len(found) + 1), fill=True, color=colour, alpha=0.85)
+            axes.set_yscale("log")
+            axes.set_ylim(bottom=0.7)
+            axes.set_xlabel(label)
+            axes.set_ylabel("ticks")
+        words = "; ".join(
+            f"{what}: median {timing[key]['p50']:.0f}, 99 % {timing[key]['p99']:.0f},"
+            f" largest {timing[key]['max']:.0f} µs"
+            for key, what in (("late_us", "late"), ("tick_us", "work"))
+        )
+        words = (
+            f"{timing['ticks']} ticks, {timing['missed']} periods missed, scheduling {timing['scheduler']}; {words}."
+        )
+        yield Drawn(
+            f"timing_{name}", f"Timing of the loop (case '{name}')",
+            f"{words} The last bin holds everything beyond.", f"Histograms of lateness and work. {words}", figure,
+        )  # fmt: skip

@@ -1,0 +1,80 @@
+"""A driver of one's own: a tracker that sends a line `frame x y z` [mm] by TCP for every frame that it measures."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from station.config import Positive, Strict, check
+from station.devices.interfaces import Condition, Severity, TipReading, Trouble
+from station.devices.links import LinkError, SerialLink, reopen
+from station.robots import RobotFile
+
+
+class Options(Strict):
+    """`[devices.tracker]` of the station file."""
+
+    host: str
+    port: int
+    rate: Positive = 40.0  # frames a second
+    latency: float = 0.0  # from a measurement to its line [s]
+
+
+class LineTracker:
+    """Polled by the control loop: it never waits, and after `connect` it never raises."""
+
+    def __init__(self, options: Options) -> None:
+        self._options = options
+        self._link = SerialLink(f"socket://{options.host}:{options.port}", 9600)  # raises LinkError
+        self._heard, self._problem, self._newest, self._malformed = b"", "", -np.inf, 0
+
+    @property
+    def condition(self) -> Condition:
+        if self._problem:
+            return Condition.FAULT
+        return Condition.CONNECTED if np.isfinite(self._newest) else Condition.CONNECTING
+
+    def connect(self, now: float) -> None:
+        if self._problem:
+            try:
+                reopen(self._link)
+                self._problem = ""
+            except LinkError as error:
+                self._problem = str(error)
+
+    def poll(self, now: float) -> TipReading | None:
+        if self._problem:
+            return None
+        try:
+            self._heard += self._link.read()
+        except LinkError as error:
+            self._problem = str(error)
+        *lines, self._heard = self._heard.split(b"\n")
+        for line in reversed(lines):
+            try:
+                frame, *position = line.split()
+                x, y, z = map(float, position)
+                reading = TipReading(int(frame), now - self._options.latency, 1e-3 * np.array([x, y, z]))
+            except ValueError:
+                self._malformed += 1
+                continue
+            if np.isfinite(reading.position).all():
+                self._newest = now
+                return reading
+        return None
+
+    def trouble(self, now: float) -> Trouble | None:
+        if self._problem or now - self._newest > 10.0 / self._options.rate:
+            return Trouble(Severity.HOLD, self._problem or f"{self._link.name} sends no frames; is it tracking?")
+        return None
+
+    def details(self) -> Mapping[str, Any]:
+        return {"port": self._link.name, "malformed_lines": self._malformed}
+
+    def close(self) -> None:
+        self._link.close()
+
+
+def open_tracker(options: Mapping[str, Any], robot: RobotFile) -> LineTracker:
+    """The entry point."""
+    return LineTracker(check(Options, options, "devices.tracker"))

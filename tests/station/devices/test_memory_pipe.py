@@ -1,0 +1,57 @@
+"""A pipe in memory, and what pulling its cable does to either end."""
+
+import pytest
+
+from station.devices.links import LinkError, reopen
+from station.devices.memory_pipe import memory_pipe
+
+
+def test_bytes_go_both_ways_in_order():
+    host, device = memory_pipe("line")
+    host.write(b"ab")
+    host.write(b"c")
+    device.write(b"xy")
+    assert device.read() == b"abc"
+    assert host.read() == b"xy"
+    assert (host.read(), device.read()) == (b"", b"")
+
+
+def test_a_pulled_cable_is_a_dead_port_for_the_host_and_silence_for_the_device():
+    host, device = memory_pipe("line")
+    device.unplug()
+    for use in (host.read, lambda: host.write(b"x"), lambda: reopen(host)):
+        with pytest.raises(LinkError, match=r"line .*plugged"):
+            use()
+    device.write(b"lost")
+    assert device.read() == b""
+
+
+def test_plugged_in_again_the_host_has_to_open_it_anew_and_nothing_old_comes():
+    host, device = memory_pipe("line")
+    host.write(b"on its way")
+    device.write(b"unread")
+    device.unplug()
+    device.plug()
+    with pytest.raises(LinkError, match="gone"):
+        host.read()
+    assert reopen(host) is host
+    assert host.read() == b""
+    host.write(b"new")
+    assert device.read() == b"new"
+
+
+def test_a_closed_link_is_closed_until_it_is_opened_anew():
+    host, device = memory_pipe("line")
+    host.close()
+    with pytest.raises(LinkError, match="closed"):
+        host.read()
+    device.write(b"for nobody")  # a device does not know
+    reopen(host)
+    host.write(b"x")
+    assert device.read() == b"x"
+
+
+def test_a_link_that_cannot_come_back_says_so():
+    _, device = memory_pipe("line")
+    with pytest.raises(LinkError, match=r"line \(device\) cannot be opened anew"):
+        reopen(device)

@@ -1,0 +1,78 @@
+"""The way of a command: from an operator, who holds the lease or takes it because nobody does."""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any, NamedTuple, TypeVar
+
+from fastapi import APIRouter, Depends, Request
+from starlette.requests import HTTPConnection
+
+from web.lease import LENGTH, Lease
+from web.schemas import REFUSED, OperatorIn, OperatorOut
+from web.who import Who, clean_name, who_of
+
+T = TypeVar("T")
+
+
+class Commands(NamedTuple):
+    """Dependencies of routes, all on one lease."""
+
+    lease: Lease
+    heard: Callable[[HTTPConnection], Awaitable[None]]  #: any word of the holder keeps the lease
+    needed: Callable[[Request], Awaitable[Who]]  #: for commands
+
+
+def commands(lease: Lease) -> Commands:
+    """For routes: `Depends(commands.heard)` on all of them, `Depends(commands.needed)` on those that command."""
+
+    async def heard(connection: HTTPConnection) -> None:
+        lease.renew(who_of(connection).client, time.monotonic())
+
+    async def needed(request: Request) -> Who:
+        who = who_of(request)
+        lease.take(who.client, who.name, time.monotonic())
+        return who
+
+    return Commands(lease, heard, needed)
+
+
+def operator_out(lease: Lease, who: Who) -> OperatorOut:
+    """Who is operator, as `who` may see it."""
+    now = time.monotonic()
+    holder = lease.holder(now)
+    if holder is None:
+        return OperatorOut(name=None, you=False, role=who.role, lapses_s=None)
+    return OperatorOut(
+        name=holder.name, you=holder.client == who.client, role=who.role, lapses_s=round(holder.until - now, 1)
+    )
+
+
+def operator_routes(of: Commands) -> APIRouter:
+    """Routes under /api/operator."""
+    router = APIRouter(prefix="/api/operator", tags=["operator"], dependencies=[Depends(of.heard)])
+    lease = of.lease
+
+    @router.get("", summary="Who is operator")
+    async def get(request: Request) -> OperatorOut:
+        return operator_out(lease, who_of(request))
+
+    @router.post("", responses=REFUSED, summary=f"Become operator, or stay so; lapses {LENGTH:g} s after the last word")
+    async def post(request: Request, wish: OperatorIn) -> OperatorOut:
+        who = who_of(request)
+        name = clean_name(wish.name or "") or who.name
+        lease.take(who.client, name, time.monotonic(), over=wish.take_over)
+        return operator_out(lease, who)
+
+    @router.delete("", summary="Be operator no longer")
+    async def delete(request: Request) -> OperatorOut:
+        who = who_of(request)
+        lease.release(who.client, time.monotonic())
+        return operator_out(lease, who)
+
+    return router
+
+
+async def aside(function: Callable[..., T], *arguments: Any) -> T:
+    """Run what may wait for the control process in a thread, so that the page goes on."""
+    return await asyncio.to_thread(function, *arguments)

@@ -1,0 +1,171 @@
+// One chart on a canvas: traces over time, a cursor with values, zoom by dragging. No library.
+import { make } from "./station.js";
+
+const LEFT = 46, RIGHT = 8, TOP = 6, BOTTOM = 20;
+
+/** Steps of 1, 2 or 5 that give about `count` ticks. */
+function step(span, count) {
+  const rough = span / count, power = 10 ** Math.floor(Math.log10(rough)), part = rough / power;
+  return power * (part < 1.5 ? 1 : part < 3.5 ? 2 : part < 7.5 ? 5 : 10);
+}
+
+export class Chart {
+  /** `traces`: [{name, colour, dash, value(sample) -> number or NaN}]; `least`: span of the value axis at least. */
+  constructor(title, unitText, traces, least, onZoom) {
+    this.traces = traces.map((trace) => ({ ...trace, on: trace.on ?? true }));
+    this.unit = unitText;
+    this.least = least;
+    this.canvas = make("canvas", { tabIndex: 0, role: "img", "aria-label": `${title} over time` });
+    this.keys = this.traces.map((trace) => {
+      const key = make("button", { type: "button", "aria-pressed": String(trace.on) }, trace.name);
+      key.style.borderBottom = `2px ${trace.dash.length === 0 ? "solid" : trace.dash[0] > 3 ? "dashed" : "dotted"} ${trace.colour}`;
+      key.addEventListener("click", () => { trace.on = !trace.on; key.setAttribute("aria-pressed", String(trace.on)); this.draw(); });
+      return key;
+    });
+    this.element = make("div", { className: "chart" },
+      make("div", { className: "chart-head" }, make("b", {}, `${title} [${unitText}]`), ...this.keys), this.canvas);
+    this.samples = [];
+    this.range = [0, 1];
+    this.cursor = this.drag = null;
+    this.listen(onZoom);
+  }
+
+  listen(onZoom) {
+    const at = (event) => event.clientX - this.canvas.getBoundingClientRect().left;
+    this.canvas.addEventListener("pointerdown", (event) => { this.drag = [at(event), at(event)]; this.canvas.setPointerCapture(event.pointerId); });
+    this.canvas.addEventListener("pointermove", (event) => {
+      this.cursor = at(event);
+      if (this.drag !== null) this.drag[1] = this.cursor;
+      this.draw();
+    });
+    this.canvas.addEventListener("pointerup", () => {
+      const [a, b] = this.drag ?? [0, 0];
+      this.drag = null;
+      if (Math.abs(a - b) > 6) onZoom([this.time(Math.min(a, b)), this.time(Math.max(a, b))]);
+      this.draw();
+    });
+    this.canvas.addEventListener("pointercancel", () => { this.drag = null; });
+    this.canvas.addEventListener("pointerleave", () => { this.cursor = null; this.draw(); });
+    this.canvas.addEventListener("dblclick", () => onZoom(null));
+  }
+
+  time(x) {
+    const width = this.canvas.clientWidth - LEFT - RIGHT;
+    return this.range[0] + ((x - LEFT) / width) * (this.range[1] - this.range[0]);
+  }
+
+  show(samples, range, zero) {
+    this.samples = samples;
+    this.range = range;
+    this.zero = zero; // time that the axis calls 0
+    this.draw();
+  }
+
+  draw() {
+    const { canvas } = this, width = canvas.clientWidth, height = canvas.clientHeight;
+    if (width === 0) return;
+    const ratio = window.devicePixelRatio || 1;
+    if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+      canvas.width = Math.round(width * ratio);
+      canvas.height = Math.round(height * ratio);
+    }
+    const pen = canvas.getContext("2d"), css = getComputedStyle(document.documentElement);
+    const ink = css.getPropertyValue("--dim").trim(), grid = css.getPropertyValue("--grid").trim();
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen.clearRect(0, 0, width, height);
+    pen.font = "11px system-ui, sans-serif";
+    const [from, to] = this.range, within = this.samples.filter((sample) => sample.time >= from && sample.time <= to);
+    const [low, high] = this.bounds(within);
+    const x = (time) => LEFT + ((time - from) / (to - from)) * (width - LEFT - RIGHT);
+    const y = (value) => height - BOTTOM - ((value - low) / (high - low)) * (height - TOP - BOTTOM);
+    this.axes(pen, { width, height, low, high, from, to, x, y, ink, grid });
+    pen.save();
+    pen.beginPath();
+    pen.rect(LEFT, 0, width - LEFT - RIGHT, height - BOTTOM);
+    pen.clip();
+    for (const trace of this.traces.filter((one) => one.on)) this.line(pen, trace, within, x, y);
+    pen.restore();
+    this.pointer(pen, within, { width, height, x, y, ink });
+  }
+
+  bounds(samples) {
+    let low = Infinity, high = -Infinity;
+    for (const trace of this.traces.filter((one) => one.on)) {
+      for (const sample of samples) {
+        const value = trace.value(sample);
+        if (value < low) low = value;
+        if (value > high) high = value;
+      }
+    }
+    if (low > high) return [-this.least / 2, this.least / 2];
+    const room = Math.max((high - low) * 0.08, (this.least - (high - low)) / 2);
+    return [low - room, high + room];
+  }
+
+  axes(pen, { width, height, low, high, from, to, x, y, ink, grid }) {
+    pen.lineWidth = 1;
+    pen.textAlign = "right";
+    pen.textBaseline = "middle";
+    const rise = step(high - low, 4), digits = Math.max(0, -Math.floor(Math.log10(rise) + 1e-9));
+    for (let value = Math.ceil(low / rise) * rise; value <= high; value += rise) {
+      pen.strokeStyle = grid;
+      pen.beginPath();
+      pen.moveTo(LEFT, y(value));
+      pen.lineTo(width - RIGHT, y(value));
+      pen.stroke();
+      pen.fillStyle = ink;
+      pen.fillText(value.toFixed(digits), LEFT - 5, y(value));
+    }
+    pen.textAlign = "center";
+    pen.textBaseline = "top";
+    const pace = step(to - from, 6), places = Math.max(0, -Math.floor(Math.log10(pace) + 1e-9));
+    for (let time = Math.ceil((from - this.zero) / pace) * pace; time + this.zero <= to; time += pace) {
+      pen.strokeStyle = grid;
+      pen.beginPath();
+      pen.moveTo(x(time + this.zero), TOP);
+      pen.lineTo(x(time + this.zero), height - BOTTOM);
+      pen.stroke();
+      pen.fillStyle = ink;
+      pen.fillText(`${time.toFixed(places)} s`, Math.min(x(time + this.zero), width - 16), height - BOTTOM + 5);
+    }
+  }
+
+  line(pen, trace, samples, x, y) {
+    pen.strokeStyle = trace.colour;
+    pen.lineWidth = 1.7;
+    pen.setLineDash(trace.dash);
+    pen.beginPath();
+    let down = false;
+    for (const sample of samples) {
+      const value = trace.value(sample);
+      if (!Number.isFinite(value)) { down = false; continue; }
+      if (down) pen.lineTo(x(sample.time), y(value)); else pen.moveTo(x(sample.time), y(value));
+      down = true;
+    }
+    pen.stroke();
+    pen.setLineDash([]);
+  }
+
+  pointer(pen, samples, { height, width, x, ink }) {
+    if (this.drag !== null && Math.abs(this.drag[0] - this.drag[1]) > 3) {
+      pen.fillStyle = "#0072b233";
+      pen.fillRect(Math.min(...this.drag), TOP, Math.abs(this.drag[0] - this.drag[1]), height - TOP - BOTTOM);
+    }
+    if (this.cursor === null || samples.length === 0) return;
+    const time = this.time(this.cursor);
+    const near = samples.reduce((best, one) => (Math.abs(one.time - time) < Math.abs(best.time - time) ? one : best));
+    pen.strokeStyle = ink;
+    pen.beginPath();
+    pen.moveTo(x(near.time), TOP);
+    pen.lineTo(x(near.time), height - BOTTOM);
+    pen.stroke();
+    const text = this.traces.filter((one) => one.on).map((one) => {
+      const value = one.value(near);
+      return `${one.name} ${Number.isFinite(value) ? Number(value.toPrecision(4)) : "–"}`;
+    }).join("   ");
+    pen.fillStyle = ink;
+    pen.textAlign = this.cursor > width / 2 ? "right" : "left";
+    pen.textBaseline = "top";
+    pen.fillText(text, x(near.time) + (this.cursor > width / 2 ? -5 : 5), TOP);
+  }
+}

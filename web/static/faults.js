@@ -1,0 +1,70 @@
+// Faults: what is wrong and what to do, who did what, and, in the virtual lab, faults on purpose.
+import { $, ask, make, mayCommand, note, onStatus, press } from "./station.js";
+import { isOpen, onTab } from "./tabs.js";
+
+const now = make("div", { "aria-live": "polite" }), log = make("table"), reset = make("button", { type: "button", className: "main" }, "Reset");
+reset.addEventListener("click", () => press("POST", "/api/reset", {}));
+
+const kinds = await ask("GET", "/api/faults");
+const kind = make("select", { "aria-label": "fault" }, ...kinds.map((one) => make("option", { value: one.kind }, one.kind.replaceAll("_", " "))));
+const device = make("select", { "aria-label": "device" });
+const value = make("input", { type: "number", step: "any", min: 0, "aria-label": "size" }), valueUnit = make("span", { className: "unit" });
+const lasts = make("input", { type: "number", step: "any", min: 0.01, value: 2, "aria-label": "duration [s]", placeholder: "for ever" });
+const inject = make("button", { type: "submit" }, "Inject"), mend = make("button", { type: "button" }, "Mend all");
+const row = (label, control, unitText) => [make("label", {}, label), control, unitText instanceof Node ? unitText : make("span", { className: "unit" }, unitText)];
+const lab = make("form", {}, make("fieldset", {}, make("legend", {}, "Let a simulated device fail"),
+  make("div", { className: "rows" }, ...row("fault", kind, ""), ...row("device", device, ""), ...row("size", value, valueUnit), ...row("for", lasts, "s")),
+  make("div", { className: "acts" }, inject, mend)));
+
+function choose() {
+  const chosen = kinds.find((one) => one.kind === kind.value);
+  device.replaceChildren(...chosen.devices.map((one) => make("option", { value: one }, one.replaceAll("_", " "))));
+  value.disabled = value.hidden = chosen.most === null;
+  value.required = chosen.most !== null;
+  value.max = chosen.most ?? "";
+  value.value = chosen.most === null ? "" : Math.min(0.05, chosen.most);
+  valueUnit.textContent = chosen.most === null ? "" : `${chosen.unit}, at most ${chosen.most}`;
+  lasts.disabled = !chosen.lasts;
+}
+kind.addEventListener("change", choose);
+choose();
+lab.addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const fault = { kind: kind.value, device: device.value };
+  if (!value.disabled) fault.value = Number(value.value);
+  if (!lasts.disabled && lasts.value !== "") fault.duration = Number(lasts.value);
+  if (await press("POST", "/api/faults", { faults: [fault] })) note(`injected: ${fault.kind.replaceAll("_", " ")}, ${fault.device}`, true);
+});
+mend.addEventListener("click", () => press("DELETE", "/api/faults"));
+
+$("faults").append(make("h3", {}, "Now"), now, lab, make("h3", {}, "Log: commands and refusals"), log);
+
+onStatus((status, stale) => {
+  if (status === null) { now.replaceChildren(make("p", {}, "The station does not answer. Use the emergency stop of the bench.")); return; }
+  const latched = ["HOLD", "STOPPED", "FAULT"].includes(status.state);
+  const troubles = Object.entries(status.devices).filter(([, one]) => one.severity > 0 || one.text !== "");
+  const shown = JSON.stringify([status.state, status.says, status.next, troubles, mayCommand(status)]);
+  for (const button of [inject, mend]) button.disabled = stale || !mayCommand(status);
+  if (now.dataset.shown === shown) return;
+  now.dataset.shown = shown;
+  reset.disabled = !mayCommand(status);
+  now.replaceChildren(...[
+    make("p", {}, make("b", { "data-state": status.state }, status.state), ` ${status.says}`),
+    status.next === "" ? null : make("p", {}, "What to do: ", make("b", {}, status.next)),
+    ...troubles.map(([name, one]) => make("p", {}, make("i", { className: "light", "data-severity": one.severity, style: "display:inline-block" }), ` ${name}: ${one.text || one.condition}`)),
+    latched ? reset : null,
+  ].filter((one) => one !== null));
+});
+
+async function refresh() {
+  if (!isOpen("faults")) return;
+  try {
+    const entries = await ask("GET", "/api/log?count=60", undefined, 1000);
+    log.replaceChildren(make("tr", {}, ...["time", "who", "what", "outcome"].map((one) => make("th", {}, one))),
+      ...entries.map((one) => make("tr", {}, make("td", {}, new Date(one.time).toLocaleTimeString()), make("td", { title: one.where }, one.who), make("td", {}, one.what), make("td", {}, one.outcome))));
+  } catch {
+    return; // the header says that nobody answers
+  }
+}
+setInterval(refresh, 1000);
+onTab("faults", refresh);

@@ -1,0 +1,118 @@
+// Forms made from the station's own description of its requests (OpenAPI): names, units, bounds, defaults.
+// Metres and radians become millimetres and degrees, where a person reads; what is sent is SI.
+import { ask, make } from "./station.js";
+
+const SHOWN = {
+  m: ["mm", 1e3], "m/s": ["mm/s", 1e3], "m/s^2": ["mm/s²", 1e3], rad: ["°", 180 / Math.PI], "rad/s": ["°/s", 180 / Math.PI],
+};
+const XYZ = ["x", "y", "z"];
+
+let description = null;
+/** The schemas of all requests, by name. */
+export const schemas = async () => (description ??= (await ask("GET", "/api/openapi.json")).components.schemas);
+
+export const unit = (si) => SHOWN[si] ?? [si, 1];
+/** A number for a person: no more digits than matter. */
+export const tidy = (value) => String(Number(value.toPrecision(10)));
+
+const named = (reference) => reference.split("/").at(-1);
+/** The variants of a union by their `kind`: {circle: schema, ...}. */
+export function variants(all, field) {
+  const union = field.oneOf ? field : (field.anyOf ?? []).find((one) => one.oneOf);
+  return Object.fromEntries(Object.entries(union.discriminator.mapping).map(([kind, where]) => [kind, all[named(where)]]));
+}
+
+/** First sentence of a schema's description. */
+export const sentence = (schema) => (schema.description ?? "").split("\n\n")[0].replaceAll("\n", " ");
+
+function bounds(field, scale) {
+  const low = field.minimum ?? field.exclusiveMinimum, high = field.maximum ?? field.exclusiveMaximum;
+  return { low: low === undefined ? null : low * scale, high: high === undefined ? null : high * scale,
+    open: field.exclusiveMinimum !== undefined };
+}
+
+function numberInput(field, value, scale, required, label) {
+  const { low, high } = bounds(field, scale);
+  const input = make("input", { type: "number", step: "any", required, "aria-label": label });
+  if (low !== null) input.min = tidy(low);
+  if (high !== null) input.max = tidy(high);
+  if (typeof value === "number") input.value = tidy(value * scale);
+  return input;
+}
+
+const range = ({ low, high, open }) => low === null && high === null ? ""
+  : high === null ? (open ? ` > ${tidy(low)}` : ` ≥ ${tidy(low)}`) : ` ${low === null ? "≤" : `${tidy(low)} …`} ${tidy(high)}`;
+
+/** One field: its elements for the grid, and how to read it in SI; undefined leaves it out. */
+function build(key, field, value, required, choices) {
+  const optional = (field.anyOf ?? []).some((one) => one.type === "null");
+  const core = optional ? { ...field.anyOf.find((one) => one.type !== "null"), description: field.description } : field;
+  const text = (core.description ?? "").replaceAll("\n", " ");
+  const [, si = ""] = /\[([^\]]+)\]/.exec(text) ?? [];
+  const [shown, scale] = unit(si), label = key.replaceAll("_", " ");
+  const row = (control, unitText) => [
+    make("label", { title: text }, label), control, make("span", { className: "unit", title: text }, unitText),
+  ];
+  if (core.type === "boolean") {
+    const box = make("input", { type: "checkbox", checked: Boolean(value), "aria-label": label });
+    return { elements: row(make("span", {}, box), ""), read: () => box.checked };
+  }
+  if (core.enum || choices) {
+    const select = make("select", { "aria-label": label }, ...(core.enum ?? choices).map((one) => make("option", { value: one }, one.replaceAll("_", " "))));
+    select.value = value ?? select.options[0].value;
+    return { elements: row(select, ""), read: () => select.value };
+  }
+  if (core.type === "number" || core.type === "integer") {
+    const input = numberInput(core, value, scale, required && !optional, label);
+    const read = () => (input.value === "" ? undefined : Number(input.value) / scale);
+    return { elements: row(input, shown + range(bounds(core, scale))), read };
+  }
+  if (core.type === "array" && core.prefixItems) {
+    const inputs = XYZ.map((axis, i) => numberInput(core.prefixItems[i], value?.[i], scale, required, `${label} ${axis}`));
+    return { elements: row(make("div", { className: "three" }, ...inputs), shown === "" ? "x y z" : `x y z ${shown}`),
+      read: () => inputs.map((input) => Number(input.value) / scale) };
+  }
+  if (core.type === "array" && core.items.prefixItems) return table(label, value, text);
+  const list = make("input", { type: "text", value: (value ?? []).join(", "), required, "aria-label": label, placeholder: "0, 2, 4" });
+  return { elements: row(list, si), read: () => list.value.split(",").map(Number) };
+}
+
+/** Rows of time, x, y, z [s, mm], typed or from a CSV file. */
+function table(label, value, text) {
+  const area = make("textarea", { rows: 5, required: true, spellcheck: false, "aria-label": `${label}: time [s], x, y, z [mm]`,
+    value: (value ?? []).map((row) => row.map((x, i) => tidy(i ? 1e3 * x : x)).join(", ")).join("\n") });
+  const file = make("input", { type: "file", accept: ".csv,text/csv", "aria-label": "CSV file: time [s], x, y, z [m]" });
+  // Files are in SI, as experiment files have them.
+  file.addEventListener("change", async () => {
+    const lines = (await file.files[0].text()).split("\n").map((line) => line.trim()).filter((line) => /^[-+.\d]/.test(line));
+    area.value = lines.map((line) => line.split(",").map((x, i) => tidy(i ? 1e3 * Number(x) : Number(x))).join(", ")).join("\n");
+  });
+  const read = () => area.value.trim().split("\n").map((line) => line.split(",").map((x, i) => (i ? Number(x) / 1e3 : Number(x))));
+  const all = make("div", { className: "all" }, make("label", { title: text }, `${label}: time [s], x, y, z [mm]`), area,
+    make("div", { className: "small dim" }, "from a CSV file with time [s], x, y, z [m]: ", file));
+  area.style.width = "100%";
+  return { elements: [all], read };
+}
+
+/** A form for an object schema: {element, read()}. `more` names what is folded away; `choices` the words of a text field. */
+export function form(schema, { values = {}, more = [], choices = {}, skip = [] } = {}) {
+  const grid = make("div", { className: "rows" }), rest = make("div", { className: "rows" }), readers = {};
+  for (const [key, field] of Object.entries(schema.properties)) {
+    if (field.const !== undefined || skip.includes(key)) continue;
+    const required = (schema.required ?? []).includes(key);
+    const built = build(key, field, values[key] ?? field.default, required, choices[key]);
+    (more.includes(key) ? rest : grid).append(...built.elements);
+    readers[key] = built.read;
+  }
+  const element = make("div", {}, grid);
+  if (rest.children.length) element.append(make("details", {}, make("summary", {}, "more"), rest));
+  const kind = schema.properties.kind?.const;
+  return { element, read: () => {
+    const result = kind === undefined ? {} : { kind };
+    for (const [key, read] of Object.entries(readers)) {
+      const value = read();
+      if (value !== undefined) result[key] = value;
+    }
+    return result;
+  } };
+}

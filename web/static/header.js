@@ -1,0 +1,107 @@
+// The header: STOP, the state in words, who is operator, the run, the devices, the loop.
+import { $, ask, confirm, latest, look, make, mayCommand, name, onStatus, press, Refused } from "./station.js";
+
+const NAMES = { stages: "stages", tracker: "tracker", sensors: "force sensors" };
+const LATCHED = ["HOLD", "STOPPED", "FAULT"];
+
+export async function stop() {
+  try {
+    const answer = await ask("POST", "/api/stop", {}, 3000);
+    alarm(answer.note === "" ? "" : `STOP was taken: ${answer.note}`);
+  } catch (error) {
+    alarm(error instanceof Refused ? `STOP was refused: ${error.message}`
+      : "STOP: the station does not answer. Use the emergency stop of the bench.");
+  }
+  look();
+}
+
+function alarm(text) {
+  $("alarm").textContent = text;
+  $("alarm").hidden = text === "";
+}
+
+// At the first touch, not when the finger is lifted; a click without a pointer is the keyboard's.
+$("stop").addEventListener("pointerdown", stop);
+$("stop").addEventListener("click", (event) => { if (event.detail === 0) stop(); });
+$("reset").addEventListener("click", async () => { if (await press("POST", "/api/reset", {})) alarm(""); });
+
+export function hot(event) {
+  if (event.code === "Space" && event.shiftKey) {
+    event.preventDefault();
+    event.stopPropagation();
+    if (!event.repeat) stop();
+  }
+}
+document.addEventListener("keydown", hot, true);
+
+async function changeOperator() {
+  const { you, name: holder } = latest().operator;
+  if (you) return press("DELETE", "/api/operator");
+  const field = make("input", { type: "text", maxLength: 40, value: name.get(), "aria-label": "your name", required: true });
+  const text = holder === null ? "Everybody will see this name." : `'${holder}' is operator now and will only be able to look, and to STOP.`;
+  const title = holder === null ? "Become operator" : "Take over";
+  if (!await confirm(title, title, make("p", {}, text), make("label", {}, "Your name", field))) return null;
+  name.set(field.value.trim());
+  return press("POST", "/api/operator", { name: field.value.trim() || null, take_over: holder !== null });
+}
+$("operator-act").addEventListener("click", changeOperator);
+
+function showOperator(operator) {
+  const act = $("operator-act");
+  $("operator-name").textContent = operator.you ? "You are operator" : operator.name === null ? "No operator" : `Operator: ${operator.name}`;
+  $("operator-name").title = operator.name ?? "the first command makes its sender operator";
+  act.hidden = operator.role !== "operator";
+  act.textContent = operator.you ? "Release" : operator.name === null ? "Take control" : "Take over…";
+  if (operator.role === "viewer") $("operator-name").textContent += " · you may look, and STOP";
+}
+
+function minutes(seconds) {
+  const whole = Math.max(0, Math.round(seconds));
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
+}
+
+function showRun(status) {
+  const run = status.run, on = run !== null && status.state === "RUNNING";
+  $("run-title").textContent = run === null ? status.lab : run.title;
+  $("run-title").title = run === null ? "" : `run ${run.id}`;
+  $("run-progress").hidden = !on;
+  $("run-left").textContent = !on ? "" : run.phase === "moving"
+    ? `${minutes(run.duration * (1 - run.progress))} left of ${minutes(run.duration)}` : status.says;
+  if (on) $("run-progress").value = run.progress;
+}
+
+function showLights(devices, stale) {
+  $("lights").replaceChildren(...Object.entries(devices).map(([key, device]) => {
+    const severity = stale ? -1 : device.condition === "connected" ? device.severity : Math.max(device.severity, 1);
+    const words = stale ? "no fresh word from it" : device.text || (severity === 0 ? "answers, nothing is wrong" : device.condition);
+    const dot = make("i", { className: "light", "data-severity": severity });
+    const item = make("li", { title: `${NAMES[key] ?? key}: ${words}`, tabIndex: 0 }, dot, NAMES[key] ?? key);
+    item.setAttribute("aria-label", item.title);
+    return item;
+  }));
+}
+
+let lights = "";
+onStatus((status, stale) => {
+  const state = status === null ? "NO ANSWER" : status.state;
+  $("state").textContent = stale && status !== null && state !== "FAULT" ? `${state} (stale)` : state;
+  $("state").dataset.state = state;
+  if (status === null) {
+    $("says").textContent = "the station does not answer";
+    $("next").textContent = "use the emergency stop of the bench";
+    return;
+  }
+  $("says").textContent = $("says").title = status.says;
+  $("next").textContent = $("next").title = status.next;
+  $("reset").hidden = !LATCHED.includes(state);
+  $("reset").disabled = !mayCommand(status);
+  showOperator(status.operator);
+  showRun(status);
+  const shown = JSON.stringify([status.devices, stale]);
+  if (shown !== lights) showLights(status.devices, stale); // a tooltip must not vanish under the pointer
+  lights = shown;
+  const { late_us: late, tick_us: work, missed, ticks, scheduler } = status.loop;
+  $("loop").textContent = `loop 500 Hz\nlate p99 ${late.p99.toFixed(0)} µs\nmissed ${missed}`;
+  $("loop").title = `${ticks} ticks, ${missed} periods missed, ${scheduler}; late p50 ${late.p50} µs, p99.9 ${late.p99_9} µs, max ${late.max} µs;`
+    + ` work p50 ${work.p50} µs, p99 ${work.p99} µs`;
+});

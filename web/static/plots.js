@@ -1,0 +1,112 @@
+// Plots of the live telemetry: choose what to see, pause, zoom into a stretch of time.
+import { $, ask, latest, make } from "./station.js";
+import { isOpen, onTab } from "./tabs.js";
+import { Chart } from "./chart.js";
+import { unit } from "./form.js";
+
+const RATE = 20, LONGEST = 300; // Hz, s
+const COLOURS = ["#d55e00", "#009e73", "#0072b2", "#cc79a7", "#56b4e9"], DASHES = [[], [6, 3], [2, 2], [9, 2, 2, 2], []];
+const bench = await ask("GET", "/api/bench");
+
+const xyz = (read) => ["x", "y", "z"].map((name, i) => ({ name, value: (sample) => read(sample)?.[i] ?? NaN }));
+const size = (read) => ({ name: "size", value: (sample) => { const v = read(sample); return v ? Math.hypot(...v) : NaN; }, on: false });
+const difference = (sample, key) => (sample.moving && sample[key] ? sample.tip_desired.map((x, i) => 1e3 * (x - sample[key][i])) : null);
+const scaled = (sample, key, factor) => sample[key]?.map((x) => factor * x);
+const both = (read) => [...xyz(read), size(read)];
+
+/** What can be shown: title, unit, traces, least span. */
+const ALL = {
+  error: ["Tip error, desired − measured", "mm", both((s) => difference(s, "tip_measured")), 1],
+  true: ["Tip error, desired − simulated truth", "mm", both((s) => difference(s, "tip_true")), 1],
+  force: ["Force at the tip", "N", both((s) => s.force), 0.1],
+  deflection: ["Deflection, loaded − unloaded model", "mm", both((s) => scaled(s, "deflection", 1e3)), 1],
+  timing: ["Loop timing, 99 % over a second", "µs", [
+    { name: "late", value: (s) => s.late_us ?? NaN }, { name: "work", value: (s) => s.tick_us ?? NaN }], 100],
+  tip: ["Measured tip", "mm", xyz((s) => scaled(s, "tip_measured", 1e3)), 1],
+  ...Object.fromEntries(bench.joints.map((joint, i) => {
+    const [shown, scale] = unit(joint.unit);
+    return [`joint ${joint.name}`, [joint.name.replaceAll("_", " "), shown, [{ name: "measured", value: (s) => s.joints[i] * scale }], 1]];
+  })),
+};
+
+const samples = [];
+let paused = null, zoom = null, socket = null, span = 30;
+const charts = new Map();
+
+const area = make("div"), chips = make("div", { className: "chips", role: "group", "aria-label": "what to plot" });
+const pause = make("button", { type: "button", "aria-pressed": "false" }, "Pause");
+const whole = make("button", { type: "button", hidden: true }, "Whole time");
+const spans = make("select", { "aria-label": "time shown" }, ...[10, 30, 60, 300].map((one) => make("option", { value: one }, `${one} s`)));
+const near = make("button", { type: "button", "aria-label": "zoom in" }, "+"), far = make("button", { type: "button", "aria-label": "zoom out" }, "−");
+spans.value = "30";
+$("plots").append(chips, make("div", { className: "acts" }, spans, pause, near, far, whole,
+  make("span", { className: "small dim" }, "drag over a chart to zoom")), area);
+
+for (const key of Object.keys(ALL)) {
+  const chip = make("button", { type: "button", "aria-pressed": "false" }, key.replace("joint ", "").replaceAll("_", " "));
+  chip.addEventListener("click", () => toggle(key, chip));
+  chips.append(chip);
+  if (["error", "force", "deflection"].includes(key)) toggle(key, chip);
+}
+
+function toggle(key, chip) {
+  if (charts.has(key)) {
+    charts.get(key).element.remove();
+    charts.delete(key);
+  } else {
+    const [title, unitText, traces, least] = ALL[key];
+    const dressed = traces.map((trace, i) => ({ ...trace, colour: COLOURS[i], dash: DASHES[i] }));
+    charts.set(key, new Chart(title, unitText, dressed, least, zoomTo));
+    area.replaceChildren(...Object.keys(ALL).filter((one) => charts.has(one)).map((one) => charts.get(one).element));
+  }
+  chip.setAttribute("aria-pressed", String(charts.has(key)));
+  draw();
+}
+
+function setPaused(on) {
+  paused = on ? [...samples] : null;
+  pause.setAttribute("aria-pressed", String(on));
+  pause.textContent = on ? "Go on" : "Pause";
+}
+function zoomTo(range) {
+  zoom = range;
+  if (range !== null && paused === null) setPaused(true);
+  whole.hidden = range === null;
+  draw();
+}
+function scale(factor) {
+  const [from, to] = shownRange(), middle = (from + to) / 2, half = ((to - from) / 2) * factor;
+  if (half > 0.05 && half < LONGEST) zoomTo([middle - half, middle + half]);
+}
+pause.addEventListener("click", () => { setPaused(paused === null); if (paused === null) zoomTo(null); });
+whole.addEventListener("click", () => zoomTo(null));
+near.addEventListener("click", () => scale(0.5));
+far.addEventListener("click", () => scale(2));
+spans.addEventListener("change", () => { span = Number(spans.value); zoomTo(null); });
+
+function shownRange() {
+  const newest = (paused ?? samples).at(-1)?.time ?? 0;
+  return zoom ?? [newest - span, newest];
+}
+function draw() {
+  if (!isOpen("plots")) return;
+  const shown = paused ?? samples, newest = shown.at(-1)?.time ?? 0;
+  for (const chart of charts.values()) chart.show(shown, shownRange(), newest);
+}
+
+function connect() {
+  const scheme = location.protocol === "https:" ? "wss" : "ws";
+  socket = new WebSocket(`${scheme}://${location.host}/api/telemetry?rate=${RATE}`);
+  socket.addEventListener("message", (event) => {
+    const sample = JSON.parse(event.data);
+    if (samples.length && sample.time < samples.at(-1).time) samples.length = 0; // the control process began anew
+    sample.moving = latest()?.run?.phase === "moving";
+    samples.push(sample);
+    while (samples.length && samples[0].time < sample.time - LONGEST) samples.shift();
+  });
+  socket.addEventListener("close", () => setTimeout(connect, 1000));
+}
+connect();
+setInterval(() => { if (paused === null) draw(); }, 100);
+window.addEventListener("resize", draw);
+onTab("plots", draw);

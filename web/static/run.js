@@ -1,0 +1,134 @@
+// Run: experiments that come with the station, and free motions with parameters of one's own.
+import { $, ask, confirm, latest, make, mayCommand, onStatus, press } from "./station.js";
+import { form, schemas, sentence, tidy, unit, variants } from "./form.js";
+
+/** Where a form begins for what has no default. SI. */
+const FIRST = {
+  circle: { radius: 0.01, period: 20 }, sinusoid: { amplitude: 0.01, frequency: 0.05 }, step: { offset: [0.001, 0, 0] },
+  helix: { radius: 0.008, pitch: 0.003, turn: 20, turns: 3 }, waypoints: { points: [[5, 0, 0.01, 0], [10, 0, 0, 0]] },
+  constant: { magnitude: 0.2 }, sine: { amplitude: 0.2, frequency: 0.05 }, raised_cosine: { peak: 0.3, period: 20 },
+  hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.2 },
+};
+const BEST = { strategy: "dual_layer", inner: "type_2", feedback: "observer", feedforward: true, filter_bandwidth: 0.5 };
+const MORE = ["deflection_rate", "filter_bandwidth", "observer_bandwidth", "hold", "transport", "sublink", "direction", "max_speed", "max_acceleration"];
+/** A start pose nearer than this needs no confirmation [rad, m]. */
+const NEAR = { rad: 0.02, m: 0.001 };
+
+let bench = null, startButton = null, refusal = null;
+
+function card(title, text, picture, act) {
+  const image = picture === null ? null : make("img", { src: picture, alt: "", width: 116, height: 58 });
+  const button = make("button", { type: "button", className: "card" }, image, make("div", {}, make("b", {}, title), make("span", {}, text)));
+  button.addEventListener("click", act);
+  return button;
+}
+
+function back(title) {
+  const button = make("button", { type: "button" }, "‹ all motions");
+  button.addEventListener("click", overview);
+  return make("div", { className: "acts", style: "margin:0 0 10px" }, button, make("b", {}, title));
+}
+
+function starter(label, act) {
+  startButton = make("button", { type: "submit", className: "main" }, label);
+  refusal = make("span", { className: "small dim" });
+  const frame = make("div", { className: "acts sticky" }, startButton, refusal);
+  return { frame, on: (element) => element.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    if (document.body.classList.contains("stale")) return;
+    await act();
+  }) };
+}
+
+async function overview() {
+  const all = await schemas(), experiments = await ask("GET", "/api/experiments");
+  const motions = Object.entries(variants(all, all.StartIn.properties.trajectory));
+  startButton = null;
+  $("start").replaceChildren(
+    make("h3", {}, "Experiments"),
+    make("div", { className: "cards" }, ...experiments.map((one) =>
+      card(one.name, one.title, `/api/experiments/${one.name}/picture.svg`, () => experiment(one)))),
+    make("h3", {}, "Free motions, from where the robot is"),
+    make("div", { className: "cards" }, ...motions.map(([kind, schema]) =>
+      card(kind.replaceAll("_", " "), sentence(schema), null, () => motion(kind, schema, all)))),
+  );
+}
+
+function poseText(start) {
+  return bench.joints.map((joint) => {
+    const [shown, scale] = unit(joint.unit);
+    return `${joint.name.replaceAll("_", " ")} ${tidy(Number((start[joint.name] * scale).toFixed(1)))} ${shown}`;
+  }).join(", ");
+}
+
+async function experiment(one) {
+  const select = make("select", { "aria-label": "case" }, ...one.cases.map((each) => make("option", { value: each.name }, each.name.replaceAll("_", " "))));
+  const facts = make("div", { className: "rows" });
+  const show = () => {
+    const chosen = one.cases.find((each) => each.name === select.value);
+    const lines = [["motion", chosen.trajectory], ["load", chosen.load], ["control", chosen.strategy], ["duration", `${chosen.duration} s`], ["start pose", poseText(chosen.start)]];
+    facts.replaceChildren(...lines.flatMap(([key, text]) => [make("span", { className: "dim" }, key), make("span", { className: "wide" }, text.replaceAll("_", " "))]));
+    return chosen;
+  };
+  select.addEventListener("change", show);
+  const { frame, on } = starter("Start experiment", async () => {
+    const chosen = show(), now = latest().joints;
+    const far = bench.joints.some((joint) => !(Math.abs(now[joint.name] - chosen.start[joint.name]) < NEAR[joint.unit]));
+    if (far && !await confirm(`Start ${one.name}?`, "Start",
+      make("p", {}, "The robot first goes to the start pose, all joints at the same time:"), make("p", {}, poseText(chosen.start)),
+      make("p", { className: "dim" }, `Now: ${poseText(now)}. Look that the way is clear; STOP works all the time.`))) return;
+    await press("POST", "/api/start", { experiment: one.name, case: chosen.name });
+  });
+  const whole = make("form", {}, back(one.name), make("p", {}, one.title),
+    make("img", { src: `/api/experiments/${one.name}/picture.svg`, alt: `path and load of ${one.name}`, width: 288, height: 144, style: "background:#fff;border-radius:6px" }),
+    make("p", { className: "small dim" }, "left: path of the tip; right: load over the motion"),
+    make("div", { className: "rows" }, make("label", {}, "case"), select, make("span")), make("h3", {}, "What it does"), facts, frame);
+  on(whole);
+  $("start").replaceChildren(whole);
+  show();
+  refresh();
+}
+
+function union(all, field, kind, title) {
+  const kinds = variants(all, field), select = make("select", { "aria-label": title }, ...Object.keys(kinds).map((one) => make("option", { value: one }, one.replaceAll("_", " "))));
+  const place = make("div"), said = make("p", { className: "small dim" });
+  let chosen = null;
+  const show = () => {
+    chosen = form(kinds[select.value], { values: FIRST[select.value], more: MORE });
+    said.textContent = sentence(kinds[select.value]);
+    place.replaceChildren(chosen.element);
+  };
+  select.value = kind;
+  select.addEventListener("change", show);
+  show();
+  return { element: make("fieldset", {}, make("legend", {}, title), select, said, place), read: () => chosen.read() };
+}
+
+async function motion(kind, schema, all) {
+  const path = form(schema, { values: FIRST[kind], more: MORE });
+  const load = union(all, all.StartIn.properties.load, "none", "Load on the simulated tip");
+  const control = form(all.ControllerFile, { values: BEST, more: MORE, choices: { strategy: bench.strategies, inner: bench.inner } });
+  const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: 60 } });
+  const { frame, on } = starter("Start motion", () => press("POST", "/api/start", {
+    trajectory: path.read(), load: load.read(), controller: control.read(), ...time.read(),
+  }));
+  const whole = make("form", {}, back(kind.replaceAll("_", " ")), make("p", {}, sentence(schema)),
+    make("fieldset", {}, make("legend", {}, "Motion"), path.element, time.element), load.element,
+    make("fieldset", {}, make("legend", {}, "Control"), control.element), frame);
+  on(whole);
+  $("start").replaceChildren(whole);
+  refresh();
+}
+
+function refresh() {
+  const status = latest();
+  if (startButton === null || status === null) return;
+  const ready = status.state === "READY", may = mayCommand(status);
+  startButton.disabled = !ready || !may;
+  refusal.textContent = !may ? (status.operator.role === "viewer" ? "viewers cannot start" : `'${status.operator.name}' is operator`)
+    : ready ? "" : `not while ${status.state}; ${status.next || "wait for the end or press STOP"}`;
+}
+onStatus(refresh);
+
+bench = await ask("GET", "/api/bench");
+await overview();

@@ -1,0 +1,48 @@
+// The scene in its frame: under this page's identity, kept connected, and the switches below it.
+import { $, ask, client, latest, mayCommand, onStatus, press } from "./station.js";
+import { hot } from "./header.js";
+
+const frame = $("scene"), boxes = [...document.querySelectorAll("#switches input")];
+
+frame.addEventListener("load", () => {
+  // The scene is same-origin: the key works with the focus in there, too.
+  frame.contentWindow.addEventListener("keydown", hot, true);
+  // viser reconnects only while its document has the focus, which a frame seldom has.
+  frame.contentDocument.hasFocus = () => !document.hidden;
+  // Its own control panel is empty: all controls are ours.
+  const style = frame.contentDocument.createElement("style");
+  style.textContent = "[data-testid=floating-panel] { display: none !important; }";
+  frame.contentDocument.head.append(style);
+});
+frame.src = `/viser/as/${client}/`;
+
+// A dropped socket: viser looks at the focus only when it changes.
+setInterval(() => frame.contentWindow?.dispatchEvent(new Event("focus")), 2000);
+
+for (const box of boxes) {
+  box.addEventListener("change", async () => {
+    await press("PUT", "/api/scene", Object.fromEntries(boxes.map((one) => [one.name, one.checked])));
+    refresh();
+  });
+}
+$("go").addEventListener("click", () => press("POST", "/api/scene/target/go", {}));
+
+async function refresh() {
+  try {
+    const shown = await ask("GET", "/api/scene", undefined, 1000);
+    for (const box of boxes) box.checked = shown[box.name];
+    $("go").hidden = !shown.target;
+    if (!shown.target) { $("target-says").textContent = ""; return; }
+    const target = await ask("GET", "/api/scene/target", undefined, 1000);
+    const place = target.position.map((x) => (1e3 * x).toFixed(1)).join(", ");
+    $("target-says").textContent = target.reachable ? `✓ (${place}) mm in ${target.duration.toFixed(0)} s` : `✗ (${place}) mm: ${target.reason}`;
+    $("target-says").title = $("target-says").textContent;
+    const status = latest();
+    $("go").disabled = !target.reachable || status === null || status.state !== "READY" || !mayCommand(status);
+  } catch {
+    return; // the header says that nobody answers
+  }
+}
+setInterval(refresh, 600);
+onStatus((status, stale) => { for (const box of boxes) box.disabled = stale || !mayCommand(status); });
+refresh();

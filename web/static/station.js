@@ -1,0 +1,125 @@
+// What every part of the page shares: who we are, asking the station, its status, and notes to the person.
+
+export const $ = (id) => document.getElementById(id);
+
+/** An element: make("p", {className: "dim"}, "text", child). */
+export function make(tag, fields = {}, ...children) {
+  const element = Object.assign(document.createElement(tag), fields);
+  for (const [name, value] of Object.entries(fields)) {
+    if (name.includes("-") || name === "role") element.setAttribute(name, value);
+  }
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+function identity() {
+  const known = sessionStorage.getItem("client");
+  if (known !== null) return known;
+  const bytes = crypto.getRandomValues(new Uint8Array(16));
+  const fresh = Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+  sessionStorage.setItem("client", fresh);
+  return fresh;
+}
+
+/** Of this tab; nobody else knows it. */
+export const client = identity();
+export const name = {
+  get: () => localStorage.getItem("name") ?? "",
+  set: (text) => localStorage.setItem("name", text),
+};
+
+export class Refused extends Error {}
+
+/** The station's answer; throws Refused with its reason, or an Error when there is no answer. */
+export async function ask(method, path, body, patience) {
+  const headers = { "x-ctr-client": client, "x-ctr-name": encodeURIComponent(name.get()) };
+  if (method !== "GET") headers["content-type"] = "application/json";
+  const answer = await fetch(path, {
+    method, headers, cache: "no-store", body: body === undefined ? undefined : JSON.stringify(body),
+    signal: patience === undefined ? undefined : AbortSignal.timeout(patience),
+  });
+  const text = await answer.text();
+  const read = () => { try { return JSON.parse(text); } catch { return { error: text.slice(0, 200) }; } };
+  if (!answer.ok) throw new Refused(read().error ?? `answer ${answer.status}`);
+  return text === "" ? null : read();
+}
+
+/** Ask for something that a person has pressed; a refusal is shown. The answer, or null. */
+export async function press(method, path, body) {
+  try {
+    const answer = await ask(method, path, body);
+    look();
+    return answer ?? {};
+  } catch (error) {
+    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`);
+    look();
+    return null;
+  }
+}
+
+/** A note in the corner, gone after a while. */
+export function note(text, good = false) {
+  const close = make("button", { type: "button", "aria-label": "close" }, "×");
+  const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), close);
+  close.addEventListener("click", () => box.remove());
+  $("notes").append(box);
+  while ($("notes").children.length > 4) $("notes").firstChild.remove();
+  setTimeout(() => box.remove(), 12000);
+}
+
+/** Have a person confirm; resolves to whether they did. `extra` may hold a checkbox that must be ticked. */
+export function confirm(title, action, ...content) {
+  const dialog = $("question"), yes = dialog.querySelector("[value=yes]");
+  dialog.querySelector("h2").textContent = title;
+  dialog.querySelector("form > div").replaceChildren(...content);
+  yes.textContent = action;
+  const boxes = [...dialog.querySelectorAll("input[type=checkbox]")];
+  const check = () => { yes.disabled = boxes.some((box) => !box.checked); };
+  boxes.forEach((box) => box.addEventListener("change", check));
+  check();
+  dialog.returnValue = "no";
+  dialog.showModal();
+  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
+}
+
+// ---- status: asked for several times a second; too old, it is called stale
+
+const PERIOD = 150, PATIENCE = 1500, STALE = 480; // ms
+const listeners = [];
+let status = null, heard = -Infinity, looking = false, wasStale = null;
+
+/** Call `listener(status, stale)` with each status, and when it becomes stale. */
+export const onStatus = (listener) => { listeners.push(listener); };
+export const latest = () => status;
+
+const age = () => performance.now() - heard + 1000 * (status?.age ?? 0);
+
+function tell() {
+  wasStale = status === null || status.stale || age() > STALE;
+  document.body.classList.toggle("stale", wasStale);
+  for (const listener of listeners) listener(status, wasStale);
+}
+
+export async function look() {
+  if (looking) return;
+  looking = true;
+  try {
+    status = await ask("GET", "/api/status", undefined, PATIENCE);
+    heard = performance.now();
+  } catch {
+    if (age() > STALE) status = null;
+  }
+  looking = false;
+  tell();
+}
+
+/** Whether this page may command now: it is operator, or nobody is and it could become so. */
+export const mayCommand = (now = status) =>
+  now !== null && now.operator.role === "operator" && (now.operator.you || now.operator.name === null);
+
+export function start() {
+  setInterval(look, PERIOD);
+  // What is old must look old even while a question is still open.
+  setInterval(() => { if (age() > STALE && !wasStale) { if (age() > 2 * STALE) status = null; tell(); } }, 50);
+  look();
+}

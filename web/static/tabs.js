@@ -1,0 +1,32 @@
+// Tabs, with the arrow keys as the WAI-ARIA practices have them.
+import { $ } from "./station.js";
+
+const tabs = [...document.querySelectorAll("[role=tab]")];
+const listeners = {};
+
+/** Call `listener(open)` when a tab is opened or closed. */
+export const onTab = (id, listener) => { (listeners[id] ??= []).push(listener); };
+export const isOpen = (id) => !$(id).hidden;
+
+export function open(id) {
+  for (const tab of tabs) {
+    const panel = tab.getAttribute("aria-controls"), chosen = panel === id, was = isOpen(panel);
+    tab.setAttribute("aria-selected", String(chosen));
+    tab.tabIndex = chosen ? 0 : -1;
+    $(panel).hidden = !chosen;
+    if (was !== chosen) for (const listener of listeners[panel] ?? []) listener(chosen);
+  }
+}
+
+for (const [number, tab] of tabs.entries()) {
+  tab.addEventListener("click", () => open(tab.getAttribute("aria-controls")));
+  tab.addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    const to = event.key === "Home" ? 0 : event.key === "End" ? tabs.length - 1 : number + step;
+    if (Number.isNaN(to)) return;
+    event.preventDefault();
+    const next = tabs[(to + tabs.length) % tabs.length];
+    next.focus();
+    next.click();
+  });
+}

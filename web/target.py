@@ -1,0 +1,53 @@
+"""A place for the tip that a person points at: whether it can be reached from here, and the way there."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from core.errors import CtrError
+from core.limits import Limits
+from core.reachability import check_reach
+from core.robot import Array
+from core.statics import Statics
+from station.motions import WaypointsMotion
+
+#: Mean speed on the way [m/s] and the shortest time for it [s].
+SPEED, SHORTEST = 0.008, 2.0
+#: Where the joints are too slow the way is tried again in so many times the time.
+SLOWER = (1.0, 2.0, 4.0)
+#: Held at the place afterwards [s].
+STAY = 3.0
+
+
+class Way(NamedTuple):
+    """How to get to a target."""
+
+    motion: WaypointsMotion | None  #: None when it cannot be reached
+    duration: float  #: with the stay [s]
+    reason: str  #: why not; empty when it can
+
+
+def way_to(target: Array, statics: Statics, limits: Limits, joints: Array, tip: Array, force: Array) -> Way:
+    """The quickest of a few straight ways that the robot can follow, walked on the model.
+
+    Args:
+        target: (3,) world frame [m].
+        statics, limits: the controller's.
+        joints: where they are (n,) [rad or m].
+        tip: where the tip is (3,) [m].
+        force: on the tip now, and taken to stay (3,) [N].
+    """
+    offset = target - tip
+    shortest = max(SHORTEST, float(np.linalg.norm(offset)) / SPEED)
+    reason = ""
+    for slower in SLOWER:
+        time = slower * shortest
+        try:
+            motion = WaypointsMotion(points=((math.ceil(10.0 * time) / 10.0, *offset.tolist()),))
+            check_reach(statics, limits, joints, motion.trajectory(), time + 0.5, lambda _: force)
+        except (CtrError, ValueError) as error:
+            reason = str(error)
+            continue
+        return Way(motion, time + STAY, "")
+    return Way(None, 0.0, reason)
