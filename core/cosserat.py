@@ -280,10 +280,10 @@ def shoot(
     q = layout.counts.shape[0]
     size = q + 2
     wrench = _to_plate(layout, world_wrench)
-    y, ends, moved = np.empty(9 + 2 * q), np.empty(size), np.empty(size)
+    y, ends, moved, correction = np.empty(9 + 2 * q), np.empty(size), np.empty(size), np.empty(size)
     unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
     _integrate(layout, alpha, beta, wrench, contact, unknowns, step, y, ends)
-    residual = np.abs(ends).max()
+    residual = _largest(ends)
     iterations = 1
     fresh = not inverse.any()
     while residual > tolerance and iterations < 60:
@@ -298,14 +298,14 @@ def shoot(
             if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-30:
                 return unknowns, inverse, *_to_world(layout, y), iterations, np.inf
             inverse[:] = np.linalg.inv(matrix)
-        correction = inverse @ ends
+        _times(inverse, ends, correction)
         fraction = 1.0
         while True:
             for i in range(size):
                 trial[i] = unknowns[i] - fraction * correction[i]
             _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved)
             iterations += 1
-            after = np.abs(moved).max()
+            after = _largest(moved)
             if after < residual or (not fresh) or fraction < 1e-3:
                 break
             fraction *= 0.5
@@ -318,4 +318,28 @@ def shoot(
             break
         else:
             fresh = True
-    return unknowns - inverse @ ends, inverse, *_to_world(layout, y), iterations, residual
+    _times(inverse, ends, correction)
+    for i in range(size):
+        unknowns[i] -= correction[i]
+    return unknowns, inverse, *_to_world(layout, y), iterations, residual
+
+
+@compiled
+def _largest(values: Array) -> float:
+    """The largest magnitude; NaN where there is one."""
+    largest = 0.0
+    for i in range(values.size):
+        if not abs(values[i]) <= largest:
+            largest = abs(values[i])
+        if np.isnan(largest):
+            break
+    return largest
+
+
+@compiled
+def _times(matrix: Array, vector: Array, out: Array) -> None:
+    """out = matrix @ vector; for so few numbers a library's product takes longer than this."""
+    for i in range(out.size):
+        out[i] = 0.0
+        for k in range(vector.size):
+            out[i] += matrix[i, k] * vector[k]

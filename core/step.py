@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.controllers import Strategy, View
+from core.corrections import Corrections
 from core.errors import NotFinite
 from core.estimation import Estimate, Estimator
 from core.inverse import inverse
@@ -74,11 +75,25 @@ class Controller:
     #: Type I takes the deflection's rate from C, J and the filtered force; without, from the
     #: filtered numerical derivative (the paper).
     exact_rate: bool = False
+    #: From a calibration; without, the coil is at the tip and the sensors stand as their tubes.
+    corrections: Corrections | None = None
 
     @property
     def period(self) -> float:
         """Time between ticks [s]."""
         return self.estimator.filter.period
+
+    def tare(self, readings: Array, joints: Array) -> Array:
+        """Zero of the base sensors (q, 6) from readings (q, 6) without load at joints (n,)."""
+        if self.corrections is None:
+            return readings
+        return self.corrections.offset(readings, self.statics.robot.tube_poses(joints)[0])
+
+    def tip(self, measured: Array, memory: "Memory") -> Array:
+        """The tip (3,) of a tracker frame (3,) [m]."""
+        if self.corrections is None:
+            return measured
+        return self.corrections.tip(measured, memory.estimate.loaded.rotation)
 
 
 def begin(controller: Controller, sample: Sample) -> Memory:
@@ -90,10 +105,12 @@ def begin(controller: Controller, sample: Sample) -> Memory:
     """
     if sample.tip is None or not np.isfinite(sample.tip).all():
         raise NotFinite(f"measured tip {sample.tip} m: a finite tracker frame is needed to begin")
-    load = fuse_at(controller.statics.robot, sample.joints, sample.wrenches)
-    loaded = controller.statics.solve(sample.joints, point_force(load))
     unloaded = controller.statics.solve(sample.joints, _NO_LOAD)
-    return Memory(controller.estimator.start(loaded, unloaded, load.force, sample.tip), sample.tip, sample.tip)
+    right = _corrected(controller, sample, unloaded.rotation)
+    load = fuse_at(controller.statics.robot, right.joints, right.wrenches)
+    loaded = controller.statics.solve(right.joints, point_force(load))
+    tip = sample.tip if right.tip is None else right.tip
+    return Memory(controller.estimator.start(loaded, unloaded, load.force, tip), tip, tip)
 
 
 def set_origin(controller: Controller, memory: Memory, origin: Array) -> Memory:
@@ -114,6 +131,7 @@ def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint
 
     """
     statics, limits, last = controller.statics, controller.limits, memory.estimate
+    sample = _corrected(controller, sample, last.loaded.rotation)
     load, now = perceive(
         statics, controller.estimator, last,
         sample.joints, sample.wrenches, sample.sent, sample.tip, sample.tip_age,
@@ -141,6 +159,16 @@ def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint
     if not (finite and math.isfinite(command @ command)):
         raise NotFinite(f"joint velocities {command.tolist()} at measured tip {tip.tolist()} m are not finite")
     return Tick(command, load, u_int, setpoint, sigma, at_bound, at_row, Memory(now, tip, memory.origin))
+
+
+def _corrected(controller: Controller, sample: Sample, rotation: Array) -> Sample:
+    """The sample as calibrated devices would have given it; `rotation` (3, 3) is the tip's frame of just now."""
+    corrections = controller.corrections
+    if corrections is None:
+        return sample
+    alpha, _ = controller.statics.robot.tube_poses(sample.joints)
+    tip = None if sample.tip is None else corrections.tip(sample.tip, rotation)
+    return sample._replace(wrenches=corrections.wrenches(sample.wrenches, alpha), tip=tip)
 
 
 def _outer(controller: Controller, order: Setpoint, now: Estimate, tip: Array, origin: Array) -> Array:

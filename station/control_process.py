@@ -18,13 +18,14 @@ import numpy as np
 from core.errors import CtrError
 from core.step import Sample, begin, step
 from core.trajectories import JointMotion, Setpoint
-from station.devices.interfaces import Devices
+from station.devices.interfaces import Devices, Severity
 from station.experiments.experiment import PERIOD, ControllerFile
 from station.lab.config import LabConfig
 from station.lab.live_bench import live_devices
 from station.loop import ControlLoop, Phase
 from station.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Reply
-from station.realtime import ask_for_fifo, calm_memory
+from station.overruns import OverrunLimits, Overruns
+from station.realtime import ask_for_fifo, calm_memory, show_as
 from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, STATION_HEARTBEAT, Ring
 from station.robots import RobotFile
 from station.states import Event, State
@@ -33,7 +34,7 @@ from station.telemetry import Channels
 #: A station process that says nothing for so long counts as gone while something moves [s].
 STATION_SILENT = 1.0
 #: The last stops get this long to be carried and answered [s].
-LAST_WORDS = 0.5
+LAST_WORDS = 0.25
 #: Between two reports of the devices [ticks].
 REPORT_TICKS = 250
 
@@ -48,12 +49,14 @@ class Bench:
     park: tuple[float, ...]  #: joints of the virtual lab at power-up [rad or m]
     controller: ControllerFile
     fifo: bool = True  #: ask for real-time scheduling
+    overruns: OverrunLimits = OverrunLimits()
 
 
 def run_control(bench: Bench, ring_name: str, pipe: Connection, parent: int) -> None:
     """Main function of the control process; the first message through `pipe` says where the devices are."""
     # Ctrl-C in a terminal reaches the whole group: the station process decides when we end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    show_as("ctr-control")
     ring = Ring(ring_width(bench.robot), ring_name)
     try:
         _warm_up(bench)
@@ -62,7 +65,7 @@ def run_control(bench: Bench, ring_name: str, pipe: Connection, parent: int) -> 
             return
         devices = live_devices(endpoints, bench.robot, bench.lab)
         try:
-            loop = _LiveLoop(ControlLoop(bench.controller.controller(bench.robot), devices), ring, pipe, parent)
+            loop = _LiveLoop(ControlLoop(bench.controller.controller(bench.robot), devices), bench, ring, pipe, parent)
             ring.counters[SCHEDULER] = bench.fifo and ask_for_fifo()
             calm_memory()
             loop.run()
@@ -85,8 +88,9 @@ def ring_width(robot: RobotFile) -> int:
 class _LiveLoop:
     """The control loop with its clock and its commands."""
 
-    def __init__(self, loop: ControlLoop, ring: Ring, pipe: Connection, parent: int) -> None:
+    def __init__(self, loop: ControlLoop, bench: Bench, ring: Ring, pipe: Connection, parent: int) -> None:
         self._loop, self._ring, self._pipe, self._parent = loop, ring, pipe, parent
+        self._overruns = Overruns(bench.overruns, PERIOD)
         self._begun = 0.0
         self._run = 0
         self._told = Notice(State.OFF, "", 0)
@@ -106,12 +110,21 @@ class _LiveLoop:
             skipped = int((start - due) / PERIOD)
             self._ring.time_late(start - due, skipped)
             tick += skipped
+            self._bear(tick * PERIOD, skipped)
             if not self._listen(tick * PERIOD):
                 break
             self._tick(tick)
             self._ring.time_work(time.monotonic() - start)
             tick += 1
         self._wind_down(tick)
+
+    def _bear(self, now: float, skipped: int) -> None:
+        """Too much lateness ends a motion."""
+        late = self._overruns.look(now, skipped)
+        if late is not None and self._loop.state in (State.RUNNING, State.HOMING):
+            event = Event.FAULT if late.severity is Severity.FAULT else Event.HOLD
+            if event is Event.FAULT or self._loop.state is State.RUNNING:
+                self._loop.stop(now, event, late.text)
 
     def _tick(self, tick: int) -> None:
         loop, ring, now = self._loop, self._ring, tick * PERIOD

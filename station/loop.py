@@ -225,7 +225,7 @@ class ControlLoop:
             self._memory = None
             return self._held(now, joints, wrenches)
         if self._tare is None and wrenches.usable:
-            self._tare = wrenches.wrenches
+            self._tare = self.controller.tare(wrenches.wrenches, joints.positions)
         tare = wrenches.wrenches if self._tare is None else self._tare
         order = None if trouble else self._order(now, joints, wrenches.wrenches, frame)
         tip, age = (None, 0.0) if frame is None else (frame.position, now - frame.time)
@@ -308,7 +308,7 @@ class ControlLoop:
             return order
         progress = self.progress
         if progress is None:
-            self._go_on_taring(now, wrenches)
+            self._go_on_taring(now, joints, wrenches)
             return None
         task = progress.task
         if progress.phase is Phase.APPROACHING:
@@ -322,15 +322,15 @@ class ControlLoop:
         if now < progress.motion_start - 1e-9:
             if now >= progress.settle_start + SETTLE:
                 self._wrenches.append(wrenches)
-                if frame is not None:
-                    self._tips.append(frame.position)
+                if frame is not None and self._memory is not None:
+                    self._tips.append(self.controller.tip(frame.position, self._memory))
             return None
         if progress.phase is Phase.SETTLING:
             if not self._tips or self._memory is None:
                 self.devices.stages.stop(now)
                 self.request(Event.HOLD, f"no tracker frame in {AVERAGE:g} s; is the coil inside the tracker's volume?")
                 return None
-            self._tare = np.mean(self._wrenches, axis=0)
+            self._tare = self.controller.tare(np.mean(self._wrenches, axis=0), joints.positions)
             self._memory = set_origin(self.controller, self._memory, np.mean(self._tips, axis=0))
             self._stall = Stall()
             self.progress = replace(progress, phase=Phase.MOVING)
@@ -344,12 +344,13 @@ class ControlLoop:
         self.request(Event.FINISH)
         self.progress = self._jog = None
 
-    def _go_on_taring(self, now: float, wrenches: Array) -> None:
+    def _go_on_taring(self, now: float, joints: JointReading, wrenches: Array) -> None:
         if self._taring_since is None:
             return
         self._wrenches.append(wrenches)
         if now - self._taring_since >= AVERAGE and self._memory is not None:
-            self._tare, self._taring_since = np.mean(self._wrenches, axis=0), None
+            self._tare = self.controller.tare(np.mean(self._wrenches, axis=0), joints.positions)
+            self._taring_since = None
             self._memory = set_origin(self.controller, self._memory, self._memory.origin)
 
     def _approach(self, joints: Array, start: Array | None) -> Array | None:

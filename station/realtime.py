@@ -1,7 +1,9 @@
 """What the operating system grants a punctual process; what it refuses is said, not hidden."""
 
+import contextlib
 import gc
 import os
+from pathlib import Path
 
 
 def ask_for_fifo(priority: int = 50) -> bool:
@@ -20,3 +22,9 @@ def calm_memory() -> None:
     gc.collect()
     gc.freeze()
     gc.disable()
+
+
+def show_as(name: str) -> None:
+    """Call this process `name` (15 letters at most) where processes are listed, on systems that can."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/comm").write_text(name, encoding="ascii")

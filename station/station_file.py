@@ -11,6 +11,7 @@ from station.config import ConfigError, Strict, check, read_toml
 from station.control_process import Bench
 from station.experiments.experiment import BEST, ControllerFile, start_pose
 from station.lab.config import load_lab
+from station.overruns import OverrunLimits
 from station.robots import load_robot
 
 
@@ -29,6 +30,8 @@ class StationFile(Strict):
     """the loop's controller until a run brings its own"""
     fifo: bool = True
     """ask for real-time scheduling"""
+    overruns: OverrunLimits = OverrunLimits()
+    """how much lateness of the loop a motion may suffer"""
     _source: str = PrivateAttr("the default station")
 
     def bench(self) -> Bench:
@@ -46,7 +49,7 @@ class StationFile(Strict):
             self.controller.controller(robot)
         except CtrError as error:
             raise ConfigError(f"{self._source}: {error}") from None
-        return Bench(robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo)
+        return Bench(robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns)
 
 
 def load_station(path: Path | None) -> StationFile:

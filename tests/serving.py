@@ -43,20 +43,25 @@ class Served:
             time.sleep(0.02)
 
     def ready(self) -> None:
-        """READY, whatever came before."""
+        """READY and without an operator, whatever came before."""
+        self.rest.post("/api/operator", json={"take_over": True})
         if self.status()["state"] == "RUNNING":
             self.post("/api/stop")
         if self.status()["state"] in ("STOPPED", "HOLD", "FAULT"):
             self.post("/api/reset")
         self.wait_for(lambda status: status["state"] == "READY" and not status["stale"], 10.0)
+        self.rest.delete("/api/operator")
+
+    def child(self, name: str) -> psutil.Process:
+        """Its child that is listed under that name: ctr-control, ctr-lab, ctr-recorder."""
+        for child in psutil.Process(self.process.pid).children():
+            if child.name() == name:
+                return child
+        raise AssertionError(f"there is no {name}")
 
     def control_process(self) -> psutil.Process:
         """The child that runs the loop."""
-        for child in psutil.Process(self.process.pid).children():
-            command = " ".join(child.cmdline())
-            if "spawn_main" in command:
-                return child
-        raise AssertionError("there is no control process")
+        return self.child("ctr-control")
 
     def end(self) -> int:
         """Ctrl-C; the exit status."""

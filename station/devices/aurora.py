@@ -10,6 +10,7 @@ value that could not be confirmed is marked so.
 import re
 import struct
 
+from core.compiled import compiled
 from core.errors import CtrError
 
 #: What COMM calls the rates [bit/s]; the unit wakes at 9600.
@@ -34,24 +35,14 @@ class AuroraError(CtrError):
     """The unit refused, answered nothing, or not what was asked."""
 
 
-def _crc_table() -> tuple[int, ...]:
-    table: list[int] = []
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
-        table.append(crc)
-    return tuple(table)
-
-
-_TABLE = _crc_table()
-
-
-def crc16(data: bytes | bytearray) -> int:
+@compiled
+def crc16(data: bytes) -> int:
     """CRC-16/ARC: x^16 + x^15 + x^2 + 1 reflected, from 0, no final XOR."""
     crc = 0
-    for byte in data:
-        crc = (crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF]
+    for k in range(len(data)):
+        crc ^= data[k]
+        for _ in range(8):
+            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
     return crc
 
 
@@ -107,7 +98,7 @@ class ReplyReader:
         end = found.start()
         if self._buffer[end] != 0x0D:
             self._skip(end)
-        elif end >= 4 and self._buffer[end - 4 : end] == b"%04X" % crc16(self._buffer[: end - 4]):
+        elif end >= 4 and self._buffer[end - 4 : end] == b"%04X" % crc16(bytes(self._buffer[: end - 4])):
             replies.append(self._buffer[: end - 4].decode("ascii"))
             del self._buffer[: end + 1]
         else:
@@ -122,7 +113,7 @@ class ReplyReader:
         if len(self._buffer) < 6:
             return False
         length, check = struct.unpack_from("<HH", self._buffer, 2)
-        if check != crc16(self._buffer[:4]) or length > LONGEST_BODY:
+        if check != crc16(bytes(self._buffer[:4])) or length > LONGEST_BODY:
             return self._skip_to_a_start()
         if len(self._buffer) < length + 8:
             return False

@@ -19,7 +19,7 @@ tubes.outer.host = "192.168.1.12"
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from core.robot import Array, Base
 from station.config import ConfigError, Name, NotNegative, Positive, Row, Strict, Vector
@@ -50,10 +50,17 @@ class BenchFile(Strict):
     sensors: Options
 
 
+def _is_either(value: object) -> object:
+    if value != "virtual" and not isinstance(value, Mapping | BenchFile):
+        raise ValueError("expected 'virtual', or tables of stages, tracker and sensors")
+    return value
+
+
 #: The virtual lab, or a bench.
 DevicesFile = Annotated[
     Annotated[Literal["virtual"], Tag("virtual")] | Annotated[BenchFile, Tag("bench")],
-    Discriminator(lambda value: "bench" if isinstance(value, Mapping | BenchFile) else "virtual"),
+    Discriminator(lambda value: "virtual" if value == "virtual" else "bench"),
+    BeforeValidator(_is_either),
 ]
 
 

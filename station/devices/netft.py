@@ -9,6 +9,9 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
+from core.compiled import compiled
+from core.robot import Array
+
 RDT_PORT = 49152
 SAMPLE_RATE = 7000.0  #: of the box's internal counter, +-0.5 % [1/s]
 LATENCY = 288e-6  #: from the event to the Ethernet [s]
@@ -166,6 +169,27 @@ class SampleClock:
         return (now - self._offset + 2.0 * DRIFT * (now - self._confirmed)) * SAMPLE_RATE
 
 
+@compiled
+def is_next(datagram: bytes, rdt: int, ft: int, limits: Array, rows: Array, row: int) -> bool:
+    """Whether this is one record with these counters, healthy and inside the limits; its counts to `rows[row, 1:7]`."""
+    if len(datagram) != 36 or word(datagram, 0) != rdt or word(datagram, 4) != ft or word(datagram, 8) != HEALTHY:
+        return False
+    for k in range(6):
+        counts = word(datagram, 12 + 4 * k)
+        if counts >= 1 << 31:
+            counts -= 1 << 32
+        if not -limits[k] <= counts <= limits[k]:
+            return False
+        rows[row, 1 + k] = counts
+    return True
+
+
+@compiled
+def word(data: bytes, at: int) -> int:
+    """Four bytes, the most significant one first."""
+    return data[at] << 24 | data[at + 1] << 16 | data[at + 2] << 8 | data[at + 3]
+
+
 class Stream:
     """The records of one box, in order; whatever is not in line is counted and dropped."""
 
@@ -179,36 +203,45 @@ class Stream:
         self._in_line = 0  # how many of those follow one another
         # Internal samples from one record to the next, if those that began the stream agree; 0: not known.
         self._step = self._candidate = 0
-        self._accepted = self._lost = self._duplicates = self._late = 0
-        self._malformed = self._implausible = self._resyncs = self._resets = 0
+        self.lost = 0  #: records missing in the sequence so far
+        self.resets = 0  #: how often the box's sample counter has begun anew
+        self._accepted = self._duplicates = self._late = 0
+        self._malformed = self._implausible = self._resyncs = 0
 
     @property
     def counters(self) -> Counters:
         """What has been seen so far."""
         return Counters(
             self._accepted,
-            self._lost,
+            self.lost,
             self._duplicates,
             self._late,
             self._malformed,
             self._implausible,
             self._resyncs,
-            self._resets,
+            self.resets,
         )
-
-    @property
-    def lost(self) -> int:
-        """Records missing in the sequence so far."""
-        return self._lost
-
-    @property
-    def resets(self) -> int:
-        """How often the box's sample counter has begun anew."""
-        return self._resets
 
     def restart(self) -> None:
         """A new request is sent: its sequence begins at 1."""
         self._begun, self._astray, self._in_line = False, None, 0
+
+    def follow(self, datagram: bytes, now: float, limits: Array, rows: Array, row: int) -> float | None:
+        """Take the usual datagram: the record that is to come next, healthy and inside `limits` (6,) [counts].
+
+        Its counts are put into `rows[row, 1:7]`, its time [s] is the answer. None: it is anything else; nothing has
+        happened, and it is for `feed`.
+        """
+        step = self._step
+        if not self._begun or not step:
+            return None
+        rdt, ft, count = self._rdt + 1 & WRAP - 1, self._ft + step & WRAP - 1, self._count + step
+        if count > self._clock.latest(now) + AHEAD or not is_next(datagram, rdt, ft, limits, rows, row):
+            return None
+        self._rdt, self._ft, self._count = rdt, ft, count
+        self._astray, self._in_line = None, 0
+        self._accepted += 1
+        return self._clock.observe(count, now)
 
     def feed(self, datagram: bytes, now: float) -> list[Sample]:
         """Take a datagram that has arrived by `now` [s]; give the samples in it that are in line."""
@@ -230,7 +263,7 @@ class Stream:
             if steps and (samples == step * steps if step else steps <= samples <= LONGEST_STEP * steps):
                 count = self._count + samples
                 if count <= self._clock.latest(now) + AHEAD:
-                    self._lost += steps - 1
+                    self.lost += steps - 1
                     return self._accept(fields, count, now)
             if steps == 0:
                 self._duplicates += 1
@@ -264,7 +297,7 @@ class Stream:
             if abs(off) / SAMPLE_RATE <= RESET + self._clock.doubt(now):
                 count = latest + off
             else:
-                self._resets += 1
+                self.resets += 1
                 self._clock = SampleClock(self._latency)
         return self._accept(fields, count, now)
 

@@ -6,8 +6,6 @@ reading stays, and `quality` says what is wrong with it.
 
 import contextlib
 import math
-import operator
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
@@ -32,6 +30,7 @@ from station.devices.netft import (
     is_usable,
     request,
 )
+from station.devices.netft_history import History, Ring
 from station.devices.netft_page import LARGEST_PAGE, NetftPage, read_page
 
 
@@ -89,24 +88,21 @@ class Datagrams(Protocol):
 # Flags as plain numbers: those of `IntFlag` are slow, and these are put together at every tick.
 _LATCHED, _GAP, _STALE, _SATURATED, _STATUS, _RANGE, _RESET, _GONE = (int(flag) for flag in Quality)
 
-#: Kept of each sensor, to interpolate between: several ticks at the fastest rate.
-HISTORY = 64
-
 
 class _Sensor:
     """One box: its stream, what of it can be used, and the rest as quality."""
 
-    def __init__(self, link: Datagrams, page: NetftPage, settings: NetftSettings) -> None:
+    def __init__(self, link: Datagrams, page: NetftPage, settings: NetftSettings, good: Ring) -> None:
         self.link = link
         self.page = page
         self.stream = Stream(settings.latency)
-        self.good: deque[Sample] = deque(maxlen=HISTORY)
+        self.good = good
         self.flags = _STALE
         self.status = 0
         self.requests = 0
         self._settings = settings
         scale = [page.force_count] * 3 + [page.torque_count] * 3
-        self._limits = tuple(r / s for r, s in zip(page.ranges or settings.ranges, scale, strict=True))
+        self._limits = np.array(page.ranges or settings.ranges) / scale
         self._heard = self._fresh = 0.0
         self._streaming = False
         self._lasting = 0  # until the stream is started by a person
@@ -131,62 +127,50 @@ class _Sensor:
 
     def poll(self, now: float) -> bool:
         """Take what has arrived; nothing of it raises. Whether there was anything."""
-        stream, settings, flags = self.stream, self._settings, 0
-        lost, resets = stream.lost, stream.resets
-        samples: list[Sample] = []
+        stream, good, settings, flags = self.stream, self.good, self._settings, 0
+        lost, resets, news, newest = stream.lost, stream.resets, False, 0
         try:
             for datagram in self.link.receive():
-                samples += stream.feed(datagram, now)
-            if samples:
-                self._heard = now
+                time = stream.follow(datagram, now, self._limits, good.rows, good.next)
+                if time is not None:
+                    good.push(time)
+                    self.status, self._fresh, news = 0, now, True
+                    continue
+                for sample in stream.feed(datagram, now):
+                    newest |= self._take(sample, now)
+                    news = True
+            if news:
+                self._heard, self._newest = now, newest
             elif self._streaming and now - self._heard >= settings.retry_after:
                 self._heard = now
                 stream.restart()
                 self._ask()
         except LinkError:
             flags = _GONE
-        if samples:
-            self._newest = 0
-            for sample in samples:
-                self._take(sample, now)
         if stream.resets > resets:
             self._lasting |= _RESET
-            self.good.clear()
+            good.clear()
         flags |= self._newest | self._lasting
         if stream.lost > lost:
             flags |= _GAP
-        if not self.good or now - self._fresh > settings.stale_after:
+        if good.time == -math.inf or now - self._fresh > settings.stale_after:
             flags |= _STALE
         self.flags = flags
-        return bool(samples)
+        return news
 
-    def counts_at(self, time: float) -> Sequence[float]:
-        """Counts (6,) at `time` [s], on the line between the records next to it."""
-        after = self.good[-1]
-        for index in range(len(self.good) - 1, -1, -1):
-            sample = self.good[index]
-            if sample.time <= time:
-                part = (time - sample.time) / (after.time - sample.time) if after.time > time else 0.0
-                if part <= 0.0:
-                    return sample.counts
-                return [a + part * (b - a) for a, b in zip(sample.counts, after.counts, strict=True)]
-            after = sample
-        return after.counts
-
-    def _take(self, sample: Sample, now: float) -> None:
+    def _take(self, sample: Sample, now: float) -> int:
+        """Keep a sample that can be used; what is wrong with it."""
         self.status = sample.status
         if not is_usable(sample.status):
-            self._newest |= _SATURATED if sample.status & SATURATED else _STATUS
-            return
-        if sample.status == THRESHOLD_LATCHED:
-            self._newest |= _LATCHED
-        if any(map(operator.gt, map(abs, sample.counts), self._limits)):
-            self._newest |= _RANGE
-            return
-        if self.good and sample.time <= self.good[-1].time:  # a less delayed record has set the clock back
-            sample = sample._replace(time=self.good[-1].time)
-        self.good.append(sample)
+            return _SATURATED if sample.status & SATURATED else _STATUS
+        flags = _LATCHED if sample.status == THRESHOLD_LATCHED else 0
+        counts = np.array(sample.counts, dtype=np.float64)
+        if (np.abs(counts) > self._limits).any():
+            return flags | _RANGE
+        self.good.rows[self.good.next, 1:] = counts
+        self.good.push(sample.time)
         self._fresh = now
+        return flags
 
     def _ask(self) -> None:
         self.requests += 1
@@ -200,8 +184,11 @@ class NetftSensors:
         self, links: Sequence[Datagrams], pages: Sequence[NetftPage], settings: NetftSettings | None = None
     ) -> None:
         settings = settings or NetftSettings()
-        self._sensors = [_Sensor(link, page, settings) for link, page in zip(links, pages, strict=True)]
-        self._scale = np.array([[page.force_count] * 3 + [page.torque_count] * 3 for page in pages])
+        self._history = History(np.array([[page.force_count] * 3 + [page.torque_count] * 3 for page in pages]))
+        self._sensors = [
+            _Sensor(link, page, settings, self._history.ring(i))
+            for i, (link, page) in enumerate(zip(links, pages, strict=True))
+        ]
         self._reading = WrenchReading(0.0, np.zeros((len(self._sensors), 6)))
         self._time = -math.inf  # of the reading; it never runs back
         self._started = False
@@ -294,19 +281,18 @@ class NetftSensors:
 
         A sensor whose `quality` is not usable keeps its last good wrench; before its first, all are zero.
         """
-        sensors, news, complete, flags, time = self._sensors, False, True, 0, math.inf
-        for sensor in sensors:
+        news, complete, flags, time = False, True, 0, math.inf
+        for sensor in self._sensors:
             news |= sensor.poll(now)
             flags |= sensor.flags
-            if not sensor.good:
+            if sensor.good.time == -math.inf:
                 complete = False
             elif not sensor.flags & _STALE:
-                time = min(time, sensor.good[-1].time)
+                time = min(time, sensor.good.time)
         usable = not flags & ~(_LATCHED | _GAP)
         if complete and news and time < math.inf:
             self._time = time = max(self._time, time)
-            counts = np.array([sensor.counts_at(time) for sensor in sensors])
-            self._reading = WrenchReading(time, counts * self._scale, usable)
+            self._reading = WrenchReading(time, self._history.at(time), usable)
         elif usable != self._reading.usable:
             self._reading = self._reading._replace(usable=usable)
         return self._reading

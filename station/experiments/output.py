@@ -30,6 +30,7 @@ class ResultFolder:
         self._out, self._experiment, self._seed = out, experiment, seed
         self._folder = RunFolder(out, f"{experiment.name}-seed{seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}")
         self._folder.add_source(experiment.source)
+        self._writers: list[CaseWriter] = []
         self.recovered = recover(out)  #: folders of earlier runs that were killed
 
     @property
@@ -65,7 +66,10 @@ class ResultFolder:
         """
         cases = summary.get("cases", {}).values()
         cause = next((case["cause"] for case in cases if case.get("cause")), "")
-        ended = {"label": label_of(completed=bool(summary.get("completed")), cause=cause), "cause": cause}
+        label = label_of(completed=bool(summary.get("completed")), cause=cause)
+        if any(writer.label is Label.INCOMPLETE for writer in self._writers):
+            label = Label.INCOMPLETE
+        ended = {"label": label, "cause": cause}
         self._folder.finish({"title": self._experiment.title, "started": self._folder.started, **summary, **ended})
 
     def abandon(self) -> None:
@@ -76,7 +80,9 @@ class ResultFolder:
     def _writer(self, case: Case, channels: Channels) -> CaseWriter:
         metadata = case_metadata(self._experiment, case, self._seed)
         robot = case.robot.robot()
-        return CaseWriter(self._folder.case(case.name), robot, channels.all, metadata, FAST_PICTURES)
+        writer = CaseWriter(self._folder.case(case.name), robot, channels.all, metadata, FAST_PICTURES)
+        self._writers.append(writer)
+        return writer
 
 
 def case_metadata(experiment: Experiment, case: Case, seed: int) -> dict[str, Any]:

@@ -29,6 +29,9 @@ def summarise(recording: Recording) -> dict[str, Any]:
         "simulated_s": round(recording.simulated_s, 3),
         "wall_s": round(recording.wall_s, 3),
     }
+    if recording.rates:
+        # What each axis really got over its line.
+        summary["line_rates"] = {axis: dict(rates) for axis, rates in recording.rates.items()}
     counted = rows[channels.of(rows, "time")[:, 0] >= settling - 1e-9]
     frames = counted[channels.of(counted, "tip_new")[:, 0] > 0.0]
     if len(counted) == 0 or len(frames) == 0:

@@ -1,8 +1,9 @@
 """Carries out one case in the virtual lab: the same control loop as at a bench, on any clock."""
 
 import time
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,10 @@ class Recording(NamedTuple):
     cause: str  #: why it did not complete
     simulated_s: float  #: preparation included
     wall_s: float
+    #: Of each device at the end: who it is and what it has counted; and of each axis that says so, the
+    #: velocities and polls a second that it got during the motion.
+    devices: Mapping[str, Any] = MappingProxyType({})
+    rates: Mapping[str, Mapping[str, float]] = MappingProxyType({})
 
 
 def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], None]) -> Recording:
@@ -46,6 +51,7 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
     loop = ControlLoop(case.controller, devices)
     rows: list[Array] = []
     tick, motion_start, cause, begun = 0, 0.0, "", False
+    counted: Mapping[str, Any] = {}
     loop.connect(0.0)
     try:
         with interrupts() as interrupted:
@@ -69,7 +75,10 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
                 elif loop.phase is Phase.SETTLING and motion_start == 0.0 and loop.progress is not None:
                     motion_start = loop.progress.motion_start
                     lab.pull(case.file.load, motion_start)
+                    lab.inject(case.file.faults, motion_start)
                 elif loop.phase is Phase.MOVING and row is not None:
+                    if not rows:
+                        counted = devices.stages.details()
                     if lab.trouble:
                         cause = f"the simulated robot cannot follow its stages: {lab.trouble}"
                         break
@@ -82,7 +91,20 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
     table = np.array(rows) if rows else np.empty((0, len(loop.channels)))
     for group in ("time", "tip_time"):
         loop.channels.of(table, group)[:] -= motion_start
-    return Recording(case, loop.channels, table, not cause, cause, tick * PERIOD, time.perf_counter() - wall)
+    said = {name: getattr(devices, name).details() for name in ("stages", "tracker", "sensors")}
+    rates = _rates(counted, said["stages"], len(rows) * PERIOD)
+    return Recording(
+        case, loop.channels, table, not cause, cause, tick * PERIOD, time.perf_counter() - wall, said, rates
+    )
+
+
+def _rates(before: Mapping[str, Any], after: Mapping[str, Any], time: float) -> dict[str, dict[str, float]]:
+    """Velocities and polls a second of each axis."""
+    return {
+        axis: {f"{kind}_per_s": round((now[kind] - before[axis][kind]) / time, 2) for kind in ("velocities", "polls")}
+        for axis, now in after.items()
+        if time > 0.0 and axis in before and isinstance(now, Mapping) and "velocities" in now
+    }
 
 
 def _waiting_for(loop: ControlLoop, now: float) -> str:

@@ -61,6 +61,8 @@ class TrackerConfig(Strict):
     """from the measurement to its arrival [s]"""
     noise: NotNegative = 0.1e-3
     """standard deviation an axis [m]"""
+    distortion: Annotated[float, Field(ge=0.0, le=0.02)] = 0.0
+    """of the field by metal nearby, RMS over the measured cube [m]; its form is drawn from the seed"""
 
 
 class BaseSensorConfig(Strict):

@@ -4,14 +4,16 @@ Real devices cannot be like that, and a line of 9600 baud even less, so these ha
 stages take every joint's velocity at once, and the sensors show what is.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from core.robot import Array
 from station.devices.interfaces import Condition, Devices, JointReading, TipReading, Trouble, Truth, WrenchReading
+from station.config import ConfigError
 from station.lab.config import LabConfig
+from station.lab.faults import LabFault
 from station.lab.loads import Load, NoLoad
 from station.lab.plant import Plant
 from station.robots import RobotFile
@@ -40,6 +42,15 @@ class IdealLab:
     def pull(self, load: Load, start: float) -> None:
         """Put a load on the tip whose time counts from `start` [s]."""
         self._load, self._load_start = load, start
+
+    def inject(self, faults: Sequence[LabFault], start: float) -> None:  # noqa: ARG002 - there is no wire to disturb
+        """Devices without flaw have no faults.
+
+        Raises:
+            ConfigError: some were asked for.
+        """
+        if faults:
+            raise ConfigError("faults: ideal devices have none; use a lab with devices = 'wire'")
 
     def advance(self, now: float) -> Truth:
         """Let time pass until `now` [s].

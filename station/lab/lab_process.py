@@ -16,9 +16,11 @@ import numpy as np
 
 from core.errors import CtrError
 from station.lab.config import LabConfig
+from station.lab.faults import LabFault
 from station.lab.loads import Load
 from station.lab.open_lab import OpenLab
 from station.realtime import ask_for_fifo
+from station.realtime import show_as
 from station.ring import Ring
 from station.robots import RobotFile
 
@@ -38,7 +40,7 @@ class Pull(NamedTuple):
 class Inject(NamedTuple):
     """Station process -> lab: these faults, instead of those that are on or to come."""
 
-    faults: tuple[Any, ...]
+    faults: tuple[LabFault, ...]
     start: float  #: by `time.monotonic` when their time is 0 [s]
 
 
@@ -61,12 +63,12 @@ class LabBench(NamedTuple):
 def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, parent: int) -> None:
     """Main function of the lab's process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the station process decides when it ends
+    show_as("ctr-lab")
     ring = Ring(width, ring_name)
     try:
-        # Windows has no pseudo-terminals.
-        lab = OpenLab(
-            bench.robot, bench.config, bench.seed, np.array(bench.park), pty=hasattr(os, "openpty"), homed=True
-        )
+        # No pseudo-terminals: the kernel carries their bytes in a thread of normal priority, behind whose locks the
+        # control loop would wait for milliseconds on a busy computer.
+        lab = OpenLab(bench.robot, bench.config, bench.seed, np.array(bench.park), pty=False, homed=True)
     except CtrError as error:
         pipe.send(Opened({}, str(error)))
         return
@@ -75,7 +77,7 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
     with lab:
         pipe.send(Opened(lab.endpoints, ""))
         lab.run(_Visitor(lab, ring, pipe, parent).look)
-    ring.close(remove=False)
+    ring.close(remove=os.getppid() != parent)
 
 
 class _Visitor:

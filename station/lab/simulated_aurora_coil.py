@@ -8,6 +8,7 @@ import numpy as np
 from core.robot import Array
 from station.devices.aurora_tracker import Registration
 from station.lab.config import TrackerConfig
+from station.lab.distortion import Distortion
 
 #: How the generator stands in the virtual lab: below the plate, its z axis down, so that the robot's
 #: workspace is in the middle of its volume.
@@ -38,6 +39,12 @@ class Coil:
     def __init__(self, config: TrackerConfig, rng: np.random.Generator, mount: Registration) -> None:
         self.due = 0.0  #: when the next frame is measured [s]
         self._config, self._rng, self._mount = config, rng, mount
+        # From a stream of its own, so that the noise is the same with and without.
+        self._distortion = (
+            Distortion.drawn(config.distortion, 1e-3 * np.array(VOLUME), rng.spawn(1)[0])
+            if config.distortion > 0.0
+            else None
+        )
         self._noise: list[list[float]] = []  # of the frames to come, the next one last [m]
         self._frames: deque[Seen] = deque(maxlen=400)
         self._count, self._count_base = 0, 0
@@ -51,7 +58,10 @@ class Coil:
             if not self._noise:
                 self._noise = (self._config.noise * self._rng.standard_normal((BLOCK, 3)))[::-1].tolist()
             tip = tip_begin + part * (tip_end - tip_begin) + self._noise.pop()
-            position = (1e3 * (self._mount.rotation.T @ (tip - self._mount.position))).tolist()
+            place = self._mount.rotation.T @ (tip - self._mount.position)
+            if self._distortion is not None:
+                place += self._distortion.at(place)
+            position = (1e3 * place).tolist()
             beyond = max(max(low - x, x - high) for x, (low, high) in zip(position, VOLUME, strict=True))
             axis = None if direction is None else self._mount.rotation.T @ direction
             # The configured latency ends with the arrival of the reply.

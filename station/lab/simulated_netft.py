@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.compiled import compiled
-from core.robot import Array, Indices
+from core.robot import Array
 from station.devices.netft import ERROR_SUMMARY, HEADER, LATENCY, RECORD, REQUEST, SATURATED, WRAP, Command
 from station.lab.config import BaseSensorConfig
 from station.lab.netft_wire import Address, DeviceEnd
@@ -97,7 +97,8 @@ class SimulatedNetft:
         self._noise, self._drawn = np.empty((BLOCK, 6)), BLOCK
         self._true = np.zeros(6)
         self._now = 0.0
-        self._period = self.settings.divisor / (RATE * (1.0 + self.settings.clock_error))
+        self._divisor = own.divisor
+        self._period = own.divisor / (RATE * (1.0 + self.settings.clock_error))
         self._first_count = self.settings.first_count
         self._next = 0  # record of the box's own grid
         self._on_the_way: deque[tuple[float, bytes, Address]] = deque(maxlen=MOST_ON_THE_WAY)
@@ -202,11 +203,11 @@ class SimulatedNetft:
         """What the box makes of the wrench between two (6,): counts, and whether the transducer is at its end."""
         if self._drawn == BLOCK:
             self._noise, self._drawn = self._rng.standard_normal((BLOCK, 6)), 0
-        counts, saturated = _sense(
+        *counts, saturated = _sense(
             self._axes, self._noise, self._drawn, time, before, after, part, self.faults.saturate
         )
         self._drawn += 1
-        return counts.tolist(), saturated
+        return counts, bool(saturated)
 
     def _status(self, saturated: bool) -> int:
         status = self.faults.status | (SATURATED if saturated else 0)
@@ -216,7 +217,7 @@ class SimulatedNetft:
         """One record of the stream."""
         if not self.faults.freeze or self._latest is None:
             counts, saturated = self._read(time, before, after, part)
-            count = self._first_count + self._next * self.settings.divisor
+            count = self._first_count + self._next * self._divisor
             self._latest = (count % WRAP, self._status(saturated), counts)
         count, status, counts = self._latest
         self._sequence = (self._sequence + 1) % WRAP
@@ -256,18 +257,18 @@ class SimulatedNetft:
 @compiled
 def _sense(
     axes: Array, noise: Array, row: int, time: float, before: Array, after: Array, part: float, saturate: bool
-) -> tuple[Indices, bool]:
-    """Counts (6,) of the wrench between two, and whether the transducer is at its end; `axes` as in the box."""
-    counts, saturated = np.empty(6, np.int64), False
+) -> tuple[int, ...]:
+    """Six counts of the wrench between two, and whether the transducer is at its end; `axes` as in the box."""
+    counts, saturated = np.empty(6, np.int64), 0
     for k in range(6):
         value = before[k] + part * (after[k] - before[k]) + axes[0, k] + time * axes[1, k] + axes[2, k] * noise[row, k]
         if axes[3, k] > 0.0:
             value = np.rint(value / axes[3, k]) * axes[3, k]
         reach = axes[4, k]
         if saturate or not -reach <= value <= reach:
-            saturated, value = True, math.copysign(reach, value)
+            saturated, value = 1, math.copysign(reach, value)
         counts[k] = np.int64(np.rint((value - axes[5, k]) * axes[6, k]))
-    return counts, saturated
+    return counts[0], counts[1], counts[2], counts[3], counts[4], counts[5], saturated
 
 
 def _array(values: list[int] | list[str]) -> str:

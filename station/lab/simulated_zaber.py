@@ -16,6 +16,7 @@ from station.devices.zaber import BYTE_TIME, GAP, SIZE, Command, Message, decode
 from station.lab.simulated_zaber_unit import Unit
 
 RENUMBERING = 0.5  #: the units are deaf so long after Renumber [s]
+ALIAS = int(Command.SET_ALIAS)
 BUFFER = 4096  #: of a serial port, each way [bytes]
 
 
@@ -160,19 +161,22 @@ class SimulatedChain:
     def _run(self, until: float) -> None:
         said: list[tuple[float, int, Message]] = []
         for place, unit in enumerate(self.units, 1):
-            for time, message in unit.advance(until):
-                said.append((time, place, message))  # noqa: PERF401 - hardly ever there is any
+            if unit.due > until:
+                unit.time = until
+            else:
+                said += [(time, place, message) for time, message in unit.advance(until)]
         for time, place, message in sorted(said):
             self._say(place, message, time)
         self.time = until
 
     def _deliver(self, message: Message, now: float) -> None:
-        to_all = message.device == 0
+        device = message.device
+        to_all = device == 0
+        cut = self._faults.cut
         for place, unit in enumerate(self.units, 1):
-            if self._faults.cut is not None and place >= self._faults.cut:
+            if cut is not None and place >= cut:
                 return
-            alias = unit.settings[Command.SET_ALIAS]
-            if now < unit.deaf_until or not (to_all or message.device in (unit.number, alias)):
+            if device not in (0, unit.number, unit.settings[ALIAS]) or now < unit.deaf_until:
                 continue
             order = message
             if to_all and message.command == Command.RENUMBER:

@@ -6,7 +6,6 @@ give can be changed.
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from station.devices.zaber import (
@@ -33,6 +32,14 @@ _MOVES = frozenset(
     {Command.MOVE_STORED, Command.MOVE_ABSOLUTE, Command.MOVE_RELATIVE, Command.MOVE_SPEED, Command.STOP}
 )
 _ANSWERED_ALWAYS = frozenset({Command.RENUMBER, *range(50, 64)})
+_READINGS = frozenset(
+    {Command.DEVICE_ID, Command.FIRMWARE, Command.VOLTAGE, Command.STATUS, Command.ECHO, Command.POSITION}
+)
+# Plain numbers: members of an enumeration are slow to look up, and these are at every message.
+_SPEED, _LIMIT, _HOMING = int(Command.MOVE_SPEED), int(Command.LIMIT_ACTIVE), int(Status.HOMING)
+_MODE, _MAXIMUM = int(Command.SET_MODE), int(Command.SET_MAXIMUM)
+_ACCELERATION, _RESOLUTION = int(Command.SET_ACCELERATION), int(Command.SET_RESOLUTION)
+_QUIET, _IDS, _TRACKED = int(Mode.NO_AUTO_REPLY), int(Mode.MESSAGE_IDS), int(Mode.MOVE_TRACKING)
 #: Bits of the device mode that a unit takes: the documented ones and those that are only known by hearsay.
 _MODE_BITS = sum(1 << bit for bit in (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 12, 14, 15))
 
@@ -57,7 +64,7 @@ class Unit:
         Without a count it has just been switched on and is not homed.
         """
         self.kind, self.number = kind, number
-        self.position = 0.0 if count is None else count
+        position = 0.0 if count is None else count
         self.settings: dict[int, int] = {
             Command.SET_RESOLUTION: RESOLUTION,
             Command.SET_RUN_CURRENT: 10,
@@ -76,11 +83,12 @@ class Unit:
         self.deaf_until = -math.inf
         self.time = 0.0
         self._stored = [0] * 16
-        self._shift = place - self.position  # place - count
+        self._shift = place - position  # place - count
         self._stuck: float | None = None
+        self._least, self._most = (-math.inf, math.inf) if kind.travel is None else (-STOPS, kind.travel + STOPS)
         self._plan: deque[Segment] = deque()
-        # When, where and how fast the plan's first part began, and when there is something to do next.
-        self._begun, self._start_at, self._start_velocity, self._due = 0.0, 0.0, 0.0, math.inf
+        self._begun, self._start_at, self._start_velocity = 0.0, position, 0.0  # of the plan's first part
+        self.due = math.inf  #: when it has something to do next [s]
         self._goal: float | None = None
         self._answer: int | None = None
         self._identity = self._move_identity = 0  # of the last command, of the one that moves
@@ -89,7 +97,11 @@ class Unit:
     @property
     def place(self) -> float:
         """Where the stage really is, from the home sensor's zero [microsteps]."""
-        return self._stuck if self._stuck is not None else self.position + self._shift
+        if self._stuck is not None:
+            return self._stuck
+        place = self.position + self._shift
+        # Between two hard stops, where the motor may count on.
+        return place if self._least <= place <= self._most else min(max(place, self._least), self._most)
 
     def stall(self, stalled: bool) -> None:
         """The motor counts steps that it does not make, or makes them again."""
@@ -103,52 +115,42 @@ class Unit:
         mode = self.settings[Command.SET_MODE]
         if mode & Mode.NO_KNOB or self._plan:
             return []
-        self.position = min(max(self.position + microsteps, 0.0), float(self.settings[Command.SET_MAXIMUM]))
+        self._start_at = min(max(self._start_at + microsteps, 0.0), float(self.settings[Command.SET_MAXIMUM]))
         return [] if mode & Mode.NO_MANUAL_TRACKING else [self._reply(Command.MANUAL_MOVE, round(self.position))]
 
-    def advance(self, until: float) -> Sequence[tuple[float, Message]]:
+    def advance(self, until: float) -> list[tuple[float, Message]]:
         """Run the motor until then; what the unit says meanwhile, and when."""
-        said: Sequence[tuple[float, Message]] = ()
-        if self._due <= until:
-            said = self._pass(until)
-        elif not self._plan:
-            self.time = until
-            return said
-        self._go(until)
-        if self.kind.travel is not None and self._stuck is None:
-            place = self.position + self._shift
-            if not -STOPS <= place <= self.kind.travel + STOPS:  # at a hard stop the motor loses steps
-                self._shift += min(max(place, -STOPS), self.kind.travel + STOPS) - place
-        return said
-
-    def _go(self, until: float) -> None:
-        """Be where the present part of the motion leads to."""
-        self.time = until
-        if self._plan:
-            step = until - self._begun
-            self.position = self._start_at + (self._start_velocity + 0.5 * self._plan[0].acceleration * step) * step
-
-    def _pass(self, until: float) -> list[tuple[float, Message]]:
-        """Go through the ends of the motion's parts and the times of move tracking that are due."""
         said: list[tuple[float, Message]] = []
-        while self._plan and self._due <= until:
-            self._go(self._due)
+        while self.due <= until:
+            self.time = self.due
             if self.time == self._track:
                 said.append((self.time, self._reply(Command.MOVE_TRACKING, round(self.position))))
                 self._track += TRACKING
-                self._due = min(self._begun + self._plan[0].duration, self._track)
+                self.due = min(self._begun + self._plan[0].duration, self._track)
             else:
-                velocity = self._velocity
+                velocity, position = self._velocity, self.position
                 self._plan.popleft()
-                self._begin(velocity)
+                self._begin(position, velocity)
                 if not self._plan:
                     said += self._arrive()
+        self.time = until
         return said
 
-    def _begin(self, velocity: float) -> None:
+    def _begin(self, position: float, velocity: float) -> None:
         """Begin the plan's first part here and now."""
-        self._begun, self._start_at, self._start_velocity = self.time, self.position, velocity
-        self._due = min(self.time + self._plan[0].duration, self._track) if self._plan else math.inf
+        place = position + self._shift
+        if self._stuck is None and not self._least <= place <= self._most:
+            self._shift += min(max(place, self._least), self._most) - place  # steps lost at a hard stop
+        self._begun, self._start_at, self._start_velocity = self.time, position, velocity
+        self.due = min(self.time + self._plan[0].duration, self._track) if self._plan else math.inf
+
+    @property
+    def position(self) -> float:
+        """Where it believes to be [microsteps]."""
+        if not self._plan:
+            return self._start_at
+        step = self.time - self._begun
+        return self._start_at + (self._start_velocity + 0.5 * self._plan[0].acceleration * step) * step
 
     @property
     def _velocity(self) -> float:
@@ -159,16 +161,16 @@ class Unit:
 
     def take(self, message: Message) -> list[Message]:
         """Carry out a command that arrives now; what the unit says at once."""
-        command, data = message.command, message.data
-        mode = self.settings[Command.SET_MODE]
-        identified = bool(mode & Mode.MESSAGE_IDS)
+        _, command, data = message
+        mode = self.settings[_MODE]
+        identified = mode & _IDS
         data, self._identity = split_id(data) if identified else (data, 0)
         if command == Command.RESET:
             self._reset()
             return []
         said = self._obey(command, data)
         # How a command is answered depends on the mode from before it; whether, on both.
-        if mode & self.settings[Command.SET_MODE] & Mode.NO_AUTO_REPLY and command not in _ANSWERED_ALWAYS:
+        if not said or (mode & self.settings[_MODE] & _QUIET and command not in _ANSWERED_ALWAYS):
             return []
         return [
             Message(self.number, number, with_id(value, self._identity) if identified else value)
@@ -176,13 +178,15 @@ class Unit:
         ]
 
     def _obey(self, command: int, data: int) -> list[tuple[int, int]]:
-        if self.status == Status.HOMING and (command in _MOVES or command in (Command.HOME, Command.SET_POSITION)):
+        if self.status == _HOMING and (command in _MOVES or command in (Command.HOME, Command.SET_POSITION)):
             return [(Command.ERROR, Code.BUSY)]
+        if command in _MOVES:
+            return self._move(command, data)
+        if command in _READINGS:
+            return [(command, self._tell(command, data))]
         if command == Command.HOME:
             self._home()
             return []
-        if command in _MOVES:
-            return self._move(command, data)
         if Command.SET_RESOLUTION <= command <= Command.SET_LOCK:
             return [self._set(command, data)]
         if command in (Command.STORE_POSITION, Command.RETURN_STORED):
@@ -201,32 +205,36 @@ class Unit:
             if data == Command.SET_POSITION:
                 return [(data, round(self.position))]
             return [(data, self.settings[data])] if data in self.settings else [(Command.ERROR, command)]
-        values = {
-            Command.DEVICE_ID: self.kind.device_id,
-            Command.FIRMWARE: self.kind.firmware,
-            Command.VOLTAGE: 150,
-            Command.STATUS: self.status,
-            Command.ECHO: data,
-            Command.POSITION: round(self.position),
-            Command.SERIAL_NUMBER: self.kind.serial,
-        }
-        value = values.get(command)  # type: ignore[call-overload]
-        return [(Command.ERROR, Code.UNKNOWN_COMMAND)] if value is None else [(command, value)]
+        if command == Command.SERIAL_NUMBER and self.kind.serial is not None:
+            return [(command, self.kind.serial)]
+        return [(Command.ERROR, Code.UNKNOWN_COMMAND)]
+
+    def _tell(self, command: int, data: int) -> int:
+        if command == Command.POSITION:
+            return round(self.position)
+        if command == Command.STATUS:
+            return self.status
+        if command == Command.DEVICE_ID:
+            return self.kind.device_id
+        if command == Command.FIRMWARE:
+            return self.kind.firmware
+        return 150 if command == Command.VOLTAGE else data  # or Echo Data
 
     def _move(self, command: int, data: int) -> list[tuple[int, int]]:
-        top = self.settings[Command.SET_SPEED] * SPEED_UNIT
-        maximum = self.settings[Command.SET_MAXIMUM]
-        rest = self.position + self._velocity * abs(self._velocity) / (2.0 * self._acceleration)
-        if command == Command.MOVE_SPEED:
-            if abs(data) > top_speed(self.settings[Command.SET_RESOLUTION]):
+        velocity = self._velocity
+        rest = self.position + velocity * abs(velocity) / (2.0 * self._acceleration)
+        maximum = self.settings[_MAXIMUM]
+        if command == _SPEED:
+            if abs(data) > top_speed(self.settings[_RESOLUTION]):
                 return [(Command.ERROR, command)]
             limit = float(maximum) if data > 0 else 0.0
             free = data != 0 and (limit - rest) * data > 0.0
-            self._start(command, limit if free else rest, abs(data) * SPEED_UNIT, Command.LIMIT_ACTIVE)
+            self._start(command, limit if free else rest, abs(data) * SPEED_UNIT, _LIMIT)
             return [(command, data)]
         if command == Command.STOP:
-            self._start(command, rest, abs(self._velocity), command, Status.STOPPING)
+            self._start(command, rest, abs(velocity), command, Status.STOPPING)
             return []
+        top = self.settings[Command.SET_SPEED] * SPEED_UNIT
         if command == Command.MOVE_STORED:
             if not 0 <= data < 16:
                 return [(Command.ERROR, 1800)]
@@ -243,18 +251,17 @@ class Unit:
     @property
     def _acceleration(self) -> float:
         """[microsteps/s^2]; 0 stands for no ramp at all."""
-        units = self.settings[Command.SET_ACCELERATION] or top_speed(self.settings[Command.SET_RESOLUTION])
+        units = self.settings[_ACCELERATION] or top_speed(self.settings[_RESOLUTION])
         return units * ACCELERATION_UNIT
 
     def _start(self, command: int, goal: float, top: float, answer: int, status: int | None = None) -> None:
         """Move, and answer at the end; a motion that was on is never answered."""
-        velocity = self._velocity
-        self._plan = deque(way(self.position, velocity, goal, top, self._acceleration))
+        position, velocity = self.position, self._velocity
+        self._plan = deque(way(position, velocity, goal, top, self._acceleration))
         self._move_identity = self._identity
         self._goal, self._answer, self.status = goal, answer, command if status is None else status
-        tracked = self.settings[Command.SET_MODE] & Mode.MOVE_TRACKING
-        self._track = self.time + TRACKING if tracked else math.inf
-        self._begin(velocity)
+        self._track = self.time + TRACKING if self.settings[_MODE] & _TRACKED else math.inf
+        self._begin(position, velocity)
 
     def _home(self) -> None:
         speed = self.settings[Command.SET_HOME_SPEED] * SPEED_UNIT
@@ -274,14 +281,14 @@ class Unit:
         answer, self._track = self._answer, math.inf
         homing, self.status = self.status == Status.HOMING, int(Status.IDLE)
         if self._goal is not None:
-            self.position = self._goal
+            self._start_at = self._goal
         quiet = self.settings[Command.SET_MODE] & Mode.NO_AUTO_REPLY
         value = round(self.position)
         if homing and (self._stuck is not None or not self.settings[Command.SET_HOME_SPEED]):
             answer, value = Command.ERROR, int(Command.HOME)
         elif homing:
             self._shift += self.position
-            self.position, value = 0.0, 0
+            self._start_at, value = 0.0, 0
             self.settings[Command.SET_MODE] |= Mode.HOMED
         return [] if quiet or answer is None else [(self.time, self._reply(answer, value))]
 
@@ -305,9 +312,9 @@ class Unit:
         if command == Command.SET_MODE and data & ~_MODE_BITS:
             return Command.ERROR, 4000 + (data & ~_MODE_BITS).bit_length() - 1
         if command == Command.SET_POSITION:
-            self._shift -= data - self.position
-            self._start_at += data - self.position
-            self.position = float(data)
+            ahead = data - self.position
+            self._shift -= ahead
+            self._start_at += ahead
             self.settings[Command.SET_MODE] |= Mode.HOMED
         else:
             self.settings[command] = data
@@ -325,10 +332,10 @@ class Unit:
 
     def _reset(self) -> None:
         """Power-up: at rest at once, not homed, the count begins anew."""
-        self._plan.clear()
-        self.status, self._track, self._due = int(Status.IDLE), math.inf, math.inf
         self._shift += self.position
-        self.position = 0.0
+        self._plan.clear()
+        self._start_at = 0.0
+        self.status, self._track, self.due = int(Status.IDLE), math.inf, math.inf
         self.settings[Command.SET_MODE] &= ~Mode.HOMED
         self.deaf_until = self.time + RESTARTING
 

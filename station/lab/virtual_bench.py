@@ -1,5 +1,6 @@
 """A bench in virtual time: the plant, its simulated devices, and the drivers that a real bench has too."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from core.robot import Array
@@ -11,6 +12,7 @@ from station.devices.netft_sensors import NetftSensors
 from station.devices.zaber_setup import Port
 from station.devices.zaber_stages import ZaberStages
 from station.lab.config import LabConfig
+from station.lab.faults import LabFault
 from station.lab.ideal_lab import IdealLab
 from station.lab.loads import Load
 from station.lab.simulated_aurora_coil import MOUNT
@@ -25,6 +27,10 @@ class Lab(Protocol):
 
     def pull(self, load: Load, start: float) -> None:
         """Put a load on the tip whose time counts from `start` [s]."""
+        ...
+
+    def inject(self, faults: Sequence[LabFault], start: float) -> None:
+        """Let these happen, instead of those that are on or to come; their time counts from `start` [s]."""
         ...
 
     def advance(self, now: float) -> Truth:

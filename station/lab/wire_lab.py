@@ -98,6 +98,7 @@ class WireLab:
         )
         self._axes = [(s.home_at, s.joint.microstep, u) for s, u in zip(self.setups, self.chain.units, strict=True)]
         self.hidden = Hidden(robot, config.hidden, unknown)
+        self._off_tip = bool(self.hidden.coil.any())
         self.aurora = SimulatedAurora(self.hidden.tracker(config.tracker), tracker, mount=self.hidden.mount(MOUNT))
         self.boxes = tuple(
             SimulatedNetft(end, config.sensors, rng, BoxSettings(serial=f"FT{number:05}"))
@@ -157,7 +158,7 @@ class WireLab:
 
     def _coil(self) -> Array:
         """Where the tracker's coil is (3,), world frame [m]."""
-        if not self.hidden.coil.any():
+        if not self._off_tip:
             return self.truth.tip
         return self.truth.tip + self._plant.rotation @ self.hidden.coil
 

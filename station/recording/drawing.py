@@ -84,16 +84,15 @@ class Drawing:
         shape = self._statics.shape(self._near)
         alpha, beta = self._robot.tube_poses(row[self._joints])
         return [
-            Said(self._first, stamp, frame_transforms(stamp, self._frames(shape, alpha, beta))),
+            Said(self._first, stamp, frame_transforms(stamp, self._frames(self._near, alpha, beta))),
             Said(self._first + 1, stamp, self._scene(stamp, shape, beta, row[self._force])),
             *said,
         ]
 
-    def _frames(self, shape: Array, alpha: Array, beta: Array) -> list[Frame]:
-        tip = shape[-1]
+    def _frames(self, solution: Solution, alpha: Array, beta: Array) -> list[Frame]:
         frames: list[Frame] = [
             ("plate", self._plate, self._upright),
-            ("tip", tip[10:13].tolist(), quaternion_of(tip[1:10].reshape(3, 3))),
+            ("tip", solution.tip.tolist(), quaternion_of(solution.rotation)),
         ]
         for tube, angle, start in zip(self._robot.tubes, alpha.tolist(), beta.tolist(), strict=True):
             place = [origin + start * axis for origin, axis in zip(self._plate, self._forward, strict=True)]

@@ -24,6 +24,10 @@ class RunError(RecordingError):
     """No such run, or not to be done with it."""
 
 
+class NoRunError(RunError):
+    """A run or case that is not there."""
+
+
 class Run(NamedTuple):
     """A run at one look."""
 
@@ -67,24 +71,24 @@ class History:
         """The folder of a run by its name; `latest` is the newest.
 
         Raises:
-            RunError: there is no such run here.
+            NoRunError: there is no such run here.
         """
         if name == LATEST:
             newest = self.runs()
             if not newest:
-                raise RunError(f"{self._runs}: no runs there yet")
+                raise NoRunError(f"{self._runs}: no runs there yet")
             return self._runs / newest[0].id
         # Compared with what is there and never made into a path: a name cannot lead elsewhere.
         for folder in self._folders():
             if folder.name == name:
                 return folder
-        raise RunError(f"'{name}' is not one of the runs in {self._runs}")
+        raise NoRunError(f"'{name}' is not one of the runs in {self._runs}")
 
     def run(self, name: str) -> Run:
         """One run.
 
         Raises:
-            RunError: there is no such run here.
+            NoRunError: there is no such run here.
         """
         return _look(self.find(name))
 
@@ -92,7 +96,7 @@ class History:
         """The recording of a case; of the only one when no case is named.
 
         Raises:
-            RunError: no such run or case, or several cases to choose from.
+            NoRunError: no such run or case, or several cases to choose from.
         """
         folder = self.find(name)
         cases = {path.stem: path for path in sorted(folder.glob(f"*{RECORDING}"))}
@@ -101,7 +105,7 @@ class History:
         if not case and len(cases) == 1:
             return next(iter(cases.values()))
         wrong = f"'{case}' is not one of the cases" if case else "choose one of the cases" if cases else "no recording"
-        raise RunError(f"run '{folder.name}': {wrong}{': ' if cases else ''}{', '.join(cases)}")
+        raise NoRunError(f"run '{folder.name}': {wrong}{': ' if cases else ''}{', '.join(cases)}")
 
     def set_notes(self, name: str, notes: str) -> Run:
         """Replace a run's notes.

@@ -14,6 +14,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from station.recording.drawing import Drawing
 from station.recording.events import WARNING, Event
 from station.recording.label import Label, RecordingError
 from station.recording.recover import recover
@@ -162,6 +165,7 @@ def run_recorder(ring_name: str, robot: RobotFile, runs: Path, pipe: Connection,
     signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
     channels = Channels(robot.robot())
     ring = Ring(len(channels), ring_name)
+    _warm_up(robot, channels)
     recording: _Recording | None = None
     due = time.monotonic() + FLUSH
     try:
@@ -195,6 +199,13 @@ def run_recorder(ring_name: str, robot: RobotFile, runs: Path, pipe: Connection,
         if recording is not None:
             recording.end(End(Label.INTERRUPTED, "the station process is gone", ring.written, {}))
         ring.close(remove=os.getppid() != parent)
+
+
+def _warm_up(robot: RobotFile, channels: Channels) -> None:
+    """Load the model's compiled code now: at the first rows it would hold them back for longer than a kill may cost."""
+    row = np.zeros(len(channels))
+    channels.of(row, "joints")[:] = [0.5 * (joint.lower + joint.upper) for joint in robot.joints]
+    Drawing(robot.robot(), channels.all, 1).messages(row, 0)
 
 
 class _Recording:

@@ -67,11 +67,14 @@ class RunFolder:
         """Add the summary; then the folder gets its name.
 
         Raises:
-            RecordingError: the disk does not take them; the next recovery finishes the folder.
+            RecordingError: the disk does not take it, or did not take the end of a recording; the next
+                recovery finishes the folder.
         """
         try:
             with self._written():
                 write_json(self.partial / SUMMARY, summary)
+                if left := [path.name for path in self.partial.glob(f"*{RECORDING}.*")]:
+                    raise RecordingError(f"{self.partial}: {left[0]} is not finished; the next start recovers it")
                 self.partial.rename(self.path)
                 sync_folder(self._runs)
         finally:

@@ -54,6 +54,7 @@ class CaseWriter:
             RecordingError: it cannot be made.
         """
         self.path = path
+        self.label: Label | None = None  #: how it ended, once it has
         self.started = time.time()  #: [s] since 1970
         self._epoch: int | None = None  #: of the rows' own time, which may count from anywhere [ns] since 1970
         self._drawing = Drawing(robot, channels, DRAWN)
@@ -119,6 +120,7 @@ class CaseWriter:
         if self._section is None:
             return
         section, self._section = self._section, None
+        self.label = label
         result = {"label": label, "cause": cause, "ended": time.time(), **more}
         try:
             section.close()

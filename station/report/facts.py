@@ -25,8 +25,11 @@ def head(run: Run) -> Iterator[str]:
     yield f"<h1>{escape(str(title))}</h1>"
     yield document.paragraph(run.folder.name, "sub")
     if run.simulated:
+        labs = {case.name: str(case.metadata.get("lab", {}).get("title", "")) for case in run.cases}
+        first = next(iter(labs.values())) or str(run.summary.get("lab", "virtual lab"))
+        others = "".join(f" Case '{name}': {title}." for name, title in labs.items() if title not in ("", first))
         yield document.paragraph(
-            f"Simulated bench. {run.summary.get('lab', 'virtual lab')}; seed {run.summary.get('seed')}."
+            f"Simulated bench, seed {run.summary.get('seed')}: {first}.{others}"
             " The paper's numbers come from a real bench (those of its Figs. 3 and 4 from a simulation of its own).",
             "note",
         )
@@ -70,12 +73,11 @@ def error_table(run: Run) -> Iterator[str]:
 
 def line_table(run: Run) -> Iterator[str]:
     """What each axis really got over its line, where stages were driven over one."""
-    rows = []
-    for name, numbers in run.summary.get("cases", {}).items():
-        lasted = float(numbers.get("simulated_s", 0.0))
-        for axis, counts in numbers.get("devices", {}).get("stages", {}).items():
-            if lasted > 0.0 and isinstance(counts, dict) and {"velocities", "polls"} <= set(counts):
-                rows.append((name, axis, f"{counts['velocities'] / lasted:.1f}", f"{counts['polls'] / lasted:.1f}"))
+    rows = [
+        (name, axis, f"{rates['velocities_per_s']:.1f}", f"{rates['polls_per_s']:.1f}")
+        for name, numbers in run.summary.get("cases", {}).items()
+        for axis, rates in numbers.get("line_rates", {}).items()
+    ]
     if rows:
         yield document.heading("Serial line")
         yield document.table(("case", "axis", "velocities per second", "position polls per second"), rows, texts=2)

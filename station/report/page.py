@@ -43,7 +43,7 @@ def write_report(folder: Path, out: Path | None = None) -> Path:
                 out.mkdir(parents=True, exist_ok=True)
             is_sweep = (folder / SWEEP).is_file()
             page = document.document(f"{folder.name}: report", (_sweep if is_sweep else _run)(folder, out))
-            return _written(page, (out or folder) / NAME)
+            return written(page, (out or folder) / NAME)
         except OSError as error:
             raise ReportError(f"{out or folder}: cannot write the report there: {error.strerror}") from None
 
@@ -77,8 +77,8 @@ def _shown(drawn: Drawn, origin: str, out: Path | None) -> str:
     return document.picture(rendered.data_uri(drawn), drawn.alt, drawn.title, drawn.caption)
 
 
-def _written(text: str, path: Path) -> Path:
-    """Whole or not at all."""
+def written(text: str, path: Path) -> Path:
+    """Write a file, whole or not at all."""
     partial = path.with_name(path.name + ".partial")
     partial.write_text(text, encoding="utf-8")
     return partial.replace(path)

@@ -1,6 +1,7 @@
 """Who may talk to the station."""
 
 import asyncio
+import socket
 
 import httpx
 import pytest
@@ -9,6 +10,7 @@ from websockets.sync.client import connect
 
 from tests.serving import Served
 from web.access import Access, is_loopback
+from web.tokens import Tokens
 
 JSON = {"content-type": "application/json"}
 
@@ -67,33 +69,74 @@ def test_only_loopback_counts_as_loopback(host: str, local: bool) -> None:
     assert is_loopback(host) is local
 
 
-async def _hello(scope: dict, receive: object, send: object) -> None:
+# ---- beyond loopback
+
+TOKENS = Tokens("the-operators-token", "the-viewers-token")
+
+
+async def _echo(scope: dict, receive: object, send: object) -> None:
+    body = str(scope["state"]["who"].role).encode()
     await send({"type": "http.response.start", "status": 200, "headers": []})
-    await send({"type": "http.response.body", "body": b"hello"})
+    await send({"type": "http.response.body", "body": body})
 
 
-def _get(path: str, **headers: str) -> httpx.Response:
-    app = Access(_hello, "0.0.0.0", 8000, "a-token")
+def _ask(path: str, method: str = "GET", host: str = "10.1.2.3:8000", **headers: str) -> httpx.Response:
+    app = Access(_echo, "0.0.0.0", 8000, TOKENS)
 
     async def ask() -> httpx.Response:
-        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://lab:8000") as client:
-            return await client.get(path, headers=headers)
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url=f"http://{host}") as client:
+            return await client.request(method, path, headers=headers)
 
     return asyncio.run(ask())
 
 
-def test_beyond_loopback_a_token_is_demanded() -> None:
-    assert _get("/").status_code == 401
-    assert _get("/?token=guess").status_code == 401
-    assert _get("/", authorization="Bearer guess").status_code == 401
-    assert _get("/", cookie="ctr_station=guess").status_code == 401
-    assert _get("/", authorization="Bearer a-token").text == "hello"
+@pytest.mark.parametrize(
+    "headers", [{}, {"authorization": "Bearer guess"}, {"cookie": "ctr_station_8000=guess"}, {"cookie": "=;=,\x7f"}]
+)
+def test_beyond_loopback_a_token_is_demanded(headers: dict[str, str]) -> None:
+    assert _ask("/", **headers).status_code == 401
+    assert _ask("/?token=guess", **headers).status_code == 401
 
 
-def test_the_first_visit_with_the_token_leaves_a_cookie_and_a_clean_address() -> None:
-    first = _get("/?token=a-token")
+@pytest.mark.parametrize(("token", "role"), [(TOKENS.operator, "operator"), (TOKENS.viewer, "viewer")])
+def test_the_first_visit_with_a_token_leaves_a_cookie_and_a_clean_address(token: str, role: str) -> None:
+    first = _ask(f"/?token={token}")
     assert first.status_code == 303
     assert first.headers["location"] == "/"
     assert "HttpOnly" in first.headers["set-cookie"]
     assert "SameSite=Strict" in first.headers["set-cookie"]
-    assert _get("/", cookie=first.headers["set-cookie"].split(";")[0]).text == "hello"
+    assert _ask("/", cookie=first.headers["set-cookie"].split(";")[0]).text == role
+    assert _ask("/", authorization=f"Bearer {token}").text == role
+
+
+def test_a_token_does_not_lead_to_another_host() -> None:
+    assert _ask(f"//evil.example/?token={TOKENS.viewer}").headers["location"] == "/evil.example/"
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE"])
+def test_viewers_look_and_press_stop(method: str) -> None:
+    viewer = {"authorization": f"Bearer {TOKENS.viewer}", "content-type": "application/json"}
+    assert _ask("/api/status", **viewer).text == "viewer"
+    assert _ask("/api/stop", "POST", **viewer).text == "viewer"
+    for path in ("/api/start", "/api/jog", "/api/operator", "/api/runs/x", "/anything"):
+        refused = _ask(path, method, **viewer)
+        assert refused.status_code == 403
+        assert "viewers" in refused.json()["error"]
+
+
+@pytest.mark.parametrize("host", ["evil.example:8000", "10.1.2.3", "10.1.2.3:9000", "10.1.2.3.evil.example:8000"])
+def test_names_that_others_could_point_here_are_refused_even_with_a_token(host: str) -> None:
+    assert _ask("/", host=host, authorization=f"Bearer {TOKENS.operator}").status_code == 403
+
+
+@pytest.mark.parametrize("host", ["10.1.2.3:8000", "127.0.0.1:8000", "[::1]:8000", f"{socket.gethostname()}:8000"])
+def test_the_machines_own_names_and_numbers_are_let_in(host: str) -> None:
+    assert _ask("/", host=host, authorization=f"Bearer {TOKENS.operator}").status_code == 200
+
+
+def test_no_other_site_shows_the_page_in_a_frame() -> None:
+    operator = {"authorization": f"Bearer {TOKENS.operator}"}
+    assert "frame-ancestors 'self'" in _ask("/", **operator).headers["content-security-policy"]
+    followed = {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}
+    assert _ask("/", **operator, **followed, **{"sec-fetch-dest": "document"}).status_code == 200
+    assert _ask("/", **operator, **followed, **{"sec-fetch-dest": "iframe"}).status_code == 403

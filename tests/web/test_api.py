@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 import time
+from xml.etree import ElementTree
 
 import httpx
 import numpy as np
@@ -21,7 +22,10 @@ def test_status_says_everything_with_one_call(station: Served) -> None:
     assert status["cause"] == ""
     assert set(status["joints"]) == {"outer_rotation", "inner_rotation", "inner_translation"}
     assert all(math.isfinite(x) for x in (*status["tip_measured"], *status["tip_estimated"], *status["force"]))
-    assert set(status["devices"]) == {"stages", "tracker", "force_sensors"}
+    assert set(status["devices"]) == {"stages", "tracker", "sensors"}
+    assert {device["condition"] for device in status["devices"].values()} == {"connected"}
+    assert {device["severity"] for device in status["devices"].values()} == {0}
+    assert (status["says"], status["next"]) == ("nothing moves", "choose a motion and press Start")
     assert "simulated" in status["lab"]
     assert status["loop"]["ticks"] > 0
 
@@ -60,11 +64,11 @@ def test_an_experiment_goes_to_its_start_pose_first(station: Served) -> None:
 
 def test_stop_is_always_accepted_and_latches_until_reset(station: Served) -> None:
     assert station.post("/api/stop").status_code == 200
-    assert station.post("/api/stop").json() == {"state": "STOPPED"}
+    assert station.post("/api/stop").json() == {"state": "STOPPED", "note": ""}
     refused = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 1.0})
     assert refused.status_code == 409
     assert "STOPPED" in refused.json()["error"]
-    assert station.post("/api/reset").json() == {"state": "READY"}
+    assert station.post("/api/reset").json()["state"] == "READY"
     assert station.post("/api/reset").status_code == 409
 
 
@@ -179,11 +183,19 @@ def test_telemetry_streams_and_says_what_it_skipped(station: Served) -> None:
         assert round((later["time"] - earlier["time"]) / 0.002) == later["skipped"] + 1
     assert samples[0]["state"] == "READY"
     assert len(samples[0]["tip_measured"]) == 3
+    assert {"late_us", "tick_us"} <= set(samples[0])
 
 
 def test_paths_of_what_does_not_exist_are_absent(station: Served) -> None:
-    for path in ("/api/home", "/api/runs", "/api/operator", "/nowhere"):
+    for path in ("/api/nothing", "/nowhere", "/static/nothing.js", "/api/experiments/nope/picture.svg"):
         assert station.rest.get(path).status_code == 404
+
+
+def test_every_experiment_has_its_picture(station: Served) -> None:
+    for experiment in station.rest.get("/api/experiments").json():
+        answer = station.rest.get(f"/api/experiments/{experiment['name']}/picture.svg")
+        assert answer.headers["content-type"].startswith("image/svg+xml")
+        assert ElementTree.fromstring(answer.text).tag.endswith("svg")
 
 
 def test_the_api_describes_itself_without_the_internet(station: Served) -> None:

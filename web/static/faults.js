@@ -40,7 +40,7 @@ mend.addEventListener("click", () => press("DELETE", "/api/faults"));
 $("faults").append(make("h3", {}, "Now"), now, lab, make("h3", {}, "Log: commands and refusals"), log);
 
 onStatus((status, stale) => {
-  if (status === null) { now.replaceChildren(make("p", {}, "The station does not answer. Use the emergency stop of the bench.")); return; }
+  if (status === null) { now.dataset.shown = ""; now.replaceChildren(make("p", {}, "The station does not answer. Use the emergency stop of the bench.")); return; }
   const latched = ["HOLD", "STOPPED", "FAULT"].includes(status.state);
   const troubles = Object.entries(status.devices).filter(([, one]) => one.severity > 0 || one.text !== "");
   const shown = JSON.stringify([status.state, status.says, status.next, troubles, mayCommand(status)]);

@@ -1,6 +1,5 @@
 """ATI calibration files in both forms, and the arithmetic from six voltages to a wrench."""
 
-
 import numpy as np
 import pytest
 

@@ -18,8 +18,8 @@ AGREED = {
     "fig4": (40.0, 0.0, ["deflection"]),
     "fig6": (120.0, 2.0, ["turn"]),
     "fig7": (60.0, 2.0, ["regulation"]),
-    "fig8": (60.0, 2.0, ["regulation", "lift_and_drop", "type_1", "type_1_exact", "type_2"]),
-    "fig10": (200.0, 20.0, ["paper", "feedforward"]),
+    "fig8": (60.0, 2.0, ["regulation", "lift_and_drop", "type_1", "type_1_exact", "type_2", "regulation_distorted"]),
+    "fig10": (200.0, 20.0, ["paper", "feedforward", "paper_distorted"]),
 }
 
 

@@ -1,0 +1,68 @@
+"""The last samples of every force sensor, to be read at one time: in counts, all of it in one array."""
+
+import numpy as np
+
+from core.compiled import compiled
+from core.robot import Array, Indices
+
+#: Kept of each sensor: several ticks at the fastest rate.
+DEPTH = 64
+
+
+class History:
+    """A ring of samples for each sensor."""
+
+    def __init__(self, scale: Array) -> None:
+        """`scale` (q, 6) is what a count is worth [N, N m]."""
+        self.rows = np.zeros((len(scale), DEPTH, 7))  #: time [s] and six counts
+        self._scale = scale
+        self._ends = np.zeros((len(scale), 2), dtype=np.int64)  # the newest row, how many there are
+
+    def ring(self, sensor: int) -> "Ring":
+        """That of one sensor."""
+        return Ring(self.rows[sensor], self._ends[sensor])
+
+    def at(self, time: float) -> Array:
+        """Wrenches (q, 6) at `time` [s], each on the line between the samples next to it; every ring has one."""
+        return _at(self.rows, self._ends, time, self._scale)
+
+
+class Ring:
+    """The samples of one sensor, whose times never run back."""
+
+    def __init__(self, rows: Array, ends: Indices) -> None:
+        self.rows = rows  #: (DEPTH, 7)
+        self.next = 0  #: the row for the next sample
+        self.time = -np.inf  #: of the newest sample; infinite: there is none [s]
+        self._ends = ends
+        self._held = 0
+
+    def push(self, time: float) -> None:
+        """Take the counts that have been put into the next row as those of `time` [s]."""
+        # A less delayed record may have set the clock back.
+        self.time = time = max(time, self.time)
+        row, self._held = self.next, min(self._held + 1, DEPTH - 1)  # one is being filled
+        self.rows[row, 0] = time
+        self._ends[0], self._ends[1] = row, self._held
+        self.next = (row + 1) % DEPTH
+
+    def clear(self) -> None:
+        """Forget them."""
+        self._held, self.time = 0, -np.inf
+
+
+@compiled
+def _at(rows: Array, ends: Indices, time: float, scale: Array) -> Array:
+    wrenches = np.empty(scale.shape)
+    for i in range(scale.shape[0]):
+        after = before = ends[i, 0]
+        for _ in range(ends[i, 1] - 1):
+            if rows[i, before, 0] <= time:
+                break
+            after, before = before, (before - 1) % DEPTH
+        begin, end = rows[i, before, 0], rows[i, after, 0]
+        part = (time - begin) / (end - begin) if begin < time < end else (1.0 if time >= end else 0.0)
+        for k in range(6):
+            a, b = rows[i, before, 1 + k], rows[i, after, 1 + k]
+            wrenches[i, k] = scale[i, k] * (a + part * (b - a))
+    return wrenches

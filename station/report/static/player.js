@@ -1,0 +1,259 @@
+"use strict";
+// Plays the cases that came with the page: reads frames, moves time, shows the scene and the numbers.
+
+const TUBES = [[0.34, 0.71, 0.91], [0.34, 0.38, 0.44], [0.94, 0.89, 0.26], [0.15, 0.15, 0.15]];
+const TIPS = [
+  { name: "desired tip", colour: [0, 0.62, 0.45] },
+  { name: "measured tip (tracker)", colour: [0.9, 0.62, 0] },
+  { name: "estimated tip (model)", colour: [0, 0.45, 0.7] },
+  { name: "true tip (simulated)", colour: [0.84, 0.37, 0] },
+];
+const BALLS = [0.0022, 0.0018, 0.0016, 0.0020]; // radii in m
+const FORCE = [0.8, 0.47, 0.65];
+const ARROW = 0.1; // m for 1 N
+const UNKNOWN = -32768;
+const TAIL = 8; // seconds of the traces that are shown
+const data = JSON.parse(document.getElementById("data").textContent);
+const id = (name) => document.getElementById(name);
+const plain = (text) => String(text).replace(/[&<>"']/g, (sign) => `&#${sign.charCodeAt(0)};`);
+const css = (colour) => `rgb(${colour.map((v) => Math.round(255 * v)).join(" ")})`;
+
+function bytes(text) {
+  return Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
+}
+
+/** A case with its frames as numbers. */
+class Case {
+  constructor(source) {
+    Object.assign(this, source);
+    this.placesRow = 1 + this.tubes.length + 3 * this.points + 12;
+    this.othersRow = 4 + this.joints.length;
+    this.whole = new Int16Array(bytes(source.packed_places));
+    this.rest = new Float32Array(bytes(source.packed_others));
+    this.times = Array.from({ length: this.frames }, (_, k) => this.rest[k * this.othersRow]);
+    this.tipAt = 1 + this.tubes.length + 3 * this.points;
+  }
+
+  /** `count` numbers from `first` on, at a frame with a fraction; null where one of them is not known. */
+  places(frame, first, count) {
+    const k = Math.floor(frame), part = frame - k, next = Math.min(k + 1, this.frames - 1), row = this.placesRow;
+    const values = [];
+    for (let i = first; i < first + count; i++) {
+      const [a, b] = [this.whole[k * row + i], this.whole[next * row + i]];
+      if (a === UNKNOWN || b === UNKNOWN) return null;
+      values.push(this.scale * (a + part * (b - a)));
+    }
+    return values;
+  }
+
+  others(frame, first, count) {
+    const k = Math.floor(frame), part = frame - k, next = Math.min(k + 1, this.frames - 1), row = this.othersRow;
+    return Array.from({ length: count }, (_, i) => {
+      const [a, b] = [this.rest[k * row + first + i], this.rest[next * row + first + i]];
+      return a + part * (b - a);
+    });
+  }
+
+  tip(frame, number) { return this.places(frame, this.tipAt + 3 * number, 3); }
+
+  /** Desired minus true tip, or minus the measured one, [mm]; null where one is not known. */
+  error(frame) {
+    const [wanted, is] = [this.tip(frame, 0), this.tip(frame, this.truth ? 3 : 1)];
+    return wanted && is ? add(wanted, is, -1).map((v) => 1000 * v) : null;
+  }
+
+  /** Points of a tube from its end behind the plate to its far end; null without a shape. */
+  tube(frame, number) {
+    const line = this.places(frame, 0, this.tipAt);
+    if (!line) return null;
+    const [length, begin] = [line[0], line[1 + number]], first = 1 + this.tubes.length;
+    const end = Math.min(begin + this.tubes[number].length, length);
+    const forward = this.plate.rotation.map((row) => row[2]);
+    const at = (arc) => {
+      if (arc < 0) return add(this.plate.position, forward, arc);
+      const place = (arc / length) * (this.points - 1), k = Math.min(Math.floor(place), this.points - 2);
+      const [a, b] = [k, k + 1].map((n) => line.slice(first + 3 * n, first + 3 * n + 3));
+      return add(a, add(b, a, -1), place - k);
+    };
+    const pieces = 40;
+    return Array.from({ length: pieces + 1 }, (_, k) => at(begin + ((end - begin) * k) / pieces));
+  }
+}
+
+const cases = data.cases.map((source) => new Case(source));
+let shown = cases[0], frame = 0, playing = false, last = 0, scene = null, still = null;
+
+try {
+  scene = new Scene(id("scene"), () => show());
+} catch (error) {
+  id("problem").textContent = error.message;
+  id("problem").hidden = false;
+}
+
+function choose(number) {
+  shown = cases[number];
+  id("time").max = shown.frames - 1;
+  frame = Math.min(frame, shown.frames - 1);
+  const tubes = shown.tubes.map((tube, k) => [`${tube.name} tube`, TUBES[k % TUBES.length]]);
+  const tips = TIPS.filter((_, k) => shown.tip(0, k)).map((tip) => [tip.name, tip.colour]);
+  id("legend").innerHTML = [...tubes, ...tips, ["force, 10 mm for 0.1 N", FORCE]]
+    .map(([name, colour]) => `<div><i style="background:${css(colour)}"></i>${plain(name)}</div>`).join("")
+    + "<div>plate 60 mm, its grid 10 mm</div>";
+  if (scene) prepare();
+  errors();
+  show();
+}
+
+/** What stays the same for a case: the plate and the traces. */
+function prepare() {
+  const { position, rotation } = shown.plate;
+  const column = (k) => rotation.map((row) => row[k]);
+  const at = (x, y) => add(add(position, column(0), x), column(1), y);
+  const grid = [];
+  for (let k = -3; k <= 3; k++) {
+    grid.push([at(0.01 * k, -0.03), at(0.01 * k, 0.03)], [at(-0.03, 0.01 * k), at(0.03, 0.01 * k)]);
+  }
+  still = { grid: scene.lines(grid), traces: [] };
+  TIPS.forEach((tip, number) => {
+    const pairs = [], moments = [];
+    for (let k = 0; k + 1 < shown.frames; k++) {
+      const [a, b] = [shown.tip(k, number), shown.tip(k + 1, number)];
+      if (a && b && number !== 2) { pairs.push([a, b]); moments.push(shown.times[k + 1]); }
+    }
+    still.traces.push(scene.lines(pairs, moments));
+  });
+  const tip = shown.tip(0, 1);
+  scene.target = add(position, add(tip, position, -1), 0.55);
+  scene.distance = 2.0 * Math.hypot(...add(tip, position, -1));
+}
+
+function show() {
+  const time = shown.others(frame, 0, 1)[0];
+  id("time").value = Math.round(frame);
+  id("time").setAttribute("aria-valuetext", `${time.toFixed(2)} s`);
+  id("clock").textContent = `${time.toFixed(2)} of ${shown.times.at(-1).toFixed(1)} s`;
+  numbers();
+  cursor();
+  if (!scene) return;
+  const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+  scene.begin(dark ? [0.09, 0.105, 0.12] : [0.957, 0.965, 0.973]);
+  scene.drawLines(still.grid, dark ? [0.4, 0.45, 0.5] : [0.62, 0.66, 0.7], 1);
+  const force = shown.others(frame, 1, 3), strength = Math.hypot(...force);
+  let complete = true;
+  for (let k = shown.tubes.length - 1; k >= 0; k--) {
+    const points = shown.tube(frame, k);
+    complete &&= points !== null;
+    if (points) scene.draw(tubeSurface(points, shown.tubes[k].radius), TUBES[k % TUBES.length]);
+  }
+  TIPS.forEach((tip, number) => {
+    scene.drawLines(still.traces[number], tip.colour, number === 1 ? 1.5 : 2.5, [time - TAIL, time]);
+    const place = shown.tip(frame, number);
+    if (place) scene.draw(ballSurface(place, BALLS[number]), tip.colour);
+  });
+  const tip = shown.tip(frame, shown.truth ? 3 : 1);
+  if (strength > 0.005) {
+    const head = add(tip, force, ARROW), along = unit(force), neck = add(head, along, -Math.min(0.008, ARROW * strength));
+    scene.draw(tubeSurface([tip, neck], 0.0009), FORCE);
+    scene.draw(coneSurface(neck, head, 0.0028), FORCE);
+  }
+  id("problem").hidden = complete;
+  if (!complete) id("problem").textContent = "The model finds no shape at this moment: no tubes are drawn.";
+}
+
+function numbers() {
+  const row = (name, unit, values, digits) =>
+    `<tr><th>${plain(name)}</th>${[0, 1, 2].map((k) => `<td>${values && k < values.length ? values[k].toFixed(digits) : ""}</td>`).join("")}<td>${unit}</td></tr>`;
+  const mm = (values) => values && values.map((v) => 1000 * v);
+  const names = ["desired", "measured", "estimated", "true"];
+  const tips = names.map((name, k) => [name, shown.tip(frame, k)]).filter(([, tip]) => tip);
+  const joints = shown.others(frame, 4, shown.joints.length);
+  id("numbers").innerHTML = "<thead><tr><td></td><td>x</td><td>y</td><td>z</td><td></td></tr></thead><tbody>"
+    + tips.map(([name, tip]) => row(`tip, ${name}`, "mm", mm(tip), 2)).join("")
+    + (shown.desired ? row(shown.truth ? "error, true" : "error, measured", "mm", shown.error(frame), 2) : "")
+    + row("force", "N", shown.others(frame, 1, 3), 3)
+    + shown.joints.map(([name, unit], k) => row(name.replaceAll("_", " "), unit === "rad" ? "deg" : "mm",
+      [joints[k] * (unit === "rad" ? 180 / Math.PI : 1000)], 2)).join("") + "</tbody>";
+}
+
+let background = null;
+
+/** Length of the error over all of the time. */
+function errors() {
+  const canvas = id("errors"), ratio = devicePixelRatio || 1;
+  canvas.width = canvas.clientWidth * ratio;
+  canvas.height = canvas.clientHeight * ratio;
+  const pen = canvas.getContext("2d"), { width: w, height: h } = canvas;
+  const lengths = Array.from({ length: shown.frames }, (_, k) => {
+    const error = shown.error(k);
+    return error ? Math.hypot(...error) : NaN;
+  });
+  const most = Math.max(...lengths.filter(Number.isFinite), 1e-6);
+  pen.clearRect(0, 0, w, h);
+  pen.fillStyle = getComputedStyle(document.body).color;
+  pen.font = `${11 * ratio}px sans-serif`;
+  if (shown.desired) {
+    pen.fillText(`|E| ${shown.truth ? "true" : "measured"}, up to ${most.toFixed(2)} mm`, 4 * ratio, 11 * ratio);
+    pen.strokeStyle = css(TIPS[shown.truth ? 3 : 1].colour);
+    pen.lineWidth = 1.2 * ratio;
+    pen.beginPath();
+    lengths.forEach((length, k) => {
+      const [x, y] = [(w * k) / Math.max(shown.frames - 1, 1), h - 2 - (h - 16 * ratio) * (length / most)];
+      if (Number.isFinite(length)) pen.lineTo(x, y); else pen.moveTo(x, h);
+    });
+    pen.stroke();
+  }
+  background = pen.getImageData(0, 0, w, h);
+}
+
+function cursor() {
+  const pen = id("errors").getContext("2d"), { width: w, height: h } = id("errors");
+  pen.putImageData(background, 0, 0);
+  pen.fillStyle = "#0072b2";
+  pen.fillRect((w * frame) / Math.max(shown.frames - 1, 1) - 1, 0, 2, h);
+}
+
+function play(on) {
+  playing = on;
+  if (on && frame >= shown.frames - 1) frame = 0;
+  id("play").textContent = on ? "Pause" : "Play";
+  last = performance.now();
+  if (on) requestAnimationFrame(tick);
+}
+
+function tick(now) {
+  if (!playing) return;
+  const step = (shown.times.at(-1) - shown.times[0]) / Math.max(shown.frames - 1, 1);
+  frame = Math.min(frame + (Number(id("speed").value) * (now - last)) / 1000 / step, shown.frames - 1);
+  last = now;
+  show();
+  if (frame >= shown.frames - 1) play(false); else requestAnimationFrame(tick);
+}
+
+function go(to) {
+  frame = Math.max(0, Math.min(shown.frames - 1, to));
+  show();
+}
+
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.altKey || event.metaKey || event.target.tagName === "SELECT") return;
+  const second = Math.max(1, Math.round((shown.frames - 1) / (shown.times.at(-1) - shown.times[0] || 1)));
+  const step = event.shiftKey ? second : 1;
+  const actions = {
+    " ": () => play(!playing), ArrowLeft: () => go(Math.round(frame) - step), ArrowRight: () => go(Math.round(frame) + step),
+    Home: () => go(0), End: () => go(shown.frames - 1),
+  };
+  if (!actions[event.key]) return;
+  event.preventDefault();
+  actions[event.key]();
+});
+id("play").addEventListener("click", () => play(!playing));
+id("play").addEventListener("keyup", (event) => { if (event.key === " ") event.preventDefault(); });
+id("time").addEventListener("input", () => go(Number(id("time").value)));
+id("case").addEventListener("change", () => choose(id("case").selectedIndex));
+addEventListener("resize", () => { errors(); show(); });
+id("case").innerHTML = cases.map(() => "<option></option>").join("");
+cases.forEach((one, k) => { id("case").options[k].textContent = one.name; });
+id("choice").hidden = cases.length < 2;
+id("origin").textContent = data.simulated ? "simulated bench" : "bench";
+choose(0);
+play(!matchMedia("(prefers-reduced-motion: reduce)").matches);

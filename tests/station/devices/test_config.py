@@ -1,0 +1,126 @@
+"""`[devices]` of a station file: what is understood and what is refused, before anything is opened."""
+
+import math
+import tomllib
+
+import numpy as np
+import pytest
+
+from station.config import ConfigError, Strict, check
+from station.devices.config import BenchFile, DevicesFile, Mount
+from station.devices.open_devices import plan
+
+
+class File(Strict):
+    devices: DevicesFile = "virtual"
+
+
+BENCH = """
+[devices.stages]
+driver = "zaber"
+port = "/dev/ttyUSB0"
+joints.outer_rotation = { device = 1, serial = 12345, home_at = 0.5 }
+joints.inner_rotation = { device = 2, backwards = true, home_speed = 0.1 }
+joints.inner_translation = { device = 3, device_id = 4152 }
+
+[devices.tracker]
+driver = "aurora"
+port = "/dev/ttyUSB1"
+tool = "3A5C1D00"
+latency = 0.030
+coil_to_tip = 0.004
+mount = { position = [0.1, 0.0, -0.2], rotation_vector = [3.141592653589793, 0.0, 0.0] }
+
+[devices.sensors]
+driver = "netft"
+ranges = [9.0, 9.0, 9.0, 0.125, 0.125, 0.125]
+tubes.inner = { host = "192.168.1.11", serial = "FT12345", mount.rotation_vector = [0.0, 0.0, 0.5] }
+tubes.outer = { host = "192.168.1.12", rdt_port = 49153, http_port = 8080 }
+"""
+
+
+def read(text: str) -> BenchFile | str:
+    return check(File, tomllib.loads(text), "bench.toml").devices
+
+
+def test_nothing_means_the_virtual_lab():
+    assert read("") == "virtual"
+    assert read('devices = "virtual"') == "virtual"
+
+
+def test_a_whole_bench_is_understood_and_nothing_is_opened(paper):
+    bench = read(BENCH)
+    assert isinstance(bench, BenchFile)
+    assert set(plan(bench, paper)) == {"stages", "tracker", "sensors"}
+
+
+def test_stages_on_ports_of_their_own_may_have_the_same_number(paper):
+    own = "\n".join(
+        f'joints.{joint.name} = {{ device = 1, port = "/dev/ttyUSB{k}" }}' for k, joint in enumerate(paper.joints)
+    )
+    text = BENCH.replace(BENCH[BENCH.index("port =") : BENCH.index("[devices.tracker]")], own + "\n\n")
+    bench = read(text)
+    assert isinstance(bench, BenchFile)
+    plan(bench, paper)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (BENCH, 'devices = "real"', "devices = 'real': expected 'virtual', or tables of stages, tracker and sensors"),
+        (BENCH, "devices = 5", "devices = 5: expected 'virtual'"),
+        ("[devices.tracker]", "[devices.camera]", "unknown key 'devices.camera'"),
+        ('driver = "zaber"', "", "devices.stages = .*'driver' is missing"),
+        ('driver = "zaber"', 'driver = "newport"', r"devices.stages.driver = 'newport' is not one of zaber"),
+        ('port = "/dev/ttyUSB0"', "", r"devices.stages.port is missing: outer_rotation has neither"),
+        ('port = "/dev/ttyUSB0"', "port = 5", r"devices.stages: port = 5: .*string"),
+        ('port = "/dev/ttyUSB0"', 'prot = "/dev/ttyUSB0"', r"devices.stages: unknown key 'prot'"),
+        (
+            "joints.inner_rotation",
+            "joints.elbow",
+            r"devices.stages.joints.elbow: the robot has no such part; it has outer_",
+        ),
+        (
+            "joints.inner_rotation = { device = 2, backwards = true, home_speed = 0.1 }",
+            "",
+            r"devices.stages.joints.inner_rotation is missing",
+        ),
+        (
+            "device = 2",
+            "device = 1",
+            r"joints.inner_rotation.device = 1: outer_rotation has that number on /dev/ttyUSB0",
+        ),
+        ("device = 2", "device = 255", r"joints.inner_rotation.device = 255: .*254"),
+        ("home_at = 0.5", "home_at = 7.0", r"devices.stages.joints.outer_rotation: home count"),
+        ("home_speed = 0.1", "home_speed = 1e-9", r"devices.stages.joints.inner_rotation: home speed of 0 units"),
+        ('tool = "3A5C1D00"', "baud = 12345", r"devices.tracker.baud = 12345: .*115200"),
+        ("latency = 0.030", "latency = -1.0", r"devices.tracker: latency = -1.0"),
+        ("latency = 0.030", "latency = nan", r"devices.tracker: latency = nan"),
+        ("-0.2]", "]", r"devices.tracker: 'mount.position.2' is missing"),
+        ('host = "192.168.1.11", ', "", r"devices.sensors: 'tubes.inner.host' is missing"),
+        (
+            "tubes.outer",
+            "tubes.middle",
+            r"devices.sensors.tubes.middle: the robot has no such part; it has inner, outer",
+        ),
+        ("rdt_port = 49153", "rdt_port = 70000", r"devices.sensors: tubes.outer.rdt_port = 70000"),
+        ("ranges = [9.0,", "ranges = [0.0,", r"devices.sensors: ranges.0 = 0.0"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_key_value_and_expectation(paper, old, new, told):
+    text = BENCH.replace(old, new)
+    assert text != BENCH
+
+    def use() -> None:
+        bench = read(text)
+        assert isinstance(bench, BenchFile)
+        plan(bench, paper)
+
+    with pytest.raises(ConfigError, match=told):
+        use()
+
+
+def test_a_mount_turns_as_its_vector_says():
+    quarter = Mount(rotation_vector=(0.0, 0.0, math.pi / 2.0)).rotation
+    assert quarter @ np.array([1.0, 0.0, 0.0]) == pytest.approx([0.0, 1.0, 0.0])
+    assert Mount().rotation == pytest.approx(np.eye(3))

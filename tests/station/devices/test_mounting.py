@@ -1,0 +1,60 @@
+"""Wrenches of sensors that are not mounted along their tubes' axes, against forces put at points of the tube."""
+
+import math
+
+import numpy as np
+import pytest
+
+from station.devices.config import Mount
+from station.devices.interfaces import WrenchReading
+from station.devices.mounting import mounted, transport
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_force_at_a_point_gives_the_wrench_of_that_point_in_either_frame(seed):
+    """The same force at the same point, as the sensor and as the tube's end feels it."""
+    random = np.random.default_rng(seed)
+    position, vector, point, force = random.uniform(-0.1, 0.1, 3), random.uniform(-2, 2, 3), *random.normal(size=(2, 3))
+    mount = Mount(position=tuple(position.tolist()), rotation_vector=tuple(vector.tolist()))
+    turn = _by_series(vector)
+    own_force, own_point = turn.T @ force, turn.T @ (point - position)
+    felt = np.concatenate([own_force, np.cross(own_point, own_force)])
+
+    assert transport(mount) @ felt == pytest.approx(np.concatenate([force, np.cross(point, force)]), abs=1e-12)
+
+
+def _by_series(vector: np.ndarray) -> np.ndarray:
+    """exp of the cross product's matrix, term by term."""
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    term = total = np.eye(3)
+    for k in range(1, 40):
+        term = term @ cross / k
+        total = total + term
+    return total
+
+
+class Steady:
+    """Sensors that always tell the same."""
+
+    def __init__(self, wrenches: np.ndarray, usable: bool = True) -> None:
+        self.reading = WrenchReading(1.5, wrenches, usable)
+
+    def poll(self, now: float) -> WrenchReading:
+        return self.reading
+
+
+def test_each_sensor_is_turned_by_its_own_mount_and_the_rest_of_the_reading_stays():
+    sensors = Steady(np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]] * 2), usable=False)
+    reading = mounted(sensors, [Mount(rotation_vector=(0.0, 0.0, math.pi / 2)), Mount(position=(0.0, 0.0, 0.02))]).poll(
+        2.0
+    )
+
+    assert reading.wrenches[0] == pytest.approx([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    assert reading.wrenches[1] == pytest.approx([1.0, 0.0, 0.0, 0.0, 0.02, 0.0])
+    assert (reading.time, reading.usable) == (1.5, False)
+
+
+def test_sensors_that_stand_as_the_tubes_do_are_left_alone():
+    sensors = Steady(np.zeros((2, 6)))
+    assert mounted(sensors, [Mount(), Mount()]) is sensors

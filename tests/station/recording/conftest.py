@@ -1,0 +1,59 @@
+"""Rows of a robot at rest, and recordings of them."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.robot import Array
+from station.recording.label import Label
+from station.recording.writer import CaseWriter
+from station.robots import RobotFile
+from station.telemetry import Channels
+
+PERIOD = 0.002
+
+
+@pytest.fixture(scope="session")
+def channels(paper: RobotFile) -> Channels:
+    return Channels(paper.robot())
+
+
+@pytest.fixture(scope="session")
+def make_rows(channels: Channels) -> Callable[..., Array]:
+    """Rows that all differ; joints and force are such that the robot can be drawn."""
+
+    def make(count: int, first: int = 0) -> Array:
+        rows = np.random.default_rng(first).normal(size=(count, len(channels)))
+        rows[:, 0] = (first + np.arange(count)) * PERIOD
+        channels.of(rows, "joints")[:] = (0.3, np.pi / 2, -0.1)
+        channels.of(rows, "force_filtered")[:] = (0.2, 0.0, 0.1)
+        channels.of(rows, "truth_known")[:] = 1.0
+        return rows
+
+    return make
+
+
+@pytest.fixture
+def open_writer(tmp_path: Path, paper: RobotFile, channels: Channels) -> Callable[..., CaseWriter]:
+    """A writer of `<name>.mcap` in the test's folder."""
+
+    def open_(name: str = "one", **metadata: object) -> CaseWriter:
+        return CaseWriter(tmp_path / f"{name}.mcap", paper.robot(), channels.all, metadata)
+
+    return open_
+
+
+@pytest.fixture
+def recorded(open_writer: Callable[..., CaseWriter]) -> Callable[..., Path]:
+    """A finished recording of some rows, in chunks of 100."""
+
+    def record(rows: Array, name: str = "one", **metadata: object) -> Path:
+        writer = open_writer(name, **metadata)
+        for first in range(0, len(rows), 100):
+            writer.write(rows[first : first + 100])
+        writer.close(Label.COMPLETE)
+        return writer.path
+
+    return record

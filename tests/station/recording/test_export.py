@@ -1,0 +1,126 @@
+"""Recordings as other programs read them."""
+
+import csv
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+from scipy.io import loadmat
+
+from station.recording.export import GROUP, export_case, export_run, matlab_names
+from station.recording.label import Label, RecordingError
+from station.recording.writer import CaseWriter
+from station.telemetry import Channel
+
+
+@pytest.fixture
+def rows(make_rows):
+    rows = make_rows(230)
+    rows[3, 5:8] = (5e-324, -0.0, 1.0 / 3.0)
+    return rows
+
+
+@pytest.fixture
+def run(recorded, rows, tmp_path):
+    """A folder with one recording."""
+    recorded(rows, "one")
+    return tmp_path
+
+
+def same(found, rows) -> bool:
+    return bool((np.asarray(found, float) == rows).all())
+
+
+def test_csv_reads_back_to_the_same_numbers_with_units_in_the_header(run, rows, channels):
+    (path,) = export_run(run, "csv", None)
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *lines = csv.reader(file)
+
+    assert path == run / "one.csv"
+    assert header == [channel.column for channel in channels.all]
+    assert {"time [s]", "joints.inner_translation [m]", "wrench_raw.outer_mz [N m]", "tip_true.x [m]"} <= set(header)
+    assert same(lines, rows)
+
+
+def test_parquet_has_the_columns_the_units_and_the_label(run, rows, channels):
+    (path,) = export_run(run, "parquet", None)
+    table = parquet.read_table(path)
+
+    assert table.column_names == [channel.column for channel in channels.all]
+    assert same(np.stack([column.to_numpy() for column in table.columns], axis=1), rows)
+    field = table.schema.field("force.x [N]")
+    assert field.metadata == {b"name": b"force.x", b"unit": b"N"}
+    assert table.schema.metadata[b"label"] == b"complete"
+
+
+def test_a_long_parquet_comes_in_groups_and_one_without_rows_has_its_columns(tmp_path, paper, channels):
+    for name, count in (("long", GROUP + 2500), ("none", 0)):
+        writer = CaseWriter(tmp_path / f"{name}.mcap", paper.robot(), channels.all, {}, pictures=1e-6)
+        block = np.zeros((2500, len(channels)))
+        for first in range(0, count, 2500):
+            block[:, 0] = first + np.arange(2500)
+            writer.write(block)
+        writer.close(Label.COMPLETE)
+        export_case(writer.path, "parquet", tmp_path / f"{name}.parquet")
+        with parquet.ParquetFile(tmp_path / f"{name}.parquet") as found:
+            assert found.metadata.num_rows == count
+            assert found.schema_arrow.names == [channel.column for channel in channels.all]
+            if count:
+                assert found.num_row_groups == 2
+                assert same(found.read(columns=["time [s]"]).column(0).to_numpy(), np.arange(count))
+
+
+def test_matlab_has_legal_names_and_says_what_they_were(run, rows, channels):
+    (path,) = export_run(run, "mat", None)
+    content = loadmat(path, squeeze_me=True)
+
+    assert (content["force_x_N"] == channels.of(rows, "force")[:, 0]).all()
+    assert (content["velocity_sent_inner_translation_m_per_s"] == channels.of(rows, "velocity_sent")[:, 2]).all()
+    assert content["units"]["force_x_N"] == "N"
+    assert content["channels"]["wrench_raw_outer_mz_N_m"] == "wrench_raw.outer_mz"
+    assert content["label"] == "complete"
+    assert sum(not name.startswith("__") for name in content) == len(channels) + 3
+
+
+def test_matlab_names_are_legal_and_all_different():
+    odd = [Channel(name, unit) for name, unit in (("a-b", "m"), ("a_b", "m"), ("2nd", ""), ("x" * 80, "m"))]
+    odd += [Channel("x" * 80, "N"), Channel("ü", "1/s")]
+    names = matlab_names(odd)
+
+    assert names[:3] == ["a_b_m", "a_b_m_2", "c_2nd"]
+    assert len(set(names)) == len(names)
+    assert all(name.isidentifier() and name.isascii() and len(name) <= 63 and name[0].isalpha() for name in names)
+
+
+def test_one_case_goes_into_a_file_and_several_into_a_folder(run, recorded, make_rows, tmp_path):
+    assert export_run(run, "csv", tmp_path / "deep" / "x.csv") == [tmp_path / "deep" / "x.csv"]
+    recorded(make_rows(5), "two")
+    with pytest.raises(RecordingError, match="one file for the cases one, two; give a folder"):
+        export_run(run, "csv", tmp_path / "x.csv")
+    assert export_run(run, "csv", tmp_path / "out") == [tmp_path / "out" / "one.csv", tmp_path / "out" / "two.csv"]
+
+
+def test_progress_goes_from_block_to_block_to_the_end(run):
+    told: list[tuple[str, float]] = []
+    export_run(run, "csv", None, lambda case, part: told.append((case, part)))
+
+    assert told == [("one", pytest.approx(100 / 230)), ("one", pytest.approx(200 / 230)), ("one", 1.0)]
+
+
+def test_nothing_to_export_and_nowhere_to_put_it_are_said(tmp_path, run):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RecordingError, match="empty: no recording there"):
+        export_run(tmp_path / "empty", "csv", None)
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(RecordingError, match="cannot be written"):
+        export_run(run, "csv", tmp_path / "file")
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mat"])
+def test_a_damaged_recording_leaves_no_half_file(run, kind):
+    content = bytearray((run / "one.mcap").read_bytes())
+    content[len(content) // 2] ^= 1
+    (run / "one.mcap").write_bytes(content)
+    with pytest.raises(RecordingError, match="damaged"):
+        export_run(run, kind, None)
+    assert [path.name for path in run.iterdir()] == ["one.mcap"]

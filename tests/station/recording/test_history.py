@@ -1,0 +1,115 @@
+"""The runs that are kept."""
+
+import json
+
+import pytest
+
+from station.recording.history import LONGEST, History, RunError, resolve_run
+from station.recording.run_folder import RunFolder
+
+
+@pytest.fixture
+def history(tmp_path, recorded, make_rows):
+    """Three runs: `first` with a recording, `second`, and the newest, `third`; and one that is not finished."""
+    runs = tmp_path / "runs"
+    recording = recorded(make_rows(10), "regulation")
+    for number, (name, experiment, label) in enumerate(
+        [("first", "fig7", "complete"), ("third", "fig10", "complete"), ("second", "fig7", "stopped")]
+    ):
+        folder = RunFolder(runs, name)
+        if name == "first":
+            folder.case("regulation").write_bytes(recording.read_bytes())
+        started = {"first": 1.0, "second": 2.0, "third": 3.0}[name]
+        folder.finish({"experiment": experiment, "label": label, "started": started, "title": f"Title {number}"})
+    RunFolder(runs, "unfinished").let_go()
+    return History(runs)
+
+
+def ids(runs):
+    return [run.id for run in runs]
+
+
+def test_runs_are_listed_newest_first(history):
+    assert ids(history.runs()) == ["third", "second", "first"]
+    first = history.runs()[-1]
+    assert (first.experiment, first.label, first.cases, first.notes) == ("fig7", "complete", ("regulation",), "")
+    assert first.size > 1000
+
+
+def test_runs_are_filtered_by_experiment_label_and_text(history):
+    assert ids(history.runs(experiment="fig7")) == ["second", "first"]
+    assert ids(history.runs(experiment="fig7", label="complete")) == ["first"]
+    assert ids(history.runs(text="TITLE 1")) == ["third"]
+    history.set_notes("second", "The coil was loose.")
+    assert ids(history.runs(text="loose")) == ["second"]
+    assert ids(history.runs(text="fig7 loose")) == []
+
+
+def test_a_folder_of_runs_that_is_not_there_has_none(tmp_path):
+    assert History(tmp_path / "none").runs() == []
+    with pytest.raises(RunError, match="no runs there yet"):
+        History(tmp_path / "none").find("latest")
+
+
+def test_latest_is_the_newest_and_other_names_are_looked_up(history, tmp_path):
+    assert history.find("latest").name == "third"
+    assert history.find("second").name == "second"
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../runs/first", "first/", "/etc", "unfinished.partial", "first\0"])
+def test_a_name_never_leads_elsewhere(history, name):
+    for ask in (history.find, history.run, history.recording, lambda n: history.delete(n, n)):
+        with pytest.raises(RunError, match="not one of the runs"):
+            ask(name)
+    assert ids(history.runs()) == ["third", "second", "first"]
+
+
+def test_a_link_is_not_a_run(history, tmp_path):
+    (tmp_path / "runs" / "link").symlink_to(tmp_path / "runs" / "first")
+    assert ids(history.runs()) == ["third", "second", "first"]
+
+
+def test_notes_are_kept_and_replaced(history):
+    assert history.set_notes("first", "one").notes == "one"
+    assert history.set_notes("first", "zwei äöü\n").notes == "zwei äöü\n"
+    assert history.run("first").notes == "zwei äöü\n"
+    with pytest.raises(RunError, match=f"at most {LONGEST}"):
+        history.set_notes("first", "x" * (LONGEST + 1))
+    assert history.run("first").notes == "zwei äöü\n"
+
+
+def test_a_run_is_deleted_only_when_its_name_is_said_twice(history):
+    for confirm in ("", "second", "latest"):
+        with pytest.raises(RunError, match="confirm"):
+            history.delete("first", confirm)
+    with pytest.raises(RunError, match="confirm"):
+        history.delete("latest", "latest")
+    history.delete("first", "first")
+    assert ids(history.runs()) == ["third", "second"]
+
+
+def test_a_recording_is_found_by_its_case(history):
+    assert history.recording("first").name == "regulation.mcap"
+    assert history.recording("first", "regulation").name == "regulation.mcap"
+    with pytest.raises(RunError, match="'other' is not one of the cases: regulation"):
+        history.recording("first", "other")
+    with pytest.raises(RunError, match="no recording"):
+        history.recording("second")
+
+
+def test_a_spoilt_summary_hides_no_run(history, tmp_path):
+    for text in ("{", "[1]", json.dumps({"started": "yesterday"})):
+        (tmp_path / "runs" / "first" / "summary.json").write_text(text, encoding="utf-8")
+        assert "first" in ids(history.runs())
+        assert history.run("first").cases == ("regulation",)
+
+
+def test_a_folder_is_taken_as_it_is_and_a_name_is_looked_up(history, tmp_path, monkeypatch):
+    runs = tmp_path / "runs"
+    assert resolve_run(str(runs / "first"), runs) == runs / "first"
+    assert resolve_run("second", runs) == runs / "second"
+    (tmp_path / "latest").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert resolve_run("latest", runs) == runs / "third"
+    with pytest.raises(RunError, match="'fourth' is not one of the runs in"):
+        resolve_run("fourth", runs)

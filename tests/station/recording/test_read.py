@@ -1,0 +1,69 @@
+"""Recordings come back to the bit; what is none is refused with its name."""
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from station.recording.label import Label, RecordingError
+from station.recording.read import open_case, read_case
+
+
+def test_rows_come_back_to_the_bit_whole_and_in_blocks(recorded, make_rows, channels):
+    rows = make_rows(330)
+    rows[5, 7] = 5e-324
+    path = recorded(rows, seed=4, lab={"title": "x"})
+    read = read_case(path)
+
+    assert (read.rows.view(np.uint64) == rows.view(np.uint64)).all()
+    assert read.channels == channels.all
+    assert (read.metadata["seed"], read.metadata["lab"]) == (4, {"title": "x"})
+    with open_case(path) as case:
+        assert case.ticks == 330
+        blocks = list(case.blocks())
+    assert [len(block) for block in blocks] == [100, 100, 100, 30]
+    assert (np.concatenate(blocks) == rows).all()
+
+
+def test_groups_are_found_by_name(recorded, make_rows, channels):
+    rows = make_rows(10)
+    read = read_case(recorded(rows))
+
+    assert (read.of("tip_measured") == channels.of(rows, "tip_measured")).all()
+    assert (read.of("time")[:, 0] == rows[:, 0]).all()
+    assert (read.of("force.z")[:, 0] == channels.of(rows, "force")[:, 2]).all()
+    with pytest.raises(RecordingError, match="no channels 'speed'"):
+        read.of("speed")
+
+
+def test_a_recording_that_is_being_written_is_refused(open_writer, make_rows, tmp_path):
+    writer = open_writer()
+    writer.write(make_rows(10))
+    with pytest.raises(RecordingError, match=r"one\.mcap\.partial: "):
+        read_case(tmp_path / "one.mcap.partial")
+    writer.close(Label.COMPLETE)
+
+
+def test_what_is_no_recording_is_refused_by_name(tmp_path):
+    (tmp_path / "text.mcap").write_text("rows: 12", encoding="utf-8")
+    with (tmp_path / "other.mcap").open("wb") as file:
+        other = Writer(file)
+        other.start()
+        other.finish()
+    for name in ("text", "other", "missing"):
+        with pytest.raises(RecordingError, match=f"{name}.mcap"):
+            read_case(tmp_path / f"{name}.mcap")
+
+
+def test_a_bit_that_fell_over_is_noticed(recorded, make_rows):
+    path = recorded(make_rows(100))
+    content = bytearray(path.read_bytes())
+    # In the middle of the only chunk, which is most of the file.
+    content[len(content) // 2] ^= 0x10
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match="damaged"):
+        read_case(path)
+
+
+def test_an_error_of_the_reader_is_not_taken_for_a_damaged_file(recorded, make_rows):
+    with pytest.raises(ValueError, match="my own"), open_case(recorded(make_rows(10))):
+        raise ValueError("my own")

@@ -1,0 +1,57 @@
+"""Rows as messages: what others' decoders make of them."""
+
+import numpy as np
+from mcap.records import Schema
+from mcap_ros1.decoder import DecoderFactory
+
+from station.recording.row_message import PREFIX, SCHEMA, definition, message_records, row_of
+from station.telemetry import Channel
+
+
+def decoded(channels: list[Channel], row: np.ndarray) -> object:
+    schema = Schema(id=1, name=SCHEMA, encoding="ros1msg", data=definition(channels).encode())
+    decoder = DecoderFactory().decoder_for("ros1", schema)
+    assert decoder is not None
+    return decoder(row.astype("<f8").tobytes())
+
+
+def test_an_independent_decoder_finds_every_channel_by_group_and_name(channels):
+    row = np.arange(len(channels), dtype=float) + 0.125
+    message = decoded(list(channels.all), row)
+
+    for value, channel in zip(row, channels.all, strict=True):
+        found = message
+        for part in channel.name.split("."):
+            found = getattr(found, part if part.isidentifier() else f"c_{part}")
+        assert found == value
+
+
+def test_names_that_ros_does_not_know_are_changed_and_kept_apart():
+    channels = [Channel(name, "") for name in ("time", "joints.a-b", "joints.a_b", "joints.2nd", "x y", "deep.er.one")]
+    message = decoded(channels, np.arange(6.0))
+
+    assert (message.time, message.joints.a_b, message.joints.a_b_2, message.joints.c_2nd) == (0.0, 1.0, 2.0, 3.0)
+    assert (message.x_y, message.deep_er.one) == (4.0, 5.0)
+
+
+def test_the_definition_tells_the_units(channels):
+    lines = definition(channels.all).splitlines()
+
+    assert "float64 time  # [s]" in lines
+    assert "float64 state" in lines
+    assert "float64 inner_mz  # [N m]" in lines
+
+
+def test_records_have_the_layout_of_the_format():
+    rows = np.array([[0.5, -1.0], [np.pi, 1e300]])
+    made = message_records(rows, np.array([7, 9], np.uint64), topic=3, first=40)
+    size = PREFIX + 16
+
+    assert made.offsets.tolist() == [0, size]
+    for number, record in enumerate((made.records[:size], made.records[size:])):
+        assert record[0] == 5  # opcode of a message
+        assert int.from_bytes(record[1:9], "little") == size - 9
+        assert int.from_bytes(record[9:11], "little") == 3
+        assert int.from_bytes(record[11:15], "little") == 40 + number
+        assert int.from_bytes(record[15:23], "little") == int.from_bytes(record[23:31], "little") == (7, 9)[number]
+        assert row_of(record[31:]).tolist() == rows[number].tolist()

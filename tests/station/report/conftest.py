@@ -1,0 +1,98 @@
+"""Real runs, cut short, in their folders; and cases made of numbers that are known."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from station.cli import main
+from station.config import PRESETS
+from station.report.run import Case
+from station.telemetry import Channels
+
+SHORT = """
+title = "short <b>run</b> & more"
+start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
+duration = 1.5
+settling = 0.5
+[trajectory]
+kind = "sinusoid"
+amplitude = 0.001
+frequency = 0.5
+[load]
+kind = "constant"
+magnitude = 0.1
+[cases.one]
+[cases.two.controller]
+feedforward = true
+[paper.one]
+max_abs_error_mm = { x = 7.9, z = 2.0 }
+"""
+
+
+@pytest.fixture(scope="session")
+def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Carry out an experiment's text under a name, once a session; its folder."""
+    made: dict[str, Path] = {}
+
+    def run(name: str, text: str) -> Path:
+        if name not in made:
+            place = tmp_path_factory.mktemp(name)
+            (place / f"{name}.toml").write_text(text, encoding="utf-8")
+            assert main(("run", str(place / f"{name}.toml"), "--out", str(place / "runs"), "--json")) == 0
+            made[name] = next((place / "runs").iterdir())
+        return made[name]
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def short_run(run_of: Callable[..., Path]) -> Path:
+    """Two cases of a second and a half."""
+    return run_of("short", SHORT)
+
+
+@pytest.fixture(scope="session")
+def preset_run(run_of: Callable[..., Path]) -> Callable[..., Path]:
+    """A preset cut short, without the cases named."""
+
+    def run(name: str, duration: float, settling: float, dropped: tuple[str, ...] = ()) -> Path:
+        text = (PRESETS / "experiments" / f"{name}.toml").read_text(encoding="utf-8")
+        head, *tables = re.split(r"^(?=\[)", text, flags=re.MULTILINE)
+        head = re.sub(r"^duration = .*", f"duration = {duration}", head, flags=re.MULTILINE)
+        head = re.sub(r"^settling = .*", f"settling = {settling}", head, flags=re.MULTILINE)
+        left = [table for table in tables if re.split(r"[].]", table.removeprefix("[cases."))[0] not in dropped]
+        return run_of(name, re.sub(r"^duration = 30.0\n", "", head + "".join(left), flags=re.MULTILINE))
+
+    return run
+
+
+@pytest.fixture
+def made_up(paper_robot) -> Callable[..., Case]:
+    """A case of 40 rows in 4 s, everything zero but for the groups given; a frame in every other row, 50 ms old."""
+
+    def make(name: str = "made_up", settling: float = 2.0, file: dict[str, Any] | None = None, **groups: Any) -> Case:
+        channels = Channels(paper_robot)
+        rows = np.zeros((40, len(channels)))
+        times = np.arange(40) * 0.1
+        given = {"time": times, "tip_new": np.arange(40) % 2 == 0, "tip_time": times - 0.05, **groups}
+        for group, values in given.items():
+            channels.of(rows, group)[:] = np.reshape(values, (40, -1))
+        return Case(name, channels.all, rows, {"settling": settling, **(file or {})}, {}, {})
+
+    return make
+
+
+@pytest.fixture
+def folder_of(tmp_path: Path) -> Callable[..., Path]:
+    """A folder with nothing but a summary."""
+
+    def write(summary: dict[str, Any], name: str = "summary.json") -> Path:
+        (tmp_path / name).write_text(json.dumps(summary), encoding="utf-8")
+        return tmp_path
+
+    return write

@@ -1,0 +1,210 @@
+"""Every figure of every experiment that has its own, from real runs cut short; numbers recomputed here."""
+
+import math
+import re
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+
+from station.experiments.step_fit import fit_step
+from station.recording.read import CaseRecording, read_case
+from station.report import deflection, force, model, overview, rates, steps, strategies, style, timing, tracking
+from station.report.figures import FIGURES, figures
+from station.report.run import Run, read_run
+
+#: Experiment: its length, its settling time, cases that are left out here, and the figures that are due.
+RUNS = {
+    "fig3": (2.0, 0.0, ("b", "d"), ["fig3", "fig3_errors"]),
+    "fig4": (2.0, 0.0, (), ["fig4", "rates"]),
+    "fig6": (2.0, 0.5, (), ["fig6"]),
+    "fig7": (1.5, 0.5, (), ["fig7"]),
+    "fig8": (1.5, 0.5, ("lift_and_drop", "type_1_exact", "type_2"), ["fig8", "fig8_type_1", "fig8_regulation_distorted", "rates"]),
+    "fig10": (1.5, 0.5, ("feedforward",), ["fig10", "fig10_paper_distorted", "fig9", "rates"]),
+    "step_response": (24.0, 0.0, ("k1_x", "k1_y", "k1_z", "k2_5_y", "k2_5_z", "k5_x", "k5_y", "k5_z"), ["steps"]),
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def settings():
+    with matplotlib.rc_context(style.SETTINGS):
+        yield
+
+
+@pytest.fixture(params=RUNS)
+def run(request, preset_run) -> Run:
+    return read_run(preset_run(request.param, *RUNS[request.param][:3]))
+
+
+def recording(run: Run, case: str) -> CaseRecording:
+    return read_case(run.folder / f"{case}.mcap")
+
+
+def test_all_figures_are_there_with_units_words_and_lines(run, tmp_path):
+    drawn = list(figures(run))
+
+    assert [one.name for one in drawn] == RUNS[run.experiment][3]
+    for one in drawn:
+        axes = one.figure.axes
+        assert axes
+        labelled = [each.get_ylabel() for each in axes if each.get_ylabel()]
+        assert labelled
+        assert all(re.search(r"\[(mm|N|mm/s)\]|part of the step", label) for label in labelled)
+        assert "[s]" in axes[-1].get_xlabel()
+        assert all(each.lines for each in axes)
+        for line in (line for each in axes for line in each.lines):
+            assert np.isfinite(np.asarray(line.get_ydata(), dtype=float)).all()
+        assert len(one.alt) > 40
+        assert len(one.caption) > 40
+        assert "nan" not in one.alt + one.caption
+        # a legend wherever there is more than one thing
+        assert one.figure.legends
+
+
+def test_fig3_shows_the_true_tip_of_every_strategy(preset_run):
+    run = read_run(preset_run("fig3", *RUNS["fig3"][:3]))
+    positions, errors = strategies.draw(run)
+    z = {line.get_label(): line for line in positions.figure.axes[2].lines}
+
+    assert set(z) == {"(a) unloaded Jacobian", "(c) loaded Jacobian and deflection rate", "(d) with feed-forward", "desired"}
+    tip = recording(run, "a").of("tip_true")
+    shown = z["(a) unloaded Jacobian"].get_ydata()
+    start = recording(run, "a").of("tip_desired")[0]
+    assert np.max(shown) == pytest.approx(1e3 * (tip - start)[:, 2].max())
+    # 15 mm sin(2 pi 0.05 t) after 2 s
+    assert np.max(z["desired"].get_ydata()) == pytest.approx(15.0 * math.sin(0.2 * math.pi), abs=0.02)
+    largest = 1e3 * np.abs(recording(run, "c").of("tip_desired") - recording(run, "c").of("tip_true")).max(axis=0)
+    assert f"c: {largest[0]:.2f}, {largest[1]:.2f}, {largest[2]:.2f} mm" in errors.alt
+
+
+def test_fig4_says_how_much_each_part_is(preset_run):
+    run = read_run(preset_run("fig4", *RUNS["fig4"][:3]))
+    (drawn,) = deflection.draw(run)
+    rows = recording(run, "deflection")
+    one, two = (1e3 * np.linalg.norm(rows.of(group), axis=1).max() for group in ("delta_1", "delta_2"))
+
+    assert f"part of the load {one:.2f} mm, part of the Jacobian {two:.2f} mm" in drawn.caption
+    assert f"{one / two:.1f} times" in drawn.caption
+    assert [len(axes.lines) for axes in drawn.figure.axes] == [3, 3, 3]
+
+
+def test_fig6_shows_the_mean_distances_of_the_summary(preset_run):
+    run = read_run(preset_run("fig6", *RUNS["fig6"][:3]))
+    (drawn,) = model.draw(run)
+    numbers = run.summary["cases"]["turn"]["model_error_mm"]
+
+    assert model.model_errors(run.cases[0]) == pytest.approx(numbers, abs=1e-4)
+    assert f"loaded model {numbers['loaded']:.2f} mm, unloaded model {numbers['unloaded']:.2f} mm" in drawn.caption
+    assert numbers["loaded"] < numbers["unloaded"]
+
+
+def test_fig7_shows_the_papers_bounds_and_the_largest_error(preset_run):
+    run = read_run(preset_run("fig7", *RUNS["fig7"][:3]))
+    (drawn,) = tracking.draw(run)
+    rows = recording(run, "regulation")
+    late = rows.of("time")[:, 0] >= 0.5 - 1e-9
+    true = 1e3 * np.abs(rows.of("tip_desired") - rows.of("tip_true"))[late].max(axis=0)
+    measured = run.summary["cases"]["regulation"]["max_abs_error_mm"]
+
+    said = ", ".join(
+        f"{name} {' / '.join(f'{value:.2f}' for value in values)} mm"
+        for name, values in (("measured", measured), ("true", true))
+    )
+    assert said in drawn.caption
+    for axes, bound in zip(drawn.figure.axes[:3], (15.5, 2.3, 1.1), strict=True):
+        level = [line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == ":" or len(line.get_ydata()) == 2]
+        assert sorted(level)[0] == -bound
+        assert sorted(level)[-1] == bound
+
+
+def test_fig9_shows_the_force_and_its_error(preset_run):
+    run = read_run(preset_run("fig10", *RUNS["fig10"][:3]))
+    (drawn,) = force.draw(run)
+    rows = recording(run, "paper")
+    rms = np.sqrt(np.mean((rows.of("force_filtered") - rows.of("force_true")) ** 2, axis=0))
+
+    assert f"filtered {rms[0]:.3f} / {rms[1]:.3f} / {rms[2]:.3f} N" in drawn.caption
+
+
+def test_fig9_of_a_whole_run_begins_at_100_s(made_up):
+    case = made_up(time=np.linspace(0.0, 250.0, 40), force_filtered=np.full((40, 3), 0.2))
+    (drawn,) = force.draw(Run(Path("x"), "fig10", {}, {}, (case,)))
+    left, right = drawn.figure.axes[0].dataLim.intervalx
+
+    assert left >= 100.0
+    assert right <= 200.0
+    assert "100 to 200 s" in drawn.caption or "103 to 199 s" in drawn.caption
+
+
+def test_the_rates_are_compared_as_in_the_summary(preset_run):
+    run = read_run(preset_run("fig10", *RUNS["fig10"][:3]))
+    (drawn,) = rates.draw(run)
+    for name, values in run.summary["cases"]["paper"]["deflection_rate_rms_error_mm_s"].items():
+        assert f"{name} {' / '.join(f'{value:.3g}' for value in values)} mm/s" in drawn.caption
+
+
+def test_rates_of_less_than_a_second_are_not_drawn(made_up):
+    assert list(rates.draw(Run(Path("x"), "fig10", {}, {}, (made_up(),)))) == []
+
+
+def test_a_step_is_drawn_with_its_fit(preset_run):
+    run = read_run(preset_run("step_response", *RUNS["step_response"][:3]))
+    (drawn,) = steps.draw(run)
+    step = run.summary["cases"]["k2_5_x"]["step"]
+    answer = drawn.figure.axes[0].lines[0]
+
+    assert f"k 2.5 x: {step['rate']:.2f} 1/s after {1e3 * step['dead_time_s']:.0f} ms" in drawn.alt
+    again = fit_step(np.asarray(answer.get_xdata()), np.asarray(answer.get_ydata()))
+    assert again.rate == pytest.approx(step["rate"], rel=0.05)
+
+
+def test_any_other_experiment_gets_path_error_force_and_joints(short_run):
+    run = read_run(short_run)
+    assert "short" not in FIGURES
+    drawn = {one.name: one for one in figures(run)}
+
+    assert list(drawn) == [f"{what}_{case}" for case in ("one", "two") for what in ("path", "error", "force", "joints")]
+    z = drawn["path_one"].figure.axes[2]
+    rows = read_case(short_run / "one.mcap")
+    assert z.dataLim.intervaly[1] >= 1e3 * rows.of("tip_true")[:, 2].max() - 1e-9
+    joints = drawn["joints_one"].figure.axes
+    assert [axes.get_ylabel() for axes in joints] == [
+        "outer\nrotation [deg]", "inner\nrotation [deg]", "inner\ntranslation [mm]",
+    ]  # fmt: skip
+    shown = np.asarray(joints[1].lines[0].get_ydata())
+    assert shown[0] == pytest.approx(np.degrees(rows.of("joints")[0, 1]))
+
+
+def test_a_bench_without_a_truth_shows_none(made_up):
+    case = made_up(truth_known=np.zeros(40), tip_measured=np.full((40, 3), 0.001))
+    run = Run(Path("x"), "own", {}, {}, (case,))
+    texts = " ".join(f"{one.caption} {one.alt}" for one in overview.draw(run))
+
+    assert not run.simulated
+    assert "true" not in texts
+    assert "simulated" not in texts
+
+
+def test_the_loops_timing_is_shown_where_it_was_kept():
+    late, work = [0] * 40, [0] * 300
+    late[20], late[39], work[120], work[299] = 900, 100, 990, 10
+    numbers = {
+        "ticks": 1000, "missed": 2, "scheduler": "SCHED_FIFO", "late_counts": late, "tick_counts": work,
+        "late_us": {"p50": 20, "p99": 39, "max": 41}, "tick_us": {"p50": 120, "p99": 299, "max": 420},
+    }  # fmt: skip
+    (drawn,) = timing.draw(Run(Path("x"), "own", {"cases": {"run": {"timing": numbers}}}, {}, ()))
+
+    assert "late: median 20, 99 % 39, largest 41" in drawn.caption
+    assert "2 periods missed" in drawn.caption
+    bars = drawn.figure.axes[0].patches[0].get_data()
+    assert (bars.values[20], bars.values[39], bars.values.sum()) == (900, 100, 1000)
+
+
+def test_without_timing_there_is_no_such_figure():
+    assert list(timing.draw(Run(Path("x"), "own", {"cases": {"one": {}}}, {}, ()))) == []
+
+
+def test_nothing_recorded_nothing_drawn():
+    for name in RUNS:
+        assert list(figures(Run(Path("x"), name, {}, {}, ()))) == []

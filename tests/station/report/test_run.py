@@ -1,0 +1,95 @@
+"""A run as its folder has it."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from station.recording.read import read_case
+from station.report import run as run_module
+from station.report.run import NoRun, read_run
+
+
+def test_cases_come_in_their_order_with_the_channels_that_were_recorded(short_run):
+    run = read_run(short_run)
+
+    assert [case.name for case in run.cases] == ["one", "two"]
+    assert run.experiment == "short"
+    assert run.simulated
+    for case in run.cases:
+        recorded = read_case(short_run / f"{case.name}.mcap")
+        assert len(case.rows) == len(recorded.rows) == 750
+        for group in ("time", "tip_true", "tip_measured", "force_filtered", "joints", "deflection_rate_exact"):
+            assert np.array_equal(case.of(group), recorded.of(group))
+    assert run.cases[0].names("joints") == ["outer_rotation", "inner_rotation", "inner_translation"]
+
+
+def test_a_case_has_its_own_changes_of_the_file(short_run):
+    one, two = read_run(short_run).cases
+
+    assert one.settling == two.settling == 0.5
+    assert "controller" not in one.file
+    assert two.file["controller"] == {"feedforward": True}
+
+
+def test_errors_are_desired_minus_true_and_desired_minus_measured_at_the_frames_own_time(made_up):
+    # the setpoint goes up 10 mm/s, each frame shows it as it was 50 ms before the row, 2 mm off in x
+    times = np.arange(40) * 0.1
+    desired = np.outer(0.010 * times, (0.0, 0.0, 1.0))
+    measured = np.outer(0.010 * (times - 0.05), (0.0, 0.0, 1.0)) + (0.002, 0.0, 0.0)
+    case = made_up(tip_desired=desired, tip_measured=measured, tip_true=desired - (0.0, 0.001, 0.0))
+    at, error = case.measured_error()
+
+    assert at == pytest.approx(times[::2] - 0.05)
+    assert error[1:] == pytest.approx(np.tile((-2.0, 0.0, 0.0), (19, 1)), abs=1e-9)
+    assert case.true_error() == pytest.approx(np.tile((0.0, 1.0, 0.0), (40, 1)))
+
+
+def test_a_distorted_case_is_held_against_the_same_numbers(short_run):
+    run = read_run(short_run)
+
+    assert run.paper("one", "max_abs_error_mm") == {"x": 7.9, "z": 2.0}
+    assert run.paper("one_distorted", "max_abs_error_mm") == {"x": 7.9, "z": 2.0}
+    assert run.paper("two", "max_abs_error_mm") == {}
+
+
+def test_of_a_very_long_recording_every_nth_row_is_kept(short_run, monkeypatch):
+    monkeypatch.setattr(run_module, "MOST", 300)
+    case = read_run(short_run).cases[0]
+
+    assert case.stride == 3
+    assert np.array_equal(case.of("tip_true"), read_case(short_run / "one.mcap").of("tip_true")[::3])
+
+
+def test_a_run_without_a_summary_still_has_its_recordings(short_run, tmp_path):
+    shutil.copy(short_run / "two.mcap", tmp_path)
+    run = read_run(tmp_path)
+
+    assert [case.name for case in run.cases] == ["two"]
+    assert run.summary == {}
+
+
+def test_an_empty_folder_is_no_run(tmp_path):
+    with pytest.raises(NoRun, match=r"neither a recording \(\.mcap\) nor summary\.json"):
+        read_run(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "[1, 2]", "{"])
+def test_a_spoilt_summary_is_refused_by_name(tmp_path, text):
+    (tmp_path / "summary.json").write_text(text, encoding="utf-8")
+    with pytest.raises(NoRun, match="summary.json"):
+        read_run(tmp_path)
+
+
+def test_unknown_channels_are_refused_by_name(made_up):
+    with pytest.raises(NoRun, match="case 'made_up' has no channels 'colour'"):
+        made_up().of("colour")
+
+
+def test_a_summary_alone_is_a_run_in_which_nothing_was_recorded(folder_of):
+    run = read_run(folder_of({"experiment": "fig7", "cases": {"regulation": {"completed": False, "cause": "x"}}}))
+
+    assert run.cases == ()
+    assert run.experiment == "fig7"
+    assert json.dumps(run.summary)
