@@ -65,9 +65,9 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     lab.set_defaults(command=_lab)
 
     bench = commands.add_parser("bench", help="measure this machine")
-    bench.add_argument("what", choices=("model", "accuracy", "cost", "tick", "loop", "headless"))
+    bench.add_argument("what", choices=("model", "accuracy", "cost", "tick", "loop", "headless", "recorder"))
     bench.add_argument(
-        "--seconds", type=between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of 'loop' (60)"
+        "--seconds", type=between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of 'loop' and 'recorder' (60)"
     )
     bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
@@ -200,6 +200,10 @@ def _bench(parsed: argparse.Namespace) -> int:
         with progress_bar() as bar:
             task = bar.add_task("bench loop", total=1.0)
             result = loop(parsed.seconds, lambda done: bar.update(task, completed=done), fifo=not parsed.no_fifo)
+    elif parsed.what == "recorder":
+        from station.bench_recorder import recorder
+
+        result = recorder(parsed.seconds)
     elif parsed.what == "accuracy":
         from station.bench_accuracy import accuracy
 

@@ -8,20 +8,19 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any
 
 import numpy as np
 
 from core.errors import CtrError
 from core.step import Sample, begin, step
 from core.trajectories import JointMotion, Setpoint
+from station.devices.config import BenchFile
 from station.devices.interfaces import Devices, Severity
+from station.devices.open_devices import open_devices
 from station.experiments.experiment import PERIOD, ControllerFile
 from station.lab.config import LabConfig
-from station.lab.live_bench import live_devices
 from station.loop import ControlLoop, Phase
 from station.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Reply
 from station.overruns import OverrunLimits, Overruns
@@ -50,6 +49,7 @@ class Bench:
     controller: ControllerFile
     fifo: bool = True  #: ask for real-time scheduling
     overruns: OverrunLimits = OverrunLimits()
+    devices: BenchFile | None = None  #: None: those of the virtual lab
 
 
 def run_control(bench: Bench, ring_name: str, pipe: Connection, parent: int) -> None:
@@ -60,10 +60,10 @@ def run_control(bench: Bench, ring_name: str, pipe: Connection, parent: int) -> 
     ring = Ring(ring_width(bench.robot), ring_name)
     try:
         _warm_up(bench)
-        endpoints: Mapping[str, Any] | None = pipe.recv()
-        if endpoints is None:
+        told: BenchFile | None = pipe.recv()
+        if told is None:
             return
-        devices = live_devices(endpoints, bench.robot, bench.lab)
+        devices = open_devices(told, bench.robot)
         try:
             loop = _LiveLoop(ControlLoop(bench.controller.controller(bench.robot), devices), bench, ring, pipe, parent)
             ring.counters[SCHEDULER] = bench.fifo and ask_for_fifo()
@@ -180,6 +180,8 @@ class _LiveLoop:
             match command.what:
                 case Event.STOP:
                     loop.stop(now)
+                case Event.HOLD:
+                    loop.stop(now, Event.HOLD, command.cause)
                 case Event.START if command.task is not None:
                     loop.start(command.task)
                     self._run = command.run

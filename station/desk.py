@@ -110,7 +110,15 @@ class Desk:
         if chosen.robot != self.supervisor.bench.robot:
             raise DeskError(f"{name} needs robot '{chosen.robot.name}', not '{self.supervisor.bench.robot.name}'")
         task = Task(chosen.controller, chosen.orders, chosen.file.duration, chosen.start)
-        return self.supervisor.start(task, chosen.file.load, f"{name}, case {chosen.name}")
+        about = {
+            "experiment": name,
+            "case": chosen.name,
+            "settings": chosen.file.model_dump(mode="json"),
+            "source": experiment.source,
+        }
+        return self.supervisor.start(
+            task, chosen.file.load, f"{name}, case {chosen.name}", about, chosen.file.faults
+        )
 
     def jog(self, space: Literal["joints", "tip"], velocity: tuple[float, ...]) -> None:
         """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].
@@ -133,10 +141,11 @@ class Desk:
         """Put a load on the virtual lab's tip, now."""
         self.supervisor.pull(load)
 
-    def _start(self, motion: Motion, controller: ControllerFile, load: Load, duration: float, title: str) -> str:
+    def _start(self, motion: TipMotion, controller: ControllerFile, load: Load, duration: float, title: str) -> str:
         robot = self.supervisor.bench.robot
         task = Task(controller.controller(robot), Orders(motion, self.supervisor.robot), duration)
         status = self.supervisor.status()
         if status.state is State.READY and "joints" in status.values:
             task.orders.check(task.controller, status.values["joints"], duration)
-        return self.supervisor.start(task, load, title)
+        settings = Settings(trajectory=motion, controller=controller, load=load, duration=duration)
+        return self.supervisor.start(task, load, title, {"settings": settings.model_dump(mode="json")})

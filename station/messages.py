@@ -18,6 +18,7 @@ class Command(NamedTuple):
     run: int = 0
     space: Literal["joints", "tip"] = "joints"  #: of a jog
     velocity: Array | None = None  #: of a jog [rad/s or m/s]
+    cause: str = ""  #: of a HOLD
 
 
 class Reply(NamedTuple):

@@ -9,6 +9,8 @@ from pydantic import Field, PrivateAttr
 from core.errors import CtrError
 from station.config import ConfigError, Strict, check, read_toml
 from station.control_process import Bench
+from station.devices.config import DevicesFile
+from station.devices.open_devices import plan
 from station.experiments.experiment import BEST, ControllerFile, start_pose
 from station.lab.config import load_lab
 from station.overruns import OverrunLimits
@@ -26,6 +28,8 @@ class StationFile(Strict):
     """of everything random in the virtual lab"""
     park: Mapping[str, float] = {"outer_rotation": 0.0, "inner_rotation": 1.5707963267948966, "inner_translation": -0.1}
     """joints at power-up [rad or m]"""
+    devices: DevicesFile = "virtual"
+    """those of the virtual lab, or of a bench (station/devices/README.md)"""
     controller: ControllerFile = BEST
     """the loop's controller until a run brings its own"""
     fifo: bool = True
@@ -47,9 +51,12 @@ class StationFile(Strict):
             robot.limits().check(park)
             robot.robot().check_pose(park)
             self.controller.controller(robot)
+            bench = None if self.devices == "virtual" else self.devices
+            if bench is not None:
+                plan(bench, robot)
         except CtrError as error:
             raise ConfigError(f"{self._source}: {error}") from None
-        return Bench(robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns)
+        return Bench(robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns, bench)
 
 
 def load_station(path: Path | None) -> StationFile:

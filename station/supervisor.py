@@ -12,20 +12,27 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 from core.errors import CtrError
 from core.robot import Array
 from core.statics import Statics
 from station.control_process import Bench, ring_width, run_control
+from station.devices.built_in import stage_ports
+from station.devices.config import BenchFile
+from station.lab.faults import LabFault
 from station.lab.lab_host import LabError, LabHost
 from station.lab.lab_process import LabBench
 from station.lab.loads import Load, NoLoad
 from station.last_stop import stop_stages
+from station.live_recording import LiveRecording
 from station.loop import Phase, Task
 from station.messages import Command, DeviceReport, DeviceStatus, Notice, Reply
+from station.own_bench import OwnBench
 from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, Ring, Timing
-from station.states import Event, RefusedError, State
+from station.states import Event, RefusedError, State, after
 from station.telemetry import Channels
 
 #: The control process answers a command within this time or counts as gone [s].
@@ -56,7 +63,8 @@ class Status(NamedTuple):
 class Supervisor:
     """Owner of the control process and of the virtual lab's."""
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: Bench, runs: Path | None = None) -> None:
+        """Start everything; every run is recorded in the folder `runs`, if one is given."""
         self.bench = bench
         self.robot = bench.robot.robot()
         self.channels = Channels(self.robot)
@@ -74,11 +82,14 @@ class Supervisor:
         self._state = State.OFF
         self._run, self._title = 0, ""
         self._load: Load = NoLoad()
+        self._faults: tuple[LabFault, ...] = ()
         self._motion_start: float | None = None
         self._devices: tuple[DeviceStatus, ...] = ()
-        self._endpoints: Mapping[str, Any] = {}  # of the lab's devices
+        self._told: BenchFile | None = None  # what the control process has to open
         self._closing = threading.Event()
         self._context = multiprocessing.get_context("spawn")
+        self.recording = None if runs is None else LiveRecording(self.ring, bench.robot, runs)
+        self._recorded = 0  # the run that is being recorded
         self._lab = self._start_lab()
         self._start_process()
         self._watchdog = threading.Thread(target=self._watch_time, name="watchdog")
@@ -116,20 +127,44 @@ class Supervisor:
 
     # What may be asked
 
-    def start(self, task: Task, load: Load, title: str) -> str:
+    def start(
+        self,
+        task: Task,
+        load: Load,
+        title: str,
+        about: Mapping[str, Any] = MappingProxyType({}),
+        faults: Sequence[LabFault] = (),
+    ) -> str:
         """Start a run; its id.
+
+        Args:
+            task: what to do.
+            load: on the virtual lab's tip during the motion.
+            title: of the run.
+            about: what else its recording says about it.
+            faults: of the virtual lab's devices, their times counted from the motion's start.
 
         Raises:
             RefusedError: the state does not allow it.
+            RecordingError: it cannot be recorded.
         """
+        after(self.status().state, Event.START)
         number = next(self._runs)
+        if self.recording is not None:
+            name = f"{self._session}-{number}"
+            lab = self.bench.lab.model_dump(mode="json")
+            self.recording.begin(
+                name, task.duration, {"run": name, "title": title, "seed": self.bench.seed, "lab": lab, **about}
+            )
+            self._recorded = number
         with self._lock:
-            before, self._load = self._load, load
+            before, self._load, self._faults = self._load, load, tuple(faults)
         try:
             self._ask(Command(next(self._numbers), Event.START, task, number))
         except RefusedError:
             with self._lock:
                 self._load = before
+            self._end_recording(State.STOPPED, "it was refused after all")
             raise
         with self._lock:
             self._run, self._title, self.task = number, title, task
@@ -161,7 +196,7 @@ class Supervisor:
         self._pipe.close()
         if not self._lab.alive:
             self._lab.close()
-            self._lab, self._endpoints = self._start_lab(), {}
+            self._lab, self._told = self._start_lab(), None
         self.ring.clear_timing()
         since = self.ring.written
         with self._lock:
@@ -205,7 +240,7 @@ class Supervisor:
         """Put a load on the virtual lab's tip, now; the next motion brings its own."""
         self._lab.pull(load, time.monotonic())
 
-    def inject(self, faults: Sequence[Any]) -> None:
+    def inject(self, faults: Sequence[LabFault]) -> None:
         """Let these faults of the virtual lab's devices happen from now on; none: mend all."""
         self._lab.inject(faults, time.monotonic())
 
@@ -221,6 +256,8 @@ class Supervisor:
         self._lab.close()
         self._watcher.join(timeout=3.0)
         self._watchdog.join(timeout=3.0)
+        if self.recording is not None:
+            self.recording.close()
         self._pipe.close()
         self.ring.close(remove=True)
 
@@ -229,7 +266,9 @@ class Supervisor:
     def _run_id(self) -> str:
         return f"{self._session}-{self._run}" if self._run else ""
 
-    def _start_lab(self) -> LabHost:
+    def _start_lab(self) -> LabHost | OwnBench:
+        if self.bench.devices is not None:
+            return OwnBench(self.bench.devices)
         bench = LabBench(self.bench.robot, self.bench.lab, self.bench.seed, self.bench.park)
         return LabHost(bench, self.ring.name, ring_width(self.bench.robot))
 
@@ -271,11 +310,11 @@ class Supervisor:
         """Give the control process its devices, take what it says until it ends; its end unasked is a fault."""
         cause = ""
         try:
-            if not self._endpoints:
-                self._endpoints = self._lab.endpoints()
-            self._stage_ports = (str(self._endpoints["zaber"]),)
+            if self._told is None:
+                self._told = self._lab.devices()
+            self._stage_ports = stage_ports(self._told.stages)
             with self._lock:
-                pipe.send(self._endpoints)
+                pipe.send(self._told)
             while True:
                 self._hear(pipe.recv())
         except LabError as error:
@@ -296,6 +335,7 @@ class Supervisor:
             self._state = State.FAULT
             self._cause = "; ".join(part for part in (cause or said, stopped, "reset to start it anew") if part)
             self._motion_start = None
+        self._end_recording(State.FAULT, self._cause, interrupted=True)
         self._lab.pull(NoLoad(), 0.0)
 
     def _hear(self, message: Reply | Notice | DeviceReport) -> None:
@@ -308,14 +348,37 @@ class Supervisor:
             if isinstance(message, DeviceReport):
                 self._devices = message.devices
                 return
+            changed = self._state is not message.state
             self._state, self._cause = message.state, message.cause
             before, self._motion_start, load = self._motion_start, message.motion_start, self._load
+        if changed and self.recording is not None:
+            text = f"{message.state.name}{message.cause and ': '}{message.cause}"
+            bad = message.state in (State.HOLD, State.FAULT)
+            self.recording.say(self._time(), "state", text, bad=bad)
+        if message.run == self._recorded and message.state is not State.RUNNING:
+            self._end_recording(message.state, message.cause)
         if message.motion_start != before:
             # The load is on during the motion only.
             if message.motion_start is None:
                 self._lab.pull(NoLoad(), 0.0)
             else:
                 self._lab.pull(load, message.motion_start)
+                if self._faults:
+                    self._lab.inject(self._faults, message.motion_start)
+
+    def _end_recording(self, state: State, cause: str, *, interrupted: bool = False) -> None:
+        if self.recording is None or not self._recorded:
+            return
+        self._recorded = 0
+        if interrupted:
+            self.recording.interrupted(cause)
+        else:
+            self.recording.end(state, cause)
+
+    def _time(self) -> float:
+        """Of the newest telemetry [s]."""
+        row = self.ring.latest()
+        return 0.0 if row is None else float(row[0])
 
     def _watch_time(self) -> None:
         """Show the control process that this one lives; end it when it hangs."""
@@ -327,3 +390,12 @@ class Supervisor:
                 with self._lock:
                     self._state, self._cause = State.FAULT, f"the control loop has not ticked for {HUNG:g} s"
                 self._process.kill()
+            if self._recorded and self.recording is not None and (problem := self.recording.problem()):
+                self._recorded = 0
+                self._give_up_run(problem)
+
+    def _give_up_run(self, problem: str) -> None:
+        """A run that is not recorded is worth nothing: end it safely."""
+        # Nobody waits for the answer: this thread has to keep time.
+        with contextlib.suppress(OSError), self._lock:
+            self._pipe.send(Command(next(self._numbers), Event.HOLD, cause=f"the recording has ended: {problem}"))

@@ -115,6 +115,8 @@ def _serving(port: int, data: str, *arguments: str) -> Iterator[Served]:
         if "is at http" in line:
             break
     else:
+        process.wait()
+        process.stdout.close()
         raise AssertionError(f"the station did not start: {''.join(said)}")
     served = Served(process, port)
     deadline = time.monotonic() + 10.0

@@ -15,6 +15,7 @@ from starlette.exceptions import HTTPException
 from core.errors import CtrError
 from station.audit import Audit
 from station.desk import Desk
+from station.recording.history import History
 from station.states import RefusedError
 from web.access import Access
 from web.api import api_routes
@@ -22,6 +23,7 @@ from web.audited import Audited
 from web.bench_api import bench_routes
 from web.commands import commands, operator_routes
 from web.lease import Lease
+from web.runs_api import runs_routes
 from web.scene_api import scene_routes
 from web.tokens import Tokens
 from web.view import View
@@ -32,12 +34,13 @@ STATIC = Path(__file__).parent / "static"
 POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
 
 
-def build_app(desk: Desk, view: View, audit: Audit, host: str, port: int, tokens: Tokens | None) -> Audited:
+def build_app(desk: Desk, view: View, runs: Path, audit: Audit, host: str, port: int, tokens: Tokens | None) -> Audited:
     """The station's web application.
 
     Args:
         desk: what requests may do.
         view: the scene behind the page.
+        runs: folder with the recordings.
         audit: where commands and refusals are written down.
         host, port: where the application will be reached.
         tokens: demanded from everybody; None on loopback.
@@ -64,6 +67,7 @@ def build_app(desk: Desk, view: View, audit: Audit, host: str, port: int, tokens
     app.include_router(operator_routes(of))
     app.include_router(bench_routes(desk, of, audit))
     app.include_router(scene_routes(view, desk, of))
+    app.include_router(runs_routes(History(runs), of))
     app.include_router(routes)
 
     @app.get("/", include_in_schema=False)

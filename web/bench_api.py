@@ -75,9 +75,7 @@ class HomeIn(Strict):
 class JogIn(Strict):
     """A movement by hand, for the next 0.3 s; ask again to go on."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"space": "tip", "velocity": [0.0, 0.0, 0.002]}]}
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [{"space": "tip", "velocity": [0.0, 0.0, 0.002]}]})
 
     space: Literal["joints", "tip"]
     velocity: Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=20)]
@@ -185,7 +183,7 @@ def bench_routes(desk: Desk, of: Commands, audit: Audit) -> APIRouter:
         await aside(supervisor.inject, request.faults)
         return done()
 
-    @router.delete("/faults", responses=REFUSED, dependencies=operator, summary="Mend all injected faults (virtual lab)")
+    @router.delete("/faults", responses=REFUSED, dependencies=operator, summary="Mend injected faults (virtual lab)")
     async def mend() -> DoneOut:
         await aside(supervisor.inject, ())
         return done()

@@ -65,7 +65,7 @@ def _rows(robot: Robot) -> str:
         (_bar(palette.DESIRED, 2), "reference path"),
         *((_bar(palette.tube(number), 5), f"tube '{tube.name}'") for number, tube in enumerate(robot.tubes)),
         (_bar(palette.SLATE, 2), "shape without load (on demand)"),
-        (_disc(palette.ESTIMATED, 14, 0.3), f"uncertainty, {SIGMAS:g}σ × {LARGER:g} (on demand)"),
+        (_disc(palette.ESTIMATED, 14, 0.3), f"uncertainty, {SIGMAS:g} sigma, {LARGER:g} times"),
     ]
     return "".join(
         f'<div style="display:flex;align-items:center;height:19px"><span style="width:26px;display:flex;'

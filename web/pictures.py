@@ -74,9 +74,7 @@ def _load(case: Case) -> str:
     forces = np.array([np.linalg.norm(case.file.load.force(float(time))) for time in times])
     x = SIZE + MARGIN + (SIZE - 2 * MARGIN) * times / case.file.duration
     y = SIZE - MARGIN - (SIZE - 2 * MARGIN) * np.minimum(forces / MOST_FORCE, 1.0)
-    ground = (
-        f'<path d="M{SIZE + MARGIN} {SIZE - MARGIN}H{2 * SIZE - MARGIN}" stroke="#8a97a4" stroke-width=".6"/>'
-    )
+    ground = f'<path d="M{SIZE + MARGIN} {SIZE - MARGIN}H{2 * SIZE - MARGIN}" stroke="#8a97a4" stroke-width=".6"/>'
     return ground + _polyline(np.stack((x, y), axis=1), palette.css(palette.FORCE), 2.0)
 
 

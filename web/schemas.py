@@ -15,7 +15,6 @@ from web.who import LONGEST_NAME
 TipMotionIn = Annotated[TipMotion, Field(discriminator="kind")]
 
 
-
 class ErrorOut(Strict):
     """Why a request was refused."""
 

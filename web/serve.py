@@ -47,7 +47,7 @@ def serve(config: Path | None, host: str, port: int, data: Path, *, browser: boo
     with contextlib.closing(_listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
         port = listening.getsockname()[1]
         out.print(f"ctr-station: {bench.lab.title}")
-        supervisor = Supervisor(bench)
+        supervisor = Supervisor(bench, data)
         try:
             supervisor.wait_ready(START_TIME)
             desk = Desk(supervisor)
@@ -56,7 +56,7 @@ def serve(config: Path | None, host: str, port: int, data: Path, *, browser: boo
                 scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
             view = View(scene, desk)
             try:
-                app = build_app(desk, view, audit, host, port, tokens)
+                app = build_app(desk, view, data, audit, host, port, tokens)
                 settings = uvicorn.Config(
                     app, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
                     timeout_graceful_shutdown=1, lifespan="on",

@@ -9,12 +9,13 @@ import viser
 
 from core.robot import Array
 from station.desk import Desk
+from station.lab.loads import GRAVITY, ConstantLoad, NoLoad
 from station.supervisor import STALE, Status
-from web.gizmos import TARGET, Gizmo, boxes
+from web.gizmos import FORCE, TARGET, Gizmo, boxes, pull
 from web.history import History
 from web.legend import add_legend
 from web.overlays import Overlays, Shown
-from web.scene import UNIT, Scene
+from web.scene import ARROW, UNIT, Scene
 from web.scene_messages import Handles
 from web.target import Way, way_to
 from web.viser_proxy import SceneDoor
@@ -40,9 +41,11 @@ class View:
         self._scene = Scene(server, desk.supervisor)
         self._overlays = Overlays(server.scene, desk.supervisor.statics, self._limits, UNIT)
         self._target = Gizmo(server.scene, TARGET, UNIT, 0.35)
+        self._hand = Gizmo(server.scene, FORCE, UNIT, 0.25)
+        self._pulls = False
         self._verdict = server.scene.add_label("/handle/verdict", "", anchor="bottom-center", visible=False)
         buttons = add_legend(server, desk.supervisor.robot)
-        self.door = SceneDoor(server.get_port(), Handles(buttons, {TARGET: boxes(UNIT)[TARGET]}))
+        self.door = SceneDoor(server.get_port(), Handles(buttons, boxes(UNIT)))
         self._shown = Shown()
         self._way: Way | None = None
         self._end = threading.Event()
@@ -107,6 +110,7 @@ class View:
             if slow:
                 self._scene.update_trace(self._history)
                 self._show_target()
+                self._pull_by_hand(status)
 
     def _overlay(self, status: Status) -> None:
         values = status.values
@@ -125,6 +129,31 @@ class View:
         self._verdict.position = UNIT * (self._target.place - np.array((0.012, 0.0, 0.0)))
         reachable = f"\N{CHECK MARK} reachable in {self._way.duration:.0f} s"
         self._verdict.text = reachable if self._way.motion else "\N{CROSS MARK} out of reach"
+
+    def _pull_by_hand(self, status: Status) -> None:
+        """The force's handle: dragged it pulls at the simulated tip, else it stays at the arrow's end."""
+        shown = self._shown.force and bool(status.values)
+        self._hand.show(shown)
+        if not shown:
+            if self._pulls:
+                self._pulls = False
+                self._desk.pull(NoLoad())
+            return
+        tip = status.values["tip_observed"]
+        taken = self._hand.taken()
+        if taken is not None:
+            force = pull(taken, tip, ARROW)
+            size = float(np.linalg.norm(force))
+            self._pulls = True
+            self._desk.pull(ConstantLoad(magnitude=size, direction=_direction(force, size)))
+        else:
+            self._hand.put(tip + ARROW * self._history.mean("force"))
+
+
+def _direction(force: Array, size: float) -> tuple[float, float, float]:
+    """Of a force (3,) [N]; down when it has none."""
+    x, y, z = (force / size).tolist() if size > 1e-6 else GRAVITY
+    return x, y, z
 
 
 def _no_share(verbose: bool = True) -> str | None:  # noqa: ARG001 - viser's signature

@@ -3,8 +3,10 @@
 The zero angle of a tube is the direction in which it is curved when its stage reads zero, so it is
 written as the direction of the precurvature: (kappa cos d, kappa sin d). The zero of the outermost tube that turns
 stays as it is, by convention: it says where x of the robot's frame points, and with it what the rotation of the
-tracker's frame about z is counted from. A zero error of a translation shifts the curved part like the
-straight length does, to which it is added.
+tracker's frame about z is counted from. In the same way the straight length of the outermost tube stays as it
+is: were all tubes straight for a millimetre more, everything would stand a millimetre further along z, as if
+the tracker had moved. A zero error of a translation shifts the curved part like the straight length does, to which
+it is added.
 """
 
 import math
@@ -52,7 +54,8 @@ class Quantity:
 def quantities(robot: Robot) -> tuple[Quantity, ...]:
     """What can be wrong about a robot's tubes: EI, curvature, nu, straight length, zero angle."""
     turned = [joint.tube for joint in robot.joints if joint.motion == "rotation"]
-    reference = max(turned, default=len(robot.tubes) - 1)
+    last = len(robot.tubes) - 1
+    reference = max(turned, default=last)
     found: list[Quantity] = []
     for i, tube in enumerate(robot.tubes):
         curved = any(math.hypot(*section.curvature) > 0.0 for section in tube.sections)
@@ -61,7 +64,7 @@ def quantities(robot: Robot) -> tuple[Quantity, ...]:
             found.append(Quantity(i, "curvature"))
         if tube.torsional_stiffness is None:
             found.append(Quantity(i, "poisson_ratio"))
-        if curved and math.hypot(*tube.sections[0].curvature) == 0.0:
+        if curved and i != last and math.hypot(*tube.sections[0].curvature) == 0.0:
             found.append(Quantity(i, "straight_length"))
         if curved and i != reference:
             found.append(Quantity(i, "zero_angle"))

@@ -236,10 +236,11 @@ class Stream:
         if not self._begun or not step:
             return None
         rdt, ft, count = self._rdt + 1 & WRAP - 1, self._ft + step & WRAP - 1, self._count + step
-        if count > self._clock.latest(now) + AHEAD or not is_next(datagram, rdt, ft, limits, rows, row):
+        if not is_next(datagram, rdt, ft, limits, rows, row) or count > self._clock.latest(now) + AHEAD:
             return None
         self._rdt, self._ft, self._count = rdt, ft, count
-        self._astray, self._in_line = None, 0
+        if self._in_line:
+            self._astray, self._in_line = None, 0
         self._accepted += 1
         return self._clock.observe(count, now)
 

@@ -110,7 +110,7 @@ class Chain:
     def command(self, axis: int, speed: int) -> None:
         """A speed for an axis [speed units]; the latest wins, when its turn comes."""
         top = self.axes[axis].top
-        self._wanted[axis] = min(max(speed, -top), top)
+        self._wanted[axis] = speed if -top <= speed <= top else int(math.copysign(top, speed))
 
     def stop(self) -> None:
         """Stop every axis before anything else is sent, and see that they do."""

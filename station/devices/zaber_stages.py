@@ -61,9 +61,8 @@ class ZaberStages:
             self._held_back = False  # `command` follows, with newer velocities
         else:
             self._send(now)
-        where = self._units.where
-        positions = [s.position(chain.estimates[axis].position) for s, (chain, axis) in zip(self.setups, where)]  # noqa: B905
-        sent = [chain.sent[axis] for chain, axis in where]
+        positions = [zero + step * estimate.position for zero, step, estimate in self._counted]
+        sent = [chain.sent[axis] for chain, axis in self._units.where]
         if sent != self._sent[0]:
             self._sent = sent, np.array(self._scale) * sent
             self._sent[1].flags.writeable = False
@@ -98,10 +97,7 @@ class ZaberStages:
         """Connected, homed, and every position is known."""
         if self.condition is not Condition.CONNECTED or not all(self._units.homed):
             return False
-        for chain, axis in self._units.where:
-            if not chain.estimates[axis].known:
-                return False
-        return True
+        return all([estimate.known for _, _, estimate in self._counted])
 
     @property
     def ports(self) -> tuple[Port, ...]:
@@ -206,6 +202,7 @@ class ZaberStages:
             self._units.chains.append(chain)
             where |= {i: (chain, k) for k, i in enumerate(port.stages)}
         self._units.where = [where[i] for i in range(len(self.setups))]
+        self._counted = [(s.position(0), s.step, self._units.estimate(i)) for i, s in enumerate(self.setups)]
 
     def _begin(self, script: Script) -> None:
         self._end_script()

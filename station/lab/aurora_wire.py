@@ -5,7 +5,6 @@ from station.devices.links import Link, LinkError
 from station.devices.memory_pipe import Cable
 from station.lab.simulated_aurora import SimulatedAurora
 
-
 BUFFER = 4096  #: of a port, each way; what it does not hold is lost [bytes]
 
 

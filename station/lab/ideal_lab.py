@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from core.robot import Array
-from station.devices.interfaces import Condition, Devices, JointReading, TipReading, Trouble, Truth, WrenchReading
 from station.config import ConfigError
+from station.devices.interfaces import Condition, Devices, JointReading, TipReading, Trouble, Truth, WrenchReading
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.loads import Load, NoLoad

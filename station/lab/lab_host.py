@@ -3,11 +3,14 @@
 import contextlib
 import multiprocessing
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from core.errors import CtrError
+from station.devices.config import BenchFile
+from station.lab.faults import LabFault
 from station.lab.lab_process import Inject, LabBench, Opened, Pull, run_lab
+from station.lab.live_bench import lab_bench
 from station.lab.loads import Load
 
 
@@ -20,6 +23,7 @@ class LabHost:
 
     def __init__(self, bench: LabBench, ring_name: str, width: int) -> None:
         context = multiprocessing.get_context("spawn")
+        self._config = bench.config
         self._pipe, child = context.Pipe()
         # Not a daemon: it has to outlive this process by a few seconds.
         self._process = context.Process(target=run_lab, args=(bench, ring_name, width, child, os.getpid()), name="lab")
@@ -36,8 +40,8 @@ class LabHost:
         """Of its process."""
         return self._process.pid or 0
 
-    def endpoints(self) -> Mapping[str, Any]:
-        """Where its devices are, once they are there; waits.
+    def devices(self) -> BenchFile:
+        """What the control process has to open, once it is there; waits.
 
         Raises:
             LabError: it did not come up.
@@ -48,14 +52,14 @@ class LabHost:
             raise LabError("the virtual lab ended before its devices were there") from None
         if opened.problem:
             raise LabError(f"the virtual lab did not come up: {opened.problem}")
-        return opened.endpoints
+        return lab_bench(opened.endpoints, self._config)
 
     def pull(self, load: Load, start: float) -> None:
         """Put a load on the tip whose time is 0 at `start` by `time.monotonic` [s]; a lab that is gone has no tip."""
         with contextlib.suppress(OSError):
             self._pipe.send(Pull(load, start))
 
-    def inject(self, faults: Sequence[Any], start: float) -> None:
+    def inject(self, faults: Sequence[LabFault], start: float) -> None:
         """Let these faults happen, instead of those that are on or to come; their time is 0 at `start` [s]."""
         with contextlib.suppress(OSError):
             self._pipe.send(Inject(tuple(faults), start))

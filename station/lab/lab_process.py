@@ -19,8 +19,7 @@ from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.loads import Load
 from station.lab.open_lab import OpenLab
-from station.realtime import ask_for_fifo
-from station.realtime import show_as
+from station.realtime import ask_for_fifo, show_as
 from station.ring import Ring
 from station.robots import RobotFile
 

@@ -7,11 +7,8 @@ from urllib.parse import urlsplit
 
 from station.config import check
 from station.devices.config import BenchFile
-from station.devices.interfaces import Devices
-from station.devices.open_devices import open_devices
 from station.lab.config import LabConfig
 from station.lab.simulated_aurora_coil import MOUNT
-from station.robots import RobotFile
 
 
 def lab_bench(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
@@ -29,15 +26,6 @@ def lab_bench(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
         "sensors": {"driver": "netft", "tubes": {box["tube"]: _box(box) for box in endpoints["netft"]}},
     }
     return check(BenchFile, tables, "virtual lab")
-
-
-def live_devices(endpoints: Mapping[str, Any], robot: RobotFile, config: LabConfig) -> Devices:
-    """Open every endpoint that the lab has told; nothing is connected yet.
-
-    Raises:
-        OpenError: one of them is not there.
-    """
-    return open_devices(lab_bench(endpoints, config), robot)
 
 
 def _box(endpoint: Mapping[str, str]) -> dict[str, Any]:

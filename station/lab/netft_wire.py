@@ -18,6 +18,8 @@ Address = tuple[str, int]
 _REQUEST_LINE = re.compile(rb"([A-Z]+) ([!->@-~]+)(?:\?[!-~]*)? HTTP/1\.[01]")
 #: A request longer than this, or one of more visitors at once than this, is cut off; so is a slow one.
 LONGEST_REQUEST, MOST_VISITORS, PATIENCE = 8192, 16, 2000
+#: Datagrams that wait to be received; the oldest get lost.
+MOST_WAITING = 4096
 
 
 class AddressTaken(CtrError):
@@ -44,13 +46,13 @@ class MemoryEnd:
     """A network in memory: the box at one end, any number of hosts at the other."""
 
     def __init__(self) -> None:
-        self._requests: deque[tuple[bytes, Address]] = deque()
+        self._requests: deque[tuple[bytes, Address]] = deque(maxlen=MOST_WAITING)
         self._hosts: dict[Address, deque[bytes]] = {}
 
     def link(self, name: str) -> "MemoryDatagrams":
         """Another host on the network."""
         address = (name, 50000 + len(self._hosts))
-        self._hosts[address] = deque()
+        self._hosts[address] = deque(maxlen=MOST_WAITING)
         return MemoryDatagrams(name, address, self._hosts[address], self._requests)
 
     def receive(self) -> list[tuple[bytes, Address]]:

@@ -7,6 +7,7 @@ end of range; and what can go wrong on the way. Only the latest that asked for a
 import math
 import struct
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,6 +100,7 @@ class SimulatedNetft:
         self._now = 0.0
         self._divisor = own.divisor
         self._period = own.divisor / (RATE * (1.0 + self.settings.clock_error))
+        self._slack = 1e-6 * self._period
         self._first_count = self.settings.first_count
         self._next = 0  # record of the box's own grid
         self._on_the_way: deque[tuple[float, bytes, Address]] = deque(maxlen=MOST_ON_THE_WAY)
@@ -111,18 +113,17 @@ class SimulatedNetft:
         for datagram, sender in self._end.receive():
             if not self.faults.mute:
                 self._hear(datagram, sender)
-        last = math.floor(now / self._period + 1e-6)
         if self._client is None:
-            self._next = max(self._next, last + 1)
-        while self._next <= last and self._client is not None:
-            time = self._next * self._period
+            self._next = max(self._next, math.floor(now / self._period + 1e-6) + 1)
+        while self._client is not None and (time := self._next * self._period) <= now + self._slack:
             if time >= self._begins:
                 part = (time - begin) / (now - begin) if begin < time < now else float(time >= now)
                 self._measure(time, before, wrench, part)
             self._next += 1
         self._now, self._true = now, wrench
-        while self._on_the_way and self._on_the_way[0][0] <= now + 1e-9:
-            _, datagram, to = self._on_the_way.popleft()
+        way = self._on_the_way
+        while way and way[0][0] <= now + 1e-9:
+            _, datagram, to = way.popleft()
             if not self.faults.mute:
                 self._end.send(datagram, to)
 
@@ -136,10 +137,10 @@ class SimulatedNetft:
         """`netftapi2.xml`; None if the box is mute."""
         if self.faults.mute:
             return None
-        own, (counts, saturated) = self.settings, self._read(self._now, self._true, self._true, 1.0)
+        own, (counts, status) = self.settings, self._read(self._now, self._true, self._true, 1.0)
         ranges = [own.force_range] * 3 + [own.torque_range] * 3
         elements = {
-            "runstat": f"0x{self._status(saturated):08X}",
+            "runstat": f"0x{status:08X}",
             "runft": _array(counts),
             "runsg": _array([0] * 6),
             "prodname": own.product,
@@ -168,8 +169,8 @@ class SimulatedNetft:
         self._left = 0  # records to send; 0: until stopped
         self._sequence = 0
         self._batch = 1
-        self._buffered: list[bytes] = []
-        self._latest: tuple[int, int, list[int]] | None = None  # count, status, counts
+        self._buffered = b""
+        self._latest: tuple[int, ...] | None = None  # counter, status, six counts
 
     def _hear(self, datagram: bytes, sender: Address) -> None:
         """One request; whatever is not one is ignored, as the box does."""
@@ -188,49 +189,41 @@ class SimulatedNetft:
         if command in (Command.STREAM, Command.STREAM_BUFFERED):
             self._on_the_way.clear()  # the box has heard the request before it would have sent these
             self._client, self._begins, self._left = sender, self._now + self.settings.first, samples
-            self._sequence, self._buffered = 0, []
+            self._sequence, self._buffered = 0, b""
             self._batch = self.settings.buffer if command == Command.STREAM_BUFFERED else 1
         elif command == Command.STOP:
             self._on_the_way.clear()
-            self._client, self._buffered = None, []
+            self._client, self._buffered = None, b""
         elif command == Command.BIAS:
             counts, _ = self._read(self._now, self._true, self._true, 1.0)
             self._axes[5] += np.array(counts) / self._axes[6]
         elif command == Command.RESET_LATCH:
             self.faults.status &= ~(1 << 16)
 
-    def _read(self, time: float, before: Array, after: Array, part: float) -> tuple[list[int], bool]:
-        """What the box makes of the wrench between two (6,): counts, and whether the transducer is at its end."""
+    def _read(self, time: float, before: Array, after: Array, part: float) -> tuple[tuple[int, ...], int]:
+        """What the box makes of the wrench between two (6,): counts, and its status."""
         if self._drawn == BLOCK:
             self._noise, self._drawn = self._rng.standard_normal((BLOCK, 6)), 0
-        *counts, saturated = _sense(
-            self._axes, self._noise, self._drawn, time, before, after, part, self.faults.saturate
-        )
+        sensed = _sense(self._axes, self._noise, self._drawn, time, before, after, part, self.faults.saturate)
         self._drawn += 1
-        return counts, bool(saturated)
-
-    def _status(self, saturated: bool) -> int:
-        status = self.faults.status | (SATURATED if saturated else 0)
-        return status | ERROR_SUMMARY if status else 0
+        status = self.faults.status | (SATURATED if sensed[6] else 0)
+        return sensed[:6], status | ERROR_SUMMARY if status else 0
 
     def _measure(self, time: float, before: Array, after: Array, part: float) -> None:
         """One record of the stream."""
         if not self.faults.freeze or self._latest is None:
-            counts, saturated = self._read(time, before, after, part)
-            count = self._first_count + self._next * self._divisor
-            self._latest = (count % WRAP, self._status(saturated), counts)
-        count, status, counts = self._latest
+            counts, status = self._read(time, before, after, part)
+            self._latest = ((self._first_count + self._next * self._divisor) % WRAP, status, *counts)
         self._sequence = (self._sequence + 1) % WRAP
-        record = RECORD.pack(self._sequence, count, status, *counts)
-        if self._batch > 1:
-            self._buffered.append(record)
+        self._buffered += RECORD.pack(self._sequence, *self._latest)
         last = self._left == 1
-        if self._batch == 1 or last or len(self._buffered) >= self._batch:
-            self._send(time, b"".join(self._buffered) if self._batch > 1 else record)
-            self._buffered = []
+        if last or len(self._buffered) >= self._batch * RECORD.size:
+            self._send(time, self._buffered)
+            self._buffered = b""
         if last:
             self._client = None
-        self._left -= self._left > 0
+        if self._left:
+            self._left -= 1
 
     def _send(self, time: float, datagram: bytes) -> None:
         """Let a datagram go its way, with what can happen to it there."""
@@ -271,5 +264,5 @@ def _sense(
     return counts[0], counts[1], counts[2], counts[3], counts[4], counts[5], saturated
 
 
-def _array(values: list[int] | list[str]) -> str:
+def _array(values: Iterable[int | str]) -> str:
     return ";".join(str(value) for value in values)

@@ -1,6 +1,7 @@
 """The runs that are kept: found by name, listed, annotated, thrown away."""
 
 import json
+import math
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -182,9 +183,15 @@ def _look(folder: Path) -> Run:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file; empty when a person has spoilt or removed it."""
+    """A JSON object from a file; empty when a person has spoilt or removed it. NaN and infinity become null."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        found = json.loads(text, parse_constant=lambda _: None, parse_float=_finite)
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def _finite(text: str) -> float | None:
+    number = float(text)
+    return number if math.isfinite(number) else None

@@ -66,8 +66,9 @@ class CaseReader:
             written = {record.name: record.metadata for record in self._reader.iter_metadata()}
             self.channels = channels_of(written[CHANNELS])
             self.metadata: Mapping[str, Any] = values_of(written[RUN])
-            result = values_of(written[RESULT])
-            self.label, self.cause = Label(result["label"]), str(result["cause"])
+            #: How it ended: label, cause, wall time; of a live one also rows missed and what the recorder took.
+            self.result: Mapping[str, Any] = values_of(written[RESULT])
+            self.label, self.cause = Label(self.result["label"]), str(self.result["cause"])
             #: Rows in the file.
             self.ticks = summary.statistics.channel_message_counts.get(self._topics[TOPIC], 0)
 

@@ -215,6 +215,7 @@ class _Recording:
         self.writer = writer
         self._folder, self._ring, self._begin = folder, ring, begin
         self._next = begin.since
+        self._cpu = time.process_time()
         self._missed = 0
         self._last = 0.0
 
@@ -233,7 +234,7 @@ class _Recording:
         """Finish as asked."""
         try:
             self.copy()
-            self.writer.close(end.label, end.cause, missed=self._missed)
+            self.writer.close(end.label, end.cause, missed=self._missed, cpu_s=time.process_time() - self._cpu)
             self._folder.finish(self._summary(end.label, end.cause, end.summary))
         except RecordingError as error:
             self.give_up(str(error))

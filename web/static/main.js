@@ -5,6 +5,7 @@ import "./run.js";
 import "./jog.js";
 import "./devices.js";
 import "./plots.js";
+import "./runs.js";
 import "./faults.js";
 import { start } from "./station.js";
 import { open } from "./tabs.js";

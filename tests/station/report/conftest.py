@@ -66,7 +66,7 @@ def preset_run(run_of: Callable[..., Path]) -> Callable[..., Path]:
         head = re.sub(r"^duration = .*", f"duration = {duration}", head, flags=re.MULTILINE)
         head = re.sub(r"^settling = .*", f"settling = {settling}", head, flags=re.MULTILINE)
         left = [table for table in tables if re.split(r"[].]", table.removeprefix("[cases."))[0] not in dropped]
-        return run_of(name, re.sub(r"^duration = 30.0\n", "", head + "".join(left), flags=re.MULTILINE))
+        return run_of(name, head + "".join(left))
 
     return run
 

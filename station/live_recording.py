@@ -1,0 +1,73 @@
+"""The recording of live runs: begun with a run, ended with it, off the threads that must not wait."""
+
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from station.recording.events import ERROR, INFO, Event
+from station.recording.label import Label, RecordingError
+from station.recording.recorder import Recorder
+from station.recording.recover import recover
+from station.recording.space import free_space_problem
+from station.ring import Ring
+from station.robots import RobotFile
+from station.states import State
+
+
+class LiveRecording:
+    """One recorder; any thread may ask. What was left behind by a station that was killed is recovered first."""
+
+    def __init__(self, ring: Ring, robot: RobotFile, runs: Path) -> None:
+        self.runs = runs
+        self.recovered = recover(runs)  #: folders of runs that were left behind
+        self._recorder = Recorder(ring, robot, runs)
+        # One thread: the recorder answers one question at a time.
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
+        self._looking: Future[None] | None = None
+        self._problem = ""
+
+    def begin(self, name: str, duration: float, metadata: Mapping[str, Any]) -> None:
+        """Record from now on, for about `duration` [s].
+
+        Raises:
+            RecordingError: there is no room, or the recorder cannot.
+        """
+        problem = free_space_problem(self.runs, duration)
+        if problem:
+            raise RecordingError(problem)
+        self._problem = ""
+        self._thread.submit(self._recorder.begin, name, metadata).result()
+
+    def say(self, time: float, kind: str, text: str, *, bad: bool = False) -> None:
+        """Note what happens at `time` of the telemetry [s]."""
+        self._thread.submit(self._recorder.event, Event(time, kind, text, ERROR if bad else INFO))
+
+    def end(self, state: State, cause: str) -> None:
+        """The run has ended, in this state; does not wait."""
+        label = Label.COMPLETE if state is State.READY else Label.STOPPED
+        self._thread.submit(self._end, label, cause)
+
+    def interrupted(self, cause: str) -> None:
+        """The process that ran it has died; does not wait."""
+        self._thread.submit(self._end, Label.INTERRUPTED, cause)
+
+    def problem(self) -> str:
+        """Why the recording that was on has ended by itself; empty while all is well. Does not wait."""
+        if self._looking is None or self._looking.done():
+            self._looking = self._thread.submit(self._look)
+        return self._problem
+
+    def close(self) -> None:
+        """Finish what is on, as interrupted."""
+        self._thread.submit(self._recorder.close).result()
+        self._thread.shutdown()
+
+    def _look(self) -> None:
+        self._problem = self._problem or self._recorder.trouble()
+
+    def _end(self, label: Label, cause: str) -> None:
+        try:
+            self._recorder.end(label, cause)
+        except RecordingError as error:
+            self._problem = self._problem or str(error)

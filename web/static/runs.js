@@ -1,0 +1,123 @@
+// Runs: what was recorded, with notes, replay, report, download, and two of them side by side.
+import { $, ask, confirm, make, mayCommand, note, onStatus, press, Refused } from "./station.js";
+import { isOpen, onTab } from "./tabs.js";
+
+const SHAPES = { complete: "●", stopped: "■", interrupted: "▲", incomplete: "◆" };
+const search = make("input", { type: "text", placeholder: "name, cause or notes", "aria-label": "search" });
+const label = make("select", { "aria-label": "how it ended" }, make("option", { value: "" }, "all"),
+  ...Object.keys(SHAPES).map((one) => make("option", { value: one }, one)));
+const compare = make("button", { type: "button", disabled: true }, "Compare two");
+const list = make("div", { className: "cards" }), place = make("div");
+const chosen = new Set();
+$("runs").append(place);
+
+const when = (seconds) => new Date(1000 * seconds).toLocaleString();
+const size = (bytes) => (bytes > 1e6 ? `${(bytes / 1e6).toFixed(1)} MB` : `${Math.ceil(bytes / 1e3)} kB`);
+const address = (run, what) => `/api/runs/${encodeURIComponent(run)}/${what}`;
+
+let shown = "";
+async function refresh() {
+  if (!isOpen("runs") || !place.contains(list)) return;
+  try {
+    const found = await ask("GET", `/api/runs?limit=200&label=${label.value}&text=${encodeURIComponent(search.value)}`, undefined, 3000);
+    if (JSON.stringify(found) === shown) return;
+    shown = JSON.stringify(found);
+    list.replaceChildren(...found.map(row));
+    if (found.length === 0) list.append(make("p", { className: "dim" }, search.value || label.value ? "none is like that" : "No run has been recorded yet."));
+  } catch (error) {
+    if (error instanceof Refused) note(error.message);
+  }
+}
+
+function row(run) {
+  const box = make("input", { type: "checkbox", checked: chosen.has(run.id), "aria-label": `choose ${run.id} to compare` });
+  box.addEventListener("change", () => {
+    if (box.checked) chosen.add(run.id); else chosen.delete(run.id);
+    compare.disabled = chosen.size !== 2;
+  });
+  const open = make("button", { type: "button", className: "card" }, make("div", {},
+    make("b", {}, run.title || run.experiment || run.id),
+    make("span", {}, `${SHAPES[run.label] ?? "○"} ${run.label} · ${when(run.started)} · ${size(run.size)}`),
+    run.notes === "" ? null : make("span", {}, `“${run.notes.split("\n")[0]}”`)));
+  open.addEventListener("click", () => details(run.id));
+  return make("div", { style: "display:flex;gap:8px;align-items:center" }, box, open);
+}
+
+function overview() {
+  shown = "";
+  place.replaceChildren(make("div", { className: "acts", style: "margin:0 0 10px" }, search, label, compare), list);
+  refresh();
+}
+
+const back = () => {
+  const button = make("button", { type: "button" }, "‹ all runs");
+  button.addEventListener("click", overview);
+  return button;
+};
+
+/** Numbers and texts of a nested summary, by their path. */
+function flat(value, path = "") {
+  if (value === null || typeof value !== "object") return [[path, value]];
+  return Object.entries(value).flatMap(([key, one]) => flat(one, path === "" ? key : `${path} · ${key}`));
+}
+const readable = (value) => (typeof value === "number" ? String(Number(value.toPrecision(5))) : String(value ?? "–"));
+
+async function details(id) {
+  let run;
+  try {
+    run = await ask("GET", `/api/runs/${encodeURIComponent(id)}`);
+  } catch (error) {
+    note(error.message);
+    return;
+  }
+  const notes = make("textarea", { rows: 3, value: run.notes, "aria-label": "notes", style: "width:100%" });
+  const save = make("button", { type: "button" }, "Save notes"), remove = make("button", { type: "button" }, "Delete…");
+  save.addEventListener("click", async () => { if (await press("PUT", address(id, "notes"), { notes: notes.value })) note("notes are saved", true); });
+  remove.addEventListener("click", async () => {
+    if (!await confirm("Delete this run for good?", "Delete", make("p", {}, id), make("p", {}, `Recording, report and notes, ${size(run.size)}, are removed from the disk.`))) return;
+    if (await press("DELETE", `/api/runs/${encodeURIComponent(id)}?confirm=${encodeURIComponent(id)}`)) { chosen.delete(id); overview(); }
+  });
+  onStatus(() => { remove.disabled = !mayCommand(); });
+  const replay = make("button", { type: "button", className: "main" }, "Replay"), report = make("button", { type: "button" }, "Report");
+  replay.addEventListener("click", () => page(id, "replay"));
+  report.addEventListener("click", () => page(id, "report"));
+  const cases = run.cases.map((one) => make("a", { href: `${address(id, "recording")}?case=${encodeURIComponent(one)}`, download: "" }, `${one}.mcap`));
+  place.replaceChildren(
+    make("div", { className: "acts", style: "margin:0 0 10px" }, back(), make("b", {}, run.title || id)),
+    make("p", {}, `${SHAPES[run.label] ?? "○"} ${run.label}${run.cause === "" ? "" : `: ${run.cause}`}`),
+    make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · ${id}`),
+    make("div", { className: "acts" }, replay, report, ...cases), make("h3", {}, "Notes"), notes, make("div", { className: "acts" }, save, remove),
+    make("h3", {}, "Summary"), make("table", {}, ...flat(run.summary).map(([key, value]) => make("tr", {}, make("td", {}, key), make("td", { className: "number" }, readable(value))))),
+  );
+}
+
+compare.addEventListener("click", async () => {
+  const runs = await Promise.all([...chosen].map((id) => ask("GET", `/api/runs/${encodeURIComponent(id)}`))).catch((error) => { note(error.message); return null; });
+  if (runs === null) return;
+  const [a, b] = runs.map((run) => new Map(flat({ label: run.label, started: when(run.started), ...run.summary })));
+  const rows = [...new Set([...a.keys(), ...b.keys()])].map((key) => {
+    const [x, y] = [a.get(key), b.get(key)], apart = typeof x === "number" && typeof y === "number" ? readable(y - x) : x === y ? "" : "≠";
+    return make("tr", {}, make("td", {}, key), ...[readable(x), readable(y), apart].map((text) => make("td", { className: "number" }, text)));
+  });
+  place.replaceChildren(make("div", { className: "acts", style: "margin:0 0 10px" }, back()),
+    make("table", { id: "comparison" }, make("tr", {}, ...["", ...runs.map((run) => run.id), "difference"].map((text) => make("th", {}, text))), ...rows));
+});
+
+// ---- pages of a run, over the live scene; the header with STOP stays
+
+function page(id, what) {
+  const close = make("button", { type: "button", className: "main" }, "‹ live scene");
+  const wait = make("span", { className: "dim" }, `${what} of ${id}; the first time it takes some seconds …`);
+  const frame = make("iframe", { src: address(id, what), title: `${what} of ${id}` });
+  const cover = make("div", { id: "cover" }, make("div", { className: "acts" }, close, wait), frame);
+  frame.addEventListener("load", () => { wait.textContent = `${what} of ${id}: this is not live`; });
+  close.addEventListener("click", () => cover.remove());
+  $("cover")?.remove();
+  $("left").append(cover);
+}
+
+search.addEventListener("input", refresh);
+label.addEventListener("change", refresh);
+setInterval(refresh, 2000);
+onTab("runs", refresh);
+overview();
