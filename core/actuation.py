@@ -53,18 +53,18 @@ class Actuation:
 
     def update(self, last: Motion, sent: Array) -> Motion:
         """One tick on, `sent` (n,) being the velocities that the line carried last [rad/s or m/s]."""
-        return Motion(*advance(last.sent, sent, self.period, 0.5 * self.hold))
+        new = Motion(np.empty_like(last.sent), np.empty_like(last.ahead))
+        advance(last.sent, sent, self.period, 0.5 * self.hold, *new)
+        return new
 
 
 @compiled
-def advance(history: Array, sent: Array, period: float, wait: float) -> tuple[Array, Array]:
-    """`Actuation.update`."""
+def advance(history: Array, sent: Array, period: float, wait: float, moved: Array, ahead: Array) -> None:
+    """`Actuation.update`, into the last two."""
     ticks, n = history.shape
-    moved, ahead = np.empty((ticks, n)), np.empty(n)
     for j in range(n):
         moved[0, j] = sent[j]
         ahead[j] = wait * sent[j]
         for i in range(1, ticks):
             moved[i, j] = history[i - 1, j]
             ahead[j] += period * moved[i - 1, j]
-    return moved, ahead

@@ -10,11 +10,13 @@
 """
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from core.actuation import Actuation, Motion, advance
-from core.compiled import compiled
+from core.compiled import compiled, inlined
 from core.deflection import Rate, RateFilter, filtered
 from core.observer import Observed, Observer, observe
 from core.robot import Array
@@ -27,19 +29,64 @@ from core.solution import Solution, places
 ) = range(13)  # fmt: skip
 
 
+class Places(NamedTuple):
+    """Where the parts of an estimate's numbers end; each begins where the one before does."""
+
+    ticks: int  #: of velocities that are on their way
+    n: int
+    vectors: int
+    state: int
+    ahead: int
+    sent: int
+    tips: int
+    place: int
+    total: int
+
+
+@inlined
+def parts(ticks: int, n: int, history: int) -> Places:
+    """For so many ticks of velocities on their way, n joints, and a history of so many tips."""
+    ahead = 39 + 9 + n
+    sent = ahead + ticks * n
+    tips = sent + 3 * history
+    return Places(ticks, n, 39, 48, ahead, sent, tips, tips + 1, tips + 2)
+
+
 class Estimate:
     """What one tick knows; it is all that the next one needs. One array, and names for what is in it."""
 
-    __slots__ = ("loaded", "motion", "observed", "unloaded", "vectors")
+    __slots__ = ("loaded", "numbers", "places", "unloaded")
 
-    def __init__(
-        self, loaded: Solution, unloaded: Solution, vectors: Array, motion: Motion, observed: Observed
-    ) -> None:
+    def __init__(self, loaded: Solution, unloaded: Solution, numbers: Array, places: Places) -> None:
         self.loaded = loaded  #: F(q, w)
         self.unloaded = unloaded  #: F(q, 0)
-        self.vectors = vectors  #: (13, 3)
-        self.motion = motion  #: of the joints
-        self.observed = observed  #: the tip
+        self.numbers = numbers
+        self.places = places
+
+    @property
+    def vectors(self) -> Array:
+        """(13, 3) what follows from here on, up to `tip_ahead`."""
+        return self.numbers[: self.places.vectors].reshape(13, 3)
+
+    @property
+    def motion(self) -> Motion:
+        """Of the joints."""
+        where = self.places
+        sent = self.numbers[where.ahead : where.sent].reshape(where.ticks, where.n)
+        return Motion(sent, self.numbers[where.state : where.ahead])
+
+    @property
+    def drift(self) -> Array:
+        """(3,) rate of what the model lacks, as observed [m/s]."""
+        return self.numbers[self.places.vectors + 3 : self.places.vectors + 6]
+
+    @property
+    def observed(self) -> Observed:
+        """The tip."""
+        where = self.places
+        state = self.numbers[where.vectors : where.state].reshape(3, 3)
+        tips = self.numbers[where.sent : where.tips].reshape(-1, 3)
+        return Observed(state, tips, int(self.numbers[where.tips]), self.numbers[where.place] > 0.0)
 
     @property
     def difference(self) -> Array:
@@ -102,12 +149,18 @@ class Estimator:
 
     def start(self, loaded: Solution, unloaded: Solution, force: Array, tip: Array) -> Estimate:
         """At rest under `force` (3,) [N], the tracker showing `tip` (3,) [m]."""
-        vectors = np.zeros((13, 3))
-        vectors[DIFFERENCE] = vectors[DEFLECTION] = self.filter.start(loaded.tip - unloaded.tip).value
-        vectors[FORCE] = vectors[SMOOTH] = self.filter.start(force).value
-        vectors[TIP_AHEAD] = tip
-        motion = self.actuation.start(loaded.joints.size)
-        return Estimate(loaded, unloaded, vectors, motion, self.observer.start(loaded.tip, tip))
+        seen, motion = self.observer.start(loaded.tip, tip), self.actuation.start(loaded.joints.size)
+        ticks, joints = motion.sent.shape
+        where = parts(ticks, joints, len(seen.tips))
+        numbers = np.zeros(where.total)
+        now = Estimate(loaded, unloaded, numbers, where)
+        now.vectors[DIFFERENCE] = now.vectors[DEFLECTION] = self.filter.start(loaded.tip - unloaded.tip).value
+        now.vectors[FORCE] = now.vectors[SMOOTH] = self.filter.start(force).value
+        now.vectors[TIP_AHEAD] = tip
+        numbers[where.vectors : where.state] = seen.state.ravel()
+        numbers[where.sent : where.tips] = seen.tips.ravel()
+        numbers[where.place] = seen.used
+        return now
 
     def update(
         self, last: Estimate, loaded: Solution, unloaded: Solution,
@@ -123,30 +176,43 @@ class Estimator:
             tip, age: a tracker frame that has just arrived (3,) [m] and the time since it was measured [s].
 
         """
-        observer, actuation, old = self.observer, self.actuation, last.observed
-        state, tips = old.state.copy(), old.tips.copy()
-        vectors, moved, ahead, place, used = estimate(
-            self.filter.period, *self.filter.gain, 0.5 * actuation.hold, actuation.lead,
-            loaded.places.q, loaded.places.n, loaded.numbers, unloaded.numbers,
-            last.loaded.numbers, last.unloaded.numbers, last.vectors, force, last.motion.sent, sent,
-            state, tips, old.place, force if tip is None else tip, -1.0 if tip is None else age,
-            observer.noise**2, observer.wander, observer.gate,
+        numbers = estimate(
+            self.settings, loaded.places.q, loaded.numbers, unloaded.numbers,
+            last.loaded.numbers, last.unloaded.numbers, last.numbers, force, sent,
+            sent if tip is None else tip, -1.0 if tip is None else age,
         )  # fmt: skip
-        return Estimate(loaded, unloaded, vectors, Motion(moved, ahead), Observed(state, tips, place, used))
+        return Estimate(loaded, unloaded, numbers, last.places)
+
+    @cached_property
+    def settings(self) -> Array:
+        """What `estimate` is told at every tick."""
+        observer, actuation = self.observer, self.actuation
+        ticks = len(actuation.start(1).sent)
+        history = len(observer.start(np.zeros(3), np.zeros(3)).tips)
+        return np.array([
+            self.filter.period, *self.filter.gain, 0.5 * actuation.hold, actuation.lead,
+            observer.noise**2, observer.wander, observer.gate, ticks, history,
+        ])  # fmt: skip
 
 
 @compiled
 def estimate(
-    period: float, k_value: float, k_rate: float, wait: float, lead: float, q: int, n: int,
-    loaded: Array, unloaded: Array, old_loaded: Array, old_unloaded: Array,
-    old: Array, force: Array, sent: Array, sent_now: Array,
-    state: Array, tips: Array, place: int, frame: Array, age: float, noise: float, wander: float, gate: float,
-) -> tuple[Array, Array, Array, int, bool]:  # fmt: skip
-    """`Estimator.update`; solutions as their numbers."""
+    settings: Array, q: int, loaded: Array, unloaded: Array, old_loaded: Array, old_unloaded: Array,
+    last: Array, force: Array, sent_now: Array, frame: Array, age: float,
+) -> Array:  # fmt: skip
+    """`Estimator.update`; solutions and estimates as their numbers."""
+    period, k_value, k_rate, wait, lead, noise, wander, gate = settings[:8]
+    n = sent_now.shape[0]
+    mine = parts(int(settings[8]), n, int(settings[9]))
     where = places(q, n)  # where the parts end: each begins where the one before does
     jacobian, compliance, joints, wrench = where.rotation, where.jacobian, where.sensitivity, where.joints
-    new, model_tip = np.empty_like(old), np.empty(3)
-    moved, ahead = advance(sent, sent_now, period, wait)
+    numbers = last.copy()
+    old, new, model_tip = last[: mine.vectors].reshape(13, 3), numbers[: mine.vectors].reshape(13, 3), np.empty(3)
+    state = numbers[mine.vectors : mine.state].reshape(3, 3)
+    ahead = numbers[mine.state : mine.ahead]
+    moved = numbers[mine.ahead : mine.sent].reshape(mine.ticks, n)
+    tips = numbers[mine.sent : mine.tips].reshape(int(settings[9]), 3)
+    advance(last[mine.ahead : mine.sent].reshape(mine.ticks, n), sent_now, period, wait, moved, ahead)
     velocity = moved[-1]
     for i in range(3):
         new[DIFFERENCE, i] = loaded[i] - unloaded[i]
@@ -180,8 +246,9 @@ def estimate(
         new[DELTA_2, i] = old[DELTA_2, i] + extra_way
         new[VELOCITY, i] = by_force + by_joints
         new[TIP_AHEAD, i] = model_tip[i] + way + lead * by_force
-    place, used = observe(state, tips, place, model_tip, frame, age, period, noise, wander, gate)
+    place, used = observe(state, tips, int(last[mine.tips]), model_tip, frame, age, period, noise, wander, gate)
+    numbers[mine.tips], numbers[mine.place] = place, used
     for i in range(3):
         new[VELOCITY, i] += state[1, i]
         new[TIP_AHEAD, i] += state[0, i] + lead * state[1, i]
-    return new, moved, ahead, place, used
+    return numbers

@@ -17,6 +17,7 @@ import numpy as np
 
 from core.compiled import compiled
 from core.errors import NotFinite
+from core.limits import Limits, velocity_bounds
 from core.robot import Array
 
 #: Tip speed in the worst direction below which the inverse is damped, whatever is asked [m/s].
@@ -59,10 +60,38 @@ def inverse(
         jacobian, wanted, speed, lower, upper, rows, room, SIGMA_FLOOR, HUNTING
     )
     if not finite:
-        if not np.isfinite(wanted).all():
-            raise NotFinite(f"wanted tip velocity {wanted.tolist()} m/s is not finite")
-        raise NotFinite(f"Jacobian {jacobian.tolist()} is not finite")
+        _complain(jacobian, wanted)
     return Inverse(velocity, sigma, at_bound, at_row)
+
+
+def inverse_at(
+    limits: Limits, joints: Array, jacobian: Array, wanted: Array,
+    rows: Array | None = None, room: Array = _NO_ROOM,
+) -> Inverse:  # fmt: skip
+    """`inverse` of joints at (n,) [rad or m] that must be able to stop inside their travel."""
+    rows = _no_rows(joints.shape[0]) if rows is None else rows
+    velocity, sigma, at_bound, at_row, finite = _inverse_at(
+        limits.packed, joints, jacobian, wanted, rows, room, SIGMA_FLOOR, HUNTING
+    )
+    if not finite:
+        _complain(jacobian, wanted)
+    return Inverse(velocity, sigma, at_bound, at_row)
+
+
+def _complain(jacobian: Array, wanted: Array) -> None:
+    if not np.isfinite(wanted).all():
+        raise NotFinite(f"wanted tip velocity {wanted.tolist()} m/s is not finite")
+    raise NotFinite(f"Jacobian {jacobian.tolist()} is not finite")
+
+
+@compiled
+def _inverse_at(
+    limits: Array, joints: Array, jacobian: Array, wanted: Array, rows: Array, room: Array,
+    least_floor: float, hunting: float,
+) -> tuple[Array, Array, Array, Array, bool]:  # fmt: skip
+    speed = limits[2, : joints.shape[0]]
+    lower, upper = velocity_bounds(joints, limits)
+    return _inverse(jacobian, wanted, speed, lower, upper, rows, room, least_floor, hunting)
 
 
 @cache

@@ -83,6 +83,12 @@ class Limits:
         lower, upper, speed, acceleration = np.array(rows).T.copy()
         return lower, upper, speed, acceleration
 
+    @cached_property
+    def packed(self) -> Array:
+        """(5, n) lower and upper end of travel, speed, acceleration, and the reaction time [SI units]."""
+        last = np.full(len(self.joints), self.reaction)
+        return np.stack((*self._arrays, last))
+
     @property
     def speed(self) -> Array:
         """(n,) [rad/s or m/s]."""
@@ -99,7 +105,7 @@ class Limits:
 
     def velocity_bounds(self, joints: Array) -> tuple[Array, Array]:
         """Lowest and highest velocity (n,) from which each joint can still stop inside its travel."""
-        return _velocity_bounds(joints, *self._arrays, self.reaction)
+        return velocity_bounds(joints, self.packed)
 
     def rows(self, at: Situation) -> tuple[Array, Array]:
         """All limits beyond single joints: rows (m, n) and room (m,)."""
@@ -257,9 +263,9 @@ class ForceLimit:
 
 
 @compiled
-def _velocity_bounds(
-    joints: Array, lower: Array, upper: Array, speed: Array, acceleration: Array, reaction: float
-) -> tuple[Array, Array]:
+def velocity_bounds(joints: Array, limits: Array) -> tuple[Array, Array]:
+    """`Limits.velocity_bounds` for `Limits.packed`."""
+    lower, upper, speed, acceleration, reaction = limits[0], limits[1], limits[2], limits[3], limits[4, 0]
     lowest, highest = np.empty_like(joints), np.empty_like(joints)
     for i in range(joints.shape[0]):
         lag = acceleration[i] * reaction

@@ -27,13 +27,11 @@ class Sensors:
 
     def exerted(self, wrenches: Array, alpha: Array) -> Array:
         """What the tubes exert (q, 6), in their axes, of readings (q, 6) without offset at rotations alpha (q,)."""
-        return _exerted(wrenches, alpha, self.mounting, self.weight, self.first_moment, self.gravity)
+        return exerted(wrenches, alpha, self.mounting, self.weight, self.first_moment, self.gravity)
 
     def hanging(self, alpha: Array) -> Array:
         """What the sensors read (q, 6) of the weight that hangs on them alone, at rotations alpha (q,)."""
-        weight = -_exerted(
-            np.zeros((alpha.size, 6)), alpha, self.mounting, self.weight, self.first_moment, self.gravity
-        )
+        weight = -exerted(np.zeros((alpha.size, 6)), alpha, self.mounting, self.weight, self.first_moment, self.gravity)
         return np.concatenate(
             (
                 np.einsum("iba,ib->ia", self.mounting, weight[:, :3]),
@@ -44,9 +42,10 @@ class Sensors:
 
 
 @compiled
-def _exerted(
+def exerted(
     wrenches: Array, alpha: Array, mounting: Array, weight: Array, first_moment: Array, gravity: Array
 ) -> Array:
+    """`Sensors.exerted` for compiled code: readings (q, 6), rotations (q,), then the sensors' numbers."""
     result = np.zeros_like(wrenches)
     for i in range(alpha.shape[0]):
         cos, sin = np.cos(alpha[i]), np.sin(alpha[i])

@@ -16,7 +16,7 @@ from core.controllers import Strategy, View
 from core.corrections import Corrections
 from core.errors import NotFinite
 from core.estimation import Estimate, Estimator
-from core.inverse import inverse
+from core.inverse import inverse_at
 from core.limits import Limits, Situation
 from core.perception import perceive, point_force
 from core.robot import Array
@@ -139,19 +139,19 @@ def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint
     loaded, unloaded = now.loaded, now.unloaded
     tip = memory.tip if sample.tip is None else sample.tip
 
-    lower, upper = limits.velocity_bounds(sample.joints)
     if isinstance(order, Setpoint):
         setpoint, u_int = order, _outer(controller, order, now, tip, memory.origin)
         rate = now.deflection_rate_exact if controller.exact_rate else now.deflection.rate
-        view = View(loaded, unloaded, rate, now.load_rate, now.observed.drift)
+        view = View(loaded, unloaded, rate, now.load_rate, now.drift)
         jacobian, velocity = controller.strategy.inner(u_int, view)
         rows, room = None, _NO_ROOM
         if limits.others:
             rows, room = limits.rows(Situation(sample.joints, loaded.jacobian[:3], now.observed.tip, load.force))
-        command, sigma, at_bound, at_row = inverse(jacobian, velocity, limits.speed, lower, upper, rows, room)
+        command, sigma, at_bound, at_row = inverse_at(limits, sample.joints, jacobian, velocity, rows, room)
     else:
         # Nothing is asked of the tip: it is where it should be.
         setpoint, u_int = Setpoint(tip - memory.origin, np.zeros(3)), np.zeros(3)
+        lower, upper = limits.velocity_bounds(sample.joints)
         asked = np.zeros(sample.joints.size) if order is None else order.velocity
         command = np.minimum(np.maximum(asked, lower), upper)
         sigma, at_bound, at_row = np.zeros(min(3, asked.size)), np.sign(asked - command), _NO_ROOM

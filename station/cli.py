@@ -65,9 +65,9 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     lab.set_defaults(command=_lab)
 
     bench = commands.add_parser("bench", help="measure this machine")
-    bench.add_argument("what", choices=("model", "accuracy", "cost", "tick", "loop", "headless", "recorder"))
+    bench.add_argument("what", choices=("model", "accuracy", "cost", "tick", "wire", "loop", "headless", "recorder"))
     bench.add_argument(
-        "--seconds", type=between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of 'loop' and 'recorder' (60)"
+        "--seconds", type=between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of loop, recorder (60)"
     )
     bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
@@ -117,7 +117,7 @@ def _run(parsed: argparse.Namespace) -> int:
     from station.clock import RealClock, VirtualClock
     from station.config import use_experiments
     from station.experiments.experiment import load_experiment
-    from station.experiments.output import ResultFolder, result_table
+    from station.experiments.output import ResultFolder, label_of, result_table
     from station.experiments.results import summarise
     from station.experiments.runner import run_case
 
@@ -131,9 +131,12 @@ def _run(parsed: argparse.Namespace) -> int:
             for case in experiment.cases:
                 task = bar.add_task(f"{experiment.name} {case.name}", total=1.0)
                 clock = RealClock() if parsed.realtime else VirtualClock()
-                recording = run_case(case, parsed.seed, clock, lambda done, task=task: bar.update(task, completed=done))
-                folder.write_case(recording)
-                cases[case.name] = summarise(recording)
+                recorder = folder.record(case)
+                recording = run_case(
+                    case, parsed.seed, clock, lambda done, task=task: bar.update(task, completed=done), recorder.write
+                )
+                recorder.close(label_of(completed=recording.completed, cause=recording.cause), recording.cause)
+                cases[case.name] = summarise(folder.recorded(recording))
                 bar.update(task, completed=1.0 if recording.completed else None)
                 if not recording.completed:
                     break
@@ -213,8 +216,9 @@ def _bench(parsed: argparse.Namespace) -> int:
     else:
         from station.bench_accuracy import cost
         from station.bench_tick import tick
+        from station.bench_wire import wire
 
-        result = {"model": bench.model, "cost": cost, "tick": tick, "headless": bench.headless}[parsed.what]()
+        result = {"model": bench.model, "cost": cost, "tick": tick, "wire": wire, "headless": bench.headless}[parsed.what]()
     if parsed.json:
         print(json.dumps(result))  # noqa: T201
     else:

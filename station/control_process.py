@@ -51,6 +51,14 @@ class Bench:
     overruns: OverrunLimits = OverrunLimits()
     devices: BenchFile | None = None  #: None: those of the virtual lab
 
+    @property
+    def title(self) -> str:
+        """What this is, for a person."""
+        if self.devices is None:
+            return self.lab.title
+        own = self.devices
+        return f"bench of '{self.robot.name}': {', '.join(d['driver'] for d in (own.stages, own.tracker, own.sensors))}"
+
 
 def run_control(bench: Bench, ring_name: str, pipe: Connection, parent: int) -> None:
     """Main function of the control process; the first message through `pipe` says where the devices are."""

@@ -4,11 +4,8 @@ It holds the state, the tare and the progress of a run; the mathematics is `core
 clock: whoever paces it says what time it is, real or virtual.
 """
 
-from dataclasses import dataclass, replace
-from enum import IntEnum
+from dataclasses import replace
 from typing import Literal
-
-import numpy as np
 
 from core.errors import CtrError
 from core.robot import Array
@@ -25,74 +22,34 @@ from station.devices.interfaces import (
     WrenchReading,
 )
 from station.jog import Jog
-from station.motions import Orders
+from station.margins import Margins, SnapWatch
+from station.rest import AVERAGE, SETTLE, Rest
 from station.stall import Stall
 from station.states import Event, RefusedError, State, after
+from station.task import Phase, Progress, Task
 from station.telemetry import Channels
-
-#: At rest before a motion: the first part lets the filters settle, the rest is averaged for the
-#: tare and for the start tip (60 tracker frames).
-SETTLE = 0.5  # [s]
-AVERAGE = 1.5  # [s]
-#: The way to a start pose: at this part of the top speed, ending within a hundred microsteps.
-APPROACH_SPEED = 0.5
-APPROACH_RATE = 2.0  # [1/s]
-APPROACH_TOLERANCE = 2e-3  # of a second at top speed
-
-
-class Phase(IntEnum):
-    """What a run is doing; the number is what telemetry carries."""
-
-    NONE = 0
-    APPROACHING = 1  #: the joints go to the start pose
-    SETTLING = 2  #: at rest: tare, start tip
-    MOVING = 3
-    JOGGING = 4  #: moved by hand
-
-
-@dataclass(frozen=True)
-class Task:
-    """A motion to carry out and how."""
-
-    controller: Controller
-    orders: Orders
-    duration: float  #: of the motion, after the preparation [s]
-    start: Array | None = None  #: joints (n,) to begin from; None: from where they are
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far a task has come."""
-
-    task: Task
-    phase: Phase
-    settle_start: float = 0.0  #: [s]
-
-    @property
-    def motion_start(self) -> float:
-        """When the motion itself begins [s]; known from SETTLING on."""
-        return self.settle_start + SETTLE + AVERAGE
+from station.troubles import EVENTS, NONE, holds, not_finite, troubles, worst
 
 
 class ControlLoop:
     """One bench under control."""
 
-    def __init__(self, controller: Controller, devices: Devices) -> None:
+    def __init__(self, controller: Controller, devices: Devices, margins: Margins | None = None) -> None:
         self.controller = controller
         self.devices = devices
         self.state = State.OFF
         self.cause = ""  #: why the state is HOLD, STOPPED or FAULT
         self.progress: Progress | None = None  #: of the task that is on
         self.channels = Channels(controller.statics.robot)
+        self._margins = margins or Margins()
         self._memory: Memory | None = None
         self._row: Array | None = None
-        self._troubles: tuple[int, ...] = (0, 0, 0)  # severities: stages, tracker, sensors
+        self._troubles = NONE
         self._jog: Jog | None = None
         self._tare: Array | None = None
-        self._taring_since: float | None = None
-        self._wrenches: list[Array] = []
-        self._tips: list[Array] = []
-        self._stall = Stall()
+        self._rest: Rest | None = None  # before a motion, or for a tare that was asked for
+        self._frame_at = 0.0  # when the newest frame has come [s]
+        self._stall, self._snap = Stall(), SnapWatch(self._margins)
 
     @property
     def phase(self) -> Phase:
@@ -117,8 +74,8 @@ class ControlLoop:
         """
         self.state = after(self.state, event)
         if event in (Event.STOP, Event.FAULT, Event.HOLD):
-            self.cause, self.progress, self._jog, self._taring_since = cause, None, None, None
-        elif event in (Event.RESET, Event.CONNECT):
+            self.cause, self.progress, self._jog, self._rest = cause, None, None, None
+        elif event in (Event.RESET, Event.RECONNECT, Event.CONNECT):
             self.cause = ""
 
     def connect(self, now: float) -> None:
@@ -133,16 +90,20 @@ class ControlLoop:
     def reset(self, now: float) -> None:
         """A person has seen the hold, the stop or the fault.
 
+        A device that is not right is connected again; until it is, the station is CONNECTING and nothing moves.
+
         Raises:
             RefusedError: there is nothing to reset.
         """
-        self.request(Event.RESET)
-        if self.state is State.CONNECTING:
+        after(self.state, Event.RESET)
+        if self.state is State.FAULT:
+            self.request(Event.RESET)
             self._connect(now)
             return
-        for device in (self.devices.tracker, self.devices.sensors):
-            if device.trouble(now) is not None:
-                device.connect(now)
+        wrong = [d for d in (self.devices.tracker, self.devices.sensors) if holds(d.trouble(now))]
+        self.request(Event.RECONNECT if wrong else Event.RESET)
+        for device in wrong:
+            device.connect(now)
 
     def home(self, now: float) -> None:
         """Home every stage; a person has said that the way is clear.
@@ -153,6 +114,7 @@ class ControlLoop:
         """
         after(self.state, Event.HOME)
         self.devices.stages.home(now)
+        self._rest = None
         self.request(Event.HOME)
 
     def stop(self, now: float, event: Event = Event.STOP, cause: str = "stopped by the operator") -> None:
@@ -167,8 +129,9 @@ class ControlLoop:
             RefusedError: not READY.
         """
         self.request(Event.START)
-        self.controller = task.controller
+        self.controller, self._rest = task.controller, None
         self.progress = Progress(task, Phase.APPROACHING)
+        self._snap = SnapWatch(self._margins)
 
     def tare(self, now: float) -> None:
         """Take what the force sensors feel in the next moments as zero.
@@ -178,7 +141,7 @@ class ControlLoop:
         """
         if self.state is not State.READY:
             raise RefusedError(f"'tare' is not possible while {self.state.name}; it needs READY")
-        self._taring_since, self._wrenches = now, []
+        self._rest = Rest(now)
 
     def jog(self, now: float, space: Literal["joints", "tip"], velocity: Array) -> None:
         """Move by hand, or go on with it: ends by itself when this is not called again soon.
@@ -194,10 +157,10 @@ class ControlLoop:
         if self._jog is not None and self._jog.renew(space, velocity, now):
             return
         self.request(Event.START)
-        self._jog = Jog.begin(space, velocity, now)
+        self._jog, self._rest = Jog.begin(space, velocity, now), None
         if self._memory is not None:
             self._memory = self._memory._replace(origin=self._memory.estimate.observed.tip)
-        self._stall = Stall()
+        self._stall, self._snap = Stall(), SnapWatch(self._margins)
 
     # A period
 
@@ -219,8 +182,10 @@ class ControlLoop:
         joints = stages.poll(now)
         frame = devices.tracker.poll(now)
         wrenches = devices.sensors.poll(now)
+        if frame is not None:
+            self._frame_at = now
         trouble = self._look(now)
-        self._go_on(stages.condition)
+        self._go_on(stages.condition, trouble)
         if not stages.ready:
             self._memory = None
             return self._held(now, joints, wrenches)
@@ -240,16 +205,15 @@ class ControlLoop:
             # Nothing of this tick is sent but the stop; the next tick goes on from the last good one.
             stages.stop(now)
             if self.state in (State.READY, State.RUNNING):
-                self.request(Event.HOLD, str(error))
+                self.request(Event.HOLD, not_finite(joints, frame, wrenches) or str(error))
             return self._held(now, joints, wrenches)
         self._memory = tick.memory
-        if isinstance(order, Setpoint) and frame is not None:
-            stalled = self._stall.look(now, tick, self.controller.limits)
-            if stalled:
-                stages.stop(now)
-                self.request(Event.HOLD, stalled)
-                order = None
-        if order is not None:
+        if self.state is State.RUNNING:
+            self._act_on(self._snap.look(tick, frame is not None), now)
+            if isinstance(order, Setpoint) and frame is not None:
+                stalled = self._stall.look(now, tick, self.controller.limits)
+                self._act_on(Trouble(Severity.HOLD, stalled) if stalled else None, now)
+        if order is not None and self.state is State.RUNNING:
             stages.command(tick.command, now)
         self._row = self.channels.row(now, self.state, joints, wrenches, frame, tick, truth, self._troubles)
         return self._row
@@ -261,26 +225,33 @@ class ControlLoop:
 
     def _look(self, now: float) -> Trouble | None:
         """The worst that is wrong with a device, acted upon if it is more than a warning."""
-        devices = self.devices
-        troubles = (devices.stages.trouble(now), devices.tracker.trouble(now), devices.sensors.trouble(now))
-        if troubles == (None, None, None):
-            self._troubles = (0, 0, 0)
+        found = troubles(self.devices, now)
+        trouble = worst(found)
+        if trouble is None:
+            self._troubles = NONE
             return None
-        self._troubles = tuple(0 if trouble is None else int(trouble.severity) for trouble in troubles)
-        worst = max((trouble for trouble in troubles if trouble is not None), key=lambda trouble: trouble.severity)
-        if worst.severity is Severity.WARN:
+        self._troubles = tuple(0 if one is None else int(one.severity) for one in found)
+        if not holds(trouble):
             return None
-        event = {Severity.HOLD: Event.HOLD, Severity.STOP: Event.STOP, Severity.FAULT: Event.FAULT}[worst.severity]
-        moving = self.state in (State.READY, State.RUNNING)
-        if moving or (event is Event.FAULT and self.state not in (State.OFF, State.FAULT)):
-            self.stop(now, event, worst.text)
-        return worst
+        if self.state in (State.READY, State.RUNNING) or (
+            trouble.severity is Severity.FAULT and self.state not in (State.OFF, State.FAULT)
+        ):
+            self._act_on(trouble, now)
+        return trouble
 
-    def _go_on(self, stages: Condition) -> None:
+    def _act_on(self, trouble: Trouble | None, now: float) -> None:
+        if trouble is not None and self.state is not State.FAULT:
+            self.stop(now, EVENTS[trouble.severity], trouble.text)
+
+    def _go_on(self, stages: Condition, trouble: Trouble | None) -> None:
         """States that follow by themselves."""
-        if self.state is State.CONNECTING and all(
-            device.condition is Condition.CONNECTED
-            for device in (self.devices.stages, self.devices.tracker, self.devices.sensors)
+        if (
+            self.state is State.CONNECTING
+            and trouble is None
+            and all(
+                device.condition is Condition.CONNECTED
+                for device in (self.devices.stages, self.devices.tracker, self.devices.sensors)
+            )
         ):
             self.request(Event.CONNECTED)
         if self.state in (State.CONNECTED, State.HOMING) and self.devices.stages.ready:
@@ -312,32 +283,42 @@ class ControlLoop:
             return None
         task = progress.task
         if progress.phase is Phase.APPROACHING:
-            velocity = self._approach(joints.positions, task.start)
+            velocity = task.approach(joints.positions)
             if velocity is not None:
                 return JointMotion(velocity)
             self.devices.stages.stop(now)
-            self._wrenches, self._tips = [], []
+            self._rest = Rest(now)
             self.progress = replace(progress, phase=Phase.SETTLING, settle_start=now)
             return None
-        if now < progress.motion_start - 1e-9:
-            if now >= progress.settle_start + SETTLE:
-                self._wrenches.append(wrenches)
-                if frame is not None and self._memory is not None:
-                    self._tips.append(self.controller.tip(frame.position, self._memory))
-            return None
-        if progress.phase is Phase.SETTLING:
-            if not self._tips or self._memory is None:
-                self.devices.stages.stop(now)
-                self.request(Event.HOLD, f"no tracker frame in {AVERAGE:g} s; is the coil inside the tracker's volume?")
+        if self._rest is not None:
+            if now < progress.motion_start - 1e-9:
+                if now >= progress.settle_start + SETTLE:
+                    self._rest.take(wrenches, self._tip(frame))
                 return None
-            self._tare = self.controller.tare(np.mean(self._wrenches, axis=0), joints.positions)
-            self._memory = set_origin(self.controller, self._memory, np.mean(self._tips, axis=0))
-            self._stall = Stall()
+            if not self._set_out(now, joints, self._rest):
+                return None
             self.progress = replace(progress, phase=Phase.MOVING)
         if now - progress.motion_start >= task.duration - 1e-9:
             self._finish(now)
             return None
-        return task.orders.at(now - progress.motion_start)
+        return task.order(now - progress.motion_start, now - self._frame_at)
+
+    def _set_out(self, now: float, joints: JointReading, rest: Rest) -> bool:
+        """Tare and start tip from what was measured at rest; False when the tracker saw nothing."""
+        tip, self._rest = rest.tip, None
+        if tip is None or self._memory is None:
+            text = f"no tracker frame in {AVERAGE:g} s; is the coil inside the tracker's volume?"
+            self._act_on(Trouble(Severity.HOLD, text), now)
+            return False
+        self._tare = self.controller.tare(rest.wrenches, joints.positions)
+        self._memory = set_origin(self.controller, self._memory, tip)
+        self._stall, self._snap = Stall(), SnapWatch(self._margins)
+        return True
+
+    def _tip(self, frame: TipReading | None) -> Array | None:
+        if frame is None or self._memory is None:
+            return None
+        return self.controller.tip(frame.position, self._memory)
 
     def _finish(self, now: float) -> None:
         self.devices.stages.stop(now)
@@ -345,20 +326,10 @@ class ControlLoop:
         self.progress = self._jog = None
 
     def _go_on_taring(self, now: float, joints: JointReading, wrenches: Array) -> None:
-        if self._taring_since is None:
+        if self._rest is None:
             return
-        self._wrenches.append(wrenches)
-        if now - self._taring_since >= AVERAGE and self._memory is not None:
-            self._tare = self.controller.tare(np.mean(self._wrenches, axis=0), joints.positions)
-            self._taring_since = None
+        self._rest.take(wrenches, None)
+        if now - self._rest.since >= AVERAGE and self._memory is not None:
+            self._tare = self.controller.tare(self._rest.wrenches, joints.positions)
             self._memory = set_origin(self.controller, self._memory, self._memory.origin)
-
-    def _approach(self, joints: Array, start: Array | None) -> Array | None:
-        """Velocities (n,) toward the start pose, all joints arriving together; None when there."""
-        if start is None:
-            return None
-        speed = self.controller.limits.speed
-        way = (start - joints) / speed
-        if np.abs(way).max() <= APPROACH_TOLERANCE:
-            return None
-        return way * min(APPROACH_RATE, APPROACH_SPEED / np.abs(way).max()) * speed
+            self._rest = None

@@ -34,6 +34,7 @@ class Event(StrEnum):
     STOP = "stop"
     FAULT = "fault"
     RESET = "reset"
+    RECONNECT = "reconnect"  #: a reset while a device is not right: it is found and set up again
     DISCONNECT = "disconnect"
 
 
@@ -52,6 +53,8 @@ TABLE: dict[tuple[State, Event], State] = {
     (State.READY, Event.HOLD): State.HOLD,
     (State.HOLD, Event.RESET): State.READY,
     (State.STOPPED, Event.RESET): State.READY,
+    (State.HOLD, Event.RECONNECT): State.CONNECTING,
+    (State.STOPPED, Event.RECONNECT): State.CONNECTING,
     # A fault may have lost devices or positions: connect again, and home what has to be.
     (State.FAULT, Event.RESET): State.CONNECTING,
     **{

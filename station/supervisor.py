@@ -96,13 +96,13 @@ class Supervisor:
         self._watchdog.start()
 
     def wait_ready(self, timeout: float, since: int = 0) -> None:
-        """Wait until the loop ticks and telemetry has gone beyond row `since`.
+        """Wait until telemetry has gone beyond row `since`, or until stages wait for a person to home them.
 
         Raises:
             CtrError: it does not, in `timeout` [s].
         """
         deadline = time.monotonic() + timeout
-        while self.ring.written <= since:
+        while self.ring.written <= since and self._state is not State.CONNECTED:
             if self._state is State.FAULT:
                 raise CtrError(f"the station did not come up: {self._cause}")
             if time.monotonic() > deadline:

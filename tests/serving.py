@@ -18,11 +18,13 @@ import psutil
 class Served:
     """A running station."""
 
-    def __init__(self, process: "subprocess.Popen[str]", port: int) -> None:
+    def __init__(self, process: "subprocess.Popen[str]", port: int, tokens: list[str]) -> None:
         self.process = process
         self.port = port
         self.url = f"http://127.0.0.1:{port}"
-        self.rest = httpx.Client(base_url=self.url, timeout=10.0)
+        self.tokens = tokens  #: the viewers', then the operators'; none on loopback
+        headers = {"authorization": f"Bearer {tokens[-1]}"} if tokens else {}
+        self.rest = httpx.Client(base_url=self.url, timeout=10.0, headers=headers)
 
     def status(self) -> dict[str, Any]:
         answer = self.rest.get("/api/status")
@@ -118,7 +120,8 @@ def _serving(port: int, data: str, *arguments: str) -> Iterator[Served]:
         process.wait()
         process.stdout.close()
         raise AssertionError(f"the station did not start: {''.join(said)}")
-    served = Served(process, port)
+    tokens = [line.split("?token=")[1].split()[0] for line in said if "?token=" in line]
+    served = Served(process, port, tokens)
     deadline = time.monotonic() + 10.0
     while True:
         try:

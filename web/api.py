@@ -169,7 +169,7 @@ def status_out(desk: Desk, of: Commands, who: Who) -> StatusOut:
         operator=operator_out(of.lease, who),
         stale=stale,
         age=round(status.age, 3),
-        lab=supervisor.bench.lab.title,
+        lab=supervisor.bench.title,
         run=run,
         devices=_devices(status),
         loop=LoopOut(**status.timing._asdict()),

@@ -196,7 +196,7 @@ def bench_out(desk: Desk) -> BenchOut:
     bench = desk.supervisor.bench
     return BenchOut(
         robot=bench.robot.name,
-        lab=bench.lab.title,
+        lab=bench.title,
         joints=tuple(
             JointOut(
                 name=joint.name,

@@ -46,7 +46,7 @@ def serve(config: Path | None, host: str, port: int, data: Path, *, browser: boo
     tokens = None if is_loopback(host) else new_tokens()
     with contextlib.closing(_listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
         port = listening.getsockname()[1]
-        out.print(f"ctr-station: {bench.lab.title}")
+        out.print(f"ctr-station: {bench.title}")
         supervisor = Supervisor(bench, data)
         try:
             supervisor.wait_ready(START_TIME)

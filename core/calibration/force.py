@@ -21,9 +21,10 @@ import numpy as np
 from core.calibration.fit import Fit, Parameter, Unobservable, fit
 from core.calibration.rigid import rotation_of
 from core.calibration.visits import Noise, Visit
-from core.robot import Array, Robot
-from core.sensors import Sensors
-from core.wrench import Fused, fuse_at
+from core.compiled import compiled
+from core.robot import Array, Layout, Robot, tube_poses
+from core.sensors import Sensors, exerted
+from core.wrench import Fused, fuse_at, fused_at
 
 #: What is known beforehand, one standard deviation, and how far each may be off before it matters.
 OFFSET, OFFSET_SIZE = (2.0, 30e-3), (5e-3, 0.2e-3)  # [N], [N m]
@@ -31,6 +32,8 @@ DRIFT, DRIFT_SIZE = (10e-3 / 60.0, 1e-3 / 60.0), (5e-3 / 60.0, 0.2e-3 / 60.0)  #
 MOUNTING, MOUNTING_SIZE = 0.05, 0.01  # [rad]
 WEIGHT, WEIGHT_SIZE = 0.5, 5e-3  # [N]
 FIRST_MOMENT, FIRST_MOMENT_SIZE = 20e-3, 0.2e-3  # weight times its distance [N m]
+#: Of a load that nobody has weighed [N].
+TYPICAL_FORCE = 0.5
 #: Fewer cannot tell an offset that turns with its sensor from a weight that does not.
 LEAST_VISITS = 8
 
@@ -124,7 +127,7 @@ class _Sum:
             found += [Parameter(f"{tube.name} first moment {a}", "N m", FIRST_MOMENT_SIZE, FIRST_MOMENT) for a in "xyz"]
         return tuple(found)
 
-    @property
+    @cached_property
     def middle(self) -> float:
         """Time from which the drift counts [s]."""
         return float(np.mean([visit.time for visit in self.visits]))
@@ -137,20 +140,22 @@ class _Sum:
         return Sensors(mounting, rows[:, 15].copy(), rows[:, 16:19].copy(), gravity), rows[:, :6], rows[:, 6:12]
 
     def residuals(self, values: Array) -> Array:
+        """(6 m,): force and moment of every visit; of an unknown force only the moment equation."""
         sensors, offset, drift = self.unpacked(values)
-        found: list[Array] = []
-        for k, visit in enumerate(self.visits):
-            readings = visit.wrenches - offset - (visit.time - self.middle) * drift
-            alpha, _ = self._poses[k]
-            load = fuse_at(self.robot, visit.joints, sensors.exerted(readings, alpha))
-            if visit.weight is None:
-                # Of an unknown force only the moment equation is known.
-                found += [np.zeros(3), (load.moment - np.cross(self.tips[k], load.force)) / self._closure_noise]
-                continue
-            force = visit.weight * self.down
-            found.append((load.force - force) / self.noise.force)
-            found.append((load.moment - np.cross(self.tips[k], force)) / self._moment_noise(visit.weight))
-        return np.concatenate(found)
+        since, joints, readings = self._measured
+        left = readings - offset - since[:, None, None] * drift
+        loads = _loads(
+            self.robot.layout, joints, left, sensors.mounting, sensors.weight, sensors.first_moment, sensors.gravity
+        )
+        forces, moments = loads[:, :3], loads[:, 3:]
+        expected, known, force_noise, moment_noise = self._expected
+        acting = np.where(known, expected, forces)
+        closure = np.stack([
+            moments[:, 0] - (self.tips[:, 1] * acting[:, 2] - self.tips[:, 2] * acting[:, 1]),
+            moments[:, 1] - (self.tips[:, 2] * acting[:, 0] - self.tips[:, 0] * acting[:, 2]),
+            moments[:, 2] - (self.tips[:, 0] * acting[:, 1] - self.tips[:, 1] * acting[:, 0]),
+        ], axis=1)  # fmt: skip
+        return np.concatenate((((forces - acting) / force_noise).ravel(), (closure / moment_noise).ravel()))
 
     def jacobian(self, values: Array) -> Array:
         """Central differences: the residuals are linear in all but the mounting angles."""
@@ -162,14 +167,35 @@ class _Sum:
         return np.column_stack(columns)
 
     @cached_property
-    def _poses(self) -> list[tuple[Array, Array]]:
-        return [self.robot.tube_poses(visit.joints) for visit in self.visits]
+    def _measured(self) -> tuple[Array, Array, Array]:
+        """Times from the middle (m,), joints (m, n), readings (m, q, 6)."""
+        return (
+            np.array([visit.time for visit in self.visits]) - self.middle,
+            np.array([visit.joints for visit in self.visits]),
+            np.array([visit.wrenches for visit in self.visits]),
+        )
 
     @cached_property
-    def _closure_noise(self) -> float:
-        lever = float(np.linalg.norm(self.tips, axis=1).max())
-        return float(np.hypot(self._moment_noise(0.5), lever * self.noise.force))
+    def _expected(self) -> tuple[Array, Array, float, Array]:
+        """Forces (m, 3), whether they are known (m, 1), standard deviations of forces and of moments (m, 1).
 
-    def _moment_noise(self, weight: float) -> float:
-        """Of the moment under a weight: the place of the tip is not known exactly."""
-        return float(np.hypot(self.noise.moment, self.tip_error * weight))
+        The place of the tip is not known exactly, nor is an unknown force: both add to the moment's.
+        """
+        known = np.array([[visit.weight is not None] for visit in self.visits])
+        weights = np.array([0.0 if visit.weight is None else visit.weight for visit in self.visits])
+        lever = np.linalg.norm(self.tips, axis=1) * self.noise.force
+        pull = np.where(known[:, 0], weights, TYPICAL_FORCE)
+        noise = np.sqrt(self.noise.moment**2 + (self.tip_error * pull) ** 2 + np.where(known[:, 0], 0.0, lever) ** 2)
+        return weights[:, None] * self.down, known, self.noise.force, noise[:, None]
+
+
+@compiled
+def _loads(
+    layout: Layout, joints: Array, readings: Array, mounting: Array, weight: Array, first_moment: Array, gravity: Array
+) -> Array:
+    """Force and moment (m, 6) of the whole robot, world frame, of readings (m, q, 6) without offset."""
+    result = np.empty((joints.shape[0], 6))
+    for k in range(joints.shape[0]):
+        alpha, _, _ = tube_poses(layout, joints[k])
+        result[k] = fused_at(layout, joints[k], exerted(readings[k], alpha, mounting, weight, first_moment, gravity))
+    return result

@@ -25,7 +25,7 @@ EXPECTED: dict[Kind, tuple[str, float]] = {
     "bending_stiffness": ("", 0.10),  # part of the described one
     "curvature": ("", 0.10),  # part of the described one
     "poisson_ratio": ("", 0.05),
-    "straight_length": ("m", 0.5e-3),
+    "straight_length": ("m", 0.2e-3),
     "zero_angle": ("rad", math.radians(5.0)),
 }
 

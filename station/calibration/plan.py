@@ -51,4 +51,3 @@ class Subject:
         """Poses (m, n) spread evenly, chosen for nothing: to check with. Others than `tour` chooses from."""
         poses = candidates(self.statics, self.limits, force, CANDIDATES + 4 * count)[-count:]
         return tour(self.statics, self.limits, start, poses, force)
-

@@ -123,7 +123,13 @@ def tubes(subject: Subject, effort: Effort) -> Procedure[TubesResult]:
     check_forces = _forces(subject, sensors, check)
     loaded = np.array([visit.weight != 0.0 for visit in check])
     all_, under_load = (
-        held_out(robot, found, (visits, forces), ([v for v, w in zip(check, which, strict=True) if w], check_forces[which]), NOISE)
+        held_out(
+            robot,
+            found,
+            (visits, forces),
+            ([v for v, w in zip(check, which, strict=True) if w], check_forces[which]),
+            NOISE,
+        )
         for which in (np.ones(len(check), dtype=bool), loaded)
     )
     heavy = [visit for visit, w in zip(check, loaded, strict=True) if w]

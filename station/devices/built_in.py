@@ -22,6 +22,7 @@ from station.devices.netft_sensors import BoxAddress, NetftSettings, connect
 from station.devices.ni_card import NiCard, device_of
 from station.devices.nidaq_sensors import CardSensors, Wiring
 from station.devices.zaber import BAUD
+from station.devices.zaber_chain import Line
 from station.devices.zaber_setup import Port, StageSetup
 from station.devices.zaber_stages import ZaberStages
 from station.robots import JointFile, RobotFile
@@ -57,7 +58,7 @@ def zaber(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], ZaberSta
                 link = SerialLink(url, BAUD)
                 opened.callback(link.close)
                 ports.append(Port(link, tuple(places)))
-            stages = ZaberStages(setups, ports, reopen=_reopened)
+            stages = ZaberStages(setups, ports, Line(deadline=file.deadline), _reopened)
             opened.pop_all()
             return stages
 

@@ -26,6 +26,7 @@ from station.config import ConfigError, Name, NotNegative, Positive, Row, Strict
 from station.devices.aurora_settings import AuroraSettings
 from station.devices.netft import RDT_PORT
 from station.devices.netft_sensors import NetftSettings
+from station.devices.zaber_chain import Line
 
 #: pyserial's name of a port: /dev/ttyUSB0, COM3, socket://host:port.
 Serial = Annotated[str, Field(min_length=1)]
@@ -104,6 +105,8 @@ class ZaberFile(Strict):
     """of the chain"""
     joints: Mapping[Name, StageFile] = {}
     """the unit of each joint; none at all: numbered from the computer in the robot's order"""
+    deadline: Annotated[float, Field(ge=0.02, le=10.0)] = Line.deadline
+    """for a reply, from the start of its request; without two in a row a stage is lost [s]"""
 
 
 class AuroraFile(Strict):

@@ -4,6 +4,8 @@ from collections import deque
 
 from station.devices.links import LinkError
 
+MOST_WAITING = 4096  #: writes that nobody has read; the oldest get lost
+
 
 class Cable:
     """What joins two ends in memory. A host whose plug was pulled has a dead port until it opens it anew."""
@@ -98,8 +100,8 @@ class MemoryEnd:
 
 def memory_pipe(name: str) -> tuple[MemoryLink, MemoryEnd]:
     """Two ends of a pipe: the host's and the device's."""
-    to_device: deque[bytes] = deque()
-    to_host: deque[bytes] = deque()
+    to_device: deque[bytes] = deque(maxlen=MOST_WAITING)
+    to_host: deque[bytes] = deque(maxlen=MOST_WAITING)
     cable = Cable()
     host = MemoryLink(name, to_host, to_device, cable)
     return host, MemoryEnd(f"{name} (device)", to_device, to_host, cable)

@@ -9,8 +9,10 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
+import numpy as np
+
 from core.compiled import compiled
-from core.robot import Array
+from core.robot import Array, Indices
 
 RDT_PORT = 49152
 SAMPLE_RATE = 7000.0  #: of the box's internal counter, +-0.5 % [1/s]
@@ -144,43 +146,75 @@ class SampleClock:
     """
 
     def __init__(self, latency: float = LATENCY) -> None:
-        self._latency = latency
-        self._offset = 0.0  # host time at which the counter was 0, as the least delayed record says
-        self._seen = self._confirmed = 0.0  # when there was a record, and one of the least delayed
-        self.is_set = False  #: whether there has been a record at all
+        #: For compiled code: host time at which the counter was 0, as the least delayed record says; when there was
+        #: a record; when one of the least delayed; the latency [s].
+        self.state = np.array([np.inf, 0.0, 0.0, latency])
+
+    @property
+    def is_set(self) -> bool:
+        """Whether there has been a record at all."""
+        return bool(self.state[OFFSET] < np.inf)
 
     def observe(self, count: int, now: float) -> float:
         """Note that sample `count` is here at `now` [s], and say when it was measured [s]."""
-        offset = now - count / SAMPLE_RATE
-        latest = self._offset + DRIFT * (now - self._seen)
-        if offset <= latest or not self.is_set:
-            self._offset, self._confirmed, self.is_set = offset, now, True
-        else:
-            self._offset = latest
-        self._seen = now
-        return self._offset + count / SAMPLE_RATE - self._latency
+        return observe(self.state, count, now)
 
     def doubt(self, now: float) -> float:
         """By how much the offset may be off at `now` [s]."""
-        return 2.0 * DRIFT * (now - self._confirmed)
+        return 2.0 * DRIFT * (now - float(self.state[CONFIRMED]))
 
     def latest(self, now: float) -> float:
         """The count that can be here at `now` [s] at the latest."""
-        return (now - self._offset + 2.0 * DRIFT * (now - self._confirmed)) * SAMPLE_RATE
+        return latest(self.state, now)
+
+
+OFFSET, SEEN, CONFIRMED, LATE = range(4)  #: in the state of a clock
+RDT, FT, COUNT, STEP, ACCEPTED, IN_LINE, BEGUN = range(7)  #: in the state of a stream
 
 
 @compiled
-def is_next(datagram: bytes, rdt: int, ft: int, limits: Array, rows: Array, row: int) -> bool:
-    """Whether this is one record with these counters, healthy and inside the limits; its counts to `rows[row, 1:7]`."""
-    if len(datagram) != 36 or word(datagram, 0) != rdt or word(datagram, 4) != ft or word(datagram, 8) != HEALTHY:
+def observe(clock: Array, count: int, now: float) -> float:
+    """`SampleClock.observe` on its state."""
+    offset = now - count / SAMPLE_RATE
+    drifted = clock[OFFSET] + DRIFT * (now - clock[SEEN])
+    if offset <= drifted:
+        clock[OFFSET], clock[CONFIRMED] = offset, now
+    else:
+        clock[OFFSET] = drifted
+    clock[SEEN] = now
+    return clock[OFFSET] + count / SAMPLE_RATE - clock[LATE]
+
+
+@compiled
+def latest(clock: Array, now: float) -> float:
+    """`SampleClock.latest` on its state."""
+    return (now - clock[OFFSET] + 2.0 * DRIFT * (now - clock[CONFIRMED])) * SAMPLE_RATE
+
+
+@compiled
+def follow(stream: Indices, clock: Array, datagram: bytes, now: float, limits: Array, row: Array) -> bool:
+    """Take the usual datagram: one record, the one that is to come next, healthy and inside `limits` (6,) [counts].
+
+    `row` (7,) receives its time [s] and counts. False: it is anything else; nothing has happened.
+    """
+    step = stream[STEP]
+    if not stream[BEGUN] or not step or len(datagram) != 36:
+        return False
+    rdt, ft, count = (stream[RDT] + 1) % WRAP, (stream[FT] + step) % WRAP, stream[COUNT] + step
+    if word(datagram, 0) != rdt or word(datagram, 4) != ft or word(datagram, 8) != HEALTHY:
+        return False
+    if count > latest(clock, now) + AHEAD:
         return False
     for k in range(6):
         counts = word(datagram, 12 + 4 * k)
-        if counts >= 1 << 31:
-            counts -= 1 << 32
+        if counts >= WRAP // 2:
+            counts -= WRAP
         if not -limits[k] <= counts <= limits[k]:
             return False
-        rows[row, 1 + k] = counts
+        row[1 + k] = counts
+    stream[RDT], stream[FT], stream[COUNT], stream[IN_LINE] = rdt, ft, count, 0
+    stream[ACCEPTED] += 1
+    row[0] = observe(clock, count, now)
     return True
 
 
@@ -196,23 +230,21 @@ class Stream:
     def __init__(self, latency: float = LATENCY) -> None:
         self._latency = latency
         self._clock = SampleClock(latency)
-        self._begun = False
-        self._rdt = self._ft = 0  # both sequences of the last record
-        self._count = 0  # ft_sequence of the last record, unwrapped
+        #: For compiled code: both sequences of the last record; the second unwrapped; internal samples from one record
+        #: to the next, if those that began the stream agree, or 0; records accepted; how many that are not in line
+        #: follow one another; whether there is a last record.
+        self._state = np.zeros(7, dtype=np.int64)
         self._astray: tuple[int, ...] | None = None  # the last one that was not in line
-        self._in_line = 0  # how many of those follow one another
-        # Internal samples from one record to the next, if those that began the stream agree; 0: not known.
-        self._step = self._candidate = 0
+        self._candidate = 0.0
         self.lost = 0  #: records missing in the sequence so far
         self.resets = 0  #: how often the box's sample counter has begun anew
-        self._accepted = self._duplicates = self._late = 0
-        self._malformed = self._implausible = self._resyncs = 0
+        self._duplicates = self._late = self._malformed = self._implausible = self._resyncs = 0
 
     @property
     def counters(self) -> Counters:
         """What has been seen so far."""
         return Counters(
-            self._accepted,
+            int(self._state[ACCEPTED]),
             self.lost,
             self._duplicates,
             self._late,
@@ -224,25 +256,12 @@ class Stream:
 
     def restart(self) -> None:
         """A new request is sent: its sequence begins at 1."""
-        self._begun, self._astray, self._in_line = False, None, 0
+        self._state[BEGUN] = self._state[IN_LINE] = 0
+        self._astray = None
 
-    def follow(self, datagram: bytes, now: float, limits: Array, rows: Array, row: int) -> float | None:
-        """Take the usual datagram: the record that is to come next, healthy and inside `limits` (6,) [counts].
-
-        Its counts are put into `rows[row, 1:7]`, its time [s] is the answer. None: it is anything else; nothing has
-        happened, and it is for `feed`.
-        """
-        step = self._step
-        if not self._begun or not step:
-            return None
-        rdt, ft, count = self._rdt + 1 & WRAP - 1, self._ft + step & WRAP - 1, self._count + step
-        if not is_next(datagram, rdt, ft, limits, rows, row) or count > self._clock.latest(now) + AHEAD:
-            return None
-        self._rdt, self._ft, self._count = rdt, ft, count
-        if self._in_line:
-            self._astray, self._in_line = None, 0
-        self._accepted += 1
-        return self._clock.observe(count, now)
+    def follow(self, datagram: bytes, now: float, limits: Array, row: Array) -> bool:
+        """Take the usual datagram in one compiled call (`follow`); where this is false, it is for `feed`."""
+        return follow(self._state, self._clock.state, datagram, now, limits, row)
 
     def feed(self, datagram: bytes, now: float) -> list[Sample]:
         """Take a datagram that has arrived by `now` [s]; give the samples in it that are in line."""
@@ -257,12 +276,12 @@ class Stream:
         return samples
 
     def _take(self, fields: tuple[int, ...], now: float) -> Sample | None:
-        if self._begun:
-            steps = fields[0] - self._rdt & WRAP - 1
-            samples = fields[1] - self._ft & WRAP - 1
-            step = self._step
+        rdt, ft, last, step, _, _, begun = self._state.tolist()
+        if begun:
+            steps = fields[0] - rdt & WRAP - 1
+            samples = fields[1] - ft & WRAP - 1
             if steps and (samples == step * steps if step else steps <= samples <= LONGEST_STEP * steps):
-                count = self._count + samples
+                count = last + samples
                 if count <= self._clock.latest(now) + AHEAD:
                     self.lost += steps - 1
                     return self._accept(fields, count, now)
@@ -276,21 +295,23 @@ class Stream:
         return self._consider(fields, now)
 
     def _accept(self, fields: tuple[int, ...], count: int, now: float) -> Sample:
-        self._begun, self._rdt, self._ft, self._count = True, fields[0], fields[1], count
-        self._astray, self._in_line = None, 0
-        self._accepted += 1
+        state = self._state
+        state[RDT], state[FT], state[COUNT], state[BEGUN], state[IN_LINE] = fields[0], fields[1], count, 1, 0
+        state[ACCEPTED] += 1
+        self._astray = None
         return Sample(self._clock.observe(count, now), fields[2], fields[3:])
 
     def _consider(self, fields: tuple[int, ...], now: float) -> Sample | None:
         """Begin with this record if enough of those that are not in line are in line with one another."""
         before, self._astray = self._astray, fields
-        ratio = _ratio(before, fields)
-        self._in_line = self._in_line + 1 if ratio else 1
-        self._candidate = ratio if self._in_line == 2 or ratio == self._candidate else 0
-        if self._in_line < (BEGIN if not self._begun and self._candidate else REPLACE):
+        ratio, begun = _ratio(before, fields), bool(self._state[BEGUN])
+        in_line = int(self._state[IN_LINE]) + 1 if ratio else 1
+        self._state[IN_LINE] = in_line
+        self._candidate = ratio if in_line == 2 or ratio == self._candidate else 0.0
+        if in_line < (BEGIN if not begun and self._candidate else REPLACE):
             return None
-        self._resyncs += self._begun
-        self._step = int(self._candidate) if self._candidate == int(self._candidate) else 0
+        self._resyncs += begun
+        self._state[STEP] = int(self._candidate) if self._candidate == int(self._candidate) else 0
         count = fields[1]
         if self._clock.is_set:
             latest = round(self._clock.latest(now))

@@ -31,24 +31,26 @@ class Ring:
     """The samples of one sensor, whose times never run back."""
 
     def __init__(self, rows: Array, ends: Indices) -> None:
-        self.rows = rows  #: (DEPTH, 7)
-        self.next = 0  #: the row for the next sample
+        self.row = np.zeros(7)  #: for the next sample: time [s] and six counts
         self.time = -np.inf  #: of the newest sample; infinite: there is none [s]
-        self._ends = ends
-        self._held = 0
+        self._rows, self._ends = rows, ends
 
-    def push(self, time: float) -> None:
-        """Take the counts that have been put into the next row as those of `time` [s]."""
-        # A less delayed record may have set the clock back.
-        self.time = time = max(time, self.time)
-        row, self._held = self.next, min(self._held + 1, DEPTH - 1)  # one is being filled
-        self.rows[row, 0] = time
-        self._ends[0], self._ends[1] = row, self._held
-        self.next = (row + 1) % DEPTH
+    def push(self) -> None:
+        """Take what has been put into `row`; a less delayed record may have set the clock back."""
+        self.time = _push(self._rows, self._ends, self.row, self.time)
 
     def clear(self) -> None:
         """Forget them."""
-        self._held, self.time = 0, -np.inf
+        self._ends[1], self.time = 0, -np.inf
+
+
+@compiled
+def _push(rows: Array, ends: Indices, row: Array, time: float) -> float:
+    ends[0], ends[1] = (ends[0] + 1) % DEPTH, min(ends[1] + 1, DEPTH)
+    time = max(time, row[0])
+    rows[ends[0]] = row
+    rows[ends[0], 0] = time
+    return time
 
 
 @compiled

@@ -131,9 +131,8 @@ class _Sensor:
         lost, resets, news, newest = stream.lost, stream.resets, False, 0
         try:
             for datagram in self.link.receive():
-                time = stream.follow(datagram, now, self._limits, good.rows, good.next)
-                if time is not None:
-                    good.push(time)
+                if stream.follow(datagram, now, self._limits, good.row):
+                    good.push()
                     self.status, self._fresh, news = 0, now, True
                     continue
                 for sample in stream.feed(datagram, now):
@@ -164,11 +163,10 @@ class _Sensor:
         if not is_usable(sample.status):
             return _SATURATED if sample.status & SATURATED else _STATUS
         flags = _LATCHED if sample.status == THRESHOLD_LATCHED else 0
-        counts = np.array(sample.counts, dtype=np.float64)
-        if (np.abs(counts) > self._limits).any():
+        if (np.abs(np.array(sample.counts)) > self._limits).any():
             return flags | _RANGE
-        self.good.rows[self.good.next, 1:] = counts
-        self.good.push(sample.time)
+        self.good.row[:] = sample.time, *sample.counts
+        self.good.push()
         self._fresh = now
         return flags
 

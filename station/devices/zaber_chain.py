@@ -25,6 +25,7 @@ from station.devices.zaber import (
 )
 from station.devices.zaber_dialogue import Answer, Ask, Astray, Complaint, Happening, Lost, ResetDone
 from station.devices.zaber_estimate import ASTRAY, Estimate
+from station.devices.zaber_shifts import IGNORED, sayable
 
 STATUSES = frozenset(int(status) for status in Status)
 #: Replies that nobody waits for, or that come late.
@@ -46,6 +47,7 @@ class Axis:
     top: int  #: largest speed that is sent [speed units]
     acceleration: int  #: as set in the unit [acceleration units]
     maximum: int  #: maximum position as set in the unit [microsteps]
+    alias: int | None = None  #: its second number, by which it is called once positions are asked for
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ class Line:
     #: A reply with a longer silence inside is dropped [s]: not the 10 ms that the manufacturer recommends, since
     #: a USB adapter may hold bytes back for 16 ms.
     silence: float = 0.025
+    pause: float = 0.0  #: after each forward speed; 0.0125 and more excludes any misreading (`zaber_shifts`) [s]
     refresh: float = 0.25  #: an unchanged velocity is repeated after that, in case it was not heard [s]
     stop_tries: int = 3  #: stops that a homing unit may ignore before it is reset
     restart: float = 1.0  #: a unit says nothing after a reset [s]
@@ -93,6 +96,8 @@ class Chain:
         self.polling = False  #: positions are asked for
         self.stopping: dict[int, int] = {}  #: axes told to stop that have not said that they rest, and tries
         self._index = {axis.device: i for i, axis in enumerate(self.axes)}
+        self._listeners = {number for axis in self.axes for number in (axis.device, axis.alias or axis.device)}
+        self._sayable: dict[int, int] = {}  # of the speeds so far
         self._wanted = [0 for _ in count]
         self._sent_at: list[float] = [math.inf for _ in count]  # infinite: not under way
         self._misses = [0 for _ in count]
@@ -110,7 +115,11 @@ class Chain:
     def command(self, axis: int, speed: int) -> None:
         """A speed for an axis [speed units]; the latest wins, when its turn comes."""
         top = self.axes[axis].top
-        self._wanted[axis] = speed if -top <= speed <= top else int(math.copysign(top, speed))
+        speed = speed if -top <= speed <= top else int(math.copysign(top, speed))
+        wanted = self._sayable.get(speed)
+        if wanted is None:
+            wanted = self._sayable[speed] = sayable(speed, self._listeners)
+        self._wanted[axis] = wanted
 
     def stop(self) -> None:
         """Stop every axis before anything else is sent, and see that they do."""
@@ -171,10 +180,13 @@ class Chain:
         self._free += MESSAGE_TIME
         effect = self._free + self.line.processing
         if command in (Command.STOP, Command.RESET, Command.MOVE_SPEED):
+            speed = data if command == Command.MOVE_SPEED else 0
+            if speed > 0 and self.line.pause > 0.0:
+                self._quiet = max(self._quiet, self._free + self.line.pause)
             for i, axis in enumerate(self.axes):
-                if device in (0, axis.device):
-                    self.sent[i] = data
-                    self.estimates[i].command(data * SPEED_UNIT, effect)
+                if device in (0, axis.device, axis.alias):
+                    self.sent[i] = speed
+                    self.estimates[i].command(speed * SPEED_UNIT, effect)
         return encode(chosen)
 
     def _next(self, now: float) -> Message | None:
@@ -190,6 +202,8 @@ class Chain:
                 self._asked = True
                 if ask.reply is not None:
                     self._pending[device, ask.reply] = (now + self.line.deadline, ask.axis, False)
+                # Its data may read as anything to a unit that has lost the frame: in a pause it finds it again.
+                self._quiet = max(self._free, now) + MESSAGE_TIME + 1.25 * GAP
                 return Message(device, ask.command, ask.data)
         if self._since_poll < len(self.axes):
             velocity = self._next_velocity(now)
@@ -209,7 +223,7 @@ class Chain:
             self._sent_at[i] = math.inf
             if command == Command.RESET:
                 self._away[i] = now + self.line.restart
-        return Message(0 if axis < 0 else self.axes[axis].device, command, 0)
+        return Message(0 if axis < 0 else self.axes[axis].device, command, IGNORED)
 
     def _next_velocity(self, now: float) -> Message | None:
         count = len(self.axes)
@@ -221,8 +235,15 @@ class Chain:
                 self._sent_at[i] = now
                 self.stopping.pop(i, None)
                 self.counts[i].velocities += 1
-                return Message(self.axes[i].device, Command.MOVE_SPEED, wanted)
+                if wanted == 0:
+                    return Message(self._address(i), Command.STOP, IGNORED)
+                return Message(self._address(i), Command.MOVE_SPEED, wanted)
         return None
+
+    def _address(self, axis: int) -> int:
+        """The number to call a unit by."""
+        own = self.axes[axis]
+        return own.alias if self.polling and own.alias is not None else own.device
 
     def _next_poll(self, now: float) -> Message | None:
         count = len(self.axes)
@@ -241,7 +262,7 @@ class Chain:
             self.counts[i].polls += 1
             if not status:
                 self.estimates[i].expect(max(self._free, now) + MESSAGE_TIME + self.line.processing)
-            return Message(device, command, 0)
+            return Message(self._address(i), command, IGNORED)
         return None
 
     def _plausible(self, message: Message) -> bool:
@@ -261,7 +282,7 @@ class Chain:
         waited = self._pending.get((device, command))
         if waited is None:
             if command == Command.ERROR:
-                if ask is not None and self._asked and ask.axis == axis:
+                if ask is not None and ask.axis == axis:  # perhaps it is about the setting before
                     self._pending.pop((device, ask.reply or -1), None)
                     self._ask = None
                     happenings.append(Answer(error=data))

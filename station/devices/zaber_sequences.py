@@ -55,6 +55,7 @@ class Sequences:
                 (Command.SET_MODE, mode),
                 (Command.SET_RESOLUTION, RESOLUTION),
                 (Command.SET_HOME_OFFSET, 0),
+                (Command.SET_ALIAS, units.alias(i)),
                 (Command.SET_ACCELERATION, setup.acceleration),
                 (Command.SET_HOME_SPEED, setup.home_units),
                 (Command.SET_MAXIMUM, setup.maximum),
@@ -81,23 +82,53 @@ class Sequences:
             reach = max(setup.maximum * setup.joint.microstep, 2.0 * math.pi) / setup.home_speed
             give_up = self.now + 2.0 * reach + 10.0
             for _ in range(3):
-                yield Ask(i, Command.HOME)
-                yield 0.05
-                while (yield from self._read_twice(i, Command.STATUS)) not in (Status.IDLE, None):
-                    if self.now > give_up:
-                        raise ZaberError(f"{name} has been homing for more than {2.0 * reach + 10.0:.0f} s")
-                    yield 0.1
+                begun = self.now
+                try:
+                    yield Ask(i, Command.HOME)
+                    yield from self._rest(i, give_up, "homing")
+                finally:
+                    units.way_home[i] += (self.now - begun) * setup.home_speed
                 mode = yield from self._need(i, Command.SET_MODE)
                 if mode & Mode.HOMED:
                     break
             else:
                 raise ZaberError(f"{name} came to rest without having found its home sensor; is it free to move?")
+            if setup.joint.motion == "rotation" and units.way_home[i] > math.pi:
+                yield from self._turn_back(i)
+            units.way_home[i] = 0.0
             if setup.home_count:
                 yield from self._set(i, Command.SET_POSITION, setup.home_count)
             units.estimate(i).forget()
             units.homed[i] = True
             units.home_again.discard(i)
         yield from self._settle()
+
+    def _turn_back(self, i: int) -> Script:
+        """Turn a stage that homed a turn too low up to its zero, at the speed of homing.
+
+        It meets its sensor once a turn on the way down. One that began within half a turn of its zero and went more
+        than half a turn to a sensor began below zero.
+        """
+        setup, name = self._units.setups[i], self._units.name(i)
+        turn = round(2.0 * math.pi / setup.joint.microstep)
+        yield from self._set(i, Command.SET_SPEED, setup.home_units)
+        yield from self._set(i, Command.SET_MAXIMUM, max(turn, setup.maximum))
+        yield Ask(i, Command.MOVE_RELATIVE, turn)
+        seconds = 2.0 * math.pi / setup.home_speed
+        yield from self._rest(i, self.now + 2.0 * seconds + 10.0, "turning back to its zero")
+        place = yield from self._read_twice(i, Command.POSITION)
+        yield from self._set(i, Command.SET_MAXIMUM, setup.maximum)
+        if place != turn:
+            raise ZaberError(f"{name} stands at {place} microsteps after turning back to its zero, not at {turn}")
+
+    def _rest(self, i: int, give_up: float, what: str) -> Script:
+        """Wait until a unit is idle."""
+        begun = self.now
+        yield 0.05
+        while (yield from self._read_twice(i, Command.STATUS)) not in (Status.IDLE, None):
+            if self.now > give_up:
+                raise ZaberError(f"{self._units.name(i)} has been {what} for more than {give_up - begun:.0f} s")
+            yield 0.1
 
     def _settle(self) -> Script:
         """Wait for positions that are sure, where they mean something."""

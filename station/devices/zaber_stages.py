@@ -18,6 +18,7 @@ from station.devices.zaber_chain import Axis, Chain, Counts, Line
 from station.devices.zaber_dialogue import Answer, Ask, Astray, Complaint, Happening, Lost
 from station.devices.zaber_sequences import Script, Sequences
 from station.devices.zaber_setup import Port, StageSetup
+from station.devices.zaber_shifts import FIRST_ALIAS, alias
 from station.devices.zaber_units import Identity, Units
 
 
@@ -195,9 +196,14 @@ class ZaberStages:
         where: dict[int, tuple[Chain, int]] = {}
         for port in self.ports:
             setups = [self.setups[i] for i in port.stages]
-            axes = [Axis(s.device, s.top, s.acceleration, s.maximum) for s in setups]
+            axes = [Axis(s.device, s.top, s.acceleration, s.maximum, alias(k)) for k, s in enumerate(setups)]
             if len({axis.device for axis in axes}) < len(axes):
                 raise ZaberError(f"two stages on {port.link.name} have the same device number; renumber the chain")
+            if any(axis.device >= FIRST_ALIAS for axis in axes):
+                raise ZaberError(
+                    f"a stage on {port.link.name} has a device number beyond {FIRST_ALIAS - 1}; from {FIRST_ALIAS} on "
+                    "they are used as aliases: renumber the chain"
+                )
             chain = Chain(axes, self._line)
             self._units.chains.append(chain)
             where |= {i: (chain, k) for k, i in enumerate(port.stages)}

@@ -25,6 +25,7 @@ class Units:
         self.identities: list[Identity | None] = [None for _ in setups]
         self.homed = [False for _ in setups]
         self.home_again: set[int] = set()  #: stages that must be homed whatever their units say
+        self.way_home = [0.0 for _ in setups]  #: on which a stage is or was stopped [rad or m]
         self.ports: tuple[Port, ...] = ()
         self.chains: list[Chain] = []  #: one for each port
         self.where: list[tuple[Chain, int]] = []  #: chain and axis of each stage
@@ -33,6 +34,11 @@ class Units:
         """Where the axis of a stage is [microsteps]."""
         chain, axis = self.where[i]
         return chain.estimates[axis]
+
+    def alias(self, i: int) -> int:
+        """Second number of the unit of a stage."""
+        chain, axis = self.where[i]
+        return chain.axes[axis].alias or 0
 
     def name(self, i: int) -> str:
         """The stage, its number and its line, for a message."""

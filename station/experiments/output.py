@@ -1,5 +1,6 @@
 """Results on disk and on the screen."""
 
+import contextlib
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
@@ -10,12 +11,16 @@ from rich.text import Text
 
 from station.experiments.experiment import Case, Experiment, PaperNumbers
 from station.experiments.runner import Recording
-from station.recording.case_recorder import BLOCK, CaseRecorder
-from station.recording.label import Label
+from station.recording.case_recorder import CaseRecorder
+from station.recording.label import Label, RecordingError
+from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
 from station.recording.writer import FAST_PICTURES, CaseWriter
 from station.telemetry import Channels
+
+#: Rows that a summary is made of: all of a run of up to half an hour, every n-th of a longer one.
+MOST = 1_000_000
 
 
 class ResultFolder:
@@ -47,16 +52,14 @@ class ResultFolder:
         channels = Channels(case.robot.robot())
         return CaseRecorder(self._writer(case, channels), len(channels))
 
-    def write_case(self, recording: Recording) -> None:
-        """All channels of a case that was run.
+    def recorded(self, recording: Recording) -> Recording:
+        """What was run, with the rows that its recorder wrote; of a very long one only some, evenly.
 
         Raises:
-            RecordingError: the disk takes no more.
+            RecordingError: they cannot be read.
         """
-        writer = self._writer(recording.case, recording.channels)
-        for first in range(0, len(recording.rows), BLOCK):
-            writer.write(recording.rows[first : first + BLOCK])
-        writer.close(label_of(completed=recording.completed, cause=recording.cause), recording.cause)
+        path = self._folder.case(recording.case.name)
+        return recording._replace(rows=read_case(path, MOST).rows) if path.exists() else recording
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Add the summary; then the folder gets its name.
@@ -74,6 +77,9 @@ class ResultFolder:
 
     def abandon(self) -> None:
         """Something went wrong: keep what was recorded, as a run that was interrupted; nothing if there is nothing."""
+        for writer in self._writers:
+            with contextlib.suppress(RecordingError):  # the recovery tries once more
+                writer.close(Label.INTERRUPTED, "the run was given up")
         self._folder.let_go()
         recover(self._out)
 

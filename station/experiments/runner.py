@@ -26,7 +26,8 @@ class Recording(NamedTuple):
 
     case: Case
     channels: Channels
-    rows: Array  #: (ticks, channels) of the motion, its preparation left out; time counts from its start
+    #: (ticks, channels) of the motion, without its preparation; time counts from its start. None if recorded.
+    rows: Array
     completed: bool
     cause: str  #: why it did not complete
     simulated_s: float  #: preparation included
@@ -37,7 +38,13 @@ class Recording(NamedTuple):
     rates: Mapping[str, Mapping[str, float]] = MappingProxyType({})
 
 
-def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], None]) -> Recording:
+def run_case(
+    case: Case,
+    seed: int,
+    clock: Clock,
+    progress: Callable[[float], None],
+    record: Callable[[Array], None] | None = None,
+) -> Recording:
     """Run to the end, to a stop, or to Ctrl-C.
 
     Args:
@@ -45,12 +52,15 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
         seed: of everything random in the virtual lab.
         clock: real or virtual.
         progress: told the fraction done, twice a simulated second.
+        record: given each row as it comes; then none is kept in memory, however long the run is.
     """
     wall = time.perf_counter()
     lab, devices = virtual_bench(case.robot, case.lab, seed, case.start)
     loop = ControlLoop(case.controller, devices)
     rows: list[Array] = []
-    tick, motion_start, cause, begun = 0, 0.0, "", False
+    keep = rows.append if record is None else record
+    tip_time = [channel.name for channel in loop.channels.all].index("tip_time")
+    tick, kept, motion_start, cause, begun = 0, 0, 0.0, "", False
     counted: Mapping[str, Any] = {}
     loop.connect(0.0)
     try:
@@ -77,22 +87,23 @@ def run_case(case: Case, seed: int, clock: Clock, progress: Callable[[float], No
                     lab.pull(case.file.load, motion_start)
                     lab.inject(case.file.faults, motion_start)
                 elif loop.phase is Phase.MOVING and row is not None:
-                    if not rows:
+                    if not kept:
                         counted = devices.stages.details()
                     if lab.trouble:
                         cause = f"the simulated robot cannot follow its stages: {lab.trouble}"
                         break
-                    rows.append(row)
+                    row[0] -= motion_start
+                    row[tip_time] -= motion_start
+                    keep(row)
+                    kept += 1
                 tick += 1
                 if tick % 250 == 0:
                     progress(loop.part_done(now))
     except CtrError as error:
         cause = str(error)
     table = np.array(rows) if rows else np.empty((0, len(loop.channels)))
-    for group in ("time", "tip_time"):
-        loop.channels.of(table, group)[:] -= motion_start
     said = {name: getattr(devices, name).details() for name in ("stages", "tracker", "sensors")}
-    rates = _rates(counted, said["stages"], len(rows) * PERIOD)
+    rates = _rates(counted, said["stages"], kept * PERIOD)
     return Recording(
         case, loop.channels, table, not cause, cause, tick * PERIOD, time.perf_counter() - wall, said, rates
     )

@@ -10,13 +10,16 @@ import signal
 import threading
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from core.errors import CtrError
 from station.clock import VirtualClock
 from station.config import ConfigError
 from station.experiments.experiment import Case, Experiment, load_experiment
@@ -32,6 +35,10 @@ WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 
 #: Dotted keys of an experiment's file and the values they get, in the order they were given.
 Setting = tuple[tuple[str, Any], ...]
+
+
+class SweepFailed(CtrError):
+    """A sweep that lost one of its processes."""
 
 
 class Job(NamedTuple):
@@ -126,26 +133,39 @@ def sweep(listed: Sequence[Job], processes: int, told: Callable[[int], None]) ->
     """Carry out all of `listed`, `processes` at a time; `told` how many are done.
 
     Ctrl-C ends the runs that are on, leaves out the others, and what is done comes back.
+
+    Raises:
+        SweepFailed: a process was killed.
     """
     before = set(active_children())
-    with (
-        _one_thread_each(),
-        interrupts() as interrupted,
-        ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_prepare) as pool,
-    ):
-        futures = [pool.submit(run_job, job) for job in listed]
+    context = get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context, initializer=_end_with_parent) as pool:
+        with _one_thread_each(), _deaf_to_interrupts():
+            futures = [pool.submit(run_job, job) for job in listed]
+        _wait(futures, before, told)
+    try:
+        return [future.result() for future in futures if not future.cancelled()]
+    except BrokenProcessPool:
+        raise SweepFailed(
+            "a process of the sweep ended by itself; was it killed, or is there too little memory?"
+        ) from None
+
+
+def _wait(futures: Sequence[Future[Outcome]], others: set[BaseProcess], told: Callable[[int], None]) -> None:
+    """Until all are done or Ctrl-C was pressed; `others` are processes that are not the pool's."""
+    with interrupts() as interrupted:
         waiting = set(futures)
         while waiting:
             done, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
             if done:
                 told(len(futures) - len(waiting))
             if interrupted():
-                pool.shutdown(wait=False, cancel_futures=True)
-                for child in set(active_children()) - before:
-                    # A run takes it as a question and ends; between runs it is ignored.
-                    os.kill(child.pid or 0, signal.SIGINT)
-                break
-    return [future.result() for future in futures if not future.cancelled()]
+                waiting = {future for future in waiting if not future.cancel()}
+                for child in set(active_children()) - others:
+                    # A run takes it as a question and ends; between runs it is ignored, and a run that was
+                    # next in the line may begin yet: asked again until none is left.
+                    if child.pid is not None:
+                        os.kill(child.pid, signal.SIGINT)
 
 
 def spreads(outcomes: Sequence[Outcome]) -> dict[str, Spread]:
@@ -201,17 +221,29 @@ def sweep_summary(
     }
 
 
-def _prepare() -> None:
-    """In each new process: ends with its parent, leaves Ctrl-C to the runs."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _end_with_parent() -> None:
+    """In each new process: watch whether the one that started it is still there."""
     parent = parent_process()
 
-    def end_with_parent() -> None:
+    def watch() -> None:
         if parent is not None:
             parent.join()
             os._exit(1)
 
-    threading.Thread(target=end_with_parent, daemon=True).start()
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """New processes ignore Ctrl-C from their first moment on; only a run listens to it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals go to the main thread
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

@@ -4,7 +4,6 @@ import contextlib
 import multiprocessing
 import os
 from collections.abc import Sequence
-from typing import Any
 
 from core.errors import CtrError
 from station.devices.config import BenchFile

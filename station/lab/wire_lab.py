@@ -34,6 +34,9 @@ from station.robots import RobotFile
 #: Device IDs of the simulated units; those of the real ones are not known here.
 ROTARY_ID, LINEAR_ID = 4421, 4332
 SERIALS = 1000  #: the device number is added
+#: Each force sensor sends 7000/13 records a second. Not 500: a record would have to wait equally long for every
+#: poll, and nobody could tell how long; so the wait goes through all lengths and the shortest tells the time.
+RECORDS = 7000.0 / 13.0
 
 
 class Wires(NamedTuple):
@@ -101,7 +104,7 @@ class WireLab:
         self._off_tip = bool(self.hidden.coil.any())
         self.aurora = SimulatedAurora(self.hidden.tracker(config.tracker), tracker, mount=self.hidden.mount(MOUNT))
         self.boxes = tuple(
-            SimulatedNetft(end, config.sensors, rng, BoxSettings(serial=f"FT{number:05}"))
+            SimulatedNetft(end, config.sensors, rng, BoxSettings(rate=RECORDS, serial=f"FT{number:05}"))
             for number, (end, rng) in enumerate(zip(self._wires.netft, sensors.spawn(len(robot.tubes)), strict=True), 1)
         )
         self.faults = FaultScript(robot, self.chain, self.aurora, self.boxes, self._wires[:2])

@@ -39,12 +39,12 @@ class CaseRecorder:
         self._writer.event(event)
 
     def close(self, label: Label, cause: str = "") -> None:
-        """Write what is left and finish the file.
+        """Write what is left and finish the file; nothing when the disk has ended it before.
 
         Raises:
             RecordingError: the disk has no room for it.
         """
-        if self._filled:
+        if self._filled and self._writer.label is None:
             self._flush()
         self._writer.close(label, cause)
 

@@ -120,18 +120,24 @@ def _undamaged(path: Path) -> Iterator[None]:
         raise RecordingError(f"{path}: not a recording of this program, or damaged: {error!r}") from None
 
 
-def read_case(path: Path) -> CaseRecording:
+def read_case(path: Path, most: int | None = None) -> CaseRecording:
     """All of a recording in memory.
+
+    Args:
+        path: the file.
+        most: rows; of a longer recording every second, third, ... one is read, as few as are not too many.
 
     Raises:
         RecordingError: there is none, it is damaged, or it was never finished.
     """
     with open_case(path) as case:
-        rows = np.empty((case.ticks, len(case.channels)))
-        filled = 0
+        stride = 1 if most is None else max(1, -(-case.ticks // most))
+        rows = np.empty((-(-case.ticks // stride), len(case.channels)))
+        passed, filled = 0, 0
         for block in case.blocks():
-            rows[filled : filled + len(block)] = block
-            filled += len(block)
+            some = block[-passed % stride :: stride]
+            rows[filled : filled + len(some)] = some
+            passed, filled = passed + len(block), filled + len(some)
         return CaseRecording(case.channels, rows, case.events(), case.metadata, case.label, case.cause)
 
 

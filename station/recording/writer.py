@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.robot import Array, Robot
 from station.recording.data_section import DataSection, Said, Topic
@@ -26,7 +27,7 @@ PARTIAL = ".partial"
 #: A file that the disk had no room to finish.
 FULL = ".full"
 #: Pictures a second: a drawing costs as much as thirty rows, which a loop that runs as fast as it can would feel.
-LIVE_PICTURES, FAST_PICTURES = 25.0, 10.0
+LIVE_PICTURES, FAST_PICTURES = 20.0, 10.0
 ROWS, EVENT, DRAWN = 1, 2, 3  #: topics by id
 
 
@@ -59,7 +60,8 @@ class CaseWriter:
         self._epoch: int | None = None  #: of the rows' own time, which may count from anywhere [ns] since 1970
         self._drawing = Drawing(robot, channels, DRAWN)
         self._said: list[Said] = []
-        self._rate, self._picture = pictures, -np.inf
+        self._rate = pictures
+        self._picture: int | None = None  #: period of the latest
         self._rows = 0
         self._section: DataSection | None = None
         topics = (
@@ -90,13 +92,9 @@ class CaseWriter:
         """
         if self._section is None:
             raise RecordingError(f"{self.path}: the recording has ended")
-        times = rows[:, 0]
-        epoch = self._start(float(times[0])) if len(rows) else 0
-        stamps = (epoch + np.rint(1e9 * times).astype(np.int64)).astype(np.uint64)
-        pictures = np.floor(self._rate * times + 1e-6)
-        for number in np.flatnonzero(np.diff(pictures, prepend=self._picture)).tolist():
+        stamps = self._stamps(rows[:, 0])
+        for number in self._pictures(rows[:, 0]):
             self._said += self._drawing.messages(rows[number], int(stamps[number]))
-        self._picture = float(pictures[-1]) if len(rows) else self._picture
         try:
             self._section.write_chunk(message_records(rows, stamps, ROWS, self._rows), ROWS, self._said)
         except OSError as error:
@@ -130,6 +128,23 @@ class CaseWriter:
             if label is Label.INCOMPLETE:
                 section.path.rename(self.path.with_name(self.path.name + FULL))
             raise RecordingError(f"{self.path}: the recording cannot be finished: {error.strerror}") from None
+
+    def _stamps(self, times: Array) -> NDArray[np.uint64]:
+        """Wall time (n,) [ns] of rows' times."""
+        if len(times) == 0:
+            return np.empty(0, np.uint64)
+        return (1e9 * times + 0.5).astype(np.int64).astype(np.uint64) + np.uint64(self._start(float(times[0])))
+
+    def _pictures(self, times: Array) -> list[int]:
+        """Which rows are to be drawn: the first of each period of the pictures."""
+        periods = (self._rate * times + 1e-6).astype(np.int64)
+        before, drawn = self._picture, list[int]()
+        for number, period in enumerate(periods.tolist()):
+            if period != before:
+                before = period
+                drawn.append(number)
+        self._picture = before
+        return drawn
 
     def _start(self, moment: float) -> int:
         """When the rows' time was 0, from the first moment that is heard of [ns] since 1970."""

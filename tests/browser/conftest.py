@@ -2,7 +2,8 @@
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ FLAGS = [
     "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 ]  # fmt: skip
 HERE = Path(__file__).parent
+SIZE = {"width": 1280, "height": 720}
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -62,10 +64,10 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def open_page(running: Served, browser: Browser) -> Iterator[Page]:
     """The page with its scene drawn; opened once, software rendering is slow."""
-    page = browser.new_page(viewport={"width": 1280, "height": 720})
+    page = browser.new_page(viewport=SIZE)
     page.goto(running.url)
     scene = page.frame_locator("#scene")
-    scene.get_by_text("STOP").first.wait_for(timeout=60_000)
+    scene.get_by_text("desired tip").first.wait_for(timeout=60_000)
     scene.locator("canvas").first.wait_for(timeout=60_000)
     page.wait_for_timeout(4000)
     yield page
@@ -76,3 +78,29 @@ def open_page(running: Served, browser: Browser) -> Iterator[Page]:
 def page(station: Served, open_page: Page) -> Page:
     open_page.locator("#state", has_text="READY").wait_for(timeout=10_000)
     return open_page
+
+
+@contextmanager
+def bare_page(browser: Browser, station: Served, query: str = "") -> Iterator[Page]:
+    """The page of a person of its own, without the scene: it takes a processor to draw."""
+    context = browser.new_context(viewport=SIZE)
+    page = context.new_page()
+    page.route("**/viser/**", lambda route: route.abort())
+    page.goto(f"{station.url}/{query}")
+    page.locator("#state", has_text="READY").wait_for(timeout=20_000)
+    page.locator(".card").first.wait_for(timeout=20_000)
+    try:
+        yield page
+    finally:
+        context.close()
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Callable[[Page, str], None]:
+    """Take a picture of the page; they stay where CTR_STATION_PICTURES says."""
+    folder = Path(os.environ.get("CTR_STATION_PICTURES", tmp_path))
+
+    def take(page: Page, name: str) -> None:
+        assert len(page.screenshot(path=folder / f"{name}.png")) > 10_000
+
+    return take

@@ -1,13 +1,13 @@
 """The header without the scene: it must tell the truth and stop the robot whatever else fails."""
 
+import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser
 
-from tests.serving import Served, serving
+from tests.browser.conftest import bare_page
+from tests.serving import serving
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
 
@@ -17,20 +17,8 @@ def running() -> None:
     """Each of these tests ends its own station."""
 
 
-@contextmanager
-def header(browser: Browser, station: Served) -> Iterator[Page]:
-    page = browser.new_page()
-    page.route("**/viser/**", lambda route: route.abort())
-    page.goto(station.url)
-    page.locator("#state", has_text="READY").wait_for(timeout=20_000)
-    try:
-        yield page
-    finally:
-        page.close()
-
-
 def test_stop_works_with_a_broken_scene(browser: Browser) -> None:
-    with serving() as station, header(browser, station) as page:
+    with serving() as station, bare_page(browser, station) as page:
         station.post("/api/start", HOLD)
         page.locator("#state", has_text="RUNNING").wait_for(timeout=3000)
         page.locator("#stop").click()
@@ -39,7 +27,7 @@ def test_stop_works_with_a_broken_scene(browser: Browser) -> None:
 
 
 def test_a_dead_control_process_shows_as_fault_at_once_and_a_reset_revives_it(browser: Browser) -> None:
-    with serving() as station, header(browser, station) as page:
+    with serving() as station, bare_page(browser, station) as page:
         page.evaluate(
             """() => {
               window.faultSeen = null;
@@ -52,7 +40,7 @@ def test_a_dead_control_process_shows_as_fault_at_once_and_a_reset_revives_it(br
         station.control_process().kill()
         page.locator("#state", has_text="FAULT").wait_for(timeout=3000)
         assert page.evaluate("() => window.faultSeen") - killed < 500
-        assert "signal 9" in page.locator("#cause").inner_text()
+        assert "signal 9" in page.locator("#says").inner_text()
         page.locator("#reset").click()
         page.locator("#state", has_text="READY").wait_for(timeout=20_000)
         assert station.post("/api/start", HOLD).status_code == 202
@@ -60,8 +48,29 @@ def test_a_dead_control_process_shows_as_fault_at_once_and_a_reset_revives_it(br
 
 
 def test_a_station_that_is_gone_shows_as_such(browser: Browser) -> None:
-    with serving() as station, header(browser, station) as page:
+    with serving() as station, bare_page(browser, station) as page:
         station.end()
         page.locator("#state", has_text="NO ANSWER").wait_for(timeout=3000)
-        assert "emergency stop" in page.locator("#cause").inner_text()
+        assert "emergency stop" in page.locator("#next").inner_text()
         assert "stale" in str(page.locator("body").get_attribute("class"))
+        page.locator("#stop").click()
+        page.locator("#alarm", has_text="Use the emergency stop").wait_for(timeout=5000)
+
+
+def test_a_station_that_hangs_looks_old_within_half_a_second(browser: Browser) -> None:
+    with serving() as station, bare_page(browser, station) as page:
+        page.evaluate(
+            """() => {
+              window.staleSeen = null;
+              const look = () => { if (document.body.classList.contains('stale')) window.staleSeen ??= Date.now(); };
+              new MutationObserver(look).observe(document.body, {attributes: true});
+            }"""
+        )
+        try:
+            station.process.send_signal(signal.SIGSTOP)
+            hung = 1e3 * time.time()
+            page.wait_for_function("() => window.staleSeen !== null", timeout=5000)
+            assert page.evaluate("() => window.staleSeen") - hung < 700  # a slow machine's 0.2 s on top
+        finally:
+            station.process.send_signal(signal.SIGCONT)
+        page.wait_for_function("() => !document.body.classList.contains('stale')", timeout=10_000)

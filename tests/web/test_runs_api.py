@@ -13,7 +13,7 @@ import pytest
 
 from station.clock import VirtualClock
 from station.experiments.experiment import load_experiment
-from station.experiments.output import ResultFolder
+from station.experiments.output import ResultFolder, label_of
 from station.experiments.results import summarise
 from station.experiments.runner import run_case
 from station.recording.read import read_case
@@ -31,7 +31,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for seed, completed in ((0, True), (1, False)):
         result = ResultFolder(folder, experiment, seed)
         one = recording._replace(completed=completed, cause="" if completed else "the line was cut")
-        result.write_case(one)
+        recorder = result.record(case)
+        for row in one.rows:
+            recorder.write(row)
+        recorder.close(label_of(completed=completed, cause=one.cause), one.cause)
         result.finish({
             "experiment": "fig7", "seed": seed, "completed": completed, "cases": {"regulation": summarise(one)},
         })  # fmt: skip

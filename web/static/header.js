@@ -62,7 +62,7 @@ function minutes(seconds) {
 
 function showRun(status) {
   const run = status.run, on = run !== null && status.state === "RUNNING";
-  $("run-title").textContent = run === null ? status.lab : run.title;
+  $("run-title").textContent = run === null ? status.lab : on ? run.title : `last run: ${run.title}`;
   $("run-title").title = run === null ? "" : `run ${run.id}`;
   $("run-progress").hidden = !on;
   $("run-left").textContent = !on ? "" : run.phase === "moving"

@@ -1,14 +1,11 @@
-// The page: each part looks after itself.
+// The page. Header and scene first: they wait for nothing. Then the tabs, each by itself.
 import "./header.js";
 import "./scene.js";
-import "./run.js";
-import "./jog.js";
-import "./devices.js";
-import "./plots.js";
-import "./runs.js";
-import "./faults.js";
-import { start } from "./station.js";
+import { note, start } from "./station.js";
 import { open } from "./tabs.js";
 
 open("start");
 start();
+for (const part of ["run", "jog", "devices", "plots", "runs", "faults"]) {
+  import(`./${part}.js`).catch((error) => note(`the tab '${part}' did not come up (${error.message}); reload the page`));
+}

@@ -16,10 +16,10 @@ const both = (read) => [...xyz(read), size(read)];
 
 /** What can be shown: title, unit, traces, least span. */
 const ALL = {
-  error: ["Tip error, desired − measured", "mm", both((s) => difference(s, "tip_measured")), 1],
-  true: ["Tip error, desired − simulated truth", "mm", both((s) => difference(s, "tip_true")), 1],
+  error: ["Error, desired − measured", "mm", both((s) => difference(s, "tip_measured")), 1],
+  true: ["Error, desired − true", "mm", both((s) => difference(s, "tip_true")), 1],
   force: ["Force at the tip", "N", both((s) => s.force), 0.1],
-  deflection: ["Deflection, loaded − unloaded model", "mm", both((s) => scaled(s, "deflection", 1e3)), 1],
+  deflection: ["Deflection by the load", "mm", both((s) => scaled(s, "deflection", 1e3)), 1],
   timing: ["Loop timing, 99 % over a second", "µs", [
     { name: "late", value: (s) => s.late_us ?? NaN }, { name: "work", value: (s) => s.tick_us ?? NaN }], 100],
   tip: ["Measured tip", "mm", xyz((s) => scaled(s, "tip_measured", 1e3)), 1],

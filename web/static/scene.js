@@ -5,6 +5,7 @@ import { hot } from "./header.js";
 const frame = $("scene"), boxes = [...document.querySelectorAll("#switches input")];
 
 frame.addEventListener("load", () => {
+  if (frame.contentDocument === null) return; // no scene: an error page of the browser's
   // The scene is same-origin: the key works with the focus in there, too.
   frame.contentWindow.addEventListener("keydown", hot, true);
   // viser reconnects only while its document has the focus, which a frame seldom has.
@@ -17,7 +18,7 @@ frame.addEventListener("load", () => {
 frame.src = `/viser/as/${client}/`;
 
 // A dropped socket: viser looks at the focus only when it changes.
-setInterval(() => frame.contentWindow?.dispatchEvent(new Event("focus")), 2000);
+setInterval(() => { if (frame.contentDocument !== null) frame.contentWindow.dispatchEvent(new Event("focus")); }, 2000);
 
 for (const box of boxes) {
   box.addEventListener("change", async () => {

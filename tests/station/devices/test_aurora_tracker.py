@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 
 from station.devices.aurora import AuroraError
+from station.devices.aurora_dialogue import Break
 from station.devices.aurora_measurement import Quality
+from station.devices.aurora_replies import Transform
+from station.devices.aurora_session import AuroraSession
 from station.devices.aurora_settings import AuroraSettings
 from station.devices.aurora_tracker import AuroraTracker
 from station.devices.links import LinkError, SerialLink
@@ -99,6 +102,16 @@ def test_a_unit_left_at_an_unexpected_rate_is_reset_by_a_break():
 
     assert bench.report.quality is Quality.GOOD
     assert bench.unit.baud == 115200
+
+
+def test_a_break_lasts_a_quarter_of_a_second_in_two_steps_without_waiting():
+    session, orders = AuroraSession(AuroraSettings()), []
+    for tick in range(5000):  # nobody answers
+        orders += [(tick * 0.001, order) for order in session.due(tick * 0.001) if isinstance(order, Break)]
+
+    (begin, low), (end, high) = orders[:2]
+    assert (low, high) == (Break(True), Break(False))
+    assert end - begin == pytest.approx(0.25, abs=2e-3)
 
 
 def test_a_unit_that_is_switched_off_and_on_is_set_up_again():
@@ -377,3 +390,23 @@ def test_the_same_driver_and_unit_meet_over_ptys_and_sockets(kind):
     assert unit.baud == 115200
     for reading in read:
         assert reading.position == pytest.approx(REST, abs=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_tip_is_ahead_of_its_coil_along_the_coils_axis(seed):
+    """Against the matrix of the quaternion, column z."""
+    w, x, y, z = quaternion = (v := np.random.default_rng(seed).normal(size=4)) / np.linalg.norm(v)
+    axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z])
+    coil = Transform(tuple(quaternion.tolist()), (10.0, -20.0, 30.0), 0.1)
+
+    assert np.array(coil.ahead(4.0)) == pytest.approx(np.array(coil.position) + 4.0 * axis)
+    assert np.linalg.norm(np.subtract(coil.ahead(4.0), coil.position)) == pytest.approx(4.0)
+    assert coil.ahead(0.0) == coil.position
+
+
+def test_the_driver_tells_the_tip_where_the_coil_is_behind_it():
+    """The simulated coil looks along the generator's z, which is down."""
+    read = AuroraBench(AuroraSettings(coil_to_tip=4.0)).run(1.0)
+    assert read
+    for _, reading in read:
+        assert reading.position == pytest.approx(REST - np.array([0.0, 0.0, 0.004]), abs=1e-7)

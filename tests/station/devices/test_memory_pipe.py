@@ -3,7 +3,7 @@
 import pytest
 
 from station.devices.links import LinkError, reopen
-from station.devices.memory_pipe import memory_pipe
+from station.devices.memory_pipe import MOST_WAITING, memory_pipe
 
 
 def test_bytes_go_both_ways_in_order():
@@ -14,6 +14,16 @@ def test_bytes_go_both_ways_in_order():
     assert device.read() == b"abc"
     assert host.read() == b"xy"
     assert (host.read(), device.read()) == (b"", b"")
+
+
+def test_what_nobody_reads_does_not_pile_up():
+    host, device = memory_pipe("line")
+    for k in range(3 * MOST_WAITING):
+        device.write(bytes((k % 256,)))
+        host.write(b"x")
+
+    assert host.read() == bytes(k % 256 for k in range(2 * MOST_WAITING, 3 * MOST_WAITING))
+    assert len(device.read()) == MOST_WAITING
 
 
 def test_a_pulled_cable_is_a_dead_port_for_the_host_and_silence_for_the_device():

@@ -54,7 +54,7 @@ def bench_of(lab: OpenLab) -> dict[str, Any]:
         for number, box in enumerate(lab.endpoints["netft"], 1)
     }
     return {
-        "stages": {"driver": "zaber", "port": lab.endpoints["zaber"]},
+        "stages": {"driver": "zaber", "port": lab.endpoints["zaber"], "deadline": 2.0},
         "tracker": {
             "driver": "aurora",
             "port": lab.endpoints["aurora"],

@@ -68,7 +68,7 @@ def changing(host: Host):
 
     def each(now: float) -> None:
         for axis in range(3):
-            host.chain.command(axis, 1 + round(now / TICK) % 7)
+            host.chain.command(axis, 4 + round(now / TICK) % 7)
 
     return each
 
@@ -95,7 +95,7 @@ def test_one_axis_alone_on_its_port_gets_the_whole_line():
     host = Host(places=(1_536_000,), axes=AXES[:1])
     host.run(0.3)
     host.sent.clear()
-    host.run(5.0, lambda now: host.chain.command(0, 1 + round(now / TICK) % 7))
+    host.run(5.0, lambda now: host.chain.command(0, 4 + round(now / TICK) % 7))
 
     # 80 of each would be the most if every poll's reply were waited for before the next one.
     assert len(host.commands(1, 22)) / 5 >= 80
@@ -108,7 +108,7 @@ def test_the_latest_command_wins_and_an_unchanged_one_is_not_sent(host):
 
     def each(now: float) -> None:
         for axis in range(3):
-            given[now, axis] = 1 + round(now / TICK) % 7
+            given[now, axis] = 4 + round(now / TICK) % 7
             host.chain.command(axis, given[now, axis])
 
     host.run(1.0, each)
@@ -118,7 +118,7 @@ def test_the_latest_command_wins_and_an_unchanged_one_is_not_sent(host):
 
     host.run(0.1)
     host.sent.clear()
-    host.run(0.1, lambda now: [host.chain.command(axis, 9) for axis in range(3)])
+    host.run(0.1, lambda now: [host.chain.command(axis, 13) for axis in range(3)])
     assert [len(host.commands(axis.device, 22)) for axis in AXES] == [1, 1, 1]
 
 
@@ -126,13 +126,13 @@ def test_a_velocity_is_said_again_in_case_it_was_not_heard():
     host = Host(Line(refresh=0.25))
     host.run(0.3)
     host.run(2.0, lambda now: [host.chain.command(axis, 0) for axis in range(3)])
-    assert host.commands(1, 22) == []  # never moved: nothing to repeat
+    assert host.commands(1, 22) == host.commands(1, 23) == []  # never moved: nothing to repeat
 
     host.chain.command(0, 0)
     host.run(0.1, lambda now: host.chain.command(0, 5))
     host.places[0] = 1_536_000
     host.run(2.0, lambda now: host.chain.command(0, 0))
-    assert len(host.commands(1, 22)) >= 6
+    assert len(host.commands(1, 23)) >= 6  # a speed of 0 is a stop
 
 
 def test_speeds_are_clipped_to_the_axis(host):
@@ -149,9 +149,9 @@ def test_a_stop_goes_before_everything_and_reaches_all_with_one_message(host):
     host.run(0.1)
 
     time, message = host.sent[0]
-    assert message == Message(0, 23, 0)
+    assert message == Message(0, 23, -1)
     assert time - asked <= MESSAGE_TIME
-    assert [m for _, m in host.sent[1:4]] == [Message(1, 23, 0), Message(2, 23, 0), Message(3, 23, 0)]
+    assert [m for _, m in host.sent[1:4]] == [Message(1, 23, -1), Message(2, 23, -1), Message(3, 23, -1)]
     assert host.chain.sent == [0, 0, 0]
     assert not host.commands(1, 22)
     # Units that have lost the frame need more than 10 ms of silence to find it.
@@ -190,7 +190,7 @@ def test_a_unit_that_homes_on_is_told_again_and_then_reset(host):
     resets = [message for _, message in host.sent if message.command == 0]
     assert {message.device for message in resets} == {1, 2, 3}
     assert {happening.axis for happening in host.happened if isinstance(happening, ResetDone)} == {0, 1, 2}
-    first = next(time for time, message in host.sent if message == Message(1, 0, 0))
+    first = next(time for time, message in host.sent if message == Message(1, 0, -1))
     assert sum(time < first for time in host.commands(1, 23)) == 3
 
 

@@ -339,6 +339,27 @@ class TestHoming:
         assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
         assert [unit.position for unit in bench.units] == [1_536_000, 1_536_000, 0]
 
+    def test_a_rotation_that_begins_below_zero_is_turned_back_to_its_own_zero(self, paper):
+        bench = Bench(paper, at=(0.01, -math.radians(170.0), -0.129), homed=False).connect()
+        bench.home()
+
+        assert bench.stages.ready, bench.stages.problem
+        assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
+        assert bench.reading.positions == pytest.approx(bench.truth, abs=1e-9)
+        assert [unit.settings[44] for unit in bench.units[:2]] == [3_072_000, 3_072_000]  # the travel is as before
+
+    def test_a_rotation_stopped_on_its_long_way_home_still_finds_its_own_zero(self, paper):
+        bench = Bench(paper, at=(-0.2, 0.01, -0.129), homed=False).connect()
+        bench.stages.home(bench.now)
+        bench.run(100.0, until=lambda: bench.truth[0] < -4.0)  # beyond half a turn
+        bench.stages.stop(bench.now)
+        bench.run(3.0)
+        assert bench.moving == [False, False, False]
+        bench.home()
+
+        assert bench.stages.ready, bench.stages.problem
+        assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
+
     def test_after_homing_the_stages_move_both_ways(self, paper):
         bench = Bench(paper, at=(0.1, 0.1, -0.125), homed=False).connect()
         bench.home()

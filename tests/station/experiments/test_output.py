@@ -25,6 +25,14 @@ def recording(a_case, a_run):
     return a_run(a_case("fig7", "regulation", duration=0.5, settling=0.0))
 
 
+def record(folder: ResultFolder, recording, label: Label = Label.COMPLETE, cause: str = "") -> None:
+    """Row by row, as a run does it."""
+    recorder = folder.record(recording.case)
+    for row in recording.rows:
+        recorder.write(row)
+    recorder.close(label, cause)
+
+
 def shown(experiment: Experiment, summary: dict, width: int = 110) -> list[str]:
     text = io.StringIO()
     Console(file=text, width=width, markup=False).print(result_table(experiment, summary))
@@ -33,7 +41,7 @@ def shown(experiment: Experiment, summary: dict, width: int = 110) -> list[str]:
 
 def test_a_folder_gets_its_name_only_when_everything_is_in_it(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path / "deep" / "out", experiment, 5)
-    folder.write_case(recording)
+    record(folder, recording)
     assert not folder.path.exists()
     folder.finish({"completed": True, "cases": {"regulation": {"cause": ""}}})
 
@@ -54,7 +62,7 @@ def test_a_folder_gets_its_name_only_when_everything_is_in_it(tmp_path, experime
 
 def test_a_recording_has_all_rows_to_the_bit_and_all_that_they_depend_on(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 3)
-    folder.write_case(recording)
+    record(folder, recording)
     folder.finish({"completed": True})
     read = read_case(folder.path / "regulation.mcap")
 
@@ -71,16 +79,12 @@ def test_a_recording_has_all_rows_to_the_bit_and_all_that_they_depend_on(tmp_pat
     assert read.metadata["versions"]["numpy"]
 
 
-def test_rows_one_at_a_time_give_the_same_recording(tmp_path, experiment, recording):
+def test_how_a_run_ended_stands_in_its_recording_and_in_its_summary(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 0)
-    recorder = folder.record(recording.case)
-    for row in recording.rows:
-        recorder.write(row)
-    recorder.close(Label.STOPPED, "stopped by the operator")
+    record(folder, recording, Label.STOPPED, "stopped by the operator")
     folder.finish({"completed": False, "cases": {"regulation": {"cause": "stopped by the operator"}}})
     read = read_case(folder.path / "regulation.mcap")
 
-    assert (read.rows == recording.rows).all()
     assert (read.label, read.cause) == (Label.STOPPED, "stopped by the operator")
     assert json.loads((folder.path / "summary.json").read_text(encoding="utf-8"))["label"] == "stopped"
 
@@ -93,13 +97,33 @@ def test_an_abandoned_folder_without_a_recording_leaves_nothing(tmp_path, experi
 
 def test_an_abandoned_folder_keeps_what_was_recorded(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 0)
-    folder.write_case(recording)
+    record(folder, recording)
     folder.abandon()
 
     assert list(tmp_path.iterdir()) == [folder.path]
     assert (read_case(folder.path / "regulation.mcap").rows == recording.rows).all()
     summary = json.loads((folder.path / "summary.json").read_text(encoding="utf-8"))
     assert (summary["label"], summary["completed"], summary["experiment"]) == ("interrupted", False, "fig7")
+
+
+def test_a_case_that_was_not_closed_is_kept_as_interrupted(tmp_path, experiment, recording):
+    folder = ResultFolder(tmp_path, experiment, 0)
+    recorder = folder.record(recording.case)
+    for row in recording.rows:
+        recorder.write(row)
+    folder.abandon()
+
+    assert read_case(folder.path / "regulation.mcap").label is Label.INTERRUPTED
+
+
+def test_a_summary_is_made_of_the_rows_that_were_recorded(tmp_path, experiment, recording):
+    folder = ResultFolder(tmp_path, experiment, 0)
+    assert folder.recorded(recording) is recording  # nothing is there yet
+    record(folder, recording)
+    empty = recording._replace(rows=recording.rows[:0])
+
+    assert summarise(folder.recorded(empty)) == summarise(recording)
+    folder.finish({})
 
 
 def test_folders_made_in_the_same_second_do_not_meet(tmp_path, experiment):

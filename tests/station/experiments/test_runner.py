@@ -74,6 +74,17 @@ def test_progress_rises_to_the_end(a_case):
     assert 0.8 < told[-1] <= 1.0
 
 
+def test_rows_that_are_recorded_as_they_come_are_those_that_are_kept_otherwise(a_case, a_run):
+    case = a_case("fig10", "paper", duration=0.5)
+    recorded: list[np.ndarray] = []
+    run = run_case(case, 3, VirtualClock(), lambda _: None, lambda row: recorded.append(row.copy()))
+
+    assert (np.array(recorded) == a_run(case, 3).rows).all()
+    assert run.rows.shape == (0, len(run.channels))
+    assert run.completed
+    assert run.rates == a_run(case, 3).rates
+
+
 def test_an_interrupt_ends_the_run_and_keeps_what_was_recorded(a_case):
     def interrupt(done: float) -> None:
         if 0.4 < done < 0.6:

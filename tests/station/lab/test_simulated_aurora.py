@@ -8,9 +8,9 @@ import pytest
 from station.devices.aurora import ReplyReader, framed
 from station.devices.aurora_replies import ToolState, parse_bx, parse_tx
 from station.devices.links import LinkError
-from station.lab.aurora_wire import HostPort, pump
+from station.lab.aurora_wire import BUFFER, HostPort, pump
 from station.lab.config import TrackerConfig
-from station.lab.simulated_aurora import SimulatedAurora
+from station.lab.simulated_aurora import MOST_HEARD, SimulatedAurora
 from station.lab.simulated_aurora_coil import MOUNT
 from tests.fuzz.aurora import fuzz
 
@@ -203,6 +203,23 @@ def test_a_line_in_memory_carries_a_break():
     pump(port.device, unit, 1.0)
 
     assert port.read() == b"RESETBE6F\r"
+
+
+def test_a_flood_of_commands_is_answered_in_part_and_does_not_pile_up():
+    host = Host().track()
+    replies = ReplyReader().feed(host.say(framed("BX:0801") * 5000, 20.0))
+
+    assert 0 < len(replies) <= 2 * MOST_HEARD
+    assert host.ask("TSTOP:") == "OKAY"
+
+
+def test_a_port_in_memory_holds_no_more_than_its_buffer():
+    port = HostPort("aurora")
+    port.write(b"x" * 3 * BUFFER)
+    port.device.write(b"y" * 3 * BUFFER)
+
+    assert port.device.read() == b"x" * BUFFER
+    assert port.read() == b"y" * BUFFER
 
 
 def test_frames_come_40_times_a_second_and_repeat_until_the_next():

@@ -15,7 +15,7 @@ from station.devices.netft import LATENCY
 from station.devices.netft_page import read_page
 from station.devices.netft_sensors import BoxAddress, NetftSensors, Quality, SensorError, connect
 from station.lab.config import BaseSensorConfig
-from station.lab.netft_wire import AddressTaken, MemoryDatagrams, MemoryEnd, PageServer, UdpEnd, respond
+from station.lab.netft_wire import MOST_WAITING, AddressTaken, MemoryDatagrams, MemoryEnd, PageServer, UdpEnd, respond
 from station.lab.simulated_netft import BoxSettings, SimulatedNetft
 
 PERFECT = BaseSensorConfig(
@@ -332,6 +332,18 @@ def test_a_box_without_power_for_a_moment_is_not_trusted_again_by_itself(station
     station.sensors.start(station.now)
     station.drive(0.1)
     assert station.sensors.is_usable
+
+
+def test_records_that_nobody_receives_do_not_pile_up():
+    bench = Bench(rate=7000.0)
+    bench.ask(STREAM)
+    for _ in range(1000):
+        bench.now += TICK
+        bench.box.advance(bench.now, WRENCH)
+
+    newest = [struct.unpack(">I", datagram[:4])[0] for datagram in bench.host.receive()]
+    assert len(newest) == MOST_WAITING
+    assert newest == list(range(newest[-1] - MOST_WAITING + 1, newest[-1] + 1))
 
 
 # The same box on real sockets.

@@ -11,7 +11,7 @@ import pytest
 from station.devices.links import SerialLink
 from station.devices.memory_pipe import memory_pipe
 from station.devices.zaber import BYTE_TIME, MESSAGE_TIME, Message, Parser, decode, encode, with_id
-from station.lab.simulated_zaber import RENUMBERING, Faults, SimulatedChain, pump
+from station.lab.simulated_zaber import BUFFER, RENUMBERING, Faults, SimulatedChain, pump
 from station.lab.simulated_zaber_motion import way
 from station.lab.simulated_zaber_unit import Unit, UnitKind
 
@@ -110,6 +110,25 @@ def test_without_a_silence_a_lost_byte_shifts_everything_after_it(wire):
     wire.chain.receive(stream, wire.now)
 
     assert wire.wait(0.1) == []
+
+
+def test_a_flood_fills_the_port_and_the_rest_is_lost(wire):
+    for k in range(3000):
+        wire.send(1, 55, k)
+    heard = wire.wait(BUFFER * BYTE_TIME + 1.0)
+
+    assert [message.data for message in heard] == list(range(BUFFER // 6))
+    assert [m.data for m in wire.ask(1, 55, 7)] == [7]  # and it is as good as before
+
+
+def test_replies_to_all_do_not_pile_up_without_end(wire):
+    for _ in range(60):  # 60 s of questions to all three, answered three times as slowly as they can be asked
+        for _ in range(160):
+            wire.send(0, 60)
+        wire.wait(1.0)
+    wire.heard.clear()
+    wire.wait(BUFFER * BYTE_TIME * 2 + 0.1, tick=1e-2)
+    assert wire.wait(1.0) == []
 
 
 def test_22_is_answered_at_once_and_20_when_the_move_ends(wire):

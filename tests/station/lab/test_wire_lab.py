@@ -14,8 +14,8 @@ from station.devices.netft_page import read_page
 from station.devices.netft_sensors import NetftSensors
 from station.devices.zaber_setup import Port
 from station.devices.zaber_stages import Condition, ZaberStages
-from station.lab.config import BaseSensorConfig, LabConfig, TrackerConfig
-from station.lab.loads import ConstantLoad, NoLoad, SineLoad
+from station.lab.config import BaseSensorConfig, LabConfig, PlantConfig, TrackerConfig
+from station.lab.loads import ConstantLoad, NoLoad, RampLoad, SineLoad
 from station.lab.simulated_aurora_coil import MOUNT
 from station.lab.wire_lab import WireLab
 from station.robots import RobotFile, load_robot
@@ -32,8 +32,10 @@ CLEAR = LabConfig(tracker=TrackerConfig(noise=0.0), sensors=QUIET)
 class Bench:
     """A lab with all its wires in memory and a driver on each."""
 
-    def __init__(self, robot: RobotFile, config: LabConfig = CLEAR, seed: int = 0, at: np.ndarray = PARK) -> None:
-        self.lab = WireLab(robot, config, seed, at)
+    def __init__(
+        self, robot: RobotFile, config: LabConfig = CLEAR, seed: int = 0, at: np.ndarray = PARK, homed: bool = False
+    ) -> None:
+        self.lab = WireLab(robot, config, seed, at, homed=homed)
         hosts = self.lab.hosts
         every = tuple(range(len(robot.joints)))
         self.stages = ZaberStages(self.lab.setups, [Port(hosts.zaber, every)])
@@ -164,6 +166,31 @@ def test_a_sensor_without_tare_reads_its_offset_and_each_its_own(paper):
     assert [page.serial for page in bench.sensors.pages] == ["FT00001", "FT00002"]
     first, second = bench.wrenches.wrenches
     assert np.abs(first - second).max() > 0.05
+
+
+def test_a_force_sample_is_timed_to_a_few_tenths_of_a_millisecond(paper):
+    bench = Bench(paper, CLEAR.model_copy(update={"plant": PlantConfig(play={})})).run(0.1)
+    start, late = bench.now, []
+    bench.lab.pull(RampLoad(times=(0.0, 0.5), magnitudes=(0.0, 0.5)), start)  # 1 N/s: the force tells the time
+    for _ in range(200):
+        bench.run(TICK)
+        force = fuse_at(paper.robot(), bench.lab.positions, bench.wrenches.wrenches).force[0]
+        late.append(bench.wrenches.time - (start + force))
+
+    # 1.7 ms if the boxes sent a record each tick: then it would always have waited as long to be polled.
+    assert np.abs(late[50:]).max() < 0.4e-3
+    assert np.mean(late[50:]) < 0.25e-3
+
+
+def test_stages_left_on_since_they_were_homed_need_no_homing(paper):
+    bench = Bench(paper, at=np.array([-0.2, 1.5, -0.1]), homed=True).connect()
+
+    assert bench.stages.ready, bench.stages.problem
+    assert bench.joints.positions == pytest.approx([-0.2, 1.5, -0.1], abs=5e-6)
+    bench.run(1.0, [0.05, -0.08, 0.004])
+    bench.stages.stop(bench.now)
+    bench.run(0.5)
+    assert bench.joints.positions == pytest.approx(bench.lab.positions, abs=5e-6)
 
 
 def test_where_the_robot_cannot_stand_it_stays_and_the_lab_goes_on(paper):

@@ -74,7 +74,7 @@ def test_the_tips_are_the_channels_and_the_truth_is_there_only_when_known(paper,
     found = drawn(paper.robot(), channels, row)
     for name in ("measured", "estimated", "desired", "true"):
         pose = found[f"/tip/{name}"]
-        assert point(pose["pose"]["position"]) == pytest.approx(channels.of(row, f"tip_{name}"), abs=1e-7)
+        assert point(pose["pose"]["position"]) == pytest.approx(channels.of(row, f"tip_{name}"), abs=1e-6)
         assert (pose["frame_id"], pose["timestamp"]) == ("world", {"sec": 3, "nsec": 7})
 
     channels.of(row, "truth_known")[:] = 0.0

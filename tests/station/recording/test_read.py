@@ -24,6 +24,15 @@ def test_rows_come_back_to_the_bit_whole_and_in_blocks(recorded, make_rows, chan
     assert (np.concatenate(blocks) == rows).all()
 
 
+@pytest.mark.parametrize(("most", "stride"), [(330, 1), (329, 2), (165, 2), (164, 3), (7, 48), (1, 330)])
+def test_of_a_long_recording_every_nth_row_is_read_when_asked_to(recorded, make_rows, most, stride):
+    rows = make_rows(330)
+    read = read_case(recorded(rows), most)
+
+    assert (read.rows == rows[::stride]).all()
+    assert len(read.rows) <= most
+
+
 def test_groups_are_found_by_name(recorded, make_rows, channels):
     rows = make_rows(10)
     read = read_case(recorded(rows))

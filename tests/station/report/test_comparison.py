@@ -9,7 +9,11 @@ from station.report.comparison import all_errors, beside_the_paper
 from station.report.run import Run
 
 PAPER = {"paper": {"hold": {"max_abs_error_mm": {"x": 2.0, "z": 0.8}}, "turn": {"model_error_mm": {"loaded": 1.4}}}}
-ERRORS = {"max_abs_error_mm": [1.0, 9.0, 1.2], "true_max_abs_error_mm": [0.5, 8.0, 0.4], "rms_error_mm": [0.1, 0.2, 0.3]}
+ERRORS = {
+    "max_abs_error_mm": [1.0, 9.0, 1.2],
+    "true_max_abs_error_mm": [0.5, 8.0, 0.4],
+    "rms_error_mm": [0.1, 0.2, 0.3],
+}
 
 
 def run(**cases: dict) -> Run:

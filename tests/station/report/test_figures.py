@@ -20,7 +20,10 @@ RUNS = {
     "fig4": (2.0, 0.0, (), ["fig4", "rates"]),
     "fig6": (2.0, 0.5, (), ["fig6"]),
     "fig7": (1.5, 0.5, (), ["fig7"]),
-    "fig8": (1.5, 0.5, ("lift_and_drop", "type_1_exact", "type_2"), ["fig8", "fig8_type_1", "fig8_regulation_distorted", "rates"]),
+    "fig8": (
+        1.5, 0.5, ("lift_and_drop", "type_1_exact", "type_2"),
+        ["fig8", "fig8_type_1", "fig8_regulation_distorted", "rates"],
+    ),
     "fig10": (1.5, 0.5, ("feedforward",), ["fig10", "fig10_paper_distorted", "fig9", "rates"]),
     "step_response": (24.0, 0.0, ("k1_x", "k1_y", "k1_z", "k2_5_y", "k2_5_z", "k5_x", "k5_y", "k5_z"), ["steps"]),
 }  # fmt: skip
@@ -67,7 +70,12 @@ def test_fig3_shows_the_true_tip_of_every_strategy(preset_run):
     positions, errors = strategies.draw(run)
     z = {line.get_label(): line for line in positions.figure.axes[2].lines}
 
-    assert set(z) == {"(a) unloaded Jacobian", "(c) loaded Jacobian and deflection rate", "(d) with feed-forward", "desired"}
+    assert set(z) == {
+        "(a) unloaded Jacobian",
+        "(c) loaded Jacobian and deflection rate",
+        "(d) with feed-forward",
+        "desired",
+    }
     tip = recording(run, "a").of("tip_true")
     shown = z["(a) unloaded Jacobian"].get_ydata()
     start = recording(run, "a").of("tip_desired")[0]
@@ -113,7 +121,9 @@ def test_fig7_shows_the_papers_bounds_and_the_largest_error(preset_run):
     )
     assert said in drawn.caption
     for axes, bound in zip(drawn.figure.axes[:3], (15.5, 2.3, 1.1), strict=True):
-        level = [line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == ":" or len(line.get_ydata()) == 2]
+        level = [
+            line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == ":" or len(line.get_ydata()) == 2
+        ]
         assert sorted(level)[0] == -bound
         assert sorted(level)[-1] == bound
 

@@ -1,0 +1,235 @@
+"""What a calibration leaves behind: registration.toml, sensors.toml and robot.toml in one folder, with provenance.
+
+Values are SI; intervals are 95 %. The files are read back by `Calibration.load`, for a run or a station.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from core.calibration.fit import Fit
+from core.calibration.force import SensorCalibration
+from core.calibration.prediction import Frames
+from core.calibration.rigid import Rigid, rotation_of, vector_of
+from core.calibration.tubes import TubeCalibration
+from core.corrections import Corrections
+from core.robot import Array, Robot
+from core.sensors import Sensors
+from core.step import Controller
+from station.config import ConfigError, NotNegative, Strict, Vector, check, read_toml
+from station.devices.aurora_tracker import Registration
+from station.robots import RobotFile
+
+REGISTRATION, SENSORS, ROBOT = "registration.toml", "sensors.toml", "robot.toml"
+
+
+class RegistrationFile(Strict):
+    """Where the tracker's field generator stands in the robot's frame, and the coil in the tip's."""
+
+    robot: str
+    """its name: the coil belongs to it"""
+    made: str
+    """when and from what"""
+    rotation_vector: Vector
+    """p_robot = R(rotation_vector) p_tracker + position [rad]"""
+    position: Vector
+    """[m]"""
+    coil: Vector = (0.0, 0.0, 0.0)
+    """of the coil in the frame of the innermost tube's tip [m]"""
+    rms_error: NotNegative
+    """between coil and model at the poses it was made from [m]"""
+    rotation_interval: Vector
+    """half of 95 %, about x, y, z [rad]"""
+    position_interval: Vector
+    """[m]"""
+
+
+class SensorFile(Strict):
+    """One base sensor."""
+
+    mounting: Vector
+    """rotation vector from the sensor's axes to its tube's [rad]"""
+    weight: float
+    """of what hangs on it [N]"""
+    first_moment: Vector
+    """weight times its place in the tube's axes [N m]"""
+
+
+class SensorsFile(Strict):
+    """The base sensors. Their offsets are not here: they are tared before every run."""
+
+    robot: str
+    made: str
+    gravity: Vector
+    """direction, plate's frame"""
+    tubes: Mapping[str, SensorFile]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What is known of a bench from earlier calibrations; the robot's file is given on its own."""
+
+    registration: Registration | None
+    corrections: Corrections | None
+
+    @classmethod
+    def load(cls, folder: Path, robot: Robot) -> "Calibration":
+        """From a folder; a file that is not there says nothing.
+
+        Raises:
+            ConfigError: no such folder, none of the files in it, or one of them is wrong or of another robot.
+        """
+        if not folder.is_dir():
+            raise ConfigError(f"{folder}: no such folder; make one with 'ctr-station calibrate'")
+        frames, sensors = folder / REGISTRATION, folder / SENSORS
+        if not frames.is_file() and not sensors.is_file():
+            raise ConfigError(f"{folder}: neither {REGISTRATION} nor {SENSORS} in it")
+        registration, coil = None, np.zeros(3)
+        if frames.is_file():
+            file = check(RegistrationFile, read_toml(frames), str(frames))
+            _of_robot(file.robot, robot, frames)
+            registration = Registration(rotation_of(np.array(file.rotation_vector)), np.array(file.position))
+            coil = np.array(file.coil)
+        found = Sensors.ideal(len(robot.tubes))
+        if sensors.is_file():
+            found = _sensors(check(SensorsFile, read_toml(sensors), str(sensors)), robot, sensors)
+        return cls(registration, Corrections(found, coil))
+
+    def applied(self, controller: Controller) -> Controller:
+        """The controller that takes coil and sensors into account."""
+        return replace(controller, corrections=self.corrections)
+
+
+def write_registration(
+    folder: Path, robot: Robot, frames: Frames, fit: Fit, errors: Array, assumed: Registration, made: str
+) -> Path:
+    """The found motion after the assumed one: visits were seen through the latter."""
+    whole = frames.registration.after(Rigid(assumed.rotation, assumed.position))
+    names = [parameter.name for parameter in fit.parameters]
+    first = names.index("frame rotation x")
+    half = 1.96 * fit.errors[first : first + 6]
+    text = f"""# Where the tracker stands: p_robot = R(rotation_vector) p_tracker + position.
+# The turn about z is counted from the zero angle of the outermost tube, z from where its described straight part begins.
+robot = {_text(robot.name)}
+made = {_text(made)}
+rotation_vector = {_row(vector_of(whole.rotation))}  # [rad]
+position = {_row(whole.position)}  # [m]
+coil = {_row(frames.coil)}  # in the frame of the innermost tube's tip [m]
+rms_error = {math.sqrt(float(np.mean(errors**2))):.3g}  # [m]
+rotation_interval = {_row(half[:3], 3)}  # half of 95 % [rad]
+position_interval = {_row(half[3:], 3)}  # [m]
+"""
+    return _write(folder / REGISTRATION, text)
+
+
+def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: str) -> Path:
+    """Mounting and hanging weight of each sensor."""
+    lines = [
+        "# How the base sensors stand and what hangs on them; offsets are tared before every run.",
+        f"robot = {_text(robot.name)}",
+        f"made = {_text(made)}",
+        f"gravity = {_row(found.sensors.gravity)}  # plate's frame",
+    ]
+    for i, tube in enumerate(robot.tubes):
+        turn = found.fit.interval(f"{tube.name} mounting z")
+        lines += [
+            "",
+            f"[tubes.{tube.name}]",
+            f"mounting = {_row(vector_of(found.sensors.mounting[i]))}  # [rad], about z +-{turn:.2g} (95 %)",
+            f"weight = {found.sensors.weight[i]:.6g}  # [N], +-{found.fit.interval(f'{tube.name} weight'):.2g}",
+            f"first_moment = {_row(found.sensors.first_moment[i])}  # [N m]",
+            f"# drift while it was calibrated: {_row(60e3 * found.drift[i, :3], 3)} mN/min",
+        ]
+    return _write(folder / SENSORS, "\n".join(lines) + "\n")
+
+
+def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made: str) -> Path:
+    """The described robot with its tubes as they were found; what it was and how sure beside each number."""
+    fit, lines = found.fit, [f"# {line}" for line in made.splitlines()]
+    lines += [f"name = {_text(described.name)}", f"source = {_text(f'calibrated: {made}')}"]
+    if described.max_force is not None:
+        lines.append(f"max_force = {described.max_force!r}")
+    lines += ["", "[base]", f"position = {_row(described.base.position)}"]
+    lines.append(f"rotation_vector = {_row(described.base.rotation_vector)}")
+    if described.workspace is not None:
+        lines += ["", "[workspace]", f"lower = {_row(described.workspace.lower)}"]
+        lines.append(f"upper = {_row(described.workspace.upper)}")
+    for i, (tube, new) in enumerate(zip(described.tubes, found.robot.tubes, strict=True)):
+
+        def was(kind: str, old: float, scale: float, unit: str, tube_index: int = i, name: str = tube.name) -> str:
+            if not any(quantity.tube == tube_index and quantity.kind == kind for quantity in found.what):
+                return f"  # {unit}, as described"
+            return f"  # {unit}, +-{abs(scale) * fit.interval(f'{name} {kind}'):.2g} (95 %); described {old:g}"
+
+        stiffness = tube.bending_stiffness
+        lines += ["", "[[tubes]]", f"name = {_text(tube.name)}"]
+        comment = was("bending_stiffness", stiffness, stiffness, "[N m^2]")
+        lines.append(f"bending_stiffness = {new.bending_stiffness:.8g}{comment}")
+        if new.torsional_stiffness is None:
+            nu = was("poisson_ratio", tube.poisson_ratio, 1.0, "GJ = EI / (1 + nu)")
+            lines.append(f"poisson_ratio = {new.poisson_ratio:.6g}{nu}")
+        else:
+            lines.append(f"torsional_stiffness = {new.torsional_stiffness:.8g}")
+        lines += [f"rotation = {new.rotation!r}", f"translation = {new.translation!r}"]
+        lines += [
+            f"outer_diameter = {new.outer_diameter!r}",
+            f"inner_diameter = {new.inner_diameter!r}",
+            "sections = [",
+        ]
+        for old, section in zip(tube.sections, new.sections, strict=True):
+            bent, before = math.hypot(*section.curvature), math.hypot(*old.curvature)
+            comment = (
+                was("curvature", before, before, f"{bent:.5g} 1/m")
+                if before
+                else was("straight_length", old.length, 1.0, "[m]")
+            )
+            lines.append(f"    {{ length = {section.length:.8g}, curvature = {_row(section.curvature)} }},{comment}")
+        lines.append("]")
+    for joint in described.joints:
+        lines += ["", "[[joints]]", f"name = {_text(joint.name)}", f"tube = {_text(joint.tube)}"]
+        lines.append(f"motion = {_text(joint.motion)}")
+        lines += [
+            f"{key} = {getattr(joint, key)!r}" for key in ("lower", "upper", "speed", "acceleration", "microstep")
+        ]
+    return _write(folder / ROBOT, "\n".join(lines) + "\n")
+
+
+def _sensors(file: SensorsFile, robot: Robot, path: Path) -> Sensors:
+    _of_robot(file.robot, robot, path)
+    for tube in robot.tubes:
+        if tube.name not in file.tubes:
+            raise ConfigError(f"{path}: tubes.{tube.name} is missing; robot '{robot.name}' has such a tube")
+    rows = [file.tubes[tube.name] for tube in robot.tubes]
+    return Sensors(
+        np.array([rotation_of(np.array(row.mounting)) for row in rows]),
+        np.array([row.weight for row in rows]),
+        np.array([row.first_moment for row in rows]),
+        np.array(file.gravity),
+    )
+
+
+def _of_robot(name: str, robot: Robot, path: Path) -> None:
+    if name != robot.name:
+        raise ConfigError(f"{path}: robot = '{name}', but the robot is '{robot.name}'; calibrate this one")
+
+
+def _write(path: Path, text: str) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+    return path
+
+
+def _text(value: str) -> str:
+    """A TOML string on one line."""
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ")
+    return f'"{escaped}"'
+
+
+def _row(values: Sequence[float] | Array, digits: int = 9) -> str:
+    return "[" + ", ".join(f"{float(value):#.{digits}g}" if value else "0.0" for value in values) + "]"
