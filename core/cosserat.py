@@ -338,7 +338,7 @@ def _largest(values: Array) -> float:
 
 @compiled
 def _times(matrix: Array, vector: Array, out: Array) -> None:
-    """out = matrix @ vector; for so few numbers a library's product takes longer than this."""
+    """Product of matrix and vector; for so few numbers a library's product takes longer than this."""
     for i in range(out.size):
         out[i] = 0.0
         for k in range(vector.size):

@@ -21,13 +21,14 @@ from station.devices.interfaces import Devices, Severity
 from station.devices.open_devices import open_devices
 from station.experiments.experiment import PERIOD, ControllerFile
 from station.lab.config import LabConfig
-from station.loop import ControlLoop, Phase
+from station.loop import ControlLoop
 from station.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Reply
 from station.overruns import OverrunLimits, Overruns
 from station.realtime import ask_for_fifo, calm_memory, show_as
 from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, STATION_HEARTBEAT, Ring
 from station.robots import RobotFile
 from station.states import Event, State
+from station.task import Phase
 from station.telemetry import Channels
 
 #: A station process that says nothing for so long counts as gone while something moves [s].

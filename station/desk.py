@@ -10,11 +10,10 @@ from core.errors import CtrError
 from station.config import Strict, preset_names
 from station.experiments.experiment import BEST, ControllerFile, load_experiment
 from station.lab.loads import Load, NoLoad
-from station.loop import Task
-from station.motions import HoldMotion, Motion, Orders, TipMotion
+from station.motions import HoldMotion, Orders, TipMotion
 from station.states import State
 from station.supervisor import Supervisor
-
+from station.task import Task
 
 #: Of the tip when it is moved by hand [m/s].
 JOG_TIP_SPEED = 0.010

@@ -30,6 +30,9 @@ from station.task import Phase, Progress, Task
 from station.telemetry import Channels
 from station.troubles import EVENTS, NONE, holds, not_finite, troubles, worst
 
+#: A tracker whose port is not there is looked for so often, once a person has asked for it [s].
+RETRY = 1.0
+
 
 class ControlLoop:
     """One bench under control."""
@@ -48,6 +51,7 @@ class ControlLoop:
         self._jog: Jog | None = None
         self._tare: Array | None = None
         self._rest: Rest | None = None  # before a motion, or for a tare that was asked for
+        self._retry = 0.0  # when a tracker that is not there is looked for again [s]
         self._frame_at = 0.0  # when the newest frame has come [s]
         self._stall, self._snap = Stall(), SnapWatch(self._margins)
 
@@ -185,7 +189,7 @@ class ControlLoop:
         if frame is not None:
             self._frame_at = now
         trouble = self._look(now)
-        self._go_on(stages.condition, trouble)
+        self._go_on(now, stages.condition, trouble)
         if not stages.ready:
             self._memory = None
             return self._held(now, joints, wrenches)
@@ -208,8 +212,12 @@ class ControlLoop:
                 self.request(Event.HOLD, not_finite(joints, frame, wrenches) or str(error))
             return self._held(now, joints, wrenches)
         self._memory = tick.memory
+        if self.state in (State.RUNNING, State.HOLD):
+            snap = self._snap.look(tick, frame is not None)
+            # A snap blinds the tracker first, which does not believe in jumps.
+            if snap is not None and (self.state is State.RUNNING or snap.severity is Severity.STOP):
+                self._act_on(snap, now)
         if self.state is State.RUNNING:
-            self._act_on(self._snap.look(tick, frame is not None), now)
             if isinstance(order, Setpoint) and frame is not None:
                 stalled = self._stall.look(now, tick, self.controller.limits)
                 self._act_on(Trouble(Severity.HOLD, stalled) if stalled else None, now)
@@ -237,13 +245,15 @@ class ControlLoop:
             trouble.severity is Severity.FAULT and self.state not in (State.OFF, State.FAULT)
         ):
             self._act_on(trouble, now)
+        elif self.state is State.FAULT and trouble.text.startswith(self.cause):
+            self.cause = trouble.text  # one axis after the other is missed
         return trouble
 
     def _act_on(self, trouble: Trouble | None, now: float) -> None:
         if trouble is not None and self.state is not State.FAULT:
             self.stop(now, EVENTS[trouble.severity], trouble.text)
 
-    def _go_on(self, stages: Condition, trouble: Trouble | None) -> None:
+    def _go_on(self, now: float, stages: Condition, trouble: Trouble | None) -> None:
         """States that follow by themselves."""
         if (
             self.state is State.CONNECTING
@@ -254,6 +264,9 @@ class ControlLoop:
             )
         ):
             self.request(Event.CONNECTED)
+        elif self.state is State.CONNECTING and now >= self._retry and self.devices.tracker.condition is Condition.FAULT:
+            self._retry = now + RETRY
+            self.devices.tracker.connect(now)
         if self.state in (State.CONNECTED, State.HOMING) and self.devices.stages.ready:
             self.request(Event.HOMED)
         elif self.state is State.HOMING and stages is Condition.CONNECTED:

@@ -10,9 +10,11 @@ import numpy as np
 from pydantic import Field
 
 from core.robot import Array
+from core.stability import design_snap_number
 from core.step import Tick
-from station.config import Positive, Strict
+from station.config import ConfigError, Positive, Strict
 from station.devices.interfaces import Severity, Trouble
+from station.robots import RobotFile
 
 #: Tracker frames one after the other that have to agree on it: one alone may be an outlier.
 FRAMES = 3
@@ -61,3 +63,22 @@ class SnapWatch:
             f" {1e3 * self._margins.apart:g} mm: have the tubes snapped or touched something, has the field generator"
             " been moved? look before you reset",
         )
+
+
+def check_design(robot: RobotFile, margins: Margins) -> str:
+    """What is to be said of a robot whose tubes snap without load; empty when they do not.
+
+    Raises:
+        ConfigError: they do, and such designs are to be refused.
+    """
+    lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
+    number = design_snap_number(robot.robot(), lower, upper)
+    if number < 1.0:
+        return ""
+    text = (
+        f"robot '{robot.name}': its tubes snap somewhere within their travel (snap number {number:.2f} is not below 1):"
+        " choose shorter or straighter tubes, less travel behind the plate, or mind its stability"
+    )
+    if margins.design == "refuse":
+        raise ConfigError(f"{text}; margins.design = 'warn' takes it all the same")
+    return text

@@ -5,8 +5,8 @@ from typing import Any, Literal, NamedTuple
 
 from core.robot import Array
 from station.devices.interfaces import Condition
-from station.loop import Task
 from station.states import Event, State
+from station.task import Task
 
 
 class Command(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, PrivateAttr
 
 from core.errors import CtrError
-from station.config import ConfigError, Strict, check, read_toml
+from station.config import ConfigError, Strict, check, read_toml, use_experiments
 from station.control_process import Bench
 from station.devices.config import DevicesFile
 from station.devices.open_devices import plan
@@ -15,6 +15,13 @@ from station.experiments.experiment import BEST, ControllerFile, start_pose
 from station.lab.config import load_lab
 from station.overruns import OverrunLimits
 from station.robots import load_robot
+
+
+class ExperimentsFile(Strict):
+    """Experiments of one's own."""
+
+    folder: str | None = None
+    """where they are, beside this file; found by name like those that come with the station"""
 
 
 class StationFile(Strict):
@@ -36,6 +43,7 @@ class StationFile(Strict):
     """ask for real-time scheduling"""
     overruns: OverrunLimits = OverrunLimits()
     """how much lateness of the loop a motion may suffer"""
+    experiments: ExperimentsFile = ExperimentsFile()
     _source: str = PrivateAttr("the default station")
 
     def bench(self) -> Bench:
@@ -69,4 +77,6 @@ def load_station(path: Path | None) -> StationFile:
         return StationFile()
     file = check(StationFile, read_toml(path), str(path))
     file._source = str(path)
+    if file.experiments.folder is not None:
+        use_experiments(path.parent / file.experiments.folder)
     return file

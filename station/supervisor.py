@@ -28,11 +28,11 @@ from station.lab.lab_process import LabBench
 from station.lab.loads import Load, NoLoad
 from station.last_stop import stop_stages
 from station.live_recording import LiveRecording
-from station.loop import Phase, Task
 from station.messages import Command, DeviceReport, DeviceStatus, Notice, Reply
 from station.own_bench import OwnBench
 from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, Ring, Timing
 from station.states import Event, RefusedError, State, after
+from station.task import Phase, Task
 from station.telemetry import Channels
 
 #: The control process answers a command within this time or counts as gone [s].

@@ -30,7 +30,7 @@ class Channels:
     def __init__(self, robot: Robot) -> None:
         self.all: tuple[Channel, ...] = tuple(_channels(robot))
         self._at: dict[str, slice] = {}
-        self._scalars, self._true = np.zeros(13), np.zeros(6)  # of the row that is being made
+        self._scalars, self._true = np.zeros(12), np.zeros(6)  # of the row that is being made
         names = [channel.name for channel in self.all]
         groups = [name.rsplit(".", 1)[0] for name in names]
         for group in dict.fromkeys(groups):
@@ -66,12 +66,11 @@ class Channels:
         the severities of what is wrong with stages, tracker and force sensors, 0 where nothing is.
         """
         memory, now = tick.memory, tick.memory.estimate
-        observed = now.observed
-        scalars, true = self._scalars, self._true
+        scalars, true, numbers, where = self._scalars, self._true, now.numbers, now.places
         new, frame_time = (0.0, 0.0) if frame is None else (1.0, frame.time)
         scalars[:] = (
-            time, state, new, frame_time, now.loaded.iterations, now.unloaded.iterations,
-            observed.uncertainty, observed.used, now.loaded.stability, *troubles, truth is not None,
+            time, state, new, frame_time, now.loaded.numbers[-1], now.unloaded.numbers[-1],
+            numbers[where.place], now.loaded.numbers[-3], *troubles, truth is not None,
         )  # fmt: skip
         if truth is None:
             true[:] = 0.0
@@ -82,9 +81,8 @@ class Channels:
             scalars, true,
             joints.positions, tick.command, joints.sent, wrenches.wrenches.ravel(),
             tick.load.force, tick.load.moment,
-            memory.tip, now.loaded.tip, now.unloaded.tip, memory.origin + tick.setpoint.position,
-            tick.u_int, tick.delta, tick.sigma, tick.at_bound,
-            observed.tip, observed.bias, now.vectors.ravel(),
+            memory.tip, now.loaded.numbers[:3], now.unloaded.numbers[:3], memory.origin + tick.setpoint.position,
+            tick.u_int, tick.delta, tick.sigma, tick.at_bound, now.tip, numbers[: where.state],
         ))  # fmt: skip
 
     def held(
@@ -132,8 +130,7 @@ def _channels(robot: Robot) -> list[Channel]:
         Channel("tip_time", "s"),
         Channel("passes.loaded", ""),
         Channel("passes.unloaded", ""),
-        Channel("observer.uncertainty", "m"),
-        Channel("observer.used", ""),
+        Channel("observer_used", ""),
         Channel("stability", ""),
         *[Channel(f"trouble.{device}", "") for device in ("stages", "tracker", "sensors")],
         Channel("truth_known", ""),
@@ -154,7 +151,6 @@ def _channels(robot: Robot) -> list[Channel]:
         *sigma,
         *[Channel(f"at_bound.{joint.name}", "") for joint in robot.joints],
         *vector("tip_observed", "m"),
-        *vector("bias", "m"),
         # the rows of `core.estimation.Estimate.vectors`
         *vector("deflection", "m"),
         *vector("deflection_rate_raw", "m/s"),
@@ -169,4 +165,10 @@ def _channels(robot: Robot) -> list[Channel]:
         *vector("delta_2", "m"),
         *vector("velocity_observed", "m/s"),
         *vector("tip_ahead", "m"),
+        # and of its `observed.state`
+        *vector("bias", "m"),
+        *vector("drift", "m/s"),
+        Channel("bias_covariance.bias", "m^2"),
+        Channel("bias_covariance.both", "m^2/s"),
+        Channel("bias_covariance.drift", "m^2/s^2"),
     ]

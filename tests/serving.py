@@ -18,7 +18,7 @@ import psutil
 class Served:
     """A running station."""
 
-    def __init__(self, process: "subprocess.Popen[str]", port: int, tokens: list[str]) -> None:
+    def __init__(self, process: "subprocess.Popen[bytes]", port: int, tokens: list[str]) -> None:
         self.process = process
         self.port = port
         self.url = f"http://127.0.0.1:{port}"
@@ -87,41 +87,39 @@ def shared_memory() -> set[str]:
 @contextmanager
 def serving(*arguments: str) -> Iterator[Served]:
     port = free_port()
-    with tempfile.TemporaryDirectory() as data:
-        yield from _serving(port, data, *arguments)
+    command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", str(port)]
+    with tempfile.TemporaryDirectory() as data, Path(data, "said.txt").open("w+", encoding="utf-8") as said:
+        # Into a file: a pipe that nobody empties would stop a station that has much to say.
+        process = subprocess.Popen(
+            [*command, "--data", data, *arguments],
+            stdout=said,
+            stderr=subprocess.STDOUT,
+            cwd=Path(__file__).parents[1],
+        )
+        served = None
+        try:
+            text = _until_started(process, Path(said.name))
+            tokens = [line.split("?token=")[1].split()[0] for line in text.splitlines() if "?token=" in line]
+            served = Served(process, port, tokens)
+            _until_answering(served)
+            yield served
+            assert "Traceback" not in Path(said.name).read_text(), Path(said.name).read_text()[-4000:]
+        finally:
+            if served is not None:
+                served.end()
+            else:
+                process.kill()
+                process.wait()
 
 
-def _serving(port: int, data: str, *arguments: str) -> Iterator[Served]:
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-c",
-            "from web.cli import main; main()",
-            "serve",
-            "--port",
-            str(port),
-            "--no-browser",
-            "--data",
-            data,
-            *arguments,
-        ],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        cwd=Path(__file__).parents[1],
-    )
-    assert process.stdout is not None
-    said = []
-    for line in process.stdout:
-        said.append(line)
-        if "is at http" in line:
-            break
-    else:
-        process.wait()
-        process.stdout.close()
-        raise AssertionError(f"the station did not start: {''.join(said)}")
-    tokens = [line.split("?token=")[1].split()[0] for line in said if "?token=" in line]
-    served = Served(process, port, tokens)
+def _until_started(process: "subprocess.Popen[bytes]", said: Path) -> str:
+    while "is at http" not in (text := said.read_text()):
+        assert process.poll() is None, f"the station did not start: {text}"
+        time.sleep(0.05)
+    return text
+
+
+def _until_answering(served: Served) -> None:
     deadline = time.monotonic() + 10.0
     while True:
         try:
@@ -130,8 +128,3 @@ def _serving(port: int, data: str, *arguments: str) -> Iterator[Served]:
         except httpx.TransportError:
             assert time.monotonic() < deadline
             time.sleep(0.05)
-    try:
-        yield served
-    finally:
-        served.end()
-        process.stdout.close()

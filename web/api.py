@@ -164,6 +164,7 @@ def status_out(desk: Desk, of: Commands, who: Who) -> StatusOut:
     return StatusOut(
         state=status.state.name,
         cause=status.cause,
+        phase=status.phase.name.lower(),
         says=said.what,
         next=said.next,
         operator=operator_out(of.lease, who),

@@ -144,6 +144,8 @@ class StatusOut(Strict):
     """OFF, CONNECTED, HOMED, READY, RUNNING, HOLD, STOPPED or FAULT"""
     cause: str
     """why it is HOLD, STOPPED or FAULT"""
+    phase: str
+    """of what is RUNNING: approaching, settling, moving or jogging; else none"""
     says: str
     """what is going on, for a person"""
     next: str

@@ -1,6 +1,7 @@
 """The viser view of the station: one thread that keeps the scene up to date."""
 
 import logging
+import math
 import threading
 import time
 
@@ -117,7 +118,8 @@ class View:
         live = bool(values) and status.age <= STALE and bool(np.isfinite(values["joints"]).all())
         shown = self._shown if live else Shown()
         if live:
-            self._overlays.update(shown, values["joints"], values["tip_observed"], float(values["observer"][0]))
+            uncertainty = math.sqrt(values["bias_covariance"][0])
+            self._overlays.update(shown, values["joints"], values["tip_observed"], uncertainty)
 
     def _show_target(self) -> None:
         self._target.show(self._shown.target)

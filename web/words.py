@@ -19,6 +19,7 @@ _PHASES = {
     Phase.APPROACHING: "going to the start pose",
     Phase.SETTLING: "at rest: zeroing the force sensors, averaging the start tip",
     Phase.MOVING: "the motion is on",
+    Phase.JOGGING: "moved by hand",
 }
 _QUIET = {
     "OFF": Words("no device is spoken to", "connect the devices"),

@@ -15,7 +15,7 @@ from core.calibration.rigid import Rigid
 from core.calibration.visits import Noise, Visit
 from core.errors import CtrError, Unreachable
 from core.limits import Limits, Situation
-from core.robot import Array, Robot
+from core.robot import Array, Indices, Robot
 from core.statics import Statics
 
 #: Rotations further than half a turn from zero show nothing new [rad].
@@ -68,7 +68,7 @@ def possible(statics: Statics, limits: Limits, joints: Array, force: Array) -> b
 def choose(
     robot: Robot, what: tuple[Quantity, ...], poses: Array, force: Array, noise: Noise, count: int,
     known: Array | None = None,
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Indices, Array]:  # fmt: skip
     """The `count` most informative of poses (m, n) under a force (3,) at the tip [N].
 
     Args:
@@ -101,7 +101,7 @@ def choose(
         best = int(np.argmax(gain))
         chosen.append(best)
         information = information + rows[best].T @ rows[best]
-    return np.array(chosen), information
+    return np.array(chosen, dtype=np.int64), information
 
 
 def placed(robot: Robot, visits: Sequence[Visit], force: Array) -> list[Visit]:

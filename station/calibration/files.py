@@ -21,7 +21,7 @@ from core.sensors import Sensors
 from core.step import Controller
 from station.config import ConfigError, NotNegative, Strict, Vector, check, read_toml
 from station.devices.aurora_tracker import Registration
-from station.robots import RobotFile
+from station.robots import RobotFile, load_robot
 
 REGISTRATION, SENSORS, ROBOT = "registration.toml", "sensors.toml", "robot.toml"
 
@@ -70,13 +70,14 @@ class SensorsFile(Strict):
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is known of a bench from earlier calibrations; the robot's file is given on its own."""
+    """What is known of a bench from earlier calibrations."""
 
+    robot: RobotFile  #: tubes as they were found; as described where they were not calibrated
     registration: Registration | None
-    corrections: Corrections | None
+    corrections: Corrections
 
     @classmethod
-    def load(cls, folder: Path, robot: Robot) -> "Calibration":
+    def load(cls, folder: Path, described: RobotFile) -> "Calibration":
         """From a folder; a file that is not there says nothing.
 
         Raises:
@@ -84,19 +85,22 @@ class Calibration:
         """
         if not folder.is_dir():
             raise ConfigError(f"{folder}: no such folder; make one with 'ctr-station calibrate'")
-        frames, sensors = folder / REGISTRATION, folder / SENSORS
-        if not frames.is_file() and not sensors.is_file():
-            raise ConfigError(f"{folder}: neither {REGISTRATION} nor {SENSORS} in it")
+        frames, sensors, own = folder / REGISTRATION, folder / SENSORS, folder / ROBOT
+        if not any(path.is_file() for path in (frames, sensors, own)):
+            raise ConfigError(f"{folder}: none of {REGISTRATION}, {SENSORS} and {ROBOT} in it")
+        file = load_robot(str(own)) if own.is_file() else described
+        _of_robot(file.name, described.name, own)
+        robot = file.robot()
         registration, coil = None, np.zeros(3)
         if frames.is_file():
-            file = check(RegistrationFile, read_toml(frames), str(frames))
-            _of_robot(file.robot, robot, frames)
-            registration = Registration(rotation_of(np.array(file.rotation_vector)), np.array(file.position))
-            coil = np.array(file.coil)
+            known = check(RegistrationFile, read_toml(frames), str(frames))
+            _of_robot(known.robot, robot.name, frames)
+            registration = Registration(rotation_of(np.array(known.rotation_vector)), np.array(known.position))
+            coil = np.array(known.coil)
         found = Sensors.ideal(len(robot.tubes))
         if sensors.is_file():
             found = _sensors(check(SensorsFile, read_toml(sensors), str(sensors)), robot, sensors)
-        return cls(registration, Corrections(found, coil))
+        return cls(file, registration, Corrections(found, coil))
 
     def applied(self, controller: Controller) -> Controller:
         """The controller that takes coil and sensors into account."""
@@ -112,7 +116,7 @@ def write_registration(
     first = names.index("frame rotation x")
     half = 1.96 * fit.errors[first : first + 6]
     text = f"""# Where the tracker stands: p_robot = R(rotation_vector) p_tracker + position.
-# The turn about z is counted from the zero angle of the outermost tube, z from where its described straight part begins.
+# The turn about z is counted from the zero angle of the outermost tube, z from the plate as its straight part has it.
 robot = {_text(robot.name)}
 made = {_text(made)}
 rotation_vector = {_row(vector_of(whole.rotation))}  # [rad]
@@ -198,7 +202,7 @@ def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made
 
 
 def _sensors(file: SensorsFile, robot: Robot, path: Path) -> Sensors:
-    _of_robot(file.robot, robot, path)
+    _of_robot(file.robot, robot.name, path)
     for tube in robot.tubes:
         if tube.name not in file.tubes:
             raise ConfigError(f"{path}: tubes.{tube.name} is missing; robot '{robot.name}' has such a tube")
@@ -211,9 +215,9 @@ def _sensors(file: SensorsFile, robot: Robot, path: Path) -> Sensors:
     )
 
 
-def _of_robot(name: str, robot: Robot, path: Path) -> None:
-    if name != robot.name:
-        raise ConfigError(f"{path}: robot = '{name}', but the robot is '{robot.name}'; calibrate this one")
+def _of_robot(name: str, robot: str, path: Path) -> None:
+    if name != robot:
+        raise ConfigError(f"{path}: of robot '{name}', but the robot is '{robot}'; calibrate this one")
 
 
 def _write(path: Path, text: str) -> Path:

@@ -16,9 +16,11 @@ from station.interrupt import interrupts
 from station.lab.config import LabConfig
 from station.lab.loads import ConstantLoad, Load, NoLoad
 from station.lab.virtual_bench import virtual_bench
-from station.loop import SETTLE, ControlLoop, Phase, Task
+from station.loop import ControlLoop
 from station.motions import Orders
+from station.rest import SETTLE
 from station.states import State
+from station.task import Phase, Task
 from station.telemetry import Channels
 
 Result = TypeVar("Result")
@@ -92,12 +94,17 @@ def carry_out(
                     under_way = True
             elif loop.state not in (State.READY, State.RUNNING) and now > BRING_UP:
                 raise AbortedError(f"the devices are {loop.state.name} after {BRING_UP:g} s")
-            elif loop.phase is Phase.SETTLING and row is not None and loop.progress is not None:
-                if now >= loop.progress.settle_start + SETTLE:
-                    rows.append(row)
+            elif _averages(loop, now) and row is not None:
+                rows.append(row)
     if guided.result is None:
         raise AbortedError("the procedure ended without a result")
     return guided.result
+
+
+def _averages(loop: ControlLoop, now: float) -> bool:
+    """Whether the loop rests, and long enough."""
+    progress = loop.progress
+    return progress is not None and loop.phase is Phase.SETTLING and now >= progress.settle_start + SETTLE
 
 
 def visit_of(channels: Channels, rows: Array, step: Any) -> Visit:

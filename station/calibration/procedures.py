@@ -133,10 +133,11 @@ def tubes(subject: Subject, effort: Effort) -> Procedure[TubesResult]:
         for which in (np.ones(len(check), dtype=bool), loaded)
     )
     heavy = [visit for visit, w in zip(check, loaded, strict=True) if w]
-    believed = np.array([
-        np.linalg.norm(visit.coil - subject.statics.solve(visit.joints, np.r_[force_, np.zeros(3)]).tip)
+    expected = [
+        subject.statics.solve(visit.joints, np.concatenate((force_, np.zeros(3)))).tip
         for visit, force_ in zip(heavy, check_forces[loaded], strict=True)
-    ])  # fmt: skip
+    ]
+    believed: Array = np.linalg.norm(np.array([visit.coil for visit in heavy]) - np.array(expected), axis=1)
     checks = _checks(subject, sensors, visits, effort)
     return TubesResult(found, sensors, checks, all_, under_load, believed, tuple(visits), tuple(check))
 

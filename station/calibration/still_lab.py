@@ -12,14 +12,16 @@ import numpy as np
 
 from core.calibration.visits import Visit
 from core.robot import Array
+from station import approach
 from station.calibration.plan import Subject
 from station.calibration.procedure import AbortedError, Ask, Guided, Procedure
 from station.lab.config import LabConfig
+from station.lab.distortion import Distortion
 from station.lab.hidden import Hidden
 from station.lab.loads import GRAVITY
 from station.lab.plant import Plant
-from station.lab.simulated_aurora_coil import MOUNT
-from station.loop import APPROACH_SPEED, AVERAGE, SETTLE
+from station.lab.simulated_aurora_coil import MOUNT, VOLUME
+from station.rest import AVERAGE, SETTLE
 
 Result = TypeVar("Result")
 #: The way to a pose is taken in so many steps, so that play and friction turn round as they do on the bench.
@@ -34,7 +36,7 @@ class StillLab:
     def __init__(self, subject: Subject, config: LabConfig, seed: int) -> None:
         """Raises PoseError or NoSolution when the true robot cannot stand at the subject's start."""
         # The same streams as at wire level: the same true robot and the same hidden errors.
-        plant, _, sensors, unknown = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
+        plant, tracker, sensors, unknown = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
         self._subject, self._config, self._rng = subject, config, sensors
         self.hidden = Hidden(subject.file, config.hidden, unknown)
         self.time = 0.0  #: [s]
@@ -46,7 +48,9 @@ class StillLab:
         self._offset = np.repeat([felt.force_offset, felt.moment_offset], 3) * sensors.uniform(-1.0, 1.0, (q, 6))
         self._drift = np.zeros((q, 6))
         self._drift[:, :3] = felt.drift * sensors.choice([-1.0, 1.0], (q, 3))
-        self._generator = self.hidden.mount(MOUNT)
+        self.generator = self.hidden.mount(MOUNT)  #: where the tracker really stands
+        bent = config.tracker.distortion
+        self._field = Distortion.drawn(bent, 1e-3 * np.array(VOLUME), tracker.spawn(1)[0]) if bent > 0.0 else None
 
     def visit(self, joints: Array, weight: float, contact: float = math.inf, direction: Array | None = None) -> Visit:
         """Go to stage positions (n,) under a weight [N], or a force on the shaft, and rest there.
@@ -55,10 +59,11 @@ class StillLab:
             NoSolution: the true robot has no shape on the way.
         """
         pull = weight * (np.array(GRAVITY) if direction is None else direction)
-        for part in np.linspace(1.0 / STEPS, 1.0, STEPS):
-            stages = self._at + part * (joints - self._at)
-            state = self._plant.advance(self.hidden.joints(stages), pull, contact)
-        way = float(np.abs((joints - self._at) / self._subject.limits.speed).max()) / APPROACH_SPEED
+        for part in range(1, STEPS):
+            stages = self._at + part / STEPS * (joints - self._at)
+            self._plant.advance(self.hidden.joints(stages), pull, contact)
+        state = self._plant.advance(self.hidden.joints(joints), pull, contact)
+        way = float(np.abs((joints - self._at) / self._subject.limits.speed).max()) / approach.SPEED
         self.time += way + SETTLE + 0.5 * AVERAGE
         self._at = joints.copy()
         visit = Visit(self.time, joints.copy(), self._seen(state.truth.tip), self._felt(state.wrenches), weight)
@@ -66,12 +71,17 @@ class StillLab:
         return visit
 
     def _seen(self, tip: Array) -> Array:
-        """Mean of the frames, where the tracker is said to stand."""
+        """Mean of the frames, by where the tracker is said to stand."""
         tracker = self._config.tracker
-        coil = tip + self._plant.rotation @ self.hidden.coil
-        there = self._generator.rotation.T @ (coil - self._generator.position)
         error = tracker.noise / math.sqrt(AVERAGE * tracker.rate) * self._rng.standard_normal(3)
-        return MOUNT.rotation @ there + MOUNT.position + error
+        return self.said(tip + self._plant.rotation @ self.hidden.coil) + error
+
+    def said(self, place: Array) -> Array:
+        """Where a coil at `place` (3,) is said to be by a tracker believed to stand at `MOUNT`, without noise [m]."""
+        there = self.generator.rotation.T @ (place - self.generator.position)
+        if self._field is not None:
+            there = there + self._field.at(there)
+        return MOUNT.rotation @ there + MOUNT.position
 
     def _felt(self, wrenches: Array) -> Array:
         """Mean of the samples; their noise is larger than a count, so that counts average out with it."""
@@ -83,7 +93,7 @@ class StillLab:
 
 
 def carry_out(
-    procedure: Procedure[Result], lab: StillLab, progress: Callable[[float, str], None] = lambda done, text: None
+    procedure: Procedure[Result], lab: StillLab, progress: Callable[[float, str], None] | None = None
 ) -> Result:
     """Run a procedure to its end; `progress` is told the part done and what a person would be asked.
 
@@ -92,7 +102,8 @@ def carry_out(
     """
     guided, weight = Guided(procedure), 0.0
     while (step := guided.step) is not None:
-        progress(step.done, step.text if isinstance(step, Ask) else "")
+        if progress is not None:
+            progress(step.done, step.text if isinstance(step, Ask) else "")
         if isinstance(step, Ask):
             weight = step.weight
             lab.time += BY_HAND

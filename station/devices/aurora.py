@@ -69,6 +69,7 @@ class ReplyReader:
         self.noise = 0  #: bytes that belonged to no reply
         self.crc_errors = 0  #: texts and binary bodies whose CRC was wrong
         self._buffer = bytearray()
+        crc16(b"")  # what is compiled is loaded here, not in the loop
 
     def feed(self, data: bytes) -> list[str | bytes]:
         """Replies that are complete with `data`: text as str, the body of a binary one as bytes."""

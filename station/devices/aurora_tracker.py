@@ -149,7 +149,7 @@ class AuroraTracker:
         report = self.report(0.0)
         if report.tool is not None:
             self._settings = replace(self._settings, tool_serial=report.tool.serial)
-        self._link, self._lost = link, ""
+        self._link, self._lost, self._good_time = link, "", -math.inf
         self._session = AuroraSession(self._settings)
 
     def close(self) -> None:

@@ -13,10 +13,9 @@ import numpy as np
 
 from core.compiled import compiled
 from core.robot import Array, Indices
+from station.devices.netft_clock import LATENCY, SAMPLE_RATE, SampleClock, latest, observe
 
 RDT_PORT = 49152
-SAMPLE_RATE = 7000.0  #: of the box's internal counter, +-0.5 % [1/s]
-LATENCY = 288e-6  #: from the event to the Ethernet [s]
 
 HEADER = 0x1234
 REQUEST = struct.Struct(">HHI")
@@ -65,8 +64,6 @@ STATUS_BITS = {
 LONGEST_STEP = 140
 #: A record may seem to come from the future by this many samples: jitter of the way here.
 AHEAD = 140
-#: The box's clock may drift by +-0.5 %; the estimate of its offset gives way a little faster.
-DRIFT = 0.006
 #: So many records in line with one another begin a stream, if evenly spaced; or replace one that has gone elsewhere.
 BEGIN, REPLACE = 3, 10
 #: After a pause a counter that is off by more than this has started anew: another box, or the same after a reset [s].
@@ -122,7 +119,7 @@ def records(datagram: bytes) -> list[Record] | None:
     """Records of a datagram; None if its length is not that of whole records."""
     if not datagram or len(datagram) % RECORD.size:
         return None
-    return [Record(*fields[:3], fields[3:]) for fields in RECORD.iter_unpack(datagram)]
+    return [Record(fields[0], fields[1], fields[2], fields[3:]) for fields in RECORD.iter_unpack(datagram)]
 
 
 def is_usable(status: int) -> bool:
@@ -138,57 +135,7 @@ def describe(status: int) -> str:
     return ", ".join(named) or "error summary alone"
 
 
-class SampleClock:
-    """Host time of the box's internal samples.
-
-    Records are delayed by more or less, never early: the least delayed ones say how far the counter
-    and the host's clock are apart. What remains is at most the time between two looks at the socket.
-    """
-
-    def __init__(self, latency: float = LATENCY) -> None:
-        #: For compiled code: host time at which the counter was 0, as the least delayed record says; when there was
-        #: a record; when one of the least delayed; the latency [s].
-        self.state = np.array([np.inf, 0.0, 0.0, latency])
-
-    @property
-    def is_set(self) -> bool:
-        """Whether there has been a record at all."""
-        return bool(self.state[OFFSET] < np.inf)
-
-    def observe(self, count: int, now: float) -> float:
-        """Note that sample `count` is here at `now` [s], and say when it was measured [s]."""
-        return observe(self.state, count, now)
-
-    def doubt(self, now: float) -> float:
-        """By how much the offset may be off at `now` [s]."""
-        return 2.0 * DRIFT * (now - float(self.state[CONFIRMED]))
-
-    def latest(self, now: float) -> float:
-        """The count that can be here at `now` [s] at the latest."""
-        return latest(self.state, now)
-
-
-OFFSET, SEEN, CONFIRMED, LATE = range(4)  #: in the state of a clock
 RDT, FT, COUNT, STEP, ACCEPTED, IN_LINE, BEGUN = range(7)  #: in the state of a stream
-
-
-@compiled
-def observe(clock: Array, count: int, now: float) -> float:
-    """`SampleClock.observe` on its state."""
-    offset = now - count / SAMPLE_RATE
-    drifted = clock[OFFSET] + DRIFT * (now - clock[SEEN])
-    if offset <= drifted:
-        clock[OFFSET], clock[CONFIRMED] = offset, now
-    else:
-        clock[OFFSET] = drifted
-    clock[SEEN] = now
-    return clock[OFFSET] + count / SAMPLE_RATE - clock[LATE]
-
-
-@compiled
-def latest(clock: Array, now: float) -> float:
-    """`SampleClock.latest` on its state."""
-    return (now - clock[OFFSET] + 2.0 * DRIFT * (now - clock[CONFIRMED])) * SAMPLE_RATE
 
 
 @compiled
@@ -314,10 +261,10 @@ class Stream:
         self._state[STEP] = int(self._candidate) if self._candidate == int(self._candidate) else 0
         count = fields[1]
         if self._clock.is_set:
-            latest = round(self._clock.latest(now))
-            off = (count - latest + WRAP // 2) % WRAP - WRAP // 2
+            expected = round(self._clock.latest(now))
+            off = (count - expected + WRAP // 2) % WRAP - WRAP // 2
             if abs(off) / SAMPLE_RATE <= RESET + self._clock.doubt(now):
-                count = latest + off
+                count = expected + off
             else:
                 self.resets += 1
                 self._clock = SampleClock(self._latency)

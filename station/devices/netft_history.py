@@ -1,5 +1,7 @@
 """The last samples of every force sensor, to be read at one time: in counts, all of it in one array."""
 
+import math
+
 import numpy as np
 
 from core.compiled import compiled
@@ -32,7 +34,7 @@ class Ring:
 
     def __init__(self, rows: Array, ends: Indices) -> None:
         self.row = np.zeros(7)  #: for the next sample: time [s] and six counts
-        self.time = -np.inf  #: of the newest sample; infinite: there is none [s]
+        self.time = -math.inf  #: of the newest sample; infinite: there is none [s]
         self._rows, self._ends = rows, ends
 
     def push(self) -> None:
@@ -41,7 +43,7 @@ class Ring:
 
     def clear(self) -> None:
         """Forget them."""
-        self._ends[1], self.time = 0, -np.inf
+        self._ends[1], self.time = 0, -math.inf
 
 
 @compiled

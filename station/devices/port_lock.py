@@ -1,10 +1,11 @@
 """One device, one station: a lock on a file that is named after the device, held as long as its link is open.
 
 An operating system lets two programs open one serial port, and a Net F/T box serves whoever asked last. The
-file stays where it is; the lock on it goes with the process that holds it, however that ends. On Windows, which
-opens a serial port only once, nothing is locked.
+lock goes with the process that holds it, however that ends. On Windows, which opens a serial port only once,
+nothing is locked.
 """
 
+import contextlib
 import os
 import socket
 import sys
@@ -52,31 +53,47 @@ class PortLock:
         self._file: int | None = None
         if sys.platform == "win32":
             return
-        path = lock_file(url)
+        self._path = lock_file(url)
         try:
-            self._file = _open(path)
-        except OSError as error:
-            raise PortTaken(f"{url}: its lock {path} cannot be opened: {error.strerror}; remove that file") from None
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            holder = os.pread(self._file, 20, 0).decode("ascii", "replace").strip()
-            os.close(self._file)
+            self._file = _locked(self._path)
+        except BlockingIOError as error:
+            holder = str(error)
             advice = "end that station, or give another port"
             if holder == str(os.getpid()):
                 advice = "which is this one: two devices cannot have one port"
             raise PortTaken(f"{url} is in use by process {holder or '(not known yet)'}; {advice}") from None
-        os.ftruncate(self._file, 0)
-        os.pwrite(self._file, str(os.getpid()).encode(), 0)
+        except OSError as error:
+            raise PortTaken(f"{url}: its lock {self._path} cannot be had: {error.strerror}; remove that file") from None
 
     def release(self) -> None:
         """Let others have it."""
-        if self._file is not None:
+        if self._file is not None and sys.platform != "win32":
+            # The file goes while it is locked, or it would be another's; it stays if that other is another user.
+            with contextlib.suppress(OSError):
+                self._path.unlink()
             # Unlocked and not only closed: a child process may still have the file from before.
-            if sys.platform != "win32":
-                fcntl.flock(self._file, fcntl.LOCK_UN)
+            fcntl.flock(self._file, fcntl.LOCK_UN)
             os.close(self._file)
             self._file = None
+
+
+def _locked(path: Path) -> int:
+    """The file, locked and with our number in it; BlockingIOError, with the other's number, if it is locked."""
+    while True:
+        file = _open(path)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(file), path.stat(follow_symlinks=False)):
+                os.ftruncate(file, 0)
+                os.pwrite(file, str(os.getpid()).encode(), 0)
+                return file
+            os.close(file)
+        except FileNotFoundError:
+            os.close(file)  # who had it before has just let go of it
+        except BlockingIOError:
+            holder = os.pread(file, 20, 0).decode("ascii", "replace").strip()
+            os.close(file)
+            raise BlockingIOError(holder) from None
 
 
 def _open(path: Path) -> int:

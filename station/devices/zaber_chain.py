@@ -167,9 +167,13 @@ class Chain:
 
     # Bytes out
 
+    def is_free(self, now: float) -> bool:
+        """Whether the line would take a message at `now` [s]."""
+        return now >= self._free - self.line.lead - 1e-9 and now >= self._quiet
+
     def due(self, now: float) -> bytes:
         """What goes out at `now` [s]: one message at most, and none while the line is busy."""
-        if now < self._free - self.line.lead - 1e-9 or now < self._quiet:
+        if not self.is_free(now):
             return b""
         chosen = self._next(now)
         if chosen is None:

@@ -46,6 +46,7 @@ class ZaberStages:
         self._script: Script | None = None
         self._wait_until = -math.inf
         self._started = self._held_back = False
+        self._asked_for: list[float] = []  # velocities that no line has been free for [rad/s or m/s]
         self._use(ports)
 
     # The control loop's side
@@ -77,9 +78,7 @@ class ZaberStages:
         if not all(map(math.isfinite, asked)):
             self.stop(now)
             return
-        for (chain, axis), velocity, scale in zip(self._units.where, asked, self._scale, strict=True):
-            chain.command(axis, round(velocity / scale))
-        self._held_back = True
+        self._asked_for, self._held_back = asked, True
         self._send(now)
 
     def stop(self, now: float) -> None:
@@ -87,6 +86,7 @@ class ZaberStages:
         if self._script is not None:
             self._end_script()
             self._fail("stopped while connecting" if self.condition is Condition.CONNECTING else "")
+        self._asked_for = []
         for chain in self._units.chains:
             chain.stop()
         self._send(now)
@@ -98,7 +98,7 @@ class ZaberStages:
         """Connected, homed, and every position is known."""
         if self.condition is not Condition.CONNECTED or not all(self._units.homed):
             return False
-        return all([estimate.known for _, _, estimate in self._counted])
+        return all(estimate.known for _, _, estimate in self._counted)
 
     @property
     def ports(self) -> tuple[Port, ...]:
@@ -251,6 +251,7 @@ class ZaberStages:
             for i in range(len(self.setups)):
                 self._units.estimate(i).adrift = False
             return
+        self._asked_for = []
         if self.condition is not Condition.FAULT:
             self.condition, self.problem = Condition.FAULT, why
         for chain in self._units.chains:
@@ -303,7 +304,14 @@ class ZaberStages:
         if self.condition is Condition.CLOSED:
             return
         for which, chain in enumerate(self._units.chains):
-            if which not in self._broken and (data := chain.due(now)):
+            if which in self._broken or not chain.is_free(now):
+                continue
+            if self._asked_for:
+                # Only now: in most ticks the line takes nothing.
+                for (on, axis), velocity, scale in zip(self._units.where, self._asked_for, self._scale, strict=True):
+                    on.command(axis, round(velocity / scale))
+                self._asked_for = []
+            if data := chain.due(now):
                 try:
                     self._units.ports[which].link.write(data)
                 except LinkError as error:

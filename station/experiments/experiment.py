@@ -16,7 +16,9 @@ from core.observer import Observer
 from core.robot import Array
 from core.statics import PAPER_SUBLINK, Statics
 from core.step import Controller
+from station.calibration.files import Calibration
 from station.config import ConfigError, Name, NotNegative, Row, Strict, check, merged, preset, read_toml
+from station.devices.aurora_tracker import Registration
 from station.lab.config import LabConfig, load_lab
 from station.lab.faults import LabFault, check_faults
 from station.lab.loads import Load, NoLoad
@@ -102,6 +104,8 @@ class CaseFile(Strict):
     trajectory: Motion
     load: Load = NoLoad()
     controller: ControllerFile = ControllerFile()
+    calibration: str = ""
+    """folder with what `calibrate` found; without, everything is taken to be as described"""
     faults: Annotated[tuple[LabFault, ...], Row] = ()
     """what goes wrong at the simulated devices"""
 
@@ -116,6 +120,7 @@ class Case(NamedTuple):
     controller: Controller
     orders: Orders
     start: Array  #: (n,) [rad or m]
+    registration: Registration | None = None  #: of the tracker, from a calibration
 
 
 class Experiment(NamedTuple):
@@ -168,7 +173,11 @@ def _case(path: Path, name: str, table: Mapping[str, Any]) -> Case:
         check_faults(file.faults, robot)
         if file.faults and lab.devices == "ideal":
             raise ConfigError(f"faults: the devices of lab '{file.lab}' are ideal and have none; choose another lab")
-        controller = file.controller.controller(robot)
+        calibration = Calibration.load(Path(file.calibration), robot) if file.calibration else None
+        # The lab's true robot differs from the one described, whatever is found out about it.
+        controller = file.controller.controller(robot if calibration is None else calibration.robot)
+        if calibration is not None:
+            controller = calibration.applied(controller)
         controller.limits.check(start)
         controller.statics.robot.check_pose(start)
         orders = Orders(file.trajectory, controller.statics.robot)
@@ -177,7 +186,8 @@ def _case(path: Path, name: str, table: Mapping[str, Any]) -> Case:
         orders.check(controller, start, file.duration, file.load.force if held else None)
     except CtrError as error:
         raise ConfigError(f"{source}: {error}") from None
-    return Case(name, file, robot, lab, controller, orders, start)
+    registration = None if calibration is None else calibration.registration
+    return Case(name, file, robot, lab, controller, orders, start, registration)
 
 
 def _paths_beside(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
@@ -190,6 +200,8 @@ def _paths_beside(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
         return dict(holder)
 
     result = placed(placed(table, "robot", ".toml"), "lab", ".toml")
+    if result.get("calibration"):
+        result = placed(result, "calibration", "")
     if isinstance(motion := result.get("trajectory"), Mapping):
         result["trajectory"] = placed(motion, "file", "")
     return result

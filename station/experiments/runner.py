@@ -13,8 +13,9 @@ from station.clock import Clock
 from station.experiments.experiment import PERIOD, Case
 from station.interrupt import interrupts
 from station.lab.virtual_bench import virtual_bench
-from station.loop import ControlLoop, Phase, Task
+from station.loop import ControlLoop
 from station.states import State
+from station.task import Phase, Task
 from station.telemetry import Channels
 
 #: Longest wait until the devices are connected and the controller has begun [s].
@@ -55,7 +56,7 @@ def run_case(
         record: given each row as it comes; then none is kept in memory, however long the run is.
     """
     wall = time.perf_counter()
-    lab, devices = virtual_bench(case.robot, case.lab, seed, case.start)
+    lab, devices = virtual_bench(case.robot, case.lab, seed, case.start, case.registration)
     loop = ControlLoop(case.controller, devices)
     rows: list[Array] = []
     keep = rows.append if record is None else record

@@ -29,6 +29,7 @@ FaultKind = Literal[
     "stall",
     "lose_tool",
     "unplug",
+    "jump",
     "saturate",
     "freeze",
     "bad_status",
@@ -44,7 +45,7 @@ class Kind(NamedTuple):
     lasts: bool = True
 
 
-PROBABILITY, LONGEST_DELAY = 1.0, 60.0
+PROBABILITY, LONGEST_DELAY, FARTHEST_JUMP = 1.0, 60.0, 0.5
 LINES: tuple[Part, ...] = ("stages", "tracker", "sensor")
 ALL: tuple[Part, ...] = ("stages", "joint", "tracker", "sensor")
 KINDS: dict[FaultKind, Kind] = {
@@ -65,9 +66,11 @@ KINDS: dict[FaultKind, Kind] = {
     "lose_tool": Kind(("tracker",)),
     # the coil's plug is pulled
     "unplug": Kind(("tracker",)),
+    # the coil seems to be so far off, along the world's x
+    "jump": Kind(("tracker",), FARTHEST_JUMP, "m"),
     "saturate": Kind(("sensor",)),
-    # the same sample again and again
-    "freeze": Kind(("sensor",)),
+    # the same sample or frame again and again
+    "freeze": Kind(("tracker", "sensor")),
     # the box says that its analog board has failed
     "bad_status": Kind(("sensor",)),
 }
@@ -91,7 +94,7 @@ class LabFault(Strict):
     duration: Positive | None = None
     """None: for ever [s]"""
     value: Positive | None = None
-    """how much: a probability or, of a delay, seconds"""
+    """how much: a probability, of a delay seconds, of a jump metres"""
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:

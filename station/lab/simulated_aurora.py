@@ -37,6 +37,8 @@ class AuroraFaults:
     mute: bool = False  #: hears nothing, says nothing
     delay: float = 0.0  #: of each reply on top of the usual [s]
     tool_lost: bool = False  #: the coil is not seen
+    jump: float = 0.0  #: the coil seems to be so far off along the world's x [m]
+    freeze: bool = False  #: no new frame is measured
 
 
 class Saying(NamedTuple):
@@ -87,7 +89,10 @@ class SimulatedAurora:
         self, begin: float, end: float, tip_begin: Array, tip_end: Array, direction: Array | None = None
     ) -> None:
         """See the true tip go from `tip_begin` to `tip_end`, world frame [m]; the coil along `direction`."""
-        if self._coil.due <= end + 1e-9:
+        if self._coil.due <= end + 1e-9 and not self.faults.freeze:
+            if self.faults.jump:
+                off = np.array([self.faults.jump, 0.0, 0.0])
+                tip_begin, tip_end = tip_begin + off, tip_end + off
             self._coil.advance(begin, end, tip_begin, tip_end, direction, self.faults.tool_lost)
 
     def unplug(self) -> None:
@@ -151,8 +156,11 @@ class SimulatedAurora:
         return b"" if self.faults.mute else self._disturbed(out)
 
     def _plan(self) -> None:
-        heard, saying = self._heard, self._saying
-        self.due = min(heard[0][0] if heard else math.inf, saying[0].begin if saying else math.inf)
+        """A reply is due with its last character: looking more often brings it in parts, but not earlier."""
+        self.due = self._heard[0][0] if self._heard else math.inf
+        if self._saying:
+            begin, character, _, left = self._saying[0]
+            self.due = min(self.due, begin + len(left) * character)
 
     def _say(self, data: bytes, begin: float) -> None:
         if len(self._saying) >= MOST_HEARD:

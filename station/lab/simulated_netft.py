@@ -85,16 +85,18 @@ class SimulatedNetft:
         own = self.settings
         offset = np.repeat([config.force_offset, config.moment_offset], 3) * rng.uniform(-1.0, 1.0, 6)
         drift = np.concatenate([config.drift * rng.choice([-1.0, 1.0], 3), np.zeros(3)])
-        #: By rows: offset, drift [1/s], deviation of the noise, step of quantisation, range, bias [N, N m]; counts of one.
-        self._axes = np.array([
-            offset,
-            drift,
-            np.repeat([config.force_noise, config.moment_noise], 3),
-            np.repeat([config.force_count, config.moment_count], 3),
-            np.repeat([own.force_range, own.torque_range], 3),
-            np.zeros(6),
-            np.repeat([own.force_counts, own.torque_counts], 3),
-        ])
+        # By rows: offset, drift [1/s], deviation of the noise, step of quantisation, range, bias [N, N m]; counts of 1.
+        self._axes = np.array(
+            [
+                offset,
+                drift,
+                np.repeat([config.force_noise, config.moment_noise], 3),
+                np.repeat([config.force_count, config.moment_count], 3),
+                np.repeat([own.force_range, own.torque_range], 3),
+                np.zeros(6),
+                np.repeat([own.force_counts, own.torque_counts], 3),
+            ]
+        )
         self._noise, self._drawn = np.empty((BLOCK, 6)), BLOCK
         self._true = np.zeros(6)
         self._now = 0.0

@@ -154,7 +154,7 @@ class Unit:
 
     @property
     def _velocity(self) -> float:
-        """[microsteps/s]"""
+        """How fast it goes [microsteps/s]."""
         if not self._plan:
             return 0.0
         return self._start_velocity + self._plan[0].acceleration * (self.time - self._begun)

@@ -5,8 +5,9 @@ from typing import NamedTuple, Protocol
 
 from core.robot import Array
 from station.devices.aurora_settings import AuroraSettings
-from station.devices.aurora_tracker import AuroraTracker
+from station.devices.aurora_tracker import AuroraTracker, Registration
 from station.devices.interfaces import Devices, Truth
+from station.devices.links import reopen
 from station.devices.netft_page import read_page
 from station.devices.netft_sensors import NetftSensors
 from station.devices.zaber_setup import Port
@@ -45,8 +46,12 @@ class VirtualBench(NamedTuple):
     devices: Devices
 
 
-def virtual_bench(robot: RobotFile, config: LabConfig, seed: int, positions: Array) -> VirtualBench:
+def virtual_bench(
+    robot: RobotFile, config: LabConfig, seed: int, positions: Array, registration: Registration | None = None
+) -> VirtualBench:
     """Stages homed, with the joints at `positions` (n,); nothing is connected yet. Everything random is from `seed`.
+
+    The tracker is believed to stand at `registration`; where the lab's stands unless told otherwise.
 
     Raises:
         PoseError, NoSolution: the true robot cannot stand there.
@@ -55,15 +60,19 @@ def virtual_bench(robot: RobotFile, config: LabConfig, seed: int, positions: Arr
         ideal = IdealLab(robot, config, seed, positions)
         return VirtualBench(ideal, ideal.devices)
     lab = WireLab(robot, config, seed, positions, homed=True)
-    return VirtualBench(lab, drivers(lab))
+    return VirtualBench(lab, drivers(lab, registration or MOUNT))
 
 
-def drivers(lab: WireLab) -> Devices:
+def drivers(lab: WireLab, registration: Registration = MOUNT) -> Devices:
     """Drivers on the other ends of the lab's wires in memory."""
     tracker = lab.config.tracker
     settings = AuroraSettings(frame_rate=tracker.rate, latency=tracker.latency)
     return Devices(
-        ZaberStages(lab.setups, [Port(lab.hosts.zaber, tuple(range(len(lab.setups))))]),
-        AuroraTracker(lab.hosts.aurora, settings, MOUNT),
+        ZaberStages(lab.setups, [Port(lab.hosts.zaber, tuple(range(len(lab.setups))))], reopen=_reopened),
+        AuroraTracker(lab.hosts.aurora, settings, registration, reopen),
         NetftSensors(lab.hosts.netft, [read_page(box.page() or b"") for box in lab.boxes]),
     )
+
+
+def _reopened(ports: Sequence[Port]) -> list[Port]:
+    return [Port(reopen(port.link), port.stages) for port in ports]

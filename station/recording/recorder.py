@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from station.realtime import show_as
 from station.recording.drawing import Drawing
 from station.recording.events import WARNING, Event
 from station.recording.label import Label, RecordingError
@@ -159,6 +160,7 @@ class Recorder:
 
 def run_recorder(ring_name: str, robot: RobotFile, runs: Path, pipe: Connection, parent: int) -> None:
     """Main function of the recorder's process."""
+    show_as("ctr-recorder")
     # Ctrl-C in a terminal reaches the whole group: the parent decides when we end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     asked: list[int] = []

@@ -133,7 +133,7 @@ class CaseWriter:
         """Wall time (n,) [ns] of rows' times."""
         if len(times) == 0:
             return np.empty(0, np.uint64)
-        return (1e9 * times + 0.5).astype(np.int64).astype(np.uint64) + np.uint64(self._start(float(times[0])))
+        return (1e9 * times + 0.5).astype(np.int64).astype(np.uint64) + np.uint64(self._start(float(times[-1])))
 
     def _pictures(self, times: Array) -> list[int]:
         """Which rows are to be drawn: the first of each period of the pictures."""
@@ -147,7 +147,7 @@ class CaseWriter:
         return drawn
 
     def _start(self, moment: float) -> int:
-        """When the rows' time was 0, from the first moment that is heard of [ns] since 1970."""
+        """When the rows' time was 0, from the newest moment of the first that are heard of [ns] since 1970."""
         if self._epoch is None:
             self._epoch = time.time_ns() - round(1e9 * moment)
         return self._epoch

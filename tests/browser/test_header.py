@@ -39,7 +39,7 @@ def test_a_dead_control_process_shows_as_fault_at_once_and_a_reset_revives_it(br
         killed = 1e3 * time.time()
         station.control_process().kill()
         page.locator("#state", has_text="FAULT").wait_for(timeout=3000)
-        assert page.evaluate("() => window.faultSeen") - killed < 500
+        assert page.evaluate("() => window.faultSeen") - killed < 2000  # the axes are stopped first
         assert "signal 9" in page.locator("#says").inner_text()
         page.locator("#reset").click()
         page.locator("#state", has_text="READY").wait_for(timeout=20_000)

@@ -7,6 +7,8 @@ import pytest
 from pydantic import Field
 
 from station.config import (
+    OWN_EXPERIMENTS,
+    PRESETS,
     ConfigError,
     Direction,
     Name,
@@ -20,6 +22,7 @@ from station.config import (
     preset,
     preset_names,
     read_toml,
+    use_experiments,
 )
 
 
@@ -182,6 +185,33 @@ def test_a_file_of_ones_own_is_taken_as_it_is_and_missed_by_its_path(write, tmp_
     assert preset("experiments", str(write(""))) == tmp_path / "own.toml"
     with pytest.raises(ConfigError, match=r"nowhere\.toml: no such file"):
         preset("experiments", str(tmp_path / "nowhere.toml"))
+
+
+@pytest.fixture
+def own_experiments(monkeypatch, tmp_path):
+    """A folder of one's own with two experiments, in use."""
+    monkeypatch.setenv(OWN_EXPERIMENTS, "")  # put back after the test
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    for name in ("hold_still", "fig10"):
+        (folder / f"{name}.toml").write_text("", encoding="utf-8")
+    use_experiments(folder)
+    return folder
+
+
+def test_experiments_of_ones_own_are_found_by_name_and_go_before_the_stations(own_experiments):
+    assert {"hold_still", "fig10", "fig7"} <= set(preset_names("experiments"))
+    assert preset("experiments", "hold_still") == own_experiments / "hold_still.toml"
+    assert preset("experiments", "fig10") == own_experiments / "fig10.toml"
+    assert preset("experiments", "fig7").parent == PRESETS / "experiments"
+    assert "hold_still" not in preset_names("labs")
+    with pytest.raises(ConfigError, match="fig8, hold_still"):
+        preset("experiments", "fig99")
+
+
+def test_a_missing_folder_of_experiments_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="nowhere: no such folder of experiments"):
+        use_experiments(tmp_path / "nowhere")
 
 
 def test_merging_lays_a_table_over_another_key_by_key():

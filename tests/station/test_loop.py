@@ -368,19 +368,23 @@ def test_a_tip_that_is_never_seen_at_rest_leads_to_hold_and_names_the_tracker(ca
 
         def __init__(self, tracker: Any) -> None:
             self.tracker = tracker
+            self.since = math.inf
 
         def poll(self, now: float) -> TipReading | None:
             reading = self.tracker.poll(now)
-            return reading if now < 1.5 else None
+            return reading if now < self.since else None
 
         def __getattr__(self, name: str) -> Any:
             return getattr(self.tracker, name)
 
     bench = Bench(case)
     devices = bench.devices
-    bench.loop = ControlLoop(case.controller, Devices(bench.stages, Blind(devices.tracker), devices.sensors))
+    blind = Blind(devices.tracker)
+    bench.loop = ControlLoop(case.controller, Devices(bench.stages, blind, devices.sensors))
     bench.ready()
     bench.loop.start(task(case, CIRCLE, 1.0))
+    bench.tick(20)
+    blind.since = bench.now
     bench.tick(1500)
 
     assert bench.loop.state is State.HOLD

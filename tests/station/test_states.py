@@ -6,17 +6,17 @@ from station.states import Event, RefusedError, State, after
 
 #: What follows from each state (rows) at each event (columns); - is refused.
 DRAWN = """
-           connect    connected home   homed prepare start   finish hold stop      fault reset      disconnect
-OFF        CONNECTING -         -      -     -       -       -      -    OFF       -     -          -
-CONNECTING -          CONNECTED -      -     -       -       -      -    OFF       FAULT -          OFF
-CONNECTED  -          -         HOMING HOMED -       -       -      -    CONNECTED FAULT -          OFF
-HOMING     -          -         -      HOMED -       -       -      -    CONNECTED FAULT -          -
-HOMED      -          -         -      -     READY   -       -      -    HOMED     FAULT -          OFF
-READY      -          -         HOMING -     -       RUNNING -      HOLD STOPPED   FAULT -          OFF
-RUNNING    -          -         -      -     -       -       READY  HOLD STOPPED   FAULT -          -
-HOLD       -          -         -      -     -       -       -      -    STOPPED   FAULT READY      OFF
-STOPPED    -          -         -      -     -       -       -      -    STOPPED   FAULT READY      OFF
-FAULT      -          -         -      -     -       -       -      -    FAULT     FAULT CONNECTING OFF
+           connect    connected home   homed prepare start   finish hold stop      fault reset      reconnect  disconnect
+OFF        CONNECTING -         -      -     -       -       -      -    OFF       -     -          -          -
+CONNECTING -          CONNECTED -      -     -       -       -      -    OFF       FAULT -          -          OFF
+CONNECTED  -          -         HOMING HOMED -       -       -      -    CONNECTED FAULT -          -          OFF
+HOMING     -          -         -      HOMED -       -       -      -    CONNECTED FAULT -          -          -
+HOMED      -          -         -      -     READY   -       -      -    HOMED     FAULT -          -          OFF
+READY      -          -         HOMING -     -       RUNNING -      HOLD STOPPED   FAULT -          -          OFF
+RUNNING    -          -         -      -     -       -       READY  HOLD STOPPED   FAULT -          -          -
+HOLD       -          -         -      -     -       -       -      -    STOPPED   FAULT READY      CONNECTING OFF
+STOPPED    -          -         -      -     -       -       -      -    STOPPED   FAULT READY      CONNECTING OFF
+FAULT      -          -         -      -     -       -       -      -    FAULT     FAULT CONNECTING -          OFF
 """
 
 HEAD, *ROWS = (line.split() for line in DRAWN.strip().splitlines())

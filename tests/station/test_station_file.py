@@ -2,7 +2,7 @@
 
 import pytest
 
-from station.config import ConfigError
+from station.config import OWN_EXPERIMENTS, ConfigError, preset_names
 from station.devices.config import BenchFile
 from station.station_file import load_station
 
@@ -45,3 +45,14 @@ def test_with_devices_it_is_a_bench_and_says_so(write):
 def test_what_cannot_be_is_refused_with_the_file(write, old, new, told):
     with pytest.raises(ConfigError, match=told):
         load_station(write(DEVICES.replace(old, new))).bench()
+
+
+def test_a_folder_of_experiments_is_beside_the_file(monkeypatch, write, tmp_path):
+    monkeypatch.setenv(OWN_EXPERIMENTS, "")  # put back after the test
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "hold_still.toml").write_text("", encoding="utf-8")
+    load_station(write('[experiments]\nfolder = "mine"\n', "station"))
+
+    assert "hold_still" in preset_names("experiments")
+    with pytest.raises(ConfigError, match="elsewhere: no such folder of experiments"):
+        load_station(write('[experiments]\nfolder = "elsewhere"\n', "station"))

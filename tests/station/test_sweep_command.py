@@ -54,7 +54,7 @@ def test_the_table_has_a_line_for_each_axis(command_line, write, short):
         (("--seeds", "0"), "0 is outside 1 ... 100000"),
         (("--seeds", "many"), "'many' is not a whole number"),
         (("--jobs", "-1"), "-1 is outside 1 ... 1024"),
-        (("--set", "controller.k1=-1"), "k1"),
+        (("--set", "controller.k1=-1"), "K1 = -1 1/s"),
         (("--set", "nothing"), "write KEY=VALUE"),
         (("--experiments", "nowhere"), "nowhere: no such folder"),
     ],

@@ -1,7 +1,7 @@
 // Devices: connect, home, tare, what each knows of itself, raw values, and whether every axis turns the right way.
 import { $, ask, confirm, latest, make, mayCommand, note, onStatus, press } from "./station.js";
 import { isOpen, onTab } from "./tabs.js";
-import { holdable } from "./jog.js";
+import { holdable, mayJog } from "./jog.js";
 import { unit } from "./form.js";
 
 const bench = await ask("GET", "/api/bench");
@@ -50,7 +50,7 @@ function check(joint, place) {
     verdict.textContent = model < LEAST ? `${far}; hold longer, or bend the tubes first`
       : dot > 0.7 * size * model ? `✓ right way (${far})` : `✗ not as the model expects (${far}): check the sign of this axis, its wiring and the tracker's frame`;
   });
-  onStatus((status, stale) => { button.disabled = stale || status === null || (status.state !== "READY") || !mayCommand(status); });
+  onStatus((status, stale) => { button.disabled = !mayJog(status, stale); });
   joints.append(button, verdict, make("span"));
 }
 bench.joints.forEach(check);

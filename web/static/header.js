@@ -66,7 +66,7 @@ function showRun(status) {
   $("run-title").title = run === null ? "" : `run ${run.id}`;
   $("run-progress").hidden = !on;
   $("run-left").textContent = !on ? "" : run.phase === "moving"
-    ? `${minutes(run.duration * (1 - run.progress))} left of ${minutes(run.duration)}` : status.says;
+    ? `${minutes(run.duration * (1 - run.progress))} left of ${minutes(run.duration)}` : run.phase === "none" ? "" : status.says;
   if (on) $("run-progress").value = run.progress;
 }
 

@@ -6,6 +6,10 @@ import { tidy, unit } from "./form.js";
 const AGAIN = 100; // ms
 let held = null;
 
+/** Whether a jog may begin or go on. */
+export const mayJog = (status, stale) => status !== null && !stale && mayCommand(status)
+  && (status.state === "READY" || status.phase === "jogging");
+
 /** Jog while `button` is held; `velocity()` is SI. Used by the axis check, too. */
 export function holdable(button, space, velocity, ended = () => {}) {
   const begin = (event) => {
@@ -106,9 +110,9 @@ $("jog").append(
       axis(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`))))),
 );
 onStatus((status, stale) => {
-  const ready = status !== null && !stale && status.state === "READY" && mayCommand(status);
-  if (!ready && status !== null && status.state !== "READY") release();
-  for (const button of buttons) button.disabled = !ready && held?.button !== button;
+  const ready = mayJog(status, stale);
+  if (!ready) release();
+  for (const button of buttons) button.disabled = !ready;
   why.textContent = ready || status === null ? "" : !mayCommand(status) ? `'${status.operator.name}' is operator` : `not while ${status.state}; ${status.next}`;
 });
 onTab("jog", (open) => { if (!open) release(); });

@@ -182,7 +182,7 @@ function errors() {
   const canvas = id("errors"), ratio = devicePixelRatio || 1;
   canvas.width = canvas.clientWidth * ratio;
   canvas.height = canvas.clientHeight * ratio;
-  const pen = canvas.getContext("2d"), { width: w, height: h } = canvas;
+  const pen = canvas.getContext("2d", { willReadFrequently: true }), { width: w, height: h } = canvas;
   const lengths = Array.from({ length: shown.frames }, (_, k) => {
     const error = shown.error(k);
     return error ? Math.hypot(...error) : NaN;

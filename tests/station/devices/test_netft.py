@@ -2,8 +2,9 @@
 
 import struct
 
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from station.devices.netft import LATENCY, Command, Counters, SampleClock, Stream, describe, is_usable, records, request
@@ -45,6 +46,35 @@ def test_the_worked_record():
 
 def test_a_buffered_datagram_has_several_records():
     assert [r.rdt_sequence for r in records(b"".join(series(range(1, 41)))) or []] == list(range(1, 41))
+
+
+@settings(deadline=None)  # the first case compiles
+@given(
+    st.lists(
+        st.sampled_from(["next", "next", "next", "skip", "again", "old", "sick", "large", "two", "noise"]), max_size=60
+    )
+)
+def test_the_compiled_way_takes_exactly_what_the_plain_one_takes(fates):
+    both, plain, limits, row = Stream(), Stream(), np.full(6, 1e6), np.zeros(7)
+    rdt, now = 0, 0.0
+    for fate in ["next"] * 3 + fates:
+        now += 0.002
+        rdt += {"skip": 3, "again": 0, "old": -2}.get(fate, 1)
+        counts = (2_000_000 if fate == "large" else rdt, -rdt, 5, 6, 7, 8)
+        datagram = record(rdt, 6433 + 14 * rdt, 0x80020000 if fate == "sick" else 0, counts)
+        if fate == "two":
+            rdt += 1
+            datagram += record(rdt, 6433 + 14 * rdt)
+        elif fate == "noise":
+            datagram = bytes(range(36))
+        expected = [(sample.time, *sample.counts) for sample in plain.feed(datagram, now)]
+        if both.follow(datagram, now, limits, row):
+            assert fate not in ("large", "sick", "two", "noise")
+            found = [tuple(row.tolist())]
+        else:
+            found = [(sample.time, *sample.counts) for sample in both.feed(datagram, now)]
+        assert found == expected
+    assert both.counters == plain.counters
 
 
 @pytest.mark.parametrize("length", [0, 1, 8, 35, 37, 71])

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -162,3 +163,33 @@ def test_the_file_may_be_locked_by_any_user_and_says_who_has_it(terminal, tmp_pa
     assert path.stat().st_mode & 0o777 == 0o666
     assert path.read_text() == str(os.getpid())
     lock.release()
+    assert not path.exists()
+
+
+def test_of_many_that_want_a_device_one_at_a_time_has_it(terminal, tmp_path: Path, monkeypatch):
+    """Threads open and close it as fast as they can; the file comes and goes under them."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    inside: list[int] = []
+    most: list[int] = []
+    had = [0] * 4
+
+    def want(me: int) -> None:
+        for _ in range(500):
+            try:
+                lock = PortLock(terminal)
+            except PortTaken:
+                continue
+            inside.append(me)
+            most.append(len(inside))
+            inside.remove(me)
+            had[me] += 1
+            lock.release()
+
+    threads = [threading.Thread(target=want, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert set(most) == {1}
+    assert sum(had) > 0
+    assert list(tmp_path.iterdir()) == []

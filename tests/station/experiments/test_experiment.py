@@ -120,9 +120,16 @@ def test_the_simulations_of_the_paper_use_the_nominal_rod_and_ideal_devices_and_
             assert case.lab.devices == "ideal"
 
 
-def test_the_experiments_of_the_paper_use_the_default_lab():
+def test_the_experiments_of_the_paper_use_the_default_lab_but_for_the_tracker_near_metal():
+    default = LabConfig()
+    bent = default.tracker.model_copy(update={"distortion": 0.48e-3})
     for name in ("fig6", "fig7", "fig8", "fig10"):
-        assert all(case.lab == LabConfig() for case in load_experiment(name).cases)
+        for case in load_experiment(name).cases:
+            distorted = case.name.endswith("_distorted")
+            assert case.lab.plant == default.plant
+            assert case.lab.sensors == default.sensors
+            assert case.lab.tracker == (bent if distorted else default.tracker)
+            assert (case.lab.title == default.title) is not distorted
 
 
 def test_the_default_lab_has_the_agreed_numbers():
@@ -231,7 +238,11 @@ def test_a_file_without_cases_is_one_case_of_its_own_name(write, short):
         ('kind = "hold"', 'kind = "hold"\n[paper.slow]', "paper.slow is not one of the cases: own"),
         ('kind = "hold"', 'kind = "hold"\n[paper.own]\nmax = 1', "unknown key 'paper.own.max'"),
         ('title = "short"', 'title = "short"\nrobot = "snake"', "'snake' is not one of the robots: paper"),
-        ('title = "short"', 'title = "short"\nlab = "moon"', "'moon' is not one of the labs: default, ideal"),
+        (
+            'title = "short"',
+            'title = "short"\nlab = "moon"',
+            "'moon' is not one of the labs: default, distorted, ideal",
+        ),
         ('title = "short"', 'title = "short"\nlab = "none.toml"', "none.toml: no such file"),
         ('title = "short"', 'title = "short', "not valid TOML: "),
     ],
@@ -307,3 +318,29 @@ def test_a_fault_that_cannot_happen_is_refused(write, short, text, said):
 def test_ideal_devices_have_no_faults(write, short):
     with pytest.raises(ConfigError, match="the devices of lab 'ideal' are ideal"):
         load_experiment(str(write('lab = "ideal"\n' + short + FAULT.format("mute", "stages"))))
+
+
+def test_files_that_an_experiment_names_are_beside_it(write, short, robot_text, tmp_path, monkeypatch):
+    place = tmp_path / "deep"
+    place.mkdir()
+    (place / "mine.toml").write_text(robot_text.replace('name = "paper"', 'name = "mine"'), encoding="utf-8")
+    (place / "noisy.toml").write_text("[tracker]\nnoise = 0.5e-3\n", encoding="utf-8")
+    (place / "path.csv").write_text("time,x,y,z\n0,0,0,0\n5,0,0,0.001\n", encoding="utf-8")
+    motion = '[trajectory]\nkind = "csv"\nfile = "path.csv"\n'
+    text = 'robot = "mine.toml"\nlab = "noisy.toml"\n' + short.replace('[trajectory]\nkind = "hold"\n', motion)
+    (place / "own.toml").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    (case,) = load_experiment("deep/own.toml").cases
+
+    assert case.robot.name == "mine"
+    assert case.lab.tracker.noise == 0.5e-3
+    assert case.file.trajectory.file == "deep/path.csv"
+
+
+def test_changes_are_laid_on_top_of_every_case(write, short):
+    path = write(short + "[cases.one]\nduration = 2.0\n[cases.two.controller]\nk1 = 4.0\nk2 = 4.0\n")
+    one, two = load_experiment(str(path), {"duration": 0.5, "controller": {"k1": 1.0}}).cases
+
+    assert (one.file.duration, two.file.duration) == (0.5, 0.5)
+    assert (one.file.controller.k1, one.file.controller.k2) == (1.0, 2.5)
+    assert (two.file.controller.k1, two.file.controller.k2) == (1.0, 4.0)

@@ -220,6 +220,26 @@ def test_a_lost_tracker_gives_no_frames(wire, kind, quality):
     assert wire.frames == pytest.approx(20, abs=1)
 
 
+def test_a_tracker_that_stands_still_repeats_its_frame(wire):
+    wire.inject("freeze", "tracker", duration=0.5).run(0.49)
+    assert wire.frames <= 2
+    repeated = wire.tracker.report(wire.now).counts.repeated
+    assert wire.quality is Quality.SILENT
+    assert repeated > 20
+    wire.run(0.2).fresh().run(0.5)
+    assert wire.quality is Quality.GOOD
+    assert wire.frames == pytest.approx(20, abs=1)
+
+
+def test_a_jump_is_a_coil_elsewhere(wire):
+    assert wire.run(0.1).quality is Quality.GOOD
+    wire.fresh().inject("jump", "tracker", value=0.05).run(0.15)
+    assert wire.quality is Quality.JUMP
+    assert wire.frames <= 2  # from before
+    wire.inject("jump", "tracker", value=0.05, duration=0.1, at=0.1).run(0.3)
+    assert wire.quality is Quality.GOOD
+
+
 def test_a_disturbed_trackers_line_costs_frames(wire):
     wire.inject("flip_bits", "tracker", value=0.005).run(2.0)
     assert 5 < wire.frames < 75

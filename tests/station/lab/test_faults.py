@@ -34,6 +34,7 @@ def test_a_fault_as_a_file_has_it():
         ({"kind": "mute", "device": "stages", "value": 1.0}, "'mute' has no value"),
         ({"kind": "drop_bytes", "device": "stages"}, r"'drop_bytes' needs a value above 0, at most 1 \(probability\)"),
         ({"kind": "flip_bits", "device": "stages", "value": 1.5}, r"at most 1 \(probability\)"),
+        ({"kind": "jump", "device": "tracker", "value": 2.0}, r"at most 0.5 \(m\)"),
         ({"kind": "delay", "device": "tracker", "value": 100.0}, r"at most 60 \(s\)"),
         ({"kind": "restart", "device": "tracker", "duration": 1.0}, "'restart' happens at once"),
     ],

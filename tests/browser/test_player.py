@@ -1,0 +1,134 @@
+"""The stand-alone player in a real browser, opened as a file."""
+
+from collections.abc import Iterator
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page
+
+from station.cli import main
+
+RUN = """
+title = "player"
+start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
+duration = 2.0
+settling = 0.0
+[trajectory]
+kind = "circle"
+radius = 0.006
+period = 8.0
+[load]
+kind = "constant"
+magnitude = 0.3
+[cases.one]
+[cases.two.controller]
+feedforward = true
+"""
+
+
+@pytest.fixture(scope="module")
+def player(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    place = tmp_path_factory.mktemp("player")
+    (place / "own.toml").write_text(RUN, encoding="utf-8")
+    assert main(("run", str(place / "own.toml"), "--out", str(place / "runs"), "--json")) == 0
+    assert main(("replay", str(next((place / "runs").iterdir())), "--out", str(place / "own.html"))) == 0
+    page = browser.new_page(viewport={"width": 1280, "height": 720}, reduced_motion="reduce")
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    complaints: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda message: complaints.append(message.text))
+    page.goto((place / "own.html").as_uri())
+    yield page
+    page.close()
+    assert asked == [(place / "own.html").as_uri()]
+    assert complaints == []
+
+
+@pytest.fixture
+def at_start(player: Page) -> Page:
+    player.locator("#case").select_option("one")
+    player.keyboard.press("Home")
+    return player
+
+
+def picture(page: Page) -> np.ndarray:
+    return iio.imread(page.locator("#scene").screenshot()).astype(float)[..., :3]
+
+
+def clock(page: Page) -> float:
+    return float(page.locator("#clock").inner_text().split()[0])
+
+
+def test_it_waits_for_those_who_want_less_motion_and_says_what_it_shows(at_start: Page) -> None:
+    assert at_start.locator("#play").inner_text() == "Play"
+    assert clock(at_start) == 0.0
+    assert at_start.locator("#origin").inner_text() == "simulated bench"
+    legend = at_start.locator("#legend").inner_text()
+    for name in ("inner tube", "outer tube", "desired tip", "measured tip", "true tip", "force"):
+        assert name in legend
+    numbers = at_start.locator("#numbers").inner_text()
+    for name in ("tip, measured", "error, true", "force", "inner translation", "mm", "deg", "N"):
+        assert name in numbers
+    assert at_start.locator("#problem").is_hidden()
+
+
+def test_the_robot_is_drawn_in_its_colours(at_start: Page) -> None:
+    shot = picture(at_start)
+    # the inner tube's sky blue and the outer one's slate, whatever the shading
+    blue = (shot[..., 2] > shot[..., 0] + 60) & (shot[..., 1] > shot[..., 0] + 30)
+    slate = (np.abs(shot - (86, 98, 112)).max(axis=-1) < 45) & (shot[..., 2] > shot[..., 0] + 5)
+    assert blue.sum() > 300
+    assert slate.sum() > 300
+
+
+def test_keys_move_time_and_the_picture_follows(at_start: Page) -> None:
+    page = at_start
+    before = picture(page)
+    page.keyboard.press("ArrowRight")
+    assert clock(page) == pytest.approx(0.04)
+    page.keyboard.press("Shift+ArrowRight")
+    assert clock(page) == pytest.approx(1.04)
+    page.keyboard.press("End")
+    assert clock(page) == pytest.approx(1.96, abs=0.05)
+    assert (np.abs(picture(page) - before).max(axis=-1) > 40).sum() > 200
+    page.keyboard.press("Home")
+    assert clock(page) == 0.0
+    assert np.abs(picture(page) - before).max() < 3.0
+
+
+def test_space_plays_to_the_end_and_stops_there(at_start: Page) -> None:
+    page = at_start
+    page.locator("#speed").select_option("5")
+    page.locator("#scene").focus()
+    page.keyboard.press("Space")
+    assert page.locator("#play").inner_text() == "Pause"
+    page.locator("#play", has_text="Play").wait_for(timeout=20_000)
+    assert clock(page) > 1.9
+    page.locator("#play").click()  # from the beginning again
+    page.keyboard.press("Space")
+    assert page.locator("#play").inner_text() == "Play"
+
+
+def test_the_slider_the_mouse_and_another_case(at_start: Page) -> None:
+    page = at_start
+    page.locator("#time").fill("25")
+    assert clock(page) == pytest.approx(1.0)
+    before = picture(page)
+    page.mouse.move(600, 300)
+    page.mouse.down()
+    page.mouse.move(760, 340, steps=4)
+    page.mouse.up()
+    assert (np.abs(picture(page) - before).max(axis=-1) > 40).sum() > 500
+    text = page.locator("#numbers").inner_text()
+    page.locator("#case").select_option("two")
+    assert clock(page) == pytest.approx(1.0)
+    assert page.locator("#numbers").inner_text() != text
+
+
+def test_the_numbers_are_those_of_the_recording(at_start: Page) -> None:
+    rows = [row.split("\t") for row in at_start.locator("#numbers").inner_text().splitlines()]
+    joints = {row[0]: row[1] for row in rows if "rotation" in row[0] or "translation" in row[0]}
+    assert float(joints["inner rotation"]) == pytest.approx(90.0, abs=0.5)
+    assert float(joints["inner translation"]) == pytest.approx(-100.0, abs=0.5)

@@ -1,0 +1,99 @@
+"""A whole bench in virtual time for the tests of faults: plant, wires, drivers and the control loop."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from core.robot import Array
+from station.experiments.experiment import PERIOD, Case, load_experiment
+from station.lab.faults import LabFault
+from station.lab.virtual_bench import virtual_bench
+from station.lab.wire_lab import WireLab
+from station.loop import ControlLoop
+from station.margins import Margins
+from station.motions import CircleMotion, Orders
+from station.states import State
+from station.task import Phase, Task
+
+CIRCLE = CircleMotion(radius=0.010, period=8.0)
+AXES = ("outer_rotation", "inner_rotation", "inner_translation")
+
+
+def usual_case() -> Case:
+    """Fig. 10 with feed-forward and observer on the default virtual lab."""
+    return next(case for case in load_experiment("fig10").cases if case.name == "feedforward")
+
+
+class VirtualStation:
+    """A control loop on simulated devices at wire level, ticked by hand."""
+
+    def __init__(self, case: Case, margins: Margins | None = None) -> None:
+        self.case = case
+        lab, self.devices = virtual_bench(case.robot, case.lab, 0, case.start)
+        assert isinstance(lab, WireLab)
+        self.lab = lab
+        self.loop = ControlLoop(case.controller, self.devices, margins)
+        self.rows: list[Array] = []
+        self.now = -PERIOD
+        self.loop.connect(0.0)
+
+    @property
+    def state(self) -> State:
+        return self.loop.state
+
+    @property
+    def places(self) -> Array:
+        """Where the joints really are (n,) [rad or m]."""
+        return self.lab.positions
+
+    def fail(self, kind: str, device: str, **more: Any) -> None:
+        """Let a fault begin now."""
+        self.lab.inject([LabFault.model_validate({"kind": kind, "device": device, **more})], self.now)
+
+    def mend(self) -> None:
+        self.lab.inject([], self.now)
+
+    def tick(self, count: int = 1) -> None:
+        for _ in range(count):
+            self.now = round(self.now + PERIOD, 9)
+            row = self.loop.tick(self.now, self.lab.advance(self.now))
+            if row is not None:
+                assert np.isfinite(row).all()
+                self.rows.append(row)
+
+    def seconds(self, time: float) -> None:
+        self.tick(round(time / PERIOD))
+
+    def until(self, holds: Callable[[], bool], most: float = 10.0) -> float:
+        """Tick until it holds; how long that took [s]."""
+        begin = self.now
+        while not holds():
+            assert self.now - begin < most, (self.state, self.loop.cause, self.loop.phase)
+            self.tick()
+        return self.now - begin
+
+    def becomes(self, state: State, most: float = 10.0) -> float:
+        return self.until(lambda: self.state is state, most)
+
+    def ready(self) -> "VirtualStation":
+        self.becomes(State.READY)
+        return self
+
+    def moving(self, motion: Any = CIRCLE, duration: float = 60.0, since: float = 1.0) -> "VirtualStation":
+        """READY, then in the middle of a motion."""
+        self.ready()
+        self.loop.start(Task(self.case.controller, Orders(motion, self.case.robot.robot()), duration))
+        self.until(lambda: self.loop.phase is Phase.MOVING)
+        self.seconds(since)
+        assert self.state is State.RUNNING
+        return self
+
+    def rests(self, joints: tuple[int, ...] = (0, 1, 2)) -> bool:
+        """Whether these joints really stand still for the next 0.1 s."""
+        before = self.places
+        self.seconds(0.1)
+        return bool((self.places == before)[list(joints)].all())
+
+    def of(self, group: str, rows: list[Array] | None = None) -> Array:
+        return self.loop.channels.of(np.array(self.rows if rows is None else rows), group)
