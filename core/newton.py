@@ -23,6 +23,9 @@ MAX_PASSES = 40
 CLOSE = 1e-6
 #: The same of a cold start, which is in no hurry: J and C then belong to the very tip.
 CLOSEST = 1e-8
+#: The same in the control loop, where a force sample's noise moves the tip by a millimetre: what the first
+#: order leaves of the tip is below 0.1 um, of J and C 0.1 %, and half of the passes are saved [rad].
+CLOSE_ENOUGH = 3e-3
 #: What a Newton step leaves of the end conditions over its square [1/m or N m]; measured, with reserve.
 LEFT = 100.0
 #: A careful warm start refuses a first step longer than this: it may end on another branch [rad].
@@ -39,6 +42,7 @@ def newton(
     near: Array,
     contact: float,
     careful: int,
+    close: float,
     tubes: tuple[float, ...],
     columns: tuple[float, ...],
 ) -> Array:
@@ -50,6 +54,7 @@ def newton(
         joints, wrench, contact: the pose (n,) and the load (6,).
         near: numbers of a solution nearby. A step that does not help is halved.
         careful: 1 for a warm start: refuses a long way and a change of the margin's sign, to keep the branch.
+        close: last Newton step that is applied to first order [rad over the whole length].
         tubes, columns: see `propagate`.
 
     """
@@ -94,7 +99,7 @@ def newton(
         for i in range(size):
             unknowns[i] = trial[i]
             trial[i] -= step[i]
-        if way < (CLOSE if careful else CLOSEST):
+        if way < close:
             if careful and determinant * near[-3] < 0.0:
                 return out
             _finish(layout.base, state, table, q, n, out)

@@ -11,7 +11,7 @@ import numpy as np
 
 from core.compiled import compiled
 from core.estimation import Estimate, Estimator, estimate
-from core.newton import newton
+from core.newton import CLOSE_ENOUGH, newton
 from core.robot import Array, unpack
 from core.solution import Solution
 from core.statics import Statics
@@ -85,8 +85,8 @@ def _perceive(
     load = fused_at(unpack(packed), joints, wrenches)
     wrench, nothing = np.zeros(6), np.zeros(6)
     wrench[:3] = load[:3]
-    loaded = newton(packed, order, sublink, joints, wrench, near_loaded, math.inf, 1, tubes, columns)
-    unloaded = newton(packed, order, sublink, joints, nothing, near_unloaded, math.inf, 1, tubes, columns)
+    loaded = newton(packed, order, sublink, joints, wrench, near_loaded, math.inf, 1, CLOSE_ENOUGH, tubes, columns)
+    unloaded = newton(packed, order, sublink, joints, nothing, near_unloaded, math.inf, 1, CLOSE_ENOUGH, tubes, columns)
     if not (loaded[-1] > 0.0 and unloaded[-1] > 0.0):
         return load, loaded, unloaded, last, False
     now = estimate(

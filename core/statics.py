@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from core.errors import DescriptionError, NoSolution, NotFinite
-from core.newton import TOLERANCE, newton
+from core.newton import CLOSE, CLOSEST, TOLERANCE, newton
 from core.propagation import INTEGRATORS, Scheme, propagate, repeat
 from core.robot import Array, Robot, positive
 from core.solution import Solution, at_rest
@@ -66,7 +66,7 @@ class Statics:
         """
         place = math.inf if contact is None else contact
         if near is not None and joints.shape == (near.places.n,) and wrench.shape == (6,):
-            numbers = newton(*self._fixed, joints, wrench, near.numbers, place, 1, *self._widths)
+            numbers = newton(*self._fixed, joints, wrench, near.numbers, place, 1, CLOSE, *self._widths)
             if numbers[-1] > 0.0:
                 return Solution(numbers, near.places)
         self._check(joints, wrench, contact)
@@ -177,7 +177,8 @@ class Statics:
         return at
 
     def _newton(self, joints: Array, wrench: Array, near: Solution, contact: float, careful: int) -> Solution | None:
-        numbers = newton(*self._fixed, joints, wrench, near.numbers, contact, careful, *self._widths)
+        close = CLOSE if careful else CLOSEST
+        numbers = newton(*self._fixed, joints, wrench, near.numbers, contact, careful, close, *self._widths)
         return Solution(numbers, near.places) if numbers[-1] > 0.0 else None
 
     def _check(self, joints: Array, wrench: Array, contact: float | None) -> None:

@@ -19,7 +19,7 @@ from station.recording.case_recorder import CaseRecorder
 from station.recording.label import Label
 from station.recording.read import open_case
 from station.recording.recorder import CASE, Recorder
-from station.recording.writer import FAST_PICTURES, CaseWriter
+from station.recording.writer import CaseWriter
 from station.ring import Ring
 from station.telemetry import Channels
 
@@ -49,7 +49,7 @@ def _in_loop(case: Case, rows: Array, folder: Path) -> tuple[float, int]:
     taken: list[float] = []
     size = 0
     for number in range(7):
-        writer = CaseWriter(folder / f"{number}.mcap", case.robot.robot(), channels.all, {}, FAST_PICTURES)
+        writer = CaseWriter(folder / f"{number}.mcap", case.robot.robot(), channels.all, {})
         recorder = CaseRecorder(writer, len(channels))
         begin = time.process_time()
         for row in rows:

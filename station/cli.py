@@ -218,7 +218,8 @@ def _bench(parsed: argparse.Namespace) -> int:
         from station.bench_tick import tick
         from station.bench_wire import wire
 
-        result = {"model": bench.model, "cost": cost, "tick": tick, "wire": wire, "headless": bench.headless}[parsed.what]()
+        measures = {"model": bench.model, "cost": cost, "tick": tick, "wire": wire, "headless": bench.headless}
+        result = measures[parsed.what]()
     if parsed.json:
         print(json.dumps(result))  # noqa: T201
     else:

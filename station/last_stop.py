@@ -1,39 +1,103 @@
-"""The last resort: stop the stages without the control process, straight through their ports."""
+"""The last resort: stop the stages without the control process, straight through their ports.
+
+A port may be a dying process's for some milliseconds more, and half a message may have been on its way: so
+it is opened until it opens, and the units are told, and asked what they do, until they say that they stop.
+"""
 
 import time
 from collections.abc import Sequence
 
 from station.devices.links import LinkError, SerialLink
-from station.devices.zaber import BAUD, GAP, Command, Message, encode
+from station.devices.zaber import BAUD, GAP, MESSAGE_TIME, Command, Message, Parser, Status, encode
+from station.devices.zaber_shifts import IGNORED
 
-#: Device number 0 addresses every unit of a chain.
-STOP = encode(Message(0, Command.STOP, 0))
+#: Device number 0 addresses every unit of a chain; a status is told whatever the units' mode says.
+STOP, ASK = encode(Message(0, Command.STOP, IGNORED)), encode(Message(0, Command.STATUS, IGNORED))
+#: How long a port is tried [s].
+PATIENCE = 2.0
+#: Units that lost the frame find it in a pause; then they are told again, so often until they answer [s].
+AGAIN = MESSAGE_TIME + 1.5 * GAP
+ANSWER = 0.06
+#: A port whose units say nothing for so long is opened anew: perhaps it was still somebody else's [s].
+SILENT = 0.2
+#: The last unit of a chain has answered when nothing more comes for so long [s].
+QUIET = 4.0 * MESSAGE_TIME
+AT_REST = (Status.IDLE, Status.STOPPING)
+STATUSES = frozenset(int(status) for status in Status)
 
 
-def stop_stages(ports: Sequence[str]) -> str:
-    """Tell every unit on these ports to stop, twice: what came of it, in words, and how long it took.
+def stop_stages(ports: Sequence[str], patience: float = PATIENCE) -> str:
+    """Tell every unit on these ports to stop: what came of it, in words, and how long it took.
 
-    Half a message may have been on its way: the units drop it after a silence, so the second stop comes
-    after one. Every port is tried, whatever became of the others.
+    Every port is tried, whatever becomes of the others.
     """
     begin = time.monotonic()
-    links: list[SerialLink] = []
-    told: list[str] = []
-    for port in ports:
+    stopping = [_Port(name, begin) for name in ports]
+    while any(not port.done for port in stopping) and time.monotonic() - begin < patience:
+        for port in stopping:
+            port.go_on(time.monotonic())
+        time.sleep(0.002)
+    for port in stopping:
+        port.close()
+    return "; ".join(port.said() for port in stopping)
+
+
+class _Port:
+    """One port on its way to a stop."""
+
+    def __init__(self, name: str, begin: float) -> None:
+        self.done = False
+        self._name, self._begin = name, begin
+        self._link: SerialLink | None = None
+        self._problem = ""
+        self._told = 0.0  # how long it took until the units were told first [s]
+        self._opened = self._next = self._heard = begin
+        self._statuses: dict[int, int] = {}
+
+    def go_on(self, now: float) -> None:
+        if self.done:
+            return
         try:
-            link = SerialLink(port, BAUD)
-            links.append(link)
-            link.write(STOP)
-            told.append(f"the stages on {port} were told to stop")
+            if self._link is None:
+                self._link = SerialLink(self._name, BAUD)
+                self._link.write(STOP)
+                self._parser = Parser(_plausible, GAP)
+                self._told = self._told or time.monotonic() - self._begin
+                self._opened = self._heard = now
+                self._next = now + AGAIN
+                return
+            for message in self._parser.feed(self._link.read(), now, now):
+                self._heard = now
+                if message.command == Command.STATUS:
+                    self._statuses[message.device] = message.data
+            if self._statuses and now - self._heard > QUIET and all(s in AT_REST for s in self._statuses.values()):
+                self.done = True
+            elif now >= self._next:
+                self._statuses.clear()
+                self._link.write(STOP + ASK)
+                self._next = now + ANSWER
+            if not self._statuses and now - self._heard > SILENT:
+                self.close()
         except LinkError as error:
-            told.append(f"the stages on {port} cannot be told to stop ({error}): press the emergency stop")
-    handed = time.monotonic() - begin
-    time.sleep(len(STOP) * 10.0 / BAUD + 1.5 * GAP)
-    for link in links:
-        try:
-            link.write(STOP)
-        except LinkError as error:
-            told.append(f"{link.name} has gone meanwhile ({error})")
-        finally:
-            link.close()
-    return f"{'; '.join(told)} (bytes handed over {1e3 * handed:.0f} ms after it was noticed)" if told else ""
+            self._problem = str(error)
+            self.close()
+
+    def close(self) -> None:
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def said(self) -> str:
+        if self.done:
+            count = len(self._statuses)
+            return f"{count} stages on {self._name} stop, told {1e3 * self._told:.0f} ms after it was noticed"
+        if self._told:
+            return f"the stages on {self._name} were told to stop and do not answer: press the emergency stop"
+        return f"the stages on {self._name} cannot be told to stop ({self._problem}): press the emergency stop"
+
+
+def _plausible(message: Message) -> bool:
+    """What a unit may say meanwhile."""
+    if message.command == Command.STATUS:
+        return message.data in STATUSES
+    return message.command in (Command.STOP, Command.MOVE_SPEED, Command.LIMIT_ACTIVE, Command.POSITION, Command.ERROR)

@@ -3,15 +3,19 @@
 import contextlib
 import gc
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 
 def ask_for_fifo(priority: int = 50) -> bool:
-    """Ask for real-time scheduling; False when the system refuses or has none."""
+    """Ask for real-time scheduling of the calling thread; False when the system refuses or has none.
+
+    Threads and processes that it starts later do not inherit it.
+    """
     if not hasattr(os, "sched_setscheduler"):
         return False
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except (OSError, ValueError):
         return False
     return True
@@ -22,6 +26,18 @@ def calm_memory() -> None:
     gc.collect()
     gc.freeze()
     gc.disable()
+
+
+@contextlib.contextmanager
+def uncollected() -> Iterator[None]:
+    """No garbage collection meanwhile: the control loop makes no cycles, and a collection looks at all there is."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
 
 
 def show_as(name: str) -> None:

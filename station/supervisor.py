@@ -30,6 +30,7 @@ from station.last_stop import stop_stages
 from station.live_recording import LiveRecording
 from station.messages import Command, DeviceReport, DeviceStatus, Notice, Reply
 from station.own_bench import OwnBench
+from station.realtime import ask_for_fifo
 from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, Ring, Timing
 from station.states import Event, RefusedError, State, after
 from station.task import Phase, Task
@@ -41,6 +42,8 @@ ANSWER_TIME = 1.0
 STALE = 0.5
 #: A control process that has begun to tick and has not for so long is hung: it is ended, the stages are stopped [s].
 HUNG = 1.0
+#: Of the threads that stop the stages when the control process cannot; below its own.
+WATCHER_PRIORITY = 45
 #: Between two looks of the watchdog [s].
 LOOK = 0.02
 
@@ -309,6 +312,8 @@ class Supervisor:
     def _watch(self, pipe: Any, process: Any) -> None:
         """Give the control process its devices, take what it says until it ends; its end unasked is a fault."""
         cause = ""
+        if self.bench.fifo:
+            ask_for_fifo(WATCHER_PRIORITY)  # what is left of a run must not wait for a page to be drawn
         try:
             if self._told is None:
                 self._told = self._lab.devices()
@@ -382,6 +387,8 @@ class Supervisor:
 
     def _watch_time(self) -> None:
         """Show the control process that this one lives; end it when it hangs."""
+        if self.bench.fifo:
+            ask_for_fifo(WATCHER_PRIORITY)
         while not self._closing.wait(LOOK):
             numbers = self.ring.numbers
             numbers[STATION_HEARTBEAT] = time.monotonic()

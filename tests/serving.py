@@ -51,7 +51,10 @@ class Served:
             self.post("/api/stop")
         if self.status()["state"] in ("STOPPED", "HOLD", "FAULT"):
             self.post("/api/reset")
-        self.wait_for(lambda status: status["state"] == "READY" and not status["stale"], 10.0)
+        status = self.wait_for(lambda status: status["state"] in ("READY", "CONNECTED") and not status["stale"], 20.0)
+        if status["state"] == "CONNECTED":
+            self.post("/api/home", {"way_is_clear": True})
+        self.wait_for(lambda status: status["state"] == "READY" and not status["stale"], 60.0)
         self.rest.delete("/api/operator")
 
     def child(self, name: str) -> psutil.Process:

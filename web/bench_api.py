@@ -12,6 +12,7 @@ from station.config import Strict
 from station.desk import JOG_TIP_SPEED, Desk
 from station.lab.faults import KINDS, LabFault, Part, check_faults
 from station.lab.loads import Load
+from station.states import RefusedError
 from web.commands import Commands, aside
 from web.schemas import REFUSED, DoneOut
 
@@ -32,7 +33,9 @@ class BenchOut(Strict):
 
     robot: str
     lab: str
-    """what is simulated"""
+    """what is simulated, or which drivers are in use"""
+    virtual: bool
+    """a virtual lab: it can be pulled at and its devices can be made to fail"""
     joints: tuple[JointOut, ...]
     tubes: tuple[str, ...]
     """innermost first"""
@@ -136,6 +139,12 @@ def bench_routes(desk: Desk, of: Commands, audit: Audit) -> APIRouter:
     def done() -> DoneOut:
         return DoneOut(state=supervisor.status().state.name)
 
+    async def in_a_virtual_lab() -> None:
+        if supervisor.bench.devices is not None:
+            raise RefusedError("this bench has real devices; only a virtual lab can be pulled at or made to fail")
+
+    virtual = [Depends(in_a_virtual_lab), *operator]
+
     @router.get("/bench", summary="Robot, joints and their limits")
     def bench() -> BenchOut:
         return bench_out(desk)
@@ -168,7 +177,7 @@ def bench_routes(desk: Desk, of: Commands, audit: Audit) -> APIRouter:
         await aside(desk.jog, request.space, request.velocity)
         return done()
 
-    @router.post("/pull", responses=REFUSED, dependencies=operator, summary="Pull at the simulated tip (virtual lab)")
+    @router.post("/pull", responses=REFUSED, dependencies=virtual, summary="Pull at the simulated tip (virtual lab)")
     async def pull(request: PullIn) -> DoneOut:
         await aside(desk.pull, request.load)
         return done()
@@ -177,13 +186,13 @@ def bench_routes(desk: Desk, of: Commands, audit: Audit) -> APIRouter:
     def faults() -> list[FaultKindOut]:
         return fault_kinds(desk)
 
-    @router.post("/faults", responses=REFUSED, dependencies=operator, summary="Let devices fail (virtual lab)")
+    @router.post("/faults", responses=REFUSED, dependencies=virtual, summary="Let devices fail (virtual lab)")
     async def inject(request: FaultsIn) -> DoneOut:
         check_faults(request.faults, supervisor.bench.robot)
         await aside(supervisor.inject, request.faults)
         return done()
 
-    @router.delete("/faults", responses=REFUSED, dependencies=operator, summary="Mend injected faults (virtual lab)")
+    @router.delete("/faults", responses=REFUSED, dependencies=virtual, summary="Mend injected faults (virtual lab)")
     async def mend() -> DoneOut:
         await aside(supervisor.inject, ())
         return done()
@@ -197,6 +206,7 @@ def bench_out(desk: Desk) -> BenchOut:
     return BenchOut(
         robot=bench.robot.name,
         lab=bench.title,
+        virtual=bench.devices is None,
         joints=tuple(
             JointOut(
                 name=joint.name,

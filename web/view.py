@@ -134,7 +134,7 @@ class View:
 
     def _pull_by_hand(self, status: Status) -> None:
         """The force's handle: dragged it pulls at the simulated tip, else it stays at the arrow's end."""
-        shown = self._shown.force and bool(status.values)
+        shown = self._shown.force and bool(status.values) and self._supervisor.bench.devices is None
         self._hand.show(shown)
         if not shown:
             if self._pulls:

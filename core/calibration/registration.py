@@ -30,8 +30,10 @@ LEAST_VISITS = 6
 #: The motion must be enough to determine the frames even if the model is no better than this [m]: what small moves
 #: and small noise seem to tell, the model's own error would spoil.
 MODEL_ERROR = 0.3e-3
+#: What is named must be enough: as if it told this part of what it does.
+SPARE = 0.7
 #: Turns and slides that are tried, one joint at a time, to say which motion is missing.
-AMOUNTS = {"rad": tuple(math.radians(a) for a in (10, 20, 30, 45, 60, 90)), "m": (0.005, 0.010, 0.020, 0.040)}
+AMOUNTS = {"rad": tuple(math.radians(a) for a in (10, 20, 30, 45, 60, 90, 120, 180)), "m": (0.005, 0.010, 0.020, 0.040)}
 
 
 class Registration(NamedTuple):
@@ -90,7 +92,7 @@ def register(
     found = fit(problem, problem.parameters)
     rows = found.jacobian * min(noise.coil / MODEL_ERROR, 1.0)
     if open_ := [c for c in weak_combinations(rows, problem.parameters) if not c.held]:
-        raise Unobservable(f"the visited poses cannot tell {open_[0]}: {missing_motion(problem, rows, found, limits)}")
+        raise Unobservable(f"the visited poses cannot tell {open_[0]}: {missing_motion(problem, found, limits)}")
     held = held_out_errors(robot, visits, forces, noise, start)
     errors = np.linalg.norm(problem.errors(found.values), axis=1)
     return Registration(problem.frames(found.values), found, errors, held, problem.middle)
@@ -107,33 +109,39 @@ def held_out_errors(robot: Robot, visits: Sequence[Visit], forces: Array, noise:
     return np.linalg.norm(rest.errors(np.zeros(len(rest.parameters))), axis=1)
 
 
-def missing_motion(problem: Prediction, rows: Array, found: Fit, limits: Limits | None) -> str:
+def missing_motion(problem: Prediction, found: Fit, limits: Limits | None) -> str:
     """Which joint has to move, and by how much, for every frame to be determined."""
-    joints = np.array([visit.joints for visit in problem.visits])
-    rest, frames = joints.mean(axis=0), problem.frames(found.values)
+    joints, frames = np.array([visit.joints for visit in problem.visits]), problem.frames(found.values)
     assumed = problem.noise._replace(coil=max(problem.noise.coil, MODEL_ERROR))
-    moved = np.ptp(joints, axis=0) / np.array([1.0 if j.unit == "rad" else 0.05 for j in problem.robot.joints])
-    least: list[int] = np.argsort(moved).tolist()
-    for k in least:
-        joint = problem.robot.joints[k]
+    moved: list[float] = np.ptp(joints, axis=0).tolist()
+    best = (math.inf, "")
+    for k, joint in enumerate(problem.robot.joints):
         for amount in AMOUNTS[joint.unit]:
-            extra = [rest.copy(), rest.copy()]
-            extra[0][k] -= amount
-            extra[1][k] += amount
+            # The same poses again, with this joint moved one way or the other.
+            extra = joints.copy()
+            extra[:, k] += amount * np.where(np.arange(len(extra)) % 2 == 0, 1.0, -1.0)
             if limits is not None:
-                extra = [np.clip(e, [j.lower for j in limits.joints], [j.upper for j in limits.joints]) for e in extra]
+                extra = np.clip(extra, [j.lower for j in limits.joints], [j.upper for j in limits.joints])
+            if not all(problem.robot.stands(pose) for pose in extra):
+                continue
             added = [Visit(0.0, e, np.zeros(3), np.zeros((len(problem.robot.tubes), 6)), 0.0) for e in extra]
-            more = Prediction(problem.robot, (), _seen(problem, added, frames), np.zeros((2, 3)), assumed, frames)
-            both = np.vstack((rows, more.jacobian(np.zeros(len(more.parameters)))))
-            if all(c.held for c in weak_combinations(both, problem.parameters)):
-                so_far = float(np.ptp(joints[:, k]))
-                if joint.unit == "rad":
-                    return (
-                        f"turn {joint.name} by {math.degrees(amount):.0f} deg either way"
-                        f" (it turned {math.degrees(so_far):.1f} deg in all)"
-                    )
-                return f"slide {joint.name} by {1e3 * amount:g} mm either way (it slid {1e3 * so_far:.1f} mm in all)"
-    return "no single joint makes up for it: move all of them, at several insertions"
+            visits = [*problem.visits, *_seen(problem, added, frames)]
+            forces = np.vstack((problem.forces, np.zeros((len(extra), 3))))
+            more = Prediction(problem.robot, (), visits, forces, assumed, frames)
+            weak = weak_combinations(SPARE * more.jacobian(np.zeros(len(more.parameters))), more.parameters)
+            left = max((c.open for c in weak if not c.held), default=0.0)
+            text = _moved(joint.name, joint.unit, amount, moved[k])
+            if left == 0.0:
+                return text
+            best = min(best, (left, text))
+    return f"{best[1]}, and then the other joints"
+
+
+def _moved(name: str, unit: str, amount: float, so_far: float) -> str:
+    if unit == "rad":
+        by, turned = math.degrees(amount), math.degrees(so_far)
+        return f"turn {name} by {by:.0f} deg either way (it turned {turned:.1f} deg so far)"
+    return f"slide {name} by {1e3 * amount:g} mm either way (it slid {1e3 * so_far:.1f} mm so far)"
 
 
 def _seen(problem: Prediction, visits: Sequence[Visit], frames: Frames) -> list[Visit]:

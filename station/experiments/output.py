@@ -16,7 +16,7 @@ from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
-from station.recording.writer import FAST_PICTURES, CaseWriter
+from station.recording.writer import CaseWriter
 from station.telemetry import Channels
 
 #: Rows that a summary is made of: all of a run of up to half an hour, every n-th of a longer one.
@@ -86,7 +86,7 @@ class ResultFolder:
     def _writer(self, case: Case, channels: Channels) -> CaseWriter:
         metadata = case_metadata(self._experiment, case, self._seed)
         robot = case.robot.robot()
-        writer = CaseWriter(self._folder.case(case.name), robot, channels.all, metadata, FAST_PICTURES)
+        writer = CaseWriter(self._folder.case(case.name), robot, channels.all, metadata)
         self._writers.append(writer)
         return writer
 

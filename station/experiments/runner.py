@@ -14,6 +14,7 @@ from station.experiments.experiment import PERIOD, Case
 from station.interrupt import interrupts
 from station.lab.virtual_bench import virtual_bench
 from station.loop import ControlLoop
+from station.realtime import uncollected
 from station.states import State
 from station.task import Phase, Task
 from station.telemetry import Channels
@@ -65,7 +66,7 @@ def run_case(
     counted: Mapping[str, Any] = {}
     loop.connect(0.0)
     try:
-        with interrupts() as interrupted:
+        with interrupts() as interrupted, uncollected():
             while True:
                 if interrupted():
                     cause = "interrupted"

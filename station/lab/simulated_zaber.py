@@ -55,6 +55,8 @@ class PacedLine:
     def take(self, until: float) -> bytes:
         """Bytes that have been carried by then."""
         carried = b""
+        if not self._waiting or self._waiting[0].begin > until:
+            return carried
         while self._waiting:
             begin, data = self._waiting[0]
             count = int((until - begin) / BYTE_TIME + 1e-6)
@@ -204,7 +206,9 @@ def pump(link: Link, chain: SimulatedChain, now: float, written: float | None = 
     In virtual time `written` says when the bytes were written that the link holds; in real time they are
     taken as written now.
     """
-    chain.receive(link.read(), now if written is None else written)
+    data = link.read()
+    if data:
+        chain.receive(data, now if written is None else written)
     data = chain.advance(now)
     if data:
         link.write(data)

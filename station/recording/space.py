@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 #: What a recording takes [bytes/s]: 500 rows of about a hundred numbers compressed to three quarters, and
-#: 20 pictures (measured: 370 kB/s with two tubes), with something to spare.
+#: 10 pictures (measured: 380 kB/s with two tubes), with something to spare.
 RATE = 500_000.0
 #: Left free on the disk for everybody else [bytes].
 RESERVE = 100e6

@@ -26,8 +26,8 @@ from station.telemetry import Channel
 PARTIAL = ".partial"
 #: A file that the disk had no room to finish.
 FULL = ".full"
-#: Pictures a second: a drawing costs as much as thirty rows, which a loop that runs as fast as it can would feel.
-LIVE_PICTURES, FAST_PICTURES = 20.0, 10.0
+#: Pictures a second: one costs as much as thirty rows.
+PICTURES = 10.0
 ROWS, EVENT, DRAWN = 1, 2, 3  #: topics by id
 
 
@@ -40,7 +40,7 @@ class CaseWriter:
         robot: Robot,
         channels: Sequence[Channel],
         metadata: Mapping[str, Any],
-        pictures: float = LIVE_PICTURES,
+        pictures: float = PICTURES,
     ) -> None:
         """Make the file.
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from core.robot import Array
 
@@ -35,6 +36,8 @@ SETTINGS: dict[Any, Any] = {
 }
 WIDTH = 7.0  #: of every figure: the text width of A4 [inch]
 AXES = ("x", "y", "z")
+#: Height of the line that says where the data come from [inch].
+STAMP = 0.14
 #: Pieces of a long line of which lowest and highest values are kept.
 PIECES = 700
 
@@ -86,7 +89,11 @@ def stacked(labels: Sequence[str], *, height: float = 1.35, across: str = "time 
 
 
 def stamp(figure: Figure, text: str) -> None:
-    """Say on the figure itself where its data come from."""
+    """Say on the figure itself, on a line of its own at the bottom, where its data come from."""
+    engine = figure.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        height = STAMP / figure.get_figheight()
+        engine.set(rect=(0.0, height, 1.0, 1.0 - height))
     figure.text(0.998, 0.004, text, ha="right", va="bottom", fontsize=6.5, color=GREY)
 
 

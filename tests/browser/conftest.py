@@ -88,7 +88,7 @@ def bare_page(browser: Browser, station: Served, query: str = "") -> Iterator[Pa
     page.route("**/viser/**", lambda route: route.abort())
     page.goto(f"{station.url}/{query}")
     page.locator("#state", has_text="READY").wait_for(timeout=20_000)
-    page.locator(".card").first.wait_for(timeout=20_000)
+    page.locator(".card").first.wait_for(timeout=60_000)
     try:
         yield page
     finally:

@@ -1,6 +1,8 @@
 """The tabs under an operator's hands; the scene is left out, it takes a processor to draw."""
 
+import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page
@@ -20,10 +22,29 @@ def open_page(running: Served, browser: Browser) -> Iterator[Page]:
 
 def tab(page: Page, name: str) -> None:
     page.locator(f"#tab-{name}").click()
+    if name == "start" and page.get_by_role("button", name="all motions").count():
+        page.get_by_role("button", name="all motions").click()
+        page.locator(".card").first.wait_for(timeout=10_000)
 
 
 def joints(station: Served) -> list[float]:
     return list(station.status()["joints"].values())
+
+
+def hold(page: Page, station: Served, button: str, moved: Callable[[dict[str, Any]], bool]) -> None:
+    """Press with the mouse and keep pressed until it has moved.
+
+    The page lets go by itself when the station's word is older than half a second, which happens on a busy machine.
+    """
+    for _ in range(10):
+        page.get_by_role("button", name=button).hover()
+        page.mouse.down()
+        until = time.monotonic() + 2.0
+        while time.monotonic() < until:
+            if moved(station.status()):
+                return
+        page.mouse.up()
+    raise AssertionError(f"'{button}' moves nothing")
 
 
 # ---- run
@@ -33,13 +54,11 @@ def test_a_preset_is_started_after_the_way_to_its_start_pose_is_confirmed(
     page: Page, station: Served, picture: Picture
 ) -> None:
     tab(page, "start")
-    assert page.locator(".card img").first.evaluate("image => image.naturalWidth") > 0
+    page.locator(".card img").first.wait_for(timeout=60_000)
+    page.wait_for_function("() => document.querySelector('.card img').naturalWidth > 0")
     picture(page, "run")
     tab(page, "jog")
-    with page.expect_response("**/api/jog"):
-        page.get_by_role("button", name="inner_rotation plus: hold to move").hover()
-        page.mouse.down()
-    station.wait_for(lambda s: s["joints"]["inner_rotation"] > 1.5708 + 0.03, 8.0)
+    hold(page, station, "inner_rotation plus: hold to move", lambda s: s["joints"]["inner_rotation"] > 1.5708 + 0.03)
     page.mouse.up()
     tab(page, "start")
     page.locator(".card", has_text="Fig. 10").click()
@@ -53,7 +72,7 @@ def test_a_preset_is_started_after_the_way_to_its_start_pose_is_confirmed(
     assert station.status()["state"] == "READY"
     page.get_by_role("button", name="Start experiment").click()
     page.get_by_role("dialog").get_by_role("button", name="Start").click()
-    status = station.wait_for(lambda s: s["state"] == "RUNNING", 5.0)
+    status = station.wait_for(lambda s: s["state"] == "RUNNING", 20.0)
     assert status["run"]["title"] == "fig10, case feedforward"
     page.locator("#run-left", has_text="left of 3:20").wait_for(timeout=15_000)
     page.locator("#stop").click()
@@ -64,7 +83,7 @@ def test_a_preset_is_started_after_the_way_to_its_start_pose_is_confirmed(
 def test_a_free_motion_has_units_and_bounds_and_runs_as_set(page: Page, station: Served, picture: Picture) -> None:
     tab(page, "start")
     page.locator(".card", has_text="Move the tip along a circle").click()
-    radius = page.get_by_label("radius")
+    radius = page.locator("#start").get_by_label("radius")
     assert page.locator("#start").get_by_text("mm 0 … 100").count() == 1
     picture(page, "free_motion")
     radius.fill("1000")
@@ -72,12 +91,12 @@ def test_a_free_motion_has_units_and_bounds_and_runs_as_set(page: Page, station:
     assert radius.evaluate("field => !field.validity.valid")
     assert station.status()["state"] == "READY"
     radius.fill("4")
-    page.get_by_label("duration").fill("30")
+    page.locator("#start").get_by_label("duration").fill("30")
     page.get_by_label("Load on the simulated tip").select_option("constant")
     page.get_by_role("button", name="Start motion").click()
-    status = station.wait_for(lambda s: s["state"] == "RUNNING" and s["run"]["phase"] == "moving", 8.0)
+    status = station.wait_for(lambda s: s["state"] == "RUNNING" and s["run"]["phase"] == "moving", 20.0)
     assert status["run"]["duration"] == 30.0
-    page.get_by_role("button", name="Start motion").is_disabled()
+    assert page.get_by_role("button", name="Start motion").is_disabled()
     station.wait_for(lambda s: s["force"][0] > 0.1, 5.0)
     station.post("/api/stop")
     page.get_by_role("button", name="all motions").click()
@@ -86,7 +105,7 @@ def test_a_free_motion_has_units_and_bounds_and_runs_as_set(page: Page, station:
 def test_what_cannot_be_reached_is_refused_with_the_reason(page: Page, station: Served) -> None:
     tab(page, "start")
     page.locator(".card", has_text="Move the tip along a circle").click()
-    page.get_by_label("radius").fill("90")
+    page.locator("#start").get_by_label("radius").fill("90")
     page.get_by_role("button", name="Start motion").click()
     page.locator(".note", has_text="cannot be followed").wait_for(timeout=5000)
     assert station.status()["state"] == "READY"
@@ -100,9 +119,8 @@ def test_what_cannot_be_reached_is_refused_with_the_reason(page: Page, station: 
 def test_a_jog_moves_while_held_and_no_longer(page: Page, station: Served, ending: str) -> None:
     tab(page, "jog")
     before = joints(station)
-    page.get_by_role("button", name="outer_rotation plus: hold to move").hover()
-    page.mouse.down()
-    station.wait_for(lambda s: s["joints"]["outer_rotation"] > before[0] + 0.02, 8.0)
+    plus = "outer_rotation plus: hold to move"
+    hold(page, station, plus, lambda s: s["joints"]["outer_rotation"] > before[0] + 0.02)
     match ending:
         case "release":
             page.mouse.up()
@@ -139,10 +157,8 @@ def test_a_page_that_is_closed_while_it_jogs_stops_the_robot(station: Served, br
     with bare_page(browser, station) as page:
         tab(page, "jog")
         before = joints(station)
-        page.get_by_role("button", name="outer_rotation minus: hold to move").hover()
-        page.mouse.down()
-        station.wait_for(lambda s: s["joints"]["outer_rotation"] < before[0] - 0.02, 8.0)
-    station.wait_for(lambda s: True, 1.0)
+        minus = "outer_rotation minus: hold to move"
+        hold(page, station, minus, lambda s: s["joints"]["outer_rotation"] < before[0] - 0.02)
     seen: list[list[float]] = []
     station.wait_for(
         lambda s: seen.append(list(s["joints"].values())) or (len(seen) > 50 and seen[-1] == seen[-40]), 8.0
@@ -176,9 +192,7 @@ def test_devices_say_what_they_are_and_home_only_when_the_way_is_clear(
 def test_an_axis_is_checked_against_the_model(page: Page, station: Served) -> None:
     tab(page, "devices")
     before = joints(station)
-    page.get_by_role("button", name="outer rotation +").hover()
-    page.mouse.down()
-    station.wait_for(lambda s: s["joints"]["outer_rotation"] > before[0] + 0.08, 10.0)
+    hold(page, station, "outer rotation +", lambda s: s["joints"]["outer_rotation"] > before[0] + 0.08)
     page.mouse.up()
     page.locator("#devices", has_text="✓ right way").wait_for(timeout=8000)
 
@@ -255,8 +269,8 @@ def test_a_fault_is_injected_seen_explained_and_reset(page: Page, station: Serve
     station.wait_for(lambda s: s["run"]["phase"] == "moving", 8.0)
     station.rest.delete("/api/operator")
     tab(page, "faults")
-    page.get_by_label("fault").select_option("lose_tool")
-    page.get_by_label("duration [s]").fill("1.5")
+    page.get_by_label("fault", exact=True).select_option("lose_tool")
+    page.locator("#faults").get_by_label("duration [s]").fill("1.5")
     page.get_by_role("button", name="Inject").click()
     page.locator("#state", has_text="HOLD").wait_for(timeout=8000)
     light = page.locator("#lights li", has_text="tracker").locator(".light")

@@ -5,6 +5,7 @@ import { isOpen, onTab } from "./tabs.js";
 const now = make("div", { "aria-live": "polite" }), log = make("table"), reset = make("button", { type: "button", className: "main" }, "Reset");
 reset.addEventListener("click", () => press("POST", "/api/reset", {}));
 
+const bench = await ask("GET", "/api/bench");
 const kinds = await ask("GET", "/api/faults");
 const kind = make("select", { "aria-label": "fault" }, ...kinds.map((one) => make("option", { value: one.kind }, one.kind.replaceAll("_", " "))));
 const device = make("select", { "aria-label": "device" });
@@ -37,6 +38,7 @@ lab.addEventListener("submit", async (event) => {
 });
 mend.addEventListener("click", () => press("DELETE", "/api/faults"));
 
+lab.hidden = !bench.virtual;
 $("faults").append(make("h3", {}, "Now"), now, lab, make("h3", {}, "Log: commands and refusals"), log);
 
 onStatus((status, stale) => {

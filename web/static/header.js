@@ -39,7 +39,7 @@ async function changeOperator() {
   if (you) return press("DELETE", "/api/operator");
   const field = make("input", { type: "text", maxLength: 40, value: name.get(), "aria-label": "your name", required: true });
   const text = holder === null ? "Everybody will see this name." : `'${holder}' is operator now and will only be able to look, and to STOP.`;
-  const title = holder === null ? "Become operator" : "Take over";
+  const title = holder === null ? "Take control" : "Take over";
   if (!await confirm(title, title, make("p", {}, text), make("label", {}, "Your name", field))) return null;
   name.set(field.value.trim());
   return press("POST", "/api/operator", { name: field.value.trim() || null, take_over: holder !== null });

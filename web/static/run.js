@@ -14,7 +14,7 @@ const MORE = ["deflection_rate", "filter_bandwidth", "observer_bandwidth", "hold
 /** A start pose nearer than this needs no confirmation [rad, m]. */
 const NEAR = { rad: 0.02, m: 0.001 };
 
-let bench = null, startButton = null, refusal = null;
+let known = null, starting = false, bench = null, startButton = null, refusal = null;
 
 function card(title, text, picture, act) {
   const image = picture === null ? null : make("img", { src: picture, alt: "", width: 116, height: 58 });
@@ -36,22 +36,26 @@ function starter(label, act) {
   return { frame, on: (element) => element.addEventListener("submit", async (event) => {
     event.preventDefault();
     if (document.body.classList.contains("stale")) return;
-    await act();
+    const button = startButton;
+    starting = true;
+    button.disabled = true;
+    await act(); // the way is tried on the model first, which takes a moment
+    starting = false;
   }) };
 }
 
 async function overview() {
-  const all = await schemas(), experiments = await ask("GET", "/api/experiments");
-  const motions = Object.entries(variants(all, all.StartIn.properties.trajectory));
+  const all = await schemas(), motions = Object.entries(variants(all, all.StartIn.properties.trajectory));
+  const experiments = make("div", { className: "cards" }, make("p", { className: "dim" }, "being checked on the model …"));
   startButton = null;
   $("start").replaceChildren(
-    make("h3", {}, "Experiments"),
-    make("div", { className: "cards" }, ...experiments.map((one) =>
-      card(one.name, one.title, `/api/experiments/${one.name}/picture.svg`, () => experiment(one)))),
+    make("h3", {}, "Experiments"), experiments,
     make("h3", {}, "Free motions, from where the robot is"),
     make("div", { className: "cards" }, ...motions.map(([kind, schema]) =>
       card(kind.replaceAll("_", " "), sentence(schema), null, () => motion(kind, schema, all)))),
   );
+  known ??= await ask("GET", "/api/experiments");
+  experiments.replaceChildren(...known.map((one) => card(one.name, one.title, `/api/experiments/${one.name}/picture.svg`, () => experiment(one))));
 }
 
 function poseText(start) {
@@ -124,7 +128,7 @@ function refresh() {
   const status = latest();
   if (startButton === null || status === null) return;
   const ready = status.state === "READY", may = mayCommand(status);
-  startButton.disabled = !ready || !may;
+  startButton.disabled = !ready || !may || starting;
   refusal.textContent = !may ? (status.operator.role === "viewer" ? "viewers cannot start" : `'${status.operator.name}' is operator`)
     : ready ? "" : `not while ${status.state}; ${status.next || "wait for the end or press STOP"}`;
 }

@@ -47,3 +47,4 @@ async function refresh() {
 setInterval(refresh, 600);
 onStatus((status, stale) => { for (const box of boxes) box.disabled = stale || !mayCommand(status); });
 refresh();
+ask("GET", "/api/bench").then((bench) => { document.querySelector("[name=force]").parentElement.hidden = !bench.virtual; });

@@ -1,0 +1,87 @@
+"""Least squares against closed forms: values, intervals, and what the data cannot tell."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from core.calibration.fit import Parameter, fit
+
+
+@dataclass
+class Line:
+    """Residuals of A x = b in standard deviations."""
+
+    matrix: np.ndarray
+    measured: np.ndarray
+
+    def residuals(self, values):
+        return self.matrix @ values - self.measured
+
+    def jacobian(self, values):
+        return self.matrix
+
+
+def test_a_linear_problem_is_solved_as_by_the_normal_equations():
+    random = np.random.default_rng(0)
+    matrix, truth = 100.0 * random.normal(size=(40, 3)), np.array([0.5, -1.0, 2.0])
+    measured = matrix @ truth + random.normal(size=40)
+
+    found = fit(Line(matrix, measured), [Parameter(name, "", 1.0) for name in "abc"])
+
+    expected, rest, *_ = np.linalg.lstsq(matrix, measured)
+    factor = max(1.0, float(rest[0]) / 37)
+    np.testing.assert_allclose(found.values, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.covariance, factor * np.linalg.inv(matrix.T @ matrix), rtol=1e-9)
+    assert found.interval("b") == pytest.approx(1.959964 * math.sqrt(found.covariance[1, 1]))
+    assert found.weak == ()
+
+
+def test_ninety_five_of_a_hundred_intervals_hold_the_truth():
+    random, inside = np.random.default_rng(1), 0
+    matrix, truth = 30.0 * random.normal(size=(25, 2)), np.array([0.1, -0.3])
+    for _ in range(400):
+        found = fit(Line(matrix, matrix @ truth + random.normal(size=25)), [Parameter(n, "", 1.0) for n in "ab"])
+        inside += abs(found.value("a") - truth[0]) <= found.interval("a")
+    assert 0.93 < inside / 400 < 1.0
+
+
+def test_a_sum_is_told_and_its_parts_are_not():
+    matrix = np.tile([10.0, 10.0, 0.0], (5, 1)) + np.outer(np.arange(5), [0.0, 0.0, 10.0])
+
+    found = fit(
+        Line(matrix, matrix @ [1.0, 2.0, 3.0]),
+        [Parameter("a", "m", 1.0, prior=2.0), Parameter("b", "m", 1.0, prior=2.0), Parameter("c", "m", 1.0)],
+    )
+
+    (weak,) = found.weak
+    assert dict(weak.parts) == {"a": pytest.approx(math.sqrt(0.5)), "b": pytest.approx(-math.sqrt(0.5))}
+    assert weak.held
+    assert found.value("a") + found.value("b") == pytest.approx(3.0, abs=1e-2)
+    assert found.value("c") == pytest.approx(3.0, abs=1e-2)
+
+
+def test_fewer_data_than_parameters_leave_the_rest_open():
+    found = fit(Line(np.array([[5.0, 0.0]]), np.array([5.0])), [Parameter("a", "", 1.0), Parameter("b", "", 1.0)])
+
+    (weak,) = found.weak
+    assert weak.parts == (("b", 1.0),)
+    assert math.isinf(weak.open)
+    assert "undetermined" in str(weak)
+
+
+def test_residuals_larger_than_the_noise_widen_the_intervals():
+    random = np.random.default_rng(2)
+    matrix = 100.0 * random.normal(size=(50, 1))
+    quiet, loud = (
+        fit(Line(matrix, matrix[:, 0] + size * random.normal(size=50)), [Parameter("a", "", 1.0)])
+        for size in (1.0, 7.0)
+    )
+    assert 5.0 < loud.interval("a") / quiet.interval("a") < 10.0
+
+
+def test_bounds_are_kept():
+    found = fit(Line(np.eye(1), np.array([2.0])), [Parameter("a", "", 1.0, bounds=(-0.5, 0.5))])
+
+    assert found.value("a") == pytest.approx(0.5)

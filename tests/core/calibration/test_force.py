@@ -1,0 +1,111 @@
+"""Sensors found again from readings that are made up with rotation matrices of their own."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from core.calibration.fit import Unobservable
+from core.calibration.force import calibrate_sensors, check_weight
+from core.calibration.visits import Noise, Visit
+from core.statics import Statics
+
+DOWN = np.array([1.0, 0.0, 0.0])
+NOISE = Noise(force=1.5e-3, moment=0.05e-3)
+MOUNTING = [Rotation.from_rotvec([0.01, -0.02, 0.03]), Rotation.from_rotvec([-0.02, 0.01, -0.015])]
+WEIGHT, PLACE = [0.10, 0.05], [np.array([1e-3, 2e-3, 15e-3]), np.array([-2e-3, 1e-3, 20e-3])]
+
+
+def readings(joints, load, internal, time, offset, drift, random):
+    """What two sensors say: shares of a load about the plate's origin (6,) and what the tubes do to each other."""
+    rows = []
+    for i, (share, alpha, beta) in enumerate(
+        zip((0.3 * load + internal, 0.7 * load - internal), joints[1::-1], (joints[2], 0.0), strict=True)
+    ):
+        turn = Rotation.from_euler("z", alpha)
+        force, moment = share[:3], share[3:] - np.cross([0.0, 0.0, beta], share[:3])
+        hanging = WEIGHT[i] * turn.inv().apply(DOWN)
+        own_force, own_moment = (
+            turn.inv().apply(force) + hanging,
+            turn.inv().apply(moment) + np.cross(PLACE[i], hanging),
+        )
+        said = np.r_[MOUNTING[i].inv().apply(own_force), MOUNTING[i].inv().apply(own_moment)]
+        noise = np.repeat([1e-3, 0.02e-3], 3) * random.standard_normal(6)
+        rows.append(said + noise + offset[i] + time * drift[i])
+    return np.array(rows)
+
+
+@pytest.fixture(scope="module")
+def bench(paper_robot):
+    """Visits, tips and the errors that were put in; blocks without and with weight take turns."""
+    random, model = np.random.default_rng(1), Statics(paper_robot)
+    offset = random.uniform(-1.0, 1.0, (2, 6)) * np.repeat([1.0, 0.01], 3)
+    drift = random.choice([-1.0, 1.0], (2, 6)) * np.repeat([5e-3 / 60.0, 0.0], 3)
+    visits, tips = [], []
+    for k in range(60):
+        joints = np.r_[random.uniform(-3.0, 3.0, 2), random.uniform(-0.12, -0.01)]
+        weight = (0.0, 0.5, 0.25, 0.0)[k // 15]
+        force = weight * DOWN
+        tip = model.solve(joints, np.r_[force, np.zeros(3)]).tip
+        internal = random.normal(size=6) * np.repeat([0.3, 0.02], 3)
+        said = readings(joints, np.r_[force, np.cross(tip, force)], internal, 10.0 * k, offset, drift, random)
+        visits.append(Visit(10.0 * k, joints, np.zeros(3), said, weight))
+        tips.append(tip)
+    return visits, np.array(tips), drift
+
+
+@pytest.fixture(scope="module")
+def found(paper_robot, bench):
+    return calibrate_sensors(paper_robot, bench[0], bench[1], NOISE, 0.05e-3)
+
+
+def test_mounting_and_weights_are_found(found):
+    for i in range(2):
+        away = Rotation.from_matrix(found.sensors.mounting[i]) * MOUNTING[i].inv()
+        assert np.degrees(away.magnitude()) < 0.15
+        assert found.sensors.weight[i] == pytest.approx(WEIGHT[i], abs=2e-3)
+    assert 0.5 < found.fit.variance_factor < 1.5
+
+
+def test_loads_are_measured_although_the_tubes_do_much_more_to_each_other(paper_robot, bench, found):
+    errors = np.array([found.load(paper_robot, visit).force - visit.weight * DOWN for visit in bench[0]])
+
+    assert np.sqrt(np.mean(errors**2, axis=0)).max() < 2.5e-3
+
+
+def test_drift_is_found_where_it_shows(bench, found):
+    drift = bench[2]
+
+    np.testing.assert_allclose(found.drift[:, :2], drift[:, :2], rtol=0, atol=0.5e-3 / 60.0)
+    # Along the axis only the sum of both matters, and only it is told.
+    assert found.drift[:, 2].sum() == pytest.approx(drift[:, 2].sum(), abs=0.5e-3 / 60.0)
+    assert any({"inner force drift z", "outer force drift z"} <= dict(weak.parts).keys() for weak in found.fit.weak)
+
+
+def test_an_unknown_load_helps_by_its_moment_equation(paper_robot, bench):
+    visits = [v._replace(weight=None) if v.weight else v for v in bench[0]]
+
+    found = calibrate_sensors(paper_robot, visits, bench[1], NOISE, 0.05e-3)
+
+    errors = [found.load(paper_robot, v).force - u.weight * DOWN for v, u in zip(visits, bench[0], strict=True)]
+    assert np.sqrt(np.mean(np.array(errors) ** 2)) < 6e-3
+
+
+def test_a_known_weight_is_checked(paper_robot, bench, found):
+    loads = np.array([found.load(paper_robot, v).force for v in bench[0] if v.weight == 0.5])
+
+    check = check_weight(loads, 0.5, DOWN)
+
+    assert abs(check.error) < 1.5e-3
+    assert np.degrees(check.angle) < 0.3
+
+
+def test_sensors_that_never_turned_are_refused_and_the_joint_is_named(paper_robot, bench):
+    visits = [v._replace(joints=v.joints * [1.0, 0.1, 1.0]) for v in bench[0]]
+
+    with pytest.raises(Unobservable, match=r"tube 'inner' .* turn inner_rotation by more than 60 deg without load"):
+        calibrate_sensors(paper_robot, visits, bench[1], NOISE, 0.05e-3)
+
+
+def test_too_few_visits_without_load_are_refused(paper_robot, bench):
+    with pytest.raises(Unobservable, match="5 visits without load"):
+        calibrate_sensors(paper_robot, bench[0][:5], bench[1][:5], NOISE, 0.05e-3)

@@ -1,0 +1,50 @@
+"""Visits of a robot, seen by a tracker that stands somewhere: the exact rod and noise from a seed."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from core.calibration.rigid import Rigid
+from core.calibration.visits import Noise, Visit
+from core.cosserat import ExactRod
+from core.robot import Robot
+
+NOISE = Noise(coil=0.02e-3, axes=1e-3, force=1e-3, moment=0.05e-3)
+TRACKER = Rigid(Rotation.from_rotvec([3.0, 0.2, -0.4]).as_matrix(), np.array([0.05, -0.02, -0.2]))
+COIL = np.array([0.4e-3, -0.3e-3, 1.2e-3])
+
+
+def poses(seed: int, count: int) -> np.ndarray:
+    """Joints (count, 3) of the paper's robot."""
+    random = np.random.default_rng(seed)
+    return np.column_stack((random.uniform(-2.5, 2.5, (count, 2)), random.uniform(-0.12, -0.02, count)))
+
+
+def altered(robot: Robot) -> Robot:
+    """The paper's robot with other tubes: EI, curvature, nu and the inner zero angle."""
+    inner, outer = robot.tubes
+    turn = math.radians(1.5)
+    curved = replace(inner.sections[1], curvature=(3.86 * math.cos(turn), 3.86 * math.sin(turn)))
+    inner = replace(inner, bending_stiffness=0.0390, poisson_ratio=0.34, sections=(inner.sections[0], curved))
+    curved = replace(outer.sections[1], curvature=(4.1, 0.0))
+    outer = replace(outer, bending_stiffness=0.0500, poisson_ratio=0.34, sections=(outer.sections[0], curved))
+    return replace(robot, tubes=(inner, outer))
+
+
+def seen(robot: Robot, joints: np.ndarray, force=(0.0, 0.0, 0.0), seed: int = 0, directions: int = 0) -> list[Visit]:
+    """At joints (m, n) under a force [N]; `directions` of the coil are told: 1 or 3."""
+    random, back, exact = np.random.default_rng([seed, 9]), TRACKER.inverse(), ExactRod(robot)
+    weight = float(np.linalg.norm(force))
+    visits = []
+    for k, pose in enumerate(joints):
+        rod = exact.solve(pose, np.r_[force, 0.0, 0.0, 0.0])
+        coil = back.apply(rod.tip + rod.rotation @ COIL) + NOISE.coil * random.standard_normal(3)
+        axes = None
+        if directions:
+            axes = (rod.rotation.T[-directions:] @ TRACKER.rotation) + NOISE.axes * random.standard_normal(
+                (directions, 3)
+            )
+        visits.append(Visit(10.0 * k, pose, coil, np.zeros((len(robot.tubes), 6)), weight, axes))
+    return visits

@@ -1,0 +1,118 @@
+"""A station without a web server, as a process for tests: `python -m tests.lone_station FOLDER [ENDPOINTS]`.
+
+It answers each line of its input with a line: `start`, `stop`, `home`, `reset`, `status`, `load` and `faults` with
+JSON behind them; it ends with its input.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from core.errors import CtrError
+from station.desk import Desk
+from station.lab.live_bench import lab_bench
+from station.motions import CircleMotion
+from station.station_file import load_station
+from station.supervisor import Supervisor
+
+
+class LoneStation:
+    """The test's side."""
+
+    def __init__(self, process: "subprocess.Popen[str]") -> None:
+        self.process = process
+
+    def ask(self, what: str, about: Any = None) -> dict[str, Any]:
+        """Its answer."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(f"{what} {json.dumps(about)}\n")
+        self.process.stdin.flush()
+        return json.loads(self.process.stdout.readline())
+
+    def child(self, name: str) -> psutil.Process:
+        """Its child that is listed as ctr-NAME."""
+        (found,) = [c for c in psutil.Process(self.process.pid).children() if c.name() == f"ctr-{name}"]
+        return found
+
+    def end(self) -> None:
+        """Close its input; it ends by itself."""
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+        self.process.wait(20.0)
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+
+@contextmanager
+def lone_station(folder: Path, endpoints: Any = None) -> Iterator[LoneStation]:
+    """One that is READY: on the devices at `endpoints`, or on a virtual lab of its own."""
+    command = [sys.executable, "-m", "tests.lone_station", str(folder)]
+    if endpoints is not None:
+        command.append(json.dumps(endpoints))
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1]
+    )
+    station = LoneStation(process)
+    try:
+        assert station.ask("status")["state"] == "READY"
+        yield station
+    finally:
+        station.end()
+
+
+def main() -> None:
+    """The station's side."""
+    bench = load_station(None).bench()
+    if len(sys.argv) > 2:
+        bench = replace(bench, devices=lab_bench(json.loads(sys.argv[2]), bench.lab))
+    supervisor = Supervisor(bench, Path(sys.argv[1]))
+    try:
+        supervisor.wait_ready(120.0)
+        _settled(supervisor)
+        desk = Desk(supervisor)
+        for line in sys.stdin:
+            what, _, about = line.strip().partition(" ")
+            print(json.dumps(_answer(supervisor, desk, what, json.loads(about or "null"))), flush=True)
+    finally:
+        supervisor.close()
+
+
+def _settled(supervisor: Supervisor) -> None:
+    import time
+
+    while supervisor.status().state.name in ("CONNECTING", "CONNECTED", "HOMED"):
+        time.sleep(0.02)
+
+
+def _answer(supervisor: Supervisor, desk: Desk, what: str, about: Any) -> dict[str, Any]:
+    refused = ""
+    try:
+        match what:
+            case "start":
+                desk.start_motion(CircleMotion(radius=0.008, period=10.0), duration=float(about or 600.0))
+            case "stop":
+                supervisor.stop()
+            case "reset":
+                supervisor.reset()
+                _settled(supervisor)
+            case "home":
+                supervisor.home()
+    except CtrError as error:
+        refused = str(error)
+    status = supervisor.status()
+    return {
+        "state": status.state.name, "phase": status.phase.name, "cause": status.cause, "run": status.run,
+        "refused": refused, "recovered": [path.name for path in supervisor.recording.recovered] if supervisor.recording else [],
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,175 @@
+"""How long a press on STOP takes to the stop bytes on the stages' line: `python -m tests.stop_latency [PRESSES]`.
+
+A real page in Chromium is pressed while a run is on; five viewers watch (each with the scene's socket, the telemetry
+and the status, as a page has them, in processes of their own). The station drives the devices of `ctr-station lab`
+through a relay that notes when the bytes of a stop pass. What is counted: from the browser's own time of the press to
+the last byte of the last stop message of the three axes.
+"""
+
+import json
+import math
+import multiprocessing
+import select
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+import numpy as np
+import viser
+from playwright.sync_api import sync_playwright
+from websockets.sync.client import connect
+
+from tests.browser.conftest import CHROMIUM, FLAGS, bare_page
+from tests.serving import serving
+
+VIEWERS = 5
+STOP = 23  #: of the stages' binary protocol
+CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 8.0}, "duration": 600.0}
+ROOT = Path(__file__).parents[1]
+
+
+class Relay:
+    """Between the station and the simulated line: passes bytes on and notes stops."""
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        self.stops: list[float] = []  #: epoch times [s] of bytes with a stop for any axis
+        self._address = address
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port = self._server.getsockname()[1]
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._end.set()
+        self._thread.join()
+        self._server.close()
+
+    def _run(self) -> None:
+        while not self._end.is_set():
+            if select.select([self._server], [], [], 0.1)[0]:
+                host = self._server.accept()[0]
+                with closing(host), closing(socket.create_connection(self._address)) as line:
+                    for end in (host, line):
+                        end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    self._pass_on(host, line)
+
+    def _pass_on(self, host: socket.socket, line: socket.socket) -> None:
+        pending = b""
+        while not self._end.is_set():
+            for end in select.select([host, line], [], [], 0.1)[0]:
+                data = end.recv(4096)
+                if not data:
+                    return
+                (line if end is host else host).sendall(data)
+                if end is host:
+                    pending += data
+                    while len(pending) >= 6:
+                        if pending[1] == STOP:
+                            self.stops.append(time.time())
+                        pending = pending[6:]
+
+
+@contextmanager
+def lab() -> Iterator[dict[str, Any]]:
+    process = subprocess.Popen([sys.executable, "-m", "station", "lab"], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    try:
+        assert process.stdout is not None
+        yield json.loads(process.stdout.readline())
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def watch(port: int) -> None:
+    """One viewer: everything that a page keeps open."""
+    protocol: Any = f"viser-v{viser.__version__}"
+
+    def drain(path: str, **more: Any) -> None:
+        with connect(f"ws://127.0.0.1:{port}{path}", proxy=None, max_size=None, **more) as stream:
+            for _ in stream:
+                pass
+
+    threading.Thread(target=drain, args=("/viser/",), kwargs={"subprotocols": [protocol]}, daemon=True).start()
+    threading.Thread(target=drain, args=("/api/telemetry?rate=20",), daemon=True).start()
+    with httpx.Client(base_url=f"http://127.0.0.1:{port}") as client:
+        while True:
+            client.get("/api/status")
+            time.sleep(0.15)
+
+
+def measure(presses: int) -> np.ndarray:
+    """Latencies (presses,) [ms]."""
+    found: list[float] = []
+    with lab() as there, tempfile.TemporaryDirectory() as folder:
+        address = there["zaber"].removeprefix("socket://").split(":")
+        with closing(Relay((address[0], int(address[1])))) as relay:
+            config = Path(folder, "bench.toml")
+            config.write_text(_bench(there, relay.port))
+            with serving("--config", str(config)) as station, sync_playwright() as playwright:
+                station.ready()
+                viewers = [
+                    multiprocessing.get_context("spawn").Process(target=watch, args=(station.port,), daemon=True)
+                    for _ in range(VIEWERS)
+                ]
+                for viewer in viewers:
+                    viewer.start()
+                time.sleep(5.0)
+                browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+                with bare_page(browser, station) as page:
+                    page.evaluate(
+                        "() => document.getElementById('stop').addEventListener('pointerdown',"
+                        " (event) => { window.pressed = performance.timeOrigin + event.timeStamp; }, true)"
+                    )
+                    for _ in range(presses):
+                        station.ready()
+                        station.post("/api/start", CIRCLE)
+                        station.wait_for(lambda s: s["phase"] == "moving", 15.0)
+                        time.sleep(0.3)
+                        before = len(relay.stops)
+                        page.locator("#stop").click()
+                        station.wait_for(lambda s: s["state"] == "STOPPED", 5.0)
+                        time.sleep(0.2)
+                        pressed = 1e-3 * float(page.evaluate("() => window.pressed"))
+                        first = relay.stops[before:]
+                        found.append(1e3 * (first[min(2, len(first) - 1)] - pressed))
+                browser.close()
+                for viewer in viewers:
+                    viewer.terminate()
+                    viewer.join()
+    return np.array(found)
+
+
+def _bench(there: dict[str, Any], port: int) -> str:
+    boxes = []
+    for box in there["netft"]:
+        rdt, page = urlsplit(box["rdt"]), urlsplit(box["page"])
+        boxes.append(f"{box['tube']} = {{ host = '{rdt.hostname}', rdt_port = {rdt.port}, http_port = {page.port} }}")
+    return f"""
+[devices.stages]
+driver = "zaber"
+port = "socket://127.0.0.1:{port}"
+[devices.tracker]
+driver = "aurora"
+port = "{there["aurora"]}"
+mount = {{ position = [0.0, 0.0, -0.2], rotation_vector = [{math.pi}, 0.0, 0.0] }}
+[devices.sensors]
+driver = "netft"
+[devices.sensors.tubes]
+{chr(10).join(boxes)}
+"""
+
+
+if __name__ == "__main__":
+    latencies = measure(int(sys.argv[1]) if len(sys.argv) > 1 else 50)
+    p50, p99 = np.percentile(latencies, [50, 99])
+    print(f"{len(latencies)} presses: p50 {p50:.0f} ms, p99 {p99:.0f} ms, max {latencies.max():.0f} ms")  # noqa: T201

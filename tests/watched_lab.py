@@ -1,0 +1,94 @@
+"""The virtual lab in a process of its own that no station owns, and that notes what its stages were told and when.
+
+Times are by `time.monotonic`, which all processes of a machine share: what a stage was told counts from when
+the last byte of the message had gone over its line.
+"""
+
+import multiprocessing
+import time
+from collections.abc import Mapping
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from station.devices.zaber import Status
+from station.lab.open_lab import OpenLab
+from station.realtime import ask_for_fifo
+from station.station_file import load_station
+
+
+class Note(NamedTuple):
+    """The stages' statuses have changed."""
+
+    time: float  #: [s]
+    statuses: tuple[int, ...]
+
+    @property
+    def moving(self) -> bool:
+        """Whether one has not been told to stop."""
+        return any(status not in (Status.IDLE, Status.STOPPING) for status in self.statuses)
+
+
+class WatchedLab:
+    """Use it as a context."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, child = context.Pipe()
+        self._process = context.Process(target=_run, args=(child,), name="watched lab")
+        self._process.start()
+        child.close()
+        self.endpoints: Mapping[str, Any] = self._pipe.recv()
+
+    def notes(self) -> list[Note]:
+        """All so far."""
+        self._pipe.send("notes")
+        return self._pipe.recv()
+
+    def told(self, since: float) -> float:
+        """How long after `since` [s] the last stage was told to stop; 0 when none was moving then. Waits for it."""
+        deadline = time.monotonic() + 5.0
+        while True:
+            notes = self.notes()
+            before = [note for note in notes if note.time <= since][-1:]
+            after = [note for note in notes if note.time > since]
+            if not before or not before[-1].moving:
+                return 0.0
+            if after and not after[-1].moving and time.monotonic() - after[-1].time > 0.3:
+                last = max((i for i, note in enumerate(after) if note.moving), default=-1)
+                return after[last + 1].time - since
+            assert time.monotonic() < deadline, f"the stages go on: {after[-5:]}"
+            time.sleep(0.05)
+
+    def __enter__(self) -> "WatchedLab":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pipe.send(None)
+        self._process.join(5.0)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._process.close()
+        self._pipe.close()
+
+
+def _run(pipe: Connection) -> None:
+    bench = load_station(None).bench()
+    notes: list[Note] = []
+    with OpenLab(bench.robot, bench.lab, 0, np.array(bench.park), homed=True) as lab:
+        ask_for_fifo(40)
+        pipe.send(lab.endpoints)
+
+        def ended() -> bool:
+            statuses = tuple(unit.status for unit in lab.lab.chain.units)
+            if not notes or notes[-1].statuses != statuses:
+                notes.append(Note(lab.begun + lab.lab.chain.time, statuses))
+            while pipe.poll():
+                if pipe.recv() is None:
+                    return True
+                pipe.send(notes)
+            return False
+
+        lab.run(ended)
