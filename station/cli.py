@@ -14,6 +14,7 @@ from rich.console import Console
 from core.errors import CtrError
 from core.statics import PAPER_SUBLINK
 from station import export_command, report_command, sweep_command
+from station.calibration import command as calibrate_command
 from station.config import preset_names
 from station.options import between, progress_bar, seed
 
@@ -40,6 +41,8 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     run.add_argument("--seed", type=seed, default=0, metavar="N", help="of everything random in the lab (0)")
     run.add_argument("--out", type=Path, default=Path("runs"), metavar="DIR", help="where results go (runs)")
     run.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")
+    run.add_argument("--calibration", type=Path, metavar="DIR", help="use what 'calibrate' found")
+    run.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
     run.add_argument("--realtime", action="store_true", help="at the pace of the clock instead of as fast as it goes")
     run.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     run.set_defaults(command=_run)
@@ -73,6 +76,7 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     bench.add_argument("--json", action="store_true", help="print one JSON object")
     bench.set_defaults(command=_bench)
 
+    calibrate_command.add(commands)
     export_command.add(commands)
     report_command.add(commands)
     sweep_command.add(commands)
@@ -123,7 +127,9 @@ def _run(parsed: argparse.Namespace) -> int:
 
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
-    experiment = load_experiment(parsed.experiment)
+    given = {"lab": parsed.lab, "calibration": parsed.calibration}
+    changes = {key: _from_here(value) for key, value in given.items() if value is not None}
+    experiment = load_experiment(parsed.experiment, changes)
     folder = ResultFolder(parsed.out, experiment, parsed.seed)
     cases = {}
     try:
@@ -167,6 +173,11 @@ def _run(parsed: argparse.Namespace) -> int:
             soft_wrap=True,
         )
     return 0 if completed else 1
+
+
+def _from_here(value: Path | str) -> str:
+    """A file or folder given on the command line, which an experiment would look for beside itself."""
+    return str(Path(value).absolute()) if isinstance(value, Path) or value.endswith(".toml") else value
 
 
 def _solve(parsed: argparse.Namespace) -> int:

@@ -8,8 +8,9 @@ import contextlib
 import os
 import signal
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from typing import Literal
 
 import numpy as np
 
@@ -22,9 +23,10 @@ from station.devices.open_devices import open_devices
 from station.experiments.experiment import PERIOD, ControllerFile
 from station.lab.config import LabConfig
 from station.loop import ControlLoop
-from station.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Reply
+from station.margins import Margins
+from station.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Refused, Reply
 from station.overruns import OverrunLimits, Overruns
-from station.realtime import ask_for_fifo, calm_memory, show_as
+from station.realtime import be_punctual, show_as
 from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, STATION_HEARTBEAT, Ring
 from station.robots import RobotFile
 from station.states import Event, State
@@ -49,8 +51,12 @@ class Bench:
     park: tuple[float, ...]  #: joints of the virtual lab at power-up [rad or m]
     controller: ControllerFile
     fifo: bool = True  #: ask for real-time scheduling
-    overruns: OverrunLimits = OverrunLimits()
+    overruns: OverrunLimits = field(default_factory=OverrunLimits)
     devices: BenchFile | None = None  #: None: those of the virtual lab
+    margins: Margins = field(default_factory=Margins)
+    core: int | None = None  #: processor of the control process; None: any
+    alone: Literal["go_on", "hold"] = "go_on"  #: what a run does when its operator has gone
+    warnings: tuple[str, ...] = ()  #: what a person should know before anything moves
 
     @property
     def title(self) -> str:
@@ -74,10 +80,11 @@ def run_control(bench: Bench, ring_name: str, pipe: Connection, parent: int) -> 
             return
         devices = open_devices(told, bench.robot)
         try:
-            loop = _LiveLoop(ControlLoop(bench.controller.controller(bench.robot), devices), bench, ring, pipe, parent)
-            ring.counters[SCHEDULER] = bench.fifo and ask_for_fifo()
-            calm_memory()
-            loop.run()
+            loop = ControlLoop(bench.controller.controller(bench.robot), devices, bench.margins)
+            granted = be_punctual(fifo=bench.fifo, core=bench.core)
+            ring.counters[SCHEDULER] = granted.fifo
+            pipe.send(Refused(granted.refused))
+            _LiveLoop(loop, bench, ring, pipe, parent).run()
         finally:
             _close(devices)
     except (EOFError, ConnectionError):
@@ -106,11 +113,18 @@ class _LiveLoop:
 
     def run(self) -> None:
         """Tick until the station process closes the pipe or is gone."""
-        self._begun = begin = time.monotonic()
+        self._begun = time.monotonic()
         self._loop.connect(0.0)
+        try:
+            self._ticks()
+        finally:
+            # Whatever ends it, the axes are stopped.
+            self._wind_down()
+
+    def _ticks(self) -> None:
         tick = 0
         while True:
-            due = begin + tick * PERIOD
+            due = self._begun + tick * PERIOD
             left = due - time.monotonic()
             if left > 0.0:
                 time.sleep(left)
@@ -121,11 +135,10 @@ class _LiveLoop:
             tick += skipped
             self._bear(tick * PERIOD, skipped)
             if not self._listen(tick * PERIOD):
-                break
+                return
             self._tick(tick)
             self._ring.time_work(time.monotonic() - start)
             tick += 1
-        self._wind_down(tick)
 
     def _bear(self, now: float, skipped: int) -> None:
         """Too much lateness ends a motion."""
@@ -210,13 +223,13 @@ class _LiveLoop:
             return str(error)
         return ""
 
-    def _wind_down(self, tick: int) -> None:
+    def _wind_down(self) -> None:
         """Stop every axis and give the lines the time to carry the stops."""
         begin = time.monotonic()
-        self._loop.stop(tick * PERIOD, cause="the station process is gone")
+        self._loop.stop(begin - self._begun, cause="the station process is gone")
         while time.monotonic() - begin < LAST_WORDS:
             time.sleep(PERIOD)
-            self._loop.devices.stages.poll(tick * PERIOD + time.monotonic() - begin)
+            self._loop.devices.stages.poll(time.monotonic() - self._begun)
 
 
 def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:

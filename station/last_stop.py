@@ -17,7 +17,7 @@ STOP, ASK = encode(Message(0, Command.STOP, IGNORED)), encode(Message(0, Command
 PATIENCE = 2.0
 #: Units that lost the frame find it in a pause; then they are told again, so often until they answer [s].
 AGAIN = MESSAGE_TIME + 1.5 * GAP
-ANSWER = 0.06
+ANSWER = 0.12
 #: A port whose units say nothing for so long is opened anew: perhaps it was still somebody else's [s].
 SILENT = 0.2
 #: The last unit of a chain has answered when nothing more comes for so long [s].

@@ -212,11 +212,10 @@ class ControlLoop:
                 self.request(Event.HOLD, not_finite(joints, frame, wrenches) or str(error))
             return self._held(now, joints, wrenches)
         self._memory = tick.memory
-        if self.state in (State.RUNNING, State.HOLD):
-            snap = self._snap.look(tick, frame is not None)
-            # A snap blinds the tracker first, which does not believe in jumps.
-            if snap is not None and (self.state is State.RUNNING or snap.severity is Severity.STOP):
-                self._act_on(snap, now)
+        snap = self._snap.look(tick, frame is not None) if self.state in (State.RUNNING, State.HOLD) else None
+        # A snap blinds the tracker first, which does not believe in jumps: STOP may follow a HOLD.
+        if snap is not None and (self.state is State.RUNNING or snap.severity is Severity.STOP):
+            self._act_on(snap, now)
         if self.state is State.RUNNING:
             if isinstance(order, Setpoint) and frame is not None:
                 stalled = self._stall.look(now, tick, self.controller.limits)
@@ -264,9 +263,10 @@ class ControlLoop:
             )
         ):
             self.request(Event.CONNECTED)
-        elif self.state is State.CONNECTING and now >= self._retry and self.devices.tracker.condition is Condition.FAULT:
-            self._retry = now + RETRY
-            self.devices.tracker.connect(now)
+        elif self.state is State.CONNECTING and self.devices.tracker.condition is Condition.FAULT:
+            if now >= self._retry:
+                self._retry = now + RETRY
+                self.devices.tracker.connect(now)
         if self.state in (State.CONNECTED, State.HOMING) and self.devices.stages.ready:
             self.request(Event.HOMED)
         elif self.state is State.HOMING and stages is Condition.CONNECTED:

@@ -37,6 +37,12 @@ class Notice(NamedTuple):
     motion_start: float | None = None  #: of the run's motion, by `time.monotonic` [s]; None: none is on
 
 
+class Refused(NamedTuple):
+    """Control process -> station process, once: what the system has refused it."""
+
+    warnings: tuple[str, ...]
+
+
 DeviceName = Literal["stages", "tracker", "sensors"]
 
 

@@ -1,10 +1,43 @@
 """What the operating system grants a punctual process; what it refuses is said, not hidden."""
 
 import contextlib
+import ctypes
 import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
+
+#: Of mlockall(2): what is there, what comes, and both only once it is used.
+_CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4
+#: Bit of the right to lock memory in a process's capabilities.
+_CAP_IPC_LOCK = 14
+
+
+class Granted(NamedTuple):
+    """What came of it."""
+
+    fifo: bool  #: real-time scheduling
+    refused: tuple[str, ...]  #: for a person
+
+
+def be_punctual(*, fifo: bool, core: int | None) -> Granted:
+    """Everything that keeps the calling process punctual: a processor, memory that stays, SCHED_FIFO, no collections.
+
+    Args:
+        fifo: ask for real-time scheduling.
+        core: the processor to keep to; None: any.
+    """
+    refused: list[str] = []
+    if core is not None and not keep_to({core}):
+        refused.append(f"the control loop may not keep to processor {core}")
+    if not lock_memory():
+        refused.append("memory cannot be locked: the loop may have to wait for the disk; ctr-station doctor says how")
+    granted = fifo and ask_for_fifo()
+    if fifo and not granted:
+        refused.append("SCHED_FIFO is refused: the loop runs with more jitter; ctr-station doctor says how to get it")
+    calm_memory()
+    return Granted(granted, tuple(refused))
 
 
 def ask_for_fifo(priority: int = 50) -> bool:
@@ -19,6 +52,64 @@ def ask_for_fifo(priority: int = 50) -> bool:
     except (OSError, ValueError):
         return False
     return True
+
+
+def lock_memory() -> bool:
+    """Keep this process's memory from being swapped out, as it is used; False where the system refuses or cannot.
+
+    Under a limit nothing is locked: memory that is asked for beyond it would be refused later, in the middle of a run.
+    """
+    if not _may_lock_all():
+        return False
+    lock = getattr(ctypes.CDLL(None, use_errno=True), "mlockall", None)
+    return lock is not None and lock(_CURRENT | _FUTURE | _ON_FAULT) == 0
+
+
+def _may_lock_all() -> bool:
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        return False
+    if resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY:
+        return True
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+    except OSError:
+        return False
+    capable = next((line.split()[1] for line in status.splitlines() if line.startswith("CapEff:")), "0")
+    return bool(int(capable, 16) >> _CAP_IPC_LOCK & 1)
+
+
+def keep_to(cores: set[int]) -> bool:
+    """Run the calling thread, and what it starts, on these processors only; False where that cannot be."""
+    if not hasattr(os, "sched_setaffinity"):
+        return False
+    try:
+        os.sched_setaffinity(0, cores)
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def leave_a_core() -> int | None:
+    """Leave the last processor to the control process: its number, and the caller keeps to the others.
+
+    To be called before threads and processes are started. None where there is one only.
+    """
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    if len(cores) < 2 or not keep_to(set(cores[:-1])):
+        return None
+    return cores[-1]
+
+
+def one_thread_each() -> None:
+    """Processes that are started from now on get no threads for linear algebra.
+
+    A control process needs none for matrices of 3 x 3, and what is killed lets go of its pipes only when the last
+    of its threads has ended: on a busy computer those of normal priority take a tenth of a second for that.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
 
 
 def calm_memory() -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
@@ -13,6 +13,7 @@ from station.devices.config import DevicesFile
 from station.devices.open_devices import plan
 from station.experiments.experiment import BEST, ControllerFile, start_pose
 from station.lab.config import load_lab
+from station.margins import Margins, check_design
 from station.overruns import OverrunLimits
 from station.robots import load_robot
 
@@ -43,6 +44,12 @@ class StationFile(Strict):
     """ask for real-time scheduling"""
     overruns: OverrunLimits = OverrunLimits()
     """how much lateness of the loop a motion may suffer"""
+    margins: Margins = Margins()
+    """how near to a snap a motion may come"""
+    own_core: bool = True
+    """the control process gets the last processor for itself, where there are two or more"""
+    alone: Literal["go_on", "hold"] = "go_on"
+    """what a run does when its operator has gone: closed the page, or said nothing for 10 s"""
     experiments: ExperimentsFile = ExperimentsFile()
     _source: str = PrivateAttr("the default station")
 
@@ -62,9 +69,13 @@ class StationFile(Strict):
             bench = None if self.devices == "virtual" else self.devices
             if bench is not None:
                 plan(bench, robot)
+            snaps = check_design(robot, self.margins)
         except CtrError as error:
             raise ConfigError(f"{self._source}: {error}") from None
-        return Bench(robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns, bench)
+        return Bench(
+            robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns, bench,
+            self.margins, alone=self.alone, warnings=(snaps,) if snaps else (),
+        )  # fmt: skip
 
 
 def load_station(path: Path | None) -> StationFile:

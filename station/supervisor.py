@@ -19,6 +19,8 @@ from typing import Any, Literal, NamedTuple
 from core.errors import CtrError
 from core.robot import Array
 from core.statics import Statics
+from station.audit import Audit
+from station.chronicle import Chronicle
 from station.control_process import Bench, ring_width, run_control
 from station.devices.built_in import stage_ports
 from station.devices.config import BenchFile
@@ -28,9 +30,9 @@ from station.lab.lab_process import LabBench
 from station.lab.loads import Load, NoLoad
 from station.last_stop import stop_stages
 from station.live_recording import LiveRecording
-from station.messages import Command, DeviceReport, DeviceStatus, Notice, Reply
+from station.messages import Command, DeviceReport, DeviceStatus, Notice, Refused, Reply
 from station.own_bench import OwnBench
-from station.realtime import ask_for_fifo
+from station.realtime import ask_for_fifo, one_thread_each
 from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, Ring, Timing
 from station.states import Event, RefusedError, State, after
 from station.task import Phase, Task
@@ -61,13 +63,14 @@ class Status(NamedTuple):
     timing: Timing
     values: Mapping[str, Array]  #: newest telemetry by group; empty until there is some
     devices: tuple[DeviceStatus, ...] = ()  #: as reported last; empty before
+    warnings: tuple[str, ...] = ()  #: of this machine and this robot
 
 
 class Supervisor:
     """Owner of the control process and of the virtual lab's."""
 
-    def __init__(self, bench: Bench, runs: Path | None = None) -> None:
-        """Start everything; every run is recorded in the folder `runs`, if one is given."""
+    def __init__(self, bench: Bench, runs: Path | None = None, audit: Audit | None = None) -> None:
+        """Start everything; every run is recorded in the folder `runs`, every change of state in `audit`, if given."""
         self.bench = bench
         self.robot = bench.robot.robot()
         self.channels = Channels(self.robot)
@@ -90,8 +93,11 @@ class Supervisor:
         self._devices: tuple[DeviceStatus, ...] = ()
         self._told: BenchFile | None = None  # what the control process has to open
         self._closing = threading.Event()
+        one_thread_each()
         self._context = multiprocessing.get_context("spawn")
         self.recording = None if runs is None else LiveRecording(self.ring, bench.robot, runs)
+        self._chronicle = Chronicle(self.ring, self.channels, audit, runs, self._session)
+        self._refused: tuple[str, ...] = ()  # by the system, to the control process
         self._recorded = 0  # the run that is being recorded
         self._lab = self._start_lab()
         self._start_process()
@@ -125,7 +131,7 @@ class Supervisor:
                 state, self._cause if state in (State.HOLD, State.STOPPED, State.FAULT) else "", self._run_id(),
                 self._title, Phase(int(counters[PHASE])) if int(counters[RUN]) == self._run else Phase.NONE,
                 float(numbers[PROGRESS]), time.monotonic() - float(numbers[HEARTBEAT]), self.ring.timing(), groups,
-                self._devices,
+                self._devices, (*self.bench.warnings, *self._refused),
             )  # fmt: skip
 
     # What may be asked
@@ -239,6 +245,13 @@ class Supervisor:
         """
         self._ask(Command(next(self._numbers), "jog", space=space, velocity=velocity))
 
+    def operator_gone(self) -> None:
+        """Nobody commands any more; as configured, a run that is on goes on or is held."""
+        if self.bench.alone == "hold" and self.status().state is State.RUNNING:
+            cause = "the operator has gone; this station holds a run then (alone = 'hold')"
+            with contextlib.suppress(RefusedError):  # it has just ended
+                self._ask(Command(next(self._numbers), Event.HOLD, cause=cause))
+
     def pull(self, load: Load) -> None:
         """Put a load on the virtual lab's tip, now; the next motion brings its own."""
         self._lab.pull(load, time.monotonic())
@@ -261,6 +274,7 @@ class Supervisor:
         self._watchdog.join(timeout=3.0)
         if self.recording is not None:
             self.recording.close()
+        self._chronicle.close()
         self._pipe.close()
         self.ring.close(remove=True)
 
@@ -340,10 +354,11 @@ class Supervisor:
             self._state = State.FAULT
             self._cause = "; ".join(part for part in (cause or said, stopped, "reset to start it anew") if part)
             self._motion_start = None
+        self._chronicle.state(State.FAULT, self._cause)
         self._end_recording(State.FAULT, self._cause, interrupted=True)
         self._lab.pull(NoLoad(), 0.0)
 
-    def _hear(self, message: Reply | Notice | DeviceReport) -> None:
+    def _hear(self, message: Reply | Notice | DeviceReport | Refused) -> None:
         with self._answered:
             if isinstance(message, Reply):
                 if message.number in self._waiting:
@@ -353,9 +368,16 @@ class Supervisor:
             if isinstance(message, DeviceReport):
                 self._devices = message.devices
                 return
+            if isinstance(message, Refused):
+                self._refused = message.warnings
+                for text in message.warnings:
+                    self._chronicle.note("warning", text)
+                return
             changed = self._state is not message.state
             self._state, self._cause = message.state, message.cause
             before, self._motion_start, load = self._motion_start, message.motion_start, self._load
+        if changed:
+            self._chronicle.state(message.state, message.cause)
         if changed and self.recording is not None:
             text = f"{message.state.name}{message.cause and ': '}{message.cause}"
             bad = message.state in (State.HOLD, State.FAULT)

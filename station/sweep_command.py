@@ -34,8 +34,10 @@ def _sweep(parsed: argparse.Namespace) -> int:
     from rich.console import Console
 
     from station.config import use_experiments
-    from station.experiments.sweep import jobs, load_experiment, settings, sweep, sweep_summary
+    from station.experiments.experiment import load_experiment
+    from station.experiments.sweep import jobs, sweep, sweep_summary
     from station.experiments.sweep_output import sweep_table, write_sweep
+    from station.experiments.sweep_settings import settings
     from station.report.page import write_report
 
     if parsed.experiments is not None:

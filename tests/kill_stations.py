@@ -21,20 +21,24 @@ WHOM = ("control", "station", "recorder")
 
 
 def until_moving(station: LoneStation) -> None:
-    """Start a run and wait until it moves."""
-    started = station.ask("start")
-    assert not started["refused"], started
-    deadline = time.monotonic() + 30.0
-    while station.ask("status")["phase"] != "MOVING":
-        assert time.monotonic() < deadline
+    """Start a run and wait until it moves; a busy machine may hold it on its way."""
+    deadline = time.monotonic() + 60.0
+    while (status := station.ask("status"))["phase"] != "MOVING":
+        assert time.monotonic() < deadline, status
+        if status["state"] != "RUNNING":
+            back(station)
+            station.ask("start")
         time.sleep(0.05)
 
 
 def kill(station: LoneStation, lab: WatchedLab, whom: str, after: float) -> float:
     """Kill one of its processes `after` [s] of motion: the time until the last stage was told to stop [s]."""
-    until_moving(station)
-    pid = station.process.pid if whom == "station" else station.child(whom).pid
-    time.sleep(after)
+    while True:
+        until_moving(station)
+        pid = station.process.pid if whom == "station" else station.child(whom).pid
+        time.sleep(after)
+        if lab.notes()[-1].moving:
+            break  # a busy machine may have held it meanwhile
     # Between the two lines nobody may take our turn.
     ask_for_fifo(60)
     begin = time.monotonic()

@@ -6,6 +6,7 @@ import socket
 import sys
 import threading
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
 
 import uvicorn
@@ -15,6 +16,7 @@ from rich.console import Console
 from core.errors import CtrError
 from station.audit import Audit
 from station.desk import Desk
+from station.realtime import leave_a_core
 from station.station_file import load_station
 from station.supervisor import Supervisor
 from web.access import is_loopback
@@ -42,12 +44,17 @@ def serve(config: Path | None, host: str, port: int, data: Path, *, browser: boo
         CtrError: the control process does not start.
     """
     out = Console(highlight=False, soft_wrap=True)
-    bench = load_station(config).bench()
+    station = load_station(config)
+    bench = station.bench()
     tokens = None if is_loopback(host) else new_tokens()
     with contextlib.closing(_listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
         port = listening.getsockname()[1]
         out.print(f"ctr-station: {bench.title}")
-        supervisor = Supervisor(bench, data)
+        for warning in bench.warnings:
+            out.print(f"mind: {warning}", markup=False)
+        if station.own_core:
+            bench = replace(bench, core=leave_a_core())
+        supervisor = Supervisor(bench, data, audit)
         try:
             supervisor.wait_ready(START_TIME)
             desk = Desk(supervisor)

@@ -40,8 +40,8 @@ class Latency(NamedTuple):
     rms: float  #: of what is left [m]
 
 
-def find_signs(robot: Robot, start: Array, visits: Sequence[Visit]) -> Signs:
-    """Signs of the axes from small moves about `start` (n,), where both signs agree, without load.
+def find_signs(robot: Robot, about: Array, visits: Sequence[Visit]) -> Signs:
+    """Signs of the axes from small moves without load; `about` (n,) is where an axis is either way it runs.
 
     Raises:
         Unobservable: two combinations fit alike; says which axes, and what to do.
@@ -49,12 +49,12 @@ def find_signs(robot: Robot, start: Array, visits: Sequence[Visit]) -> Signs:
     """
     model = Statics(robot, integrator="fourth_order")
     coils = np.array([visit.coil for visit in visits])
-    moves = np.array([visit.joints for visit in visits]) - start
+    moves = np.array([visit.joints for visit in visits]) - about
     found: list[tuple[float, Array]] = []
-    for combination in itertools.product((1.0, -1.0), repeat=start.size):
+    for combination in itertools.product((1.0, -1.0), repeat=about.size):
         signs = np.array(combination)
         try:
-            tips = np.array([model.solve(start + signs * move, np.zeros(6)).tip for move in moves])
+            tips = np.array([model.solve(about + signs * move, np.zeros(6)).tip for move in moves])
         except CtrError:
             continue  # the robot could not even stand so
         left = kabsch(coils, tips).apply(coils) - tips

@@ -1,8 +1,8 @@
 """A calibration as a conversation: it says what to do next, and is told what was measured.
 
-A procedure is a generator. It yields steps, `GoTo` a pose and rest there or `Ask` a person for something,
-and is sent the `Visit` of each pose. Who carries the steps out, a loop in virtual time or a station with an
-operator, does not matter to it; to abort is to close it.
+A procedure is a generator. It yields steps, `GoTo` a pose and rest there, `Swing` the joints or `Ask` a
+person for something, and is sent the `Visit` of each pose and what was recorded of a swing. Who carries the
+steps out, a loop in virtual time or a station with an operator, does not matter to it; to abort is to close it.
 """
 
 from collections.abc import Generator
@@ -31,12 +31,35 @@ class Ask(NamedTuple):
     done: float
 
 
-Step = GoTo | Ask
-Procedure = Generator[Step, Visit | None, Result]
+class Swing(NamedTuple):
+    """Move all joints to and fro from where they are; answered with `Swung`."""
+
+    amplitudes: Array  #: (n,) [rad or m]
+    period: float  #: [s]
+    duration: float  #: [s]
+    done: float
+
+
+class Swung(NamedTuple):
+    """What was recorded of a swing."""
+
+    times: Array  #: (m,) [s]
+    joints: Array  #: (m, n) as the stages count them [rad or m]
+    frame_times: Array  #: (k,) when the frames were measured, as far as that is known [s]
+    coils: Array  #: (k, 3) in the tracker's frame [m]
+
+
+Step = GoTo | Ask | Swing
+Answer = Visit | Swung | None
+Procedure = Generator[Step, Answer, Result]
 
 
 class AbortedError(CtrError):
     """A procedure that was ended before it had a result."""
+
+
+class StoppedByHandError(AbortedError):
+    """Ctrl-C."""
 
 
 class Guided(Generic[Result]):
@@ -54,17 +77,17 @@ class Guided(Generic[Result]):
         """Part that is done, 0 ... 1."""
         return 1.0 if self.step is None else self.step.done
 
-    def answer(self, visit: Visit | None) -> None:
+    def answer(self, answer: Answer) -> None:
         """The step was carried out; raises what the procedure makes of it (`Unobservable` and others)."""
-        self._advance(visit, first=False)
+        self._advance(answer, first=False)
 
     def abort(self) -> None:
         """Give up; nothing is kept."""
         self._procedure.close()
         self.step = None
 
-    def _advance(self, visit: Visit | None, first: bool) -> None:
+    def _advance(self, answer: Answer, first: bool) -> None:
         try:
-            self.step = next(self._procedure) if first else self._procedure.send(visit)
+            self.step = next(self._procedure) if first else self._procedure.send(answer)
         except StopIteration as end:
             self.step, self.result = None, end.value

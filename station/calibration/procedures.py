@@ -32,6 +32,16 @@ class Effort:
     check: int = 6  #: under each weight, held out of every fit
     weights: tuple[float, ...] = (0.25, 0.5)  #: known, to hang at the tip [N]
 
+    def scaled(self, factor: float) -> "Effort":
+        """More or fewer poses."""
+        return replace(
+            self,
+            unloaded=round(factor * self.unloaded),
+            loaded=round(factor * self.loaded),
+            between=max(4, round(factor * self.between)),
+            check=max(3, round(factor * self.check)),
+        )
+
     def steps(self) -> int:
         """Poses of the whole."""
         return self.unloaded + len(self.weights) * (self.loaded + self.check + self.between)
@@ -77,7 +87,7 @@ def tracker(subject: Subject, effort: Effort) -> Procedure[TrackerResult]:
     visits: list[Visit] = []
     for number, joints in enumerate(poses):
         visit = yield GoTo(joints, 0.0, number / len(poses))
-        visits += [visit] if visit is not None else []
+        visits += [visit] if isinstance(visit, Visit) else []
     found = register(subject.robot, visits, np.zeros((len(visits), 3)), NOISE, subject.limits)
     return TrackerResult(found, tuple(visits))
 
@@ -153,7 +163,7 @@ def _visits(subject: Subject, effort: Effort) -> Procedure[tuple[list[Visit], li
         nonlocal number, at
         for joints in poses:
             visit = yield GoTo(joints, weight, min(number / total, 1.0))
-            into += [visit] if visit is not None else []
+            into += [visit] if isinstance(visit, Visit) else []
             number, at = number + 1, joints
 
     poses, known = subject.tour(what, np.zeros(3), effort.unloaded, None, at)

@@ -14,7 +14,7 @@ from core.calibration.visits import Visit
 from core.robot import Array
 from station import approach
 from station.calibration.plan import Subject
-from station.calibration.procedure import AbortedError, Ask, Guided, Procedure
+from station.calibration.procedure import AbortedError, Ask, Guided, Procedure, Swing
 from station.lab.config import LabConfig
 from station.lab.distortion import Distortion
 from station.lab.hidden import Hidden
@@ -108,6 +108,8 @@ def carry_out(
             weight = step.weight
             lab.time += BY_HAND
             guided.answer(None)
+        elif isinstance(step, Swing):
+            raise AbortedError("this lab is only seen at rest: for a swing take the one with devices on their wires")
         else:
             guided.answer(lab.visit(step.joints, weight))
     if guided.result is None:

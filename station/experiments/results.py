@@ -42,8 +42,9 @@ def summarise(recording: Recording) -> dict[str, Any]:
         return summary
     times, frame_times = channels.of(rows, "time")[:, 0], channels.of(frames, "tip_time")[:, 0]
 
-    def at_frames(group: str, averaged: int = 1) -> Array:
-        columns = uniform_filter1d(channels.of(rows, group), averaged, axis=0, mode="nearest").T
+    def at_frames(group: str, *, averaged: bool = False) -> Array:
+        values = channels.of(rows, group)
+        columns = (averaged_model(values) if averaged else values).T
         return np.stack([np.interp(frame_times, times, column) for column in columns], axis=1)
 
     measured = channels.of(frames, "tip_measured")
@@ -61,7 +62,7 @@ def summarise(recording: Recording) -> dict[str, Any]:
     if isinstance(recording.case.file.trajectory, StepMotion):
         summary["step"] = _step(recording, "tip_true" if known else "tip_observed", recording.case.file.trajectory)
     summary["model_error_mm"] = {
-        name: _rounded(1e3 * np.linalg.norm(at_frames(group, AVERAGED) - measured, axis=1).mean())
+        name: _rounded(1e3 * np.linalg.norm(at_frames(group, averaged=True) - measured, axis=1).mean())
         for name, group in (("loaded", "tip_estimated"), ("unloaded", "tip_unloaded"))
     }
     summary["deflection_rate_rms_error_mm_s"] = _rate_errors(recording)
@@ -70,6 +71,11 @@ def summarise(recording: Recording) -> dict[str, Any]:
         for group in ("deflection", "delta_1", "delta_2")
     }
     return summary
+
+
+def averaged_model(tips: Array, ticks: int = AVERAGED) -> Array:
+    """Tips of a model (ticks, 3) [m] as they are compared with a tracker: means over `ticks` around each tick."""
+    return uniform_filter1d(tips, ticks, axis=0, mode="nearest")
 
 
 def _step(recording: Recording, group: str, motion: StepMotion) -> dict[str, float]:

@@ -84,7 +84,9 @@ class DataSection:
         body, index = io.BytesIO(), {}
         body.write(rows.records)
         if len(rows.times):
-            index[topic] = np.stack((rows.times, rows.offsets), axis=1).astype("<u8").tobytes()
+            places = np.empty((len(rows.times), 2), "<u8")
+            places[:, 0], places[:, 1] = rows.times, rows.offsets
+            index[topic] = places.tobytes()
         for message in said:
             entry = struct.pack("<QQ", message.time, body.tell())
             index[message.topic] = index.get(message.topic, b"") + entry

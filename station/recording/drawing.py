@@ -54,6 +54,7 @@ class Drawing:
         self._first = first_topic
         self._robot, self._statics = robot, Statics(robot)
         self._near: Solution | None = None
+        self._wrench = np.zeros(6)
         self._frames = FrameTransforms(("plate", "tip", *(f"{tube.name} base" for tube in robot.tubes)))
         self._lines = [Line(tube.outer_diameter, TUBES[i % len(TUBES)]) for i, tube in enumerate(robot.tubes)]
         rotation = robot.layout.base[:9].reshape(3, 3)
@@ -75,7 +76,8 @@ class Drawing:
             if name != "/tip/true" or row[self._known] > 0.0
         ]
         try:
-            self._near = self._statics.solve(row[self._joints], np.append(row[self._force], np.zeros(3)), self._near)
+            self._wrench[:3] = row[self._force]
+            self._near = self._statics.solve(row[self._joints], self._wrench, self._near)
         except CtrError:
             # The loop says in the row's state and in an event that there is no shape.
             self._near = None

@@ -32,6 +32,9 @@ class Rows(NamedTuple):
     offsets: NDArray[np.uint64]  #: (n,) from the start of `records`
 
 
+NO_ROWS = Rows(np.empty(0, np.uint64), b"", np.empty(0, np.uint64))
+
+
 def definition(channels: Sequence[Channel]) -> str:
     """The ROS 1 message definition of a row with these channels."""
     main: list[str] = []

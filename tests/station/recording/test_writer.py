@@ -84,13 +84,15 @@ def test_events_come_back_in_time_and_as_log_lines(open_writer, make_rows):
     assert line["timestamp"]["sec"] * 10**9 + line["timestamp"]["nsec"] == message.log_time
 
 
-def test_an_event_without_any_row_is_kept(open_writer, make_rows):
+def test_events_are_kept_without_any_row_and_after_the_last(open_writer, make_rows):
     writer = open_writer()
-    writer.event(Event(1.0, "state", "HOLD"))
+    writer.event(Event(0.0, "state", "READY"))
     writer.write(make_rows(0))
+    writer.write(make_rows(10))
+    writer.event(Event(1.0, "state", "HOLD"))
     writer.close(Label.STOPPED)
 
-    assert [event.text for event in read_case(writer.path).events] == ["HOLD"]
+    assert [event.text for event in read_case(writer.path).events] == ["READY", "HOLD"]
 
 
 def test_a_recording_of_nothing_opens(open_writer, channels):

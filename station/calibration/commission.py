@@ -1,0 +1,89 @@
+"""First procedures on a new bench: which way the axes run, where their zeros are, how late the tracker is."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from core.calibration.commissioning import Latency, Signs, find_latency, find_signs
+from core.calibration.fit import Fit, fit
+from core.calibration.prediction import Prediction
+from core.calibration.quantities import Quantity, quantities
+from core.calibration.registration import closed_form
+from core.calibration.visits import Visit
+from core.robot import Array
+from core.statics import Statics
+from station.calibration.plan import NOISE, Subject
+from station.calibration.procedure import AbortedError, GoTo, Procedure, Swing, Swung
+
+#: Small moves about the start pose [rad, m], and larger ones for the zeros.
+SMALL, LARGE = {"rad": 0.25, "m": 0.010}, {"rad": 1.2, "m": 0.015}
+#: The model is not better than this before the tubes are calibrated [m].
+MODEL_ERROR = 1e-3
+#: To and fro for the latency [rad, m], once in so many seconds, for so long.
+SWING, PERIOD, DURATION = {"rad": 0.25, "m": 0.006}, 8.0, 16.0
+
+
+class AxesResult(NamedTuple):
+    """Of `axes`."""
+
+    signs: Signs
+    zeros: tuple[tuple[Quantity, float, float], ...]  #: zero angle of a tube and half its 95 % interval [rad]
+    fit: Fit
+    visits: tuple[Visit, ...]
+
+
+class LatencyResult(NamedTuple):
+    """Of `latency`."""
+
+    latency: Latency  #: beyond what the tracker is said to have
+
+
+def axes(subject: Subject) -> Procedure[AxesResult]:
+    """Signs by small moves, then zero angles of the tubes against the outermost by larger ones.
+
+    Raises:
+        Unobservable: the signs are not clear.
+    """
+    visits: list[Visit] = []
+    joints = subject.robot.joints
+    moves = [sign * step[joint.unit] * np.eye(len(joints))[k]
+             for step in (SMALL, LARGE) for k, joint in enumerate(joints) for sign in (1.0, -1.0)]  # fmt: skip
+    for number, move in enumerate(moves):
+        visit = yield GoTo(subject.start + move, 0.0, number / len(moves))
+        visits += [visit] if isinstance(visit, Visit) else []
+    half = len(moves) // 2
+    # A stage that runs the other way is still right in the middle of its travel.
+    middle = np.array([0.5 * (limit.lower + limit.upper) for limit in subject.limits.joints])
+    signs = find_signs(subject.robot, middle, visits[:half])
+    turned = [visit._replace(joints=middle + signs.signs * (visit.joints - middle)) for visit in visits]
+    what = tuple(quantity for quantity in quantities(subject.robot) if quantity.kind == "zero_angle")
+    forces, noise = np.zeros((len(turned), 3)), NOISE._replace(coil=MODEL_ERROR)
+    problem = Prediction(subject.robot, what, turned, forces, noise, closed_form(subject.robot, turned, forces))
+    found = fit(problem, problem.parameters)
+    names = [quantity.parameter(subject.robot).name for quantity in what]
+    zeros = tuple((q, found.value(name), found.interval(name)) for q, name in zip(what, names, strict=True))
+    return AxesResult(signs, zeros, found, tuple(visits))
+
+
+def latency(subject: Subject) -> Procedure[LatencyResult]:
+    """How much later than it says the tracker measures: the joints swing, and the model tells where the tip was.
+
+    Raises:
+        Unobservable: the swing was too slow to tell.
+    """
+    yield GoTo(subject.start, 0.0, 0.0)
+    amplitudes = np.array([SWING[joint.unit] for joint in subject.robot.joints])
+    swung = yield Swing(amplitudes, PERIOD, DURATION, 0.2)
+    if not isinstance(swung, Swung):
+        raise AbortedError("nothing was recorded of the swing")
+    return LatencyResult(find_latency(swung.times, _tips(subject, swung.joints), swung.frame_times, swung.coils))
+
+
+def _tips(subject: Subject, joints: Array) -> Array:
+    """Where the model has the tip (m, 3) without load [m]."""
+    model = Statics(subject.robot, integrator="fourth_order")
+    tips, near = np.empty((len(joints), 3)), None
+    for k, pose in enumerate(joints):
+        near = model.solve(pose, np.zeros(6), near)
+        tips[k] = near.tip
+    return tips

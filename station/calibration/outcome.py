@@ -1,0 +1,102 @@
+"""Everything that a calibration leaves behind, written at once."""
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.table import Table
+from rich.text import Text
+
+from station.calibration import files, report, summary
+from station.calibration.plan import Subject
+from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
+from station.calibration.summary import Result
+from station.config import ConfigError
+from station.devices.aurora_tracker import Registration
+from station.lab.simulated_aurora_coil import MOUNT
+
+VISITS, NUMBERS = "visits.json", "report.json"
+
+
+class Provenance(NamedTuple):
+    """Where the numbers come from."""
+
+    what: str  #: procedure
+    when: str  #: ISO 8601
+    lab: str
+    seed: int
+    simulated_s: float
+
+    def __str__(self) -> str:
+        """One line for the files."""
+        return f"'calibrate {self.what}' of {self.when}, {self.lab}, seed {self.seed}; visits in {VISITS}"
+
+
+def write_all(
+    folder: Path, result: Result, subject: Subject, provenance: Provenance, assumed: Registration = MOUNT
+) -> dict[str, Any]:
+    """The files for runs, the visits, the numbers and the report; the numbers are the answer.
+
+    Args:
+        folder: there already.
+        result: of a procedure.
+        subject: as it was believed to be.
+        provenance: goes into every file.
+        assumed: where the tracker was believed to stand meanwhile.
+
+    Raises:
+        ConfigError: the folder cannot be written to.
+    """
+    made = str(provenance)
+    written: list[Path] = []
+    if isinstance(result, TrackerResult):
+        found = result.registration
+        written.append(
+            files.write_registration(folder, subject.robot, found.frames, found.fit, found.errors, assumed, made)
+        )
+    elif isinstance(result, ForceResult):
+        written.append(files.write_sensors(folder, subject.robot, result.calibration, made))
+    elif isinstance(result, TubesResult):
+        tubes = result.calibration
+        written += [
+            files.write_registration(folder, subject.robot, tubes.frames, tubes.fit, tubes.errors, assumed, made),
+            files.write_sensors(folder, subject.robot, result.sensors, made),
+            files.write_robot(folder, subject.file, tubes, made),
+        ]
+    visits = [*getattr(result, "visits", ()), *getattr(result, "check_visits", ())]
+    numbers: dict[str, Any] = {
+        "procedure": provenance.what,
+        "seed": provenance.seed,
+        "lab": provenance.lab,
+        "made": provenance.when,
+        "visits": len(visits),
+        "simulated_s": round(provenance.simulated_s, 3),
+        "folder": str(folder),
+        "files": [path.name for path in written],
+        **summary.numbers(result, subject),
+    }
+    facts = [
+        ("made", provenance.when),
+        ("lab", f"{provenance.lab}; seed {provenance.seed}"),
+        ("robot", subject.robot.name),
+        ("visits", f"{len(visits)}, {provenance.simulated_s:.0f} s of robot time"),
+        ("files", ", ".join(path.name for path in written) or "none"),
+    ]
+    try:
+        (folder / VISITS).write_text(json.dumps(summary.recorded(visits), indent=1) + "\n", encoding="utf-8")
+        (folder / NUMBERS).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+        report.write_report(folder, provenance.what, result, subject, facts)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
+    return numbers
+
+
+def result_table(result: Result, subject: Subject, provenance: Provenance) -> Table:
+    """What was found, on the screen."""
+    table = Table(title=Text(f"calibrate {provenance.what}\n{provenance.lab}, seed {provenance.seed}"), title_style="")
+    table.add_column("")
+    for column in ("before", "found", "+- (95 %)"):
+        table.add_column(column, justify="right")
+    for row in summary.rows(result, subject):
+        table.add_row(*row)
+    return table

@@ -1,0 +1,221 @@
+"""A calibration in plain numbers: what goes into report.json, onto the screen and into the report."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from core.calibration.fit import Fit
+from core.calibration.force import SensorCalibration, WeightCheck
+from core.calibration.prediction import Frames
+from core.calibration.rigid import vector_of
+from core.calibration.visits import Visit
+from core.robot import Array, Robot
+from station.calibration.commission import AxesResult, LatencyResult
+from station.calibration.plan import Subject
+from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
+
+Result = TrackerResult | ForceResult | TubesResult | AxesResult | LatencyResult
+#: Residuals of this many times the noise mean that the model is not the robot.
+SUSPICIOUS = 9.0
+
+
+class Row(NamedTuple):
+    """One number that was found, as a person reads it."""
+
+    name: str
+    before: str
+    found: str
+    interval: str  #: half of 95 %, with the unit
+
+
+def rows(result: Result, subject: Subject) -> list[Row]:
+    """What was found, one row a number."""
+    if isinstance(result, AxesResult):
+        names = [joint.name for joint in subject.robot.joints]
+        found = [
+            Row(f"{n} runs", "+", "+" if s > 0 else "-", "") for n, s in zip(names, result.signs.signs, strict=True)
+        ]
+        for quantity, angle, half in result.zeros:
+            name = f"{subject.robot.tubes[quantity.tube].name} zero angle"
+            found.append(Row(name, "0", f"{math.degrees(angle):.2f}", f"{math.degrees(half):.1f} deg"))
+        return found
+    if isinstance(result, LatencyResult):
+        late = result.latency
+        return [Row("tracker later than it says", "0", f"{1e3 * late.latency:.1f}", f"{1.96e3 * late.error:.1f} ms")]
+    if isinstance(result, TrackerResult):
+        return _frames(result.registration.fit, result.registration.frames)
+    if isinstance(result, ForceResult):
+        return _sensors(result.calibration, subject.robot)
+    tubes = result.calibration
+    return [
+        *_tubes(result, subject.robot),
+        *_frames(tubes.fit, tubes.frames),
+        *_sensors(result.sensors, subject.robot),
+    ]
+
+
+def findings(result: Result) -> list[str]:
+    """What a person should know about the result, in sentences."""
+    if isinstance(result, AxesResult):
+        first, second = 1e3 * result.signs.rms, 1e3 * result.signs.next_rms
+        return [f"The signs fit to {first:.2f} mm RMS; the next best combination to {second:.2f} mm."]
+    if isinstance(result, LatencyResult):
+        return [
+            "Counted from the positions that the stages report, whose own delay is in it.",
+            f"{1e3 * result.latency.rms:.2f} mm RMS are left.",
+        ]
+    if isinstance(result, TrackerResult):
+        found = result.registration
+        said = [
+            f"{1e3 * found.rms:.3f} mm RMS between coil and model; {1e3 * float(found.held_out.mean()):.3f} mm mean"
+            " at visits that the fit had not seen."
+        ]
+        if found.fit.variance_factor > SUSPICIOUS:
+            said.append("That is far more than the noise: the tubes differ from their description; calibrate them.")
+        return [*said, *_weak(found.fit)]
+    if isinstance(result, ForceResult):
+        return [*_checks(result.checks), *_unseen(result.calibration.fit)]
+    loaded = result.held_out_loaded
+    return [
+        f"Loaded visits that no fit has seen: {1e3 * float(result.held_out_believed.mean()):.2f} mm mean as believed"
+        f" before, {1e3 * float(loaded.before.mean()):.2f} mm with the described tubes in the best frames for them,"
+        f" {1e3 * float(loaded.after.mean()):.3f} mm calibrated.",
+        f"{_rms_mm(result.calibration.errors):.3f} mm RMS at the visits of the fit,"
+        f" {result.calibration.fit.variance_factor:.2f} of the variance that the noise lets expect.",
+        *_checks(result.checks),
+        *_weak(result.calibration.fit),
+        *_unseen(result.sensors.fit),
+    ]
+
+
+def numbers(result: Result, subject: Subject) -> dict[str, Any]:
+    """The same for machines; SI units."""
+    summary: dict[str, Any] = {
+        "found": [row._asdict() for row in rows(result, subject)],
+        "findings": findings(result),
+    }
+    if isinstance(result, TrackerResult):
+        summary |= {"rms_m": result.registration.rms, "held_out_mean_m": float(result.registration.held_out.mean())}
+        summary["parameters"] = _parameters(result.registration.fit)
+    elif isinstance(result, ForceResult):
+        summary["parameters"] = _parameters(result.calibration.fit)
+        summary["weights"] = _weights(result.checks)
+    elif isinstance(result, TubesResult):
+        summary["parameters"] = _parameters(result.calibration.fit)
+        summary["sensor_parameters"] = _parameters(result.sensors.fit)
+        summary["weights"] = _weights(result.checks)
+        summary["rms_m"] = math.sqrt(float(np.mean(result.calibration.errors**2)))
+        summary["held_out_loaded_mean_m"] = {
+            "believed": float(result.held_out_believed.mean()),
+            "described_tubes_best_frames": float(result.held_out_loaded.before.mean()),
+            "calibrated": float(result.held_out_loaded.after.mean()),
+        }
+    elif isinstance(result, AxesResult):
+        summary["signs"] = dict(zip([j.name for j in subject.robot.joints], result.signs.signs.tolist(), strict=True))
+    else:
+        summary |= {"latency_s": result.latency.latency, "standard_deviation_s": float(result.latency.error)}
+    return summary
+
+
+def recorded(visits: Sequence[Visit]) -> list[dict[str, Any]]:
+    """Visits as they were measured, for the record."""
+    return [
+        {
+            "time": visit.time,
+            "joints": visit.joints.tolist(),
+            "coil": visit.coil.tolist(),
+            "wrenches": visit.wrenches.tolist(),
+            "weight": visit.weight,
+        }
+        for visit in visits
+    ]
+
+
+def _tubes(result: TubesResult, described: Robot) -> list[Row]:
+    found: list[Row] = []
+    fit = result.calibration.fit
+    for quantity in result.calibration.what:
+        tube, name = described.tubes[quantity.tube], quantity.parameter(described).name
+        value, half = fit.value(name), fit.interval(name)
+        if quantity.kind == "bending_stiffness":
+            ei = tube.bending_stiffness
+            found.append(Row(f"{tube.name} EI", f"{ei:.4g}", f"{ei * (1.0 + value):.4g}", f"{ei * half:.2g} N m^2"))
+        elif quantity.kind == "curvature":
+            bent = max(math.hypot(*section.curvature) for section in tube.sections)
+            text = f"{bent * (1.0 + value):.4g}"
+            found.append(Row(f"{tube.name} curvature", f"{bent:.4g}", text, f"{bent * half:.2g} 1/m"))
+        elif quantity.kind == "poisson_ratio":
+            nu = tube.poisson_ratio
+            found.append(Row(f"{tube.name} nu", f"{nu:.3g}", f"{nu + value:.3f}", f"{half:.2g}"))
+        elif quantity.kind == "straight_length":
+            length = 1e3 * tube.sections[0].length
+            text = f"{length + 1e3 * value:.2f}"
+            found.append(Row(f"{tube.name} straight length", f"{length:g}", text, f"{1e3 * half:.2g} mm"))
+        else:
+            text = f"{math.degrees(value):.2f}"
+            found.append(Row(f"{tube.name} zero angle", "0", text, f"{math.degrees(half):.2g} deg"))
+    return found
+
+
+def _frames(fit: Fit, frames: Frames) -> list[Row]:
+    """The tracker's frame as a correction of where it was believed to stand."""
+    turn, shift = np.degrees(vector_of(frames.registration.rotation)), 1e3 * frames.registration.position
+    found: list[Row] = []
+    for what, values, factor, unit in (
+        ("frame rotation", turn, 180.0 / math.pi, "deg"),
+        ("frame position", shift, 1e3, "mm"),
+        ("coil", 1e3 * frames.coil, 1e3, "mm"),
+    ):
+        for axis, value in zip("xyz", values, strict=True):
+            half = factor * fit.interval(f"{what} {axis}")
+            found.append(Row(f"{what} {axis}", "0", f"{value:.3f}", f"{half:.2g} {unit}"))
+    return found
+
+
+def _sensors(found: SensorCalibration, robot: Robot) -> list[Row]:
+    listed: list[Row] = []
+    for i, tube in enumerate(robot.tubes):
+        for axis, angle in zip("xyz", vector_of(found.sensors.mounting[i]), strict=True):
+            half = math.degrees(found.fit.interval(f"{tube.name} mounting {axis}"))
+            listed.append(Row(f"{tube.name} sensor about {axis}", "0", f"{math.degrees(angle):.2f}", f"{half:.2g} deg"))
+        half = 1e3 * found.fit.interval(f"{tube.name} weight")
+        listed.append(Row(f"{tube.name} sensor carries", "0", f"{1e3 * found.sensors.weight[i]:.1f}", f"{half:.2g} mN"))
+    return listed
+
+
+def _checks(checks: Sequence[tuple[float, WeightCheck]]) -> list[str]:
+    return [
+        f"The weight of {known:g} N was measured as {check.magnitude:.4f} N, {math.degrees(check.angle):.2f} deg from"
+        " where gravity points."
+        for known, check in checks
+    ]
+
+
+def _weak(fit: Fit) -> list[str]:
+    return [f"The data cannot tell: {combination}." for combination in fit.weak]
+
+
+def _unseen(fit: Fit) -> list[str]:
+    """Of sensors: combinations that change no load."""
+    if not fit.weak:
+        return []
+    return [
+        f"{len(fit.weak)} combinations of the sensors' numbers cannot be told apart; none of them changes the load."
+    ]
+
+
+def _parameters(fit: Fit) -> Mapping[str, Mapping[str, Any]]:
+    return {
+        p.name: {"value": float(value), "standard_deviation": float(error), "unit": p.unit}
+        for p, value, error in zip(fit.parameters, fit.values, fit.errors, strict=True)
+    }
+
+
+def _weights(checks: Sequence[tuple[float, WeightCheck]]) -> list[dict[str, float]]:
+    return [{"known_N": known, "error_N": check.error, "angle_rad": check.angle} for known, check in checks]
+
+
+def _rms_mm(errors: Array) -> float:
+    return 1e3 * math.sqrt(float(np.mean(errors**2)))

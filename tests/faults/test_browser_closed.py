@@ -1,0 +1,51 @@
+"""Operator's browser closed: a jog stops at once; a recorded run goes on to its end or to HOLD, as configured."""
+
+import time
+
+import numpy as np
+import pytest
+
+from station.jog import ALIVE
+from station.states import State
+from tests.faults.virtual import VirtualStation
+from tests.serving import Served, serving
+
+RUN = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 8.0}, "duration": 60.0}
+OPERATOR = {"x-ctr-client": "the-operators-page"}
+
+
+def test_a_jog_that_is_not_asked_for_any_more_ends_by_itself(virtual: VirtualStation) -> None:
+    virtual.ready()
+    for _ in range(10):
+        virtual.loop.jog(virtual.now, "joints", np.array([0.05, 0.0, 0.0]))
+        virtual.seconds(0.1)
+    assert virtual.state is State.RUNNING
+    begin = virtual.now
+    virtual.becomes(State.READY)
+
+    assert virtual.now - begin <= ALIVE  # 0.3 s since the last word
+    virtual.seconds(0.1)
+    assert virtual.rests()
+
+
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("alone", ["go_on", "hold"])
+def test_a_run_goes_on_or_is_held_as_configured(alone: str, write) -> None:
+    with serving("--config", str(write(f'alone = "{alone}"\n'))) as station:
+        started = station.rest.post("/api/start", json=RUN, headers=OPERATOR)
+        assert started.status_code == 202, started.text
+        station.wait_for(lambda status: status["phase"] == "moving", 20.0)
+        assert station.rest.delete("/api/operator", headers=OPERATOR).status_code == 200  # what a page says when it goes
+        if alone == "hold":
+            status = station.wait_for(lambda status: status["state"] != "RUNNING", 5.0)
+            assert status["state"] == "HOLD"
+            assert "the operator has gone" in status["cause"]
+        else:
+            time.sleep(3.0)
+            assert station.status()["state"] == "RUNNING"
+
+
+def test_a_page_that_says_nothing_any_more_loses_the_lease(station: Served) -> None:
+    assert station.rest.post("/api/operator", json={"name": "Anna"}, headers=OPERATOR).status_code == 200
+    time.sleep(10.5)
+    assert station.status()["operator"]["name"] is None

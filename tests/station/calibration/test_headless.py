@@ -1,0 +1,108 @@
+"""Procedures through the control loop and the wire-level devices."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from station.calibration import commission, procedures
+from station.calibration.headless import carry_out
+from station.calibration.plan import Subject
+from station.calibration.procedure import Ask, GoTo, Guided
+from station.calibration.still_lab import StillLab
+from station.clock import VirtualClock
+from station.lab.config import HiddenConfig, LabConfig, load_lab
+from station.robots import load_robot
+
+START = np.array([0.0, math.pi / 2, -0.100])
+
+
+@pytest.fixture(scope="module")
+def subject() -> Subject:
+    return Subject.of(load_robot("paper"), START)
+
+
+def test_visits_on_the_wire_are_those_of_the_still_lab(subject):
+    """The same true robot and the same hidden errors: the two benches differ by noise and play alone."""
+    lab, seen = load_lab("uncalibrated", subject.file), []
+
+    def few(bench: Subject):
+        visits = []
+        for joints in (START + np.array([0.2, -0.15, 0.005]), START):
+            visits.append((yield GoTo(joints, 0.0, 0.0)))
+        yield Ask("Hang a weight.", 0.5, 0.5)
+        visits.append((yield GoTo(START, 0.5, 0.9)))
+        return visits
+
+    texts = []
+    seen = carry_out(few(subject), subject, lab, 4, VirtualClock(), lambda done, text: texts.append((done, text)))
+    still = StillLab(subject, lab, 4)
+
+    for visit in seen:
+        expected = still.visit(visit.joints, visit.weight)
+        np.testing.assert_allclose(visit.coil, expected.coil, rtol=0, atol=0.12e-3)
+    pulled = seen[2].wrenches - seen[1].wrenches
+    assert np.linalg.norm(pulled[:, :3].sum(axis=0)) == pytest.approx(0.5, abs=0.02)
+    assert (0.5, "Hang a weight.") in texts
+
+
+def test_latency_that_nobody_told_is_found(subject):
+    labs = [LabConfig(hidden=HiddenConfig(tracker_latency=late)) for late in (0.0, 0.020)]
+
+    found = [
+        carry_out(commission.latency(subject), subject, lab, 0, VirtualClock(), lambda done, text: None).latency
+        for lab in labs
+    ]
+
+    # The stages' own delay is in both.
+    assert found[1].latency - found[0].latency == pytest.approx(0.020, abs=4.0 * found[1].error)
+    assert found[1].error < 2e-3
+
+
+def test_a_procedure_can_be_walked_through_and_given_up(subject):
+    guided = Guided(procedures.tracker(subject, procedures.Effort(unloaded=8)))
+    still = StillLab(subject, LabConfig(), 0)
+    done = []
+    while isinstance(guided.step, GoTo) and len(done) < 3:
+        done.append(guided.done)
+        guided.answer(still.visit(guided.step.joints, 0.0))
+
+    assert done == sorted(done)
+    guided.abort()
+    assert guided.step is None
+    assert guided.result is None
+
+
+def test_ctrl_c_ends_the_command_and_leaves_nothing(tmp_path, environment):
+    command = [sys.executable, "-m", "station", "calibrate", "tubes", "--realtime", "--out", "found"]
+    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        time.sleep(8.0)
+        assert process.poll() is None, process.stderr.read()
+        os.kill(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 130
+    assert b"interrupted" in said
+    assert not (tmp_path / "found").exists()
+
+
+def test_the_command_writes_its_folder_and_says_where(command_line, tmp_path):
+    done = command_line("calibrate", "tracker", "--still", "--seed", "3", "--effort", "0.5", "--out", "found", "--json")
+
+    assert done.returncode == 0, done.stderr
+    (folder,) = (tmp_path / "found").iterdir()
+    assert {path.name for path in folder.iterdir()} == {
+        "registration.toml",
+        "report.html",
+        "report.json",
+        "visits.json",
+    }
+    assert folder.name in done.stdout.decode()

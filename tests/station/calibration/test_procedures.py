@@ -1,0 +1,196 @@
+"""The procedures from the first pose to the files, on a bench that does not know itself; the truth only judges."""
+
+import json
+import math
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.calibration.contact import locate
+from core.calibration.visits import Noise
+from core.cosserat import ExactRod
+from core.statics import Statics
+from station.calibration import commission, procedures
+from station.calibration.files import Calibration
+from station.calibration.outcome import Provenance, write_all
+from station.calibration.plan import Subject
+from station.calibration.still_lab import StillLab, carry_out
+from station.config import ConfigError
+from station.lab.config import load_lab
+from station.robots import load_robot
+
+START = np.array([0.0, math.pi / 2, -0.100])
+SEED = 5
+PROVENANCE = Provenance("tubes", "2026-01-01T00:00:00+00:00", "a lab", SEED, 100.0)
+
+
+@pytest.fixture(scope="module")
+def subject() -> Subject:
+    return Subject.of(load_robot("paper"), START)
+
+
+@pytest.fixture(scope="module")
+def bench(subject) -> StillLab:
+    return StillLab(subject, load_lab("uncalibrated", subject.file), SEED)
+
+
+@pytest.fixture(scope="module")
+def found(subject, bench) -> procedures.TubesResult:
+    return carry_out(procedures.tubes(subject, procedures.Effort()), bench)
+
+
+@pytest.fixture(scope="module")
+def folder(subject, found, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("calibration")
+    write_all(path, found, subject, PROVENANCE)
+    return path
+
+
+def test_tubes_are_found_within_the_promised_bounds(bench, found):
+    for true, new in zip(bench.true_robot.tubes, found.calibration.robot.tubes, strict=True):
+        assert new.bending_stiffness == pytest.approx(true.bending_stiffness, rel=0.02)
+        bent, fitted = (math.hypot(*tube.sections[1].curvature) for tube in (true, new))
+        assert fitted == pytest.approx(bent, rel=0.01)
+        assert new.poisson_ratio == pytest.approx(0.35, abs=0.03)
+
+
+def test_targets_on_the_path_of_fig10_are_registered_to_a_tenth_of_a_millimetre(bench, found):
+    rod, frames = ExactRod(bench.true_robot), found.calibration.frames
+    errors = []
+    for angle in np.linspace(0.0, 2.0 * np.pi, 12):
+        joints = START + np.array([0.1, 0.35, 0.010]) * math.sin(angle)
+        tip = rod.solve(bench.hidden.joints(joints), np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])).tip
+        errors.append(np.linalg.norm(frames.registration.apply(bench.said(tip)) - tip))
+    assert np.mean(errors) < 0.1e-3
+
+
+def test_loaded_poses_that_no_fit_has_seen_are_predicted_at_least_four_times_better(found):
+    assert found.held_out_believed.mean() > 4.0 * found.held_out_loaded.after.mean()
+    assert found.held_out_loaded.after.mean() < 0.2e-3
+
+
+def test_known_weights_come_out(found):
+    for known, check in found.checks:
+        assert check.magnitude == pytest.approx(known, rel=0.005)
+        assert math.degrees(check.angle) < 0.5
+
+
+def test_contacts_on_the_shaft_are_found(subject, bench, found):
+    model, random, errors = Statics(found.calibration.robot), np.random.default_rng(8), []
+    for _ in range(6):
+        joints = np.r_[random.uniform(-2.0, 2.0, 2), random.uniform(-0.11, -0.03)]
+        place, direction = random.uniform(0.05, 0.28 + joints[2]), random.standard_normal(3)
+        free = found.sensors.load(subject.robot, bench.visit(joints, 0.0))
+        visit = bench.visit(joints, 0.3, place, direction / np.linalg.norm(direction))
+        load = found.sensors.load(subject.robot, visit)
+        load = load._replace(force=load.force - free.force, moment=load.moment - free.moment)
+        contact = locate(model, joints, load, Noise(force=3e-3, moment=0.2e-3))
+        assert contact is not None
+        if contact.located:
+            errors.append(abs(contact.place - place))
+    assert len(errors) >= 4
+    assert np.median(errors) < 10e-3
+
+
+def test_the_files_are_read_back_as_what_was_found(subject, found, folder):
+    known = Calibration.load(folder, subject.file)
+
+    for written, tube in zip(known.robot.robot().tubes, found.calibration.robot.tubes, strict=True):
+        assert written.bending_stiffness == pytest.approx(tube.bending_stiffness, rel=1e-7)
+        assert written.sections[1].curvature == pytest.approx(tube.sections[1].curvature, rel=1e-6, abs=1e-8)
+        assert written.sections[0].length == pytest.approx(tube.sections[0].length, rel=1e-7)
+    assert known.robot.joints == subject.file.joints
+    np.testing.assert_allclose(known.corrections.coil, found.calibration.frames.coil, rtol=1e-7)
+    np.testing.assert_allclose(known.corrections.sensors.mounting, found.sensors.sensors.mounting, rtol=0, atol=1e-8)
+    assert known.registration is not None
+    point = np.array([10.0, -20.0, -300.0])  # a coil, in the generator's frame [mm]
+    from station.lab.simulated_aurora_coil import MOUNT
+
+    expected = found.calibration.frames.registration.apply(MOUNT.world(tuple(point)))
+    np.testing.assert_allclose(known.registration.world(tuple(point)), expected, rtol=0, atol=1e-8)
+
+
+def test_the_new_robot_carries_its_provenance_and_its_intervals(folder):
+    text = (folder / "robot.toml").read_text(encoding="utf-8")
+
+    assert "calibrate tubes" in tomllib.loads(text)["source"]
+    assert "2026-01-01" in tomllib.loads(text)["source"]
+    assert text.count("(95 %); described") >= 6
+
+
+def test_the_report_has_figures_in_itself_and_reaches_for_nothing(folder):
+    page = (folder / "report.html").read_text(encoding="utf-8")
+
+    assert page.count("data:image/svg+xml;base64,") == 3
+    assert "simulated" in page
+    assert 'src="http' not in page
+    assert 'href="http' not in page
+    numbers = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert numbers["visits"] == len(json.loads((folder / "visits.json").read_text(encoding="utf-8"))) == 98
+
+
+def test_a_folder_of_another_robot_is_refused(subject, folder):
+    other = subject.file.model_copy(update={"name": "another"})
+
+    with pytest.raises(ConfigError, match="of robot 'paper', but the robot is 'another'"):
+        Calibration.load(folder, other)
+
+
+def test_an_empty_folder_is_no_calibration(subject, tmp_path):
+    with pytest.raises(ConfigError, match=r"none of registration\.toml, sensors\.toml and robot\.toml"):
+        Calibration.load(tmp_path, subject.file)
+
+
+def test_the_tracker_alone_says_that_the_tubes_differ(subject):
+    bench = StillLab(subject, load_lab("uncalibrated", subject.file), 1)
+
+    result = carry_out(procedures.tracker(subject, procedures.Effort(unloaded=16)), bench)
+
+    assert result.registration.fit.variance_factor > 9.0
+    assert result.registration.rms > 0.2e-3
+
+
+@pytest.mark.parametrize("mirrored", [(), ("inner_rotation",), ("outer_rotation", "inner_translation")])
+def test_axes_that_run_the_other_way_are_found(subject, mirrored):
+    lab = load_lab("uncalibrated", subject.file)
+    lab = lab.model_copy(update={"hidden": lab.hidden.model_copy(update={"mirrored": mirrored})})
+
+    result = carry_out(commission.axes(subject), StillLab(subject, lab, 2))
+
+    names = [joint.name for joint in subject.robot.joints]
+    assert [name for name, sign in zip(names, result.signs.signs, strict=True) if sign < 0.0] == list(mirrored)
+
+
+def test_a_still_lab_and_the_same_seed_are_the_same_bench(subject):
+    lab = load_lab("uncalibrated", subject.file)
+    first, second = (StillLab(subject, lab, 7) for _ in range(2))
+
+    one, two = (bench.visit(START + 0.1, 0.5) for bench in (first, second))
+
+    np.testing.assert_array_equal(one.coil, two.coil)
+    np.testing.assert_array_equal(one.wrenches, two.wrenches)
+    assert first.true_robot == second.true_robot
+    assert StillLab(subject, lab, 8).true_robot != first.true_robot
+
+
+def test_a_calibration_reaches_the_controller_of_an_experiment(folder, found):
+    from station.experiments.experiment import load_experiment
+
+    case = load_experiment("fig6", {"calibration": str(folder)}).cases[0]
+
+    tube = case.controller.statics.robot.tubes[0]
+    assert tube.bending_stiffness == pytest.approx(found.calibration.robot.tubes[0].bending_stiffness, rel=1e-7)
+    assert case.robot.tubes[0].bending_stiffness == 0.0413  # the lab's true robot is made from the described one
+    assert case.controller.corrections is not None
+    assert case.registration is not None
+
+
+def test_efforts_scale():
+    effort = procedures.Effort()
+
+    assert effort.steps() == 28 + 2 * (20 + 6 + 8)
+    assert effort.scaled(0.5).unloaded == 14
+    assert replace(effort, check=0).steps() == 28 + 2 * 28

@@ -1,0 +1,83 @@
+"""A sweep's table on the screen and its folder on the disk."""
+
+import io
+import json
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from station.experiments.sweep_output import quantity, setting_words, sweep_table, write_sweep
+from station.recording.label import RecordingError
+
+
+def group(k1: float, name: str, *values: float, completed: int = 3) -> dict[str, Any]:
+    spreads = {
+        f"{name}.{axis}": {"median": value, "worst": 2 * value, "p5": 0.5 * value, "p95": 1.5 * value}
+        for axis, value in zip(("x", "y", "z") if len(values) == 3 else ("loaded", "unloaded"), values, strict=True)
+    }
+    return {"setting": {"controller.k1": k1}, "case": "hold", "runs": 3, "completed": completed, "spreads": spreads}
+
+
+def summary(*groups: dict[str, Any]) -> dict[str, Any]:
+    return {"experiment": "own", "title": "hold [it]", "completed": True, "settings": list(groups), "runs": []}
+
+
+def shown(sweep: dict[str, Any]) -> list[str]:
+    text = io.StringIO()
+    Console(file=text, width=110, markup=False).print(sweep_table(sweep))
+    return text.getvalue().splitlines()
+
+
+def test_a_line_for_each_setting_and_axis():
+    lines = shown(summary(*(group(k1, "true_max_abs_error_mm", 1.0 / k1, 0.2, 0.3) for k1 in (1.0, 4.0))))
+
+    assert any("hold [it]" in line for line in lines)
+    assert any("largest true |E| [mm] over the seeds" in line for line in lines)
+    x = next(line for line in lines if "k1 = 4.0" in line)
+    for cell in ("hold", "3 of 3", " x ", "0.250", "0.500", "0.125", "0.375"):
+        assert cell in x
+    assert sum(" y " in line for line in lines) == 2
+
+
+def test_models_where_no_tip_was_tracked():
+    lines = shown(summary(group(1.0, "model_error_mm", 2.5, 13.0)))
+
+    assert any("loaded model" in line and "2.500" in line for line in lines)
+    assert any("unloaded model" in line and "13.000" in line for line in lines)
+
+
+def test_a_setting_in_which_nothing_completed_is_still_there():
+    lines = shown(summary({**group(1.0, "rms_error_mm", 1.0, 1.0, 1.0, completed=0), "spreads": {}}))
+
+    assert any("k1 = 1.0" in line and "0 of 3" in line for line in lines)
+
+
+def test_the_true_error_goes_before_the_measured_one():
+    both = group(1.0, "true_max_abs_error_mm", 1.0, 2.0, 3.0)
+    both["spreads"] |= group(1.0, "max_abs_error_mm", 4.0, 5.0, 6.0)["spreads"]
+
+    assert quantity([both])[0] == "true_max_abs_error_mm"
+    assert quantity([group(1.0, "max_abs_error_mm", 4.0, 5.0, 6.0)])[0] == "max_abs_error_mm"
+    assert quantity([])[3] == []
+
+
+def test_settings_in_words():
+    assert setting_words({}) == "as it is"
+    assert setting_words({"controller.k1": 2.5, "lab": "default"}) == "k1 = 2.5, lab = default"
+
+
+def test_every_sweep_has_a_folder_of_its_own(tmp_path):
+    sweep = summary(group(1.0, "max_abs_error_mm", 4.0, 5.0, 6.0))
+    folders = [write_sweep(tmp_path / "out", sweep, "title = 'x'\n") for _ in range(2)]
+
+    assert len(set(folders)) == 2
+    assert json.loads((folders[0] / "sweep.json").read_text(encoding="utf-8")) == sweep
+    assert (folders[0] / "experiment.toml").read_text(encoding="utf-8") == "title = 'x'\n"
+    assert "settings" not in json.loads((folders[0] / "summary.json").read_text(encoding="utf-8"))
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(RecordingError, match="file"):
+        write_sweep(tmp_path / "file", summary(), "")

@@ -1,0 +1,120 @@
+"""Hidden errors of the virtual lab: nothing by default, of the configured size otherwise, the same for a seed."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from core.cosserat import ExactRod
+from station.config import ConfigError
+from station.lab.config import HiddenConfig, LabConfig, load_lab
+from station.lab.hidden import HANGING, Hidden
+from station.lab.loads import ConstantLoad, ContactLoad
+from station.lab.simulated_aurora_coil import MOUNT
+from station.lab.wire_lab import WireLab
+
+START = np.array([0.0, math.pi / 2, -0.100])
+ALL = HiddenConfig(
+    registration_translation=0.3e-3, registration_rotation=5e-3, coil_offset=(0.4e-3, -0.3e-3, 0.8e-3),
+    base_position=1e-3, base_rotation=0.01, rotation_zero=0.02, translation_zero=0.5e-3,
+    mirrored=("inner_rotation", "inner_translation"), tracker_latency=0.01, sensor_mounting=0.02, sensor_weight=0.1,
+)  # fmt: skip
+
+
+@pytest.fixture
+def hidden(paper):
+    return lambda config=ALL, seed=0: Hidden(paper, config, np.random.default_rng(seed))
+
+
+def test_nothing_is_hidden_by_default(paper, hidden):
+    nothing, wrenches = hidden(HiddenConfig()), np.random.default_rng(1).normal(size=(2, 6))
+
+    assert nothing.joints(START) is START
+    assert nothing.robot(paper.robot()) == paper.robot()
+    np.testing.assert_array_equal(nothing.mount(MOUNT).rotation, MOUNT.rotation)
+    np.testing.assert_array_equal(nothing.mount(MOUNT).position, MOUNT.position)
+    assert nothing.felt_as_is
+    np.testing.assert_allclose(nothing.felt(wrenches, START), wrenches, atol=1e-15)
+    assert nothing.tracker(LabConfig().tracker) == LabConfig().tracker
+
+
+def test_sizes_are_the_configured_ones_and_directions_the_seeds(hidden):
+    first, again, other = hidden(), hidden(), hidden(seed=1)
+    for each in (first, other):
+        moved = each.mount(MOUNT)
+        away = Rotation.from_matrix(moved.rotation @ MOUNT.rotation.T)
+        assert away.magnitude() == pytest.approx(5e-3)
+        shift = moved.position - away.apply(MOUNT.position)
+        assert np.linalg.norm(shift) == pytest.approx(0.3e-3)
+    np.testing.assert_array_equal(first.mount(MOUNT).rotation, again.mount(MOUNT).rotation)
+    assert not np.allclose(first.mount(MOUNT).rotation, other.mount(MOUNT).rotation, atol=1e-5)
+
+
+def test_a_mirrored_stage_runs_the_other_way_about_the_middle_of_its_travel(paper, hidden):
+    zeros = hidden(ALL.model_copy(update={"rotation_zero": 0.0, "translation_zero": 0.0}))
+
+    np.testing.assert_allclose(zeros.joints(np.array([0.3, 0.5, -0.0675])), [0.3, -0.5, -0.0675], atol=1e-12)
+    np.testing.assert_allclose(zeros.joints(np.array([0.3, 0.5, -0.1000])), [0.3, -0.5, -0.0350], atol=1e-12)
+
+
+def test_zeros_are_inside_their_bounds_and_the_outermost_tubes_is_right(hidden):
+    config = HiddenConfig(rotation_zero=0.02, translation_zero=0.5e-3)
+    zeros = np.array([hidden(config, seed).joints(START) - START for seed in range(50)])
+
+    assert (zeros[:, 0] == 0.0).all()
+    assert 0.015 < np.abs(zeros[:, 1]).max() <= 0.02
+    assert 0.4e-3 < np.abs(zeros[:, 2]).max() <= 0.5e-3
+
+
+def test_sensors_feel_the_weight_that_hangs_on_them_and_stand_askew(hidden):
+    found = hidden(HiddenConfig(sensor_mounting=0.02, sensor_weight=0.1))
+    felt = found.felt(np.zeros((2, 6)), START)
+
+    np.testing.assert_allclose(np.linalg.norm(felt[:, :3], axis=1), [0.1, 0.1], rtol=1e-12)
+    inner = Rotation.from_euler("z", -START[1]).apply([0.1, 0.0, 0.0])
+    expected = np.r_[inner, np.cross(HANGING, inner)]
+    assert 0.0 < np.abs(felt[0] - expected).max() < 0.021 * 0.1
+    assert not found.felt_as_is
+
+
+def test_the_wire_lab_turns_its_plate_and_shifts_its_coil(paper):
+    lab = LabConfig(hidden=HiddenConfig(base_rotation=0.05, base_position=2e-3, coil_offset=(0.0, 0.0, 5e-3)))
+    bench, plain = (WireLab(paper, config, 3, START, homed=True) for config in (lab, LabConfig()))
+
+    tip = bench.hidden.robot(paper.robot()).base.rotation @ plain.truth.tip
+    shift = bench.truth.tip - tip
+    assert np.linalg.norm(shift) == pytest.approx(2e-3, rel=1e-3)
+    coil = bench._coil_at - bench.truth.tip
+    assert np.linalg.norm(coil) == pytest.approx(5e-3)
+
+
+def test_a_contact_on_the_shaft_bends_the_true_robot_there_and_its_moment_is_felt(paper):
+    pull = ContactLoad(magnitude=0.3, place=0.1, direction=(0.0, 1.0, 0.0))
+    quiet = {"tubes": {}, "poisson_ratio": 0.30, "play": {}, "friction_force": 0.0, "friction_moment": 0.0}
+    config = LabConfig(plant=LabConfig().plant.model_copy(update=quiet))
+    bench = WireLab(paper, config, 0, START, homed=True)
+    bench.pull(pull, 0.0)
+    for tick in range(1, 4):
+        truth = bench.advance(0.002 * tick)
+
+    rod = ExactRod(paper.robot())
+    wrench = np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
+    expected = rod.solve(START, wrench, contact=0.1)
+    np.testing.assert_allclose(truth.tip, expected.tip, rtol=0, atol=2e-6)
+    assert np.linalg.norm(truth.tip - rod.solve(START, wrench).tip) > 5e-3
+    outer = bench._wrenches[1]  # alpha = 0 and beta = 0: its axes are the plate's
+    assert outer[1] == pytest.approx(0.3, abs=1e-9)
+    np.testing.assert_allclose(outer[3:5], expected.unknowns[:2], rtol=0, atol=1e-6)
+
+
+def test_loads_at_the_tip_say_so():
+    assert math.isinf(ConstantLoad(magnitude=1.0).contact)
+    assert ContactLoad(magnitude=1.0, place=0.05).contact == 0.05
+
+
+def test_a_mirrored_joint_that_the_robot_does_not_have_is_refused(paper, write):
+    path = write('[hidden]\nmirrored = ["elbow"]\n')
+
+    with pytest.raises(ConfigError, match=r"hidden\.mirrored: 'elbow' is no joint of robot 'paper'"):
+        load_lab(str(path), paper)
