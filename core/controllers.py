@@ -18,6 +18,7 @@ inner loop that turns it into what the joints must solve.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -66,6 +67,8 @@ class InnerLoop(Protocol):
 class VelocityMode:
     """No feedback: U_int is the trajectory's velocity."""
 
+    law = (0.0, 0.0, 1.0)  #: K1, K2 and the weight of the desired velocity, for `outer_law`
+
     def tip_velocity(self, setpoint: Setpoint, tip: Array) -> Array:  # noqa: ARG002 - open loop
         """Desired velocity, whatever the tracker says."""
         return setpoint.velocity
@@ -87,45 +90,71 @@ class PositionMode:
             if not (math.isfinite(gain) and 0.0 <= gain <= 50.0):
                 raise DescriptionError(f"{name} = {gain:g} 1/s is outside 0 ... 50 1/s")
 
+    @property
+    def law(self) -> tuple[float, float, float]:
+        """K1, K2 and the weight of the desired velocity, for `outer_law`."""
+        return self.k1, self.k2, float(self.feedforward)
+
     def tip_velocity(self, setpoint: Setpoint, tip: Array) -> Array:
         """Eq. (30)."""
-        feedforward = 1.0 if self.feedforward else 0.0
-        return _position_law(self.k1, self.k2, feedforward, setpoint.position, setpoint.velocity, tip)
+        return outer_law(*self.law, setpoint.position, setpoint.velocity, tip)
 
 
 @compiled
-def _position_law(k1: float, k2: float, feedforward: float, wanted: Array, velocity: Array, tip: Array) -> Array:
-    """Eq. (30); compiled, because numpy takes longer for the call than for the sum."""
+def outer_law(k1: float, k2: float, feedforward: float, wanted: Array, velocity: Array, tip: Array) -> Array:
+    """Eq. (30) with the desired velocity weighted: U_int (3,) [m/s]."""
     u_int = np.empty(3)
     for i in range(3):
         u_int[i] = k2 * wanted[i] - k1 * tip[i] + feedforward * velocity[i]
     return u_int
 
 
-def unloaded(u_int: Array, view: View) -> Wanted:
-    """J(q, 0) q' = U_int: the load is ignored."""
-    return Wanted(view.unloaded.jacobian[:3], u_int)
+class Equation(NamedTuple):
+    """One of the project's inner loops: an `InnerLoop` that compiled code knows by its number."""
+
+    number: int
+
+    def __call__(self, u_int: Array, view: View, /) -> Wanted:
+        """The equation the joints must solve."""
+        jacobian, velocity = np.empty((3, view.loaded.places.n)), np.empty(3)
+        inner_law(
+            self.number, u_int, view.loaded.jacobian, view.unloaded.jacobian,
+            view.deflection_rate, view.load_rate, view.drift, jacobian, velocity,
+        )  # fmt: skip
+        return Wanted(jacobian, velocity)
 
 
-def loaded(u_int: Array, view: View) -> Wanted:
-    """J(q, w) q' = U_int: the load changes the Jacobian, its own motion of the tip is ignored."""
-    return Wanted(view.loaded.jacobian[:3], u_int)
+UNLOADED, LOADED, TYPE_1, TYPE_1_EXACT, TYPE_2 = range(5)
 
 
-def type_1(u_int: Array, view: View) -> Wanted:
-    """Eq. (24), J(q, 0) q' = U_int - d(Delta_total)/dt."""
-    return Wanted(view.unloaded.jacobian[:3], u_int - view.deflection_rate)
+@compiled
+def inner_law(
+    number: int, u_int: Array, loaded: Array, unloaded: Array,
+    deflection_rate: Array, load_rate: Array, drift: Array, jacobian: Array, velocity: Array,
+) -> None:  # fmt: skip
+    """The equations of the inner loops, into the last two; `loaded` and `unloaded` are Jacobians (6, n)."""
+    for i in range(3):
+        for j in range(jacobian.shape[1]):
+            jacobian[i, j] = unloaded[i, j] if number in (UNLOADED, TYPE_1) else loaded[i, j]
+        velocity[i] = u_int[i]
+        if number == TYPE_1:
+            velocity[i] -= deflection_rate[i]
+        elif number == TYPE_1_EXACT:
+            velocity[i] -= load_rate[i]
+        elif number == TYPE_2:
+            velocity[i] -= load_rate[i] + drift[i]
 
 
-def type_1_exact(u_int: Array, view: View) -> Wanted:
-    """J(q, w) q' = U_int - C w': eq. (21) solved for q', equal to (24) with an exact Delta_total."""
-    return Wanted(view.loaded.jacobian[:3], u_int - view.load_rate)
-
-
-def type_2(u_int: Array, view: View) -> Wanted:
-    """Eq. (29), J(q, w) q' = U_int - (X' - J(q, w) q'): whatever moves the tip besides the joints."""
-    return Wanted(view.loaded.jacobian[:3], u_int - (view.load_rate + view.drift))
-
+#: J(q, 0) q' = U_int: the load is ignored.
+unloaded = Equation(UNLOADED)
+#: J(q, w) q' = U_int: the load changes the Jacobian, its own motion of the tip is ignored.
+loaded = Equation(LOADED)
+#: Eq. (24), J(q, 0) q' = U_int - d(Delta_total)/dt.
+type_1 = Equation(TYPE_1)
+#: J(q, w) q' = U_int - C w': eq. (21) solved for q', equal to (24) with an exact Delta_total.
+type_1_exact = Equation(TYPE_1_EXACT)
+#: Eq. (29), J(q, w) q' = U_int - (X' - J(q, w) q'): whatever moves the tip besides the joints.
+type_2 = Equation(TYPE_2)
 
 #: Inner loops of strategies (c) and (d) by name.
 INNER_LOOPS: dict[str, InnerLoop] = {"type_1": type_1, "type_1_exact": type_1_exact, "type_2": type_2}
@@ -137,6 +166,13 @@ class Strategy:
 
     outer: OuterLoop
     inner: InnerLoop
+
+    @cached_property
+    def laws(self) -> tuple[float, float, float, int] | None:
+        """What `core.command` is told of the project's own loops; None for loops of one's own."""
+        if isinstance(self.outer, VelocityMode | PositionMode) and isinstance(self.inner, Equation):
+            return (*self.outer.law, self.inner.number)
+        return None
 
 
 #: Strategies by name; each takes the gains of the outer loop and the inner loop and uses what it has.

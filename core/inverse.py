@@ -56,7 +56,7 @@ def inverse(
 
     """
     rows = _no_rows(speed.shape[0]) if rows is None else rows
-    velocity, sigma, at_bound, at_row, finite = _inverse(
+    velocity, sigma, at_bound, at_row, finite = inverse_law(
         jacobian, wanted, speed, lower, upper, rows, room, SIGMA_FLOOR, HUNTING
     )
     if not finite:
@@ -91,7 +91,7 @@ def _inverse_at(
 ) -> tuple[Array, Array, Array, Array, bool]:  # fmt: skip
     speed = limits[2, : joints.shape[0]]
     lower, upper = velocity_bounds(joints, limits)
-    return _inverse(jacobian, wanted, speed, lower, upper, rows, room, least_floor, hunting)
+    return inverse_law(jacobian, wanted, speed, lower, upper, rows, room, least_floor, hunting)
 
 
 @cache
@@ -100,7 +100,7 @@ def _no_rows(joints: int) -> Array:
 
 
 @compiled
-def _inverse(
+def inverse_law(
     jacobian: Array,
     wanted: Array,
     speed: Array,

@@ -89,7 +89,5 @@ def _perceive(
     unloaded = newton(packed, order, sublink, joints, nothing, near_unloaded, math.inf, 1, CLOSE_ENOUGH, tubes, columns)
     if not (loaded[-1] > 0.0 and unloaded[-1] > 0.0):
         return load, loaded, unloaded, last, False
-    now = estimate(
-        settings, len(tubes), loaded, unloaded, near_loaded, near_unloaded, last, load[:3], sent, frame, age
-    )
+    now = estimate(settings, len(tubes), loaded, unloaded, near_loaded, near_unloaded, last, load[:3], sent, frame, age)
     return load, loaded, unloaded, now, True

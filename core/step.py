@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from core.command import follow
 from core.controllers import Strategy, View
 from core.corrections import Corrections
 from core.errors import NotFinite
@@ -83,6 +84,11 @@ class Controller:
         """Time between ticks [s]."""
         return self.estimator.filter.period
 
+    @property
+    def lead(self) -> float:
+        """Time from a command to its effect, on average [s]."""
+        return self.estimator.actuation.lead
+
     def tare(self, readings: Array, joints: Array) -> Array:
         """Zero of the base sensors (q, 6) from readings (q, 6) without load at joints (n,)."""
         if self.corrections is None:
@@ -139,22 +145,30 @@ def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint
     loaded, unloaded = now.loaded, now.unloaded
     tip = memory.tip if sample.tip is None else sample.tip
 
+    at_row = _NO_ROOM
     if isinstance(order, Setpoint):
-        setpoint, u_int = order, _outer(controller, order, now, tip, memory.origin)
-        rate = now.deflection_rate_exact if controller.exact_rate else now.deflection.rate
-        view = View(loaded, unloaded, rate, now.load_rate, now.drift)
-        jacobian, velocity = controller.strategy.inner(u_int, view)
-        rows, room = None, _NO_ROOM
-        if limits.others:
-            rows, room = limits.rows(Situation(sample.joints, loaded.jacobian[:3], now.observed.tip, load.force))
-        command, sigma, at_bound, at_row = inverse_at(limits, sample.joints, jacobian, velocity, rows, room)
+        setpoint, laws = order, controller.strategy.laws
+        if laws is not None and not limits.others:
+            lead, seen = (controller.lead, None) if controller.observes else (0.0, tip)
+            command, u_int, sigma, at_bound = follow(
+                laws, lead, controller.exact_rate, limits, sample.joints, now, order, seen, memory.origin
+            )
+        else:
+            u_int = _outer(controller, order, now, tip, memory.origin)
+            rate = now.deflection_rate_exact if controller.exact_rate else now.deflection.rate
+            view = View(loaded, unloaded, rate, now.load_rate, now.drift)
+            jacobian, velocity = controller.strategy.inner(u_int, view)
+            rows, room = None, _NO_ROOM
+            if limits.others:
+                rows, room = limits.rows(Situation(sample.joints, loaded.jacobian[:3], now.tip, load.force))
+            command, sigma, at_bound, at_row = inverse_at(limits, sample.joints, jacobian, velocity, rows, room)
     else:
         # Nothing is asked of the tip: it is where it should be.
         setpoint, u_int = Setpoint(tip - memory.origin, np.zeros(3)), np.zeros(3)
         lower, upper = limits.velocity_bounds(sample.joints)
         asked = np.zeros(sample.joints.size) if order is None else order.velocity
         command = np.minimum(np.maximum(asked, lower), upper)
-        sigma, at_bound, at_row = np.zeros(min(3, asked.size)), np.sign(asked - command), _NO_ROOM
+        sigma, at_bound = np.zeros(min(3, asked.size)), np.sign(asked - command)
     finite = sample.tip is None or math.isfinite(tip @ tip)  # an older one has been looked at
     if not (finite and math.isfinite(command @ command)):
         raise NotFinite(f"joint velocities {command.tolist()} at measured tip {tip.tolist()} m are not finite")
@@ -175,8 +189,7 @@ def _outer(controller: Controller, order: Setpoint, now: Estimate, tip: Array, o
     """U_int (3,) [m/s]."""
     if not controller.observes:
         return controller.strategy.outer.tip_velocity(order, tip - origin)
-    lead = controller.estimator.actuation.lead
-    aim = Setpoint(order.position + lead * order.velocity, order.velocity)
+    aim = Setpoint(order.position + controller.lead * order.velocity, order.velocity)
     return controller.strategy.outer.tip_velocity(aim, now.tip_ahead - origin)
 
 

@@ -5,6 +5,7 @@ A message names the file, the key, the value and what was expected. Values are S
 
 import math
 import os
+import re
 import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
@@ -14,6 +15,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from core.errors import CtrError
+from station.toml_lines import line_of
 
 
 class ConfigError(CtrError):
@@ -95,7 +97,32 @@ def preset(kind: str, name: str) -> Path:
     return presets[name]
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+class Document(dict[str, Any]):
+    """A file's table, and its text for the line that a message is about."""
+
+    text: str = ""
+
+
+def on_line(table: Mapping[str, Any], message: str, within: str = "") -> str:
+    """Where in a file what a message complains about stands: ` (line 7)`; empty when that is not known.
+
+    Args:
+        table: of the file, as `read_toml` gives it.
+        message: begins with the key, or with `unknown key` and the key.
+        within: a table of the file to look in first.
+    """
+    text = table.text if isinstance(table, Document) else ""
+    key = _LEADING_KEY.match(message)
+    if key is None or not text:
+        return ""
+    line = (line_of(text, f"{within}.{key[1]}") if within else None) or line_of(text, key[1])
+    return "" if line is None else f" (line {line})"
+
+
+_LEADING_KEY = re.compile(r"(?:unknown key )?'?([\w.-]*\w)")
+
+
+def read_toml(path: Path) -> Document:
     """The file's table.
 
     Raises:
@@ -108,14 +135,22 @@ def read_toml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not UTF-8 text: {error}") from None
     try:
-        return tomllib.loads(text)
+        document = Document(tomllib.loads(text))
     # A number of 5000 digits is a plain ValueError, a deep nest of brackets a RecursionError.
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    document.text = text
+    return document
 
 
-def check(model: type[Model], table: Mapping[str, Any], source: str) -> Model:
-    """`table` as a `model`.
+def check(
+    model: type[Model],
+    table: Mapping[str, Any],
+    source: str,
+    document: Mapping[str, Any] | None = None,
+    within: str = "",
+) -> Model:
+    """`table` as a `model`; it comes from a file that is `document`, as `on_line` takes it, if it is not one itself.
 
     Raises:
         ConfigError: the first wrong key, its value and what was expected; `source` is the file.
@@ -123,9 +158,10 @@ def check(model: type[Model], table: Mapping[str, Any], source: str) -> Model:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise ConfigError(f"{source}: {explain(error, table)}") from None
+        text = explain(error, table)
     except CtrError as error:
-        raise ConfigError(f"{source}: {error}") from None
+        text = str(error)
+    raise ConfigError(f"{source}: {text}{on_line(table if document is None else document, text, within)}")
 
 
 def explain(error: ValidationError, table: Mapping[str, Any]) -> str:

@@ -7,7 +7,7 @@ from pydantic import Field
 from core.errors import CtrError
 from core.limits import ForceLimit, JointLimit, Limit, Limits, TubeOrder, Workspace
 from core.robot import Base, Joint, Robot, Section, Tube
-from station.config import ConfigError, Name, Positive, Row, Strict, Vector, check, preset, read_toml
+from station.config import ConfigError, Name, Positive, Row, Strict, Vector, check, on_line, preset, read_toml
 
 
 class SectionFile(Strict):
@@ -159,5 +159,5 @@ def load_robot(name: str) -> RobotFile:
         file.robot()
         file.limits()
     except CtrError as error:
-        raise ConfigError(f"{path}: {error}") from None
+        raise ConfigError(f"{path}: {error}{on_line(table, str(error))}") from None
     return file

@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr
 
 from core.errors import CtrError
-from station.config import ConfigError, Strict, check, read_toml, use_experiments
+from station.config import ConfigError, Strict, check, on_line, read_toml, use_experiments
 from station.control_process import Bench
 from station.devices.config import DevicesFile
 from station.devices.open_devices import plan
@@ -52,6 +52,7 @@ class StationFile(Strict):
     """what a run does when its operator has gone: closed the page, or said nothing for 10 s"""
     experiments: ExperimentsFile = ExperimentsFile()
     _source: str = PrivateAttr("the default station")
+    _table: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 
     def bench(self) -> Bench:
         """What the control process needs, all of it checked.
@@ -71,7 +72,7 @@ class StationFile(Strict):
                 plan(bench, robot)
             snaps = check_design(robot, self.margins)
         except CtrError as error:
-            raise ConfigError(f"{self._source}: {error}") from None
+            raise ConfigError(f"{self._source}: {error}{on_line(self._table, str(error))}") from None
         return Bench(
             robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns, bench,
             self.margins, alone=self.alone, warnings=(snaps,) if snaps else (),
@@ -86,8 +87,9 @@ def load_station(path: Path | None) -> StationFile:
     """
     if path is None:
         return StationFile()
-    file = check(StationFile, read_toml(path), str(path))
-    file._source = str(path)
+    table = read_toml(path)
+    file = check(StationFile, table, str(path))
+    file._source, file._table = str(path), table
     if file.experiments.folder is not None:
         use_experiments(path.parent / file.experiments.folder)
     return file

@@ -118,7 +118,9 @@ def kill_station(data: Path, victim: str, after: float) -> Left:
             station.process.wait()
             psutil.wait_procs(everybody, 20.0)
     recover(data)
-    (folder,) = (path for path in data.iterdir() if path.is_dir())
+    recordings = sorted(data.glob("*/run.mcap*"))
+    assert len(recordings) == 1, [str(path) for path in data.rglob("*")]
+    (folder,) = (path.parent for path in recordings)
     with open_case(folder / "run.mcap") as left:
         assert left.label is Label.INTERRUPTED
         rows = np.concatenate(list(left.blocks()))

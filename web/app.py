@@ -1,5 +1,6 @@
 """The application: audit, access checks, page, REST and the proxied scene on one port."""
 
+import asyncio
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
@@ -18,6 +19,7 @@ from station.desk import Desk
 from station.recording.history import History
 from station.states import RefusedError
 from web.access import Access
+from web.alone import tell_when_alone
 from web.api import api_routes
 from web.audited import Audited
 from web.bench_api import bench_routes
@@ -49,7 +51,9 @@ def build_app(desk: Desk, view: View, runs: Path, audit: Audit, host: str, port:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        alone = asyncio.create_task(tell_when_alone(of.lease, desk.supervisor))
         yield
+        alone.cancel()
         await app.state.scene.aclose()
         stopping.shutdown()
 

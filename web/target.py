@@ -16,6 +16,8 @@ from station.motions import WaypointsMotion
 SPEED, SHORTEST = 0.008, 2.0
 #: Where the joints are too slow the way is tried again in so many times the time.
 SLOWER = (1.0, 2.0, 4.0)
+#: No way is longer [m]: what is tried on the model has an end.
+FARTHEST = 0.35
 #: Held at the place afterwards [s].
 STAY = 3.0
 
@@ -39,7 +41,10 @@ def way_to(target: Array, statics: Statics, limits: Limits, joints: Array, tip: 
         force: on the tip now, and taken to stay (3,) [N].
     """
     offset = target - tip
-    shortest = max(SHORTEST, float(np.linalg.norm(offset)) / SPEED)
+    distance = float(np.linalg.norm(offset))
+    if not distance <= FARTHEST:
+        return Way(None, 0.0, f"{1e3 * distance:.0f} mm away, more than {1e3 * FARTHEST:.0f} mm")
+    shortest = max(SHORTEST, distance / SPEED)
     reason = ""
     for slower in SLOWER:
         time = slower * shortest

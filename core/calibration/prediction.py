@@ -6,6 +6,9 @@ p is the coil in the tracker's frame, (R, t) the registration, x and A tip and f
 tube by the model, c the coil in that frame. R is turned about the middle of the visited points, so that rotation
 and translation do not get in each other's way. A coil that tells directions adds R a_k - A d for each.
 
+A drive with play stays behind by half of it: q_k is the stage's position less half the play, times the way the joint
+came (`Visit.came`). With tubes to be found the plays are found, too; otherwise they add to the noise.
+
 The load is measured, too: its error reaches the residual through the compliance, so that a visit counts with
 sigma_p^2 1 + sigma_F^2 C C^T.
 """
@@ -27,6 +30,8 @@ from core.statics import Statics
 
 #: How far frames may be off before it matters [rad, m]; the coil sits within a few millimetres of the tip.
 FRAME_ANGLE, FRAME_PLACE, COIL = 1e-2, 1e-3, 3e-3
+#: Play of a drive that is expected beforehand [rad, m].
+PLAY = {"rad": 3e-3, "m": 50e-6}
 #: What is known of the coil's direction beforehand [rad].
 COIL_TILT = 0.2
 
@@ -41,7 +46,11 @@ class Frames(NamedTuple):
 
 @dataclass(frozen=True)
 class Prediction:
-    """The fit's problem: parameters are tubes' quantities, then 3 + 3 of the registration, 3 of the coil, its tilt."""
+    """The fit's problem.
+
+    Parameters are the tubes' quantities and, if there are any, the joints' plays; then 3 + 3 of the registration, 3
+    of the coil, and its tilt if it tells directions.
+    """
 
     robot: Robot
     what: tuple[Quantity, ...]
@@ -57,7 +66,8 @@ class Prediction:
         frames += [Parameter(f"frame position {axis}", "m", FRAME_PLACE) for axis in "xyz"]
         frames += [Parameter(f"coil {axis}", "m", COIL, COIL) for axis in "xyz"]
         frames += [Parameter(f"coil tilt {axis}", "rad", COIL_TILT, COIL_TILT) for axis in "xyz"[: self._tilts]]
-        return (*(quantity.parameter(self.robot) for quantity in self.what), *frames)
+        plays = [Parameter(f"{j.name} play", j.unit, PLAY[j.unit], PLAY[j.unit]) for j in self.robot.joints]
+        return (*(quantity.parameter(self.robot) for quantity in self.what), *plays[: self._plays], *frames)
 
     def residuals(self, values: Array) -> Array:
         """(3 m,) in standard deviations; with directions, 3 more for each."""
@@ -66,7 +76,7 @@ class Prediction:
     def jacobian(self, values: Array) -> Array:
         """By the quantities: central differences of the solved model; by the frames: in closed form."""
         columns: list[Array] = []
-        for k, parameter in enumerate(self.parameters[: len(self.what)]):
+        for k, parameter in enumerate(self.parameters[: self._first]):
             half = np.zeros_like(values)
             half[k] = 1e-3 * parameter.size
             up, down = (self._errors(v, self.solutions(v)) for v in (values + half, values - half))
@@ -75,7 +85,7 @@ class Prediction:
         frames = self.frames(values)
         solved = self.solutions(values)
         turned = self._turned(values)
-        turning = rotation_of(values[len(self.what) : len(self.what) + 3])
+        turning = rotation_of(values[self._first : self._first + 3])
         for k in range(6):
             place, direction = np.zeros((len(solved), 3)), np.zeros_like(self._directions)
             if k < 3:
@@ -83,8 +93,8 @@ class Prediction:
                 step = np.zeros(3)
                 step[k] = 1e-6
                 rate = (
-                    rotation_of(values[len(self.what) : len(self.what) + 3] + step) @ turning.T
-                    - rotation_of(values[len(self.what) : len(self.what) + 3] - step) @ turning.T
+                    rotation_of(values[self._first : self._first + 3] + step) @ turning.T
+                    - rotation_of(values[self._first : self._first + 3] - step) @ turning.T
                 ) / 2e-6
                 place = turned @ rate.T
                 direction = (self._directions @ frames.registration.rotation.T) @ rate.T
@@ -102,7 +112,7 @@ class Prediction:
 
     def frames(self, values: Array) -> Frames:
         """Registration and coil at parameters (p,)."""
-        own = values[len(self.what) :]
+        own = values[self._first :]
         rotation = rotation_of(own[:3])
         base = self.start.registration
         position = rotation @ (base.position - self.middle) + self.middle + own[3:6]
@@ -116,17 +126,27 @@ class Prediction:
 
     def solutions(self, values: Array) -> list[Solution]:
         """The model at every visit."""
-        model = Statics(self.tubes(values), integrator="fourth_order")
-        near = self._nominal
+        model, play = Statics(self.tubes(values), integrator="fourth_order"), values[len(self.what) : self._first]
         found: list[Solution] = []
         for k, visit in enumerate(self.visits):
             wrench = np.concatenate((self.forces[k], np.zeros(3)))
-            found.append(model.solve(visit.joints, wrench, near[k] if near else None))
+            behind = 0.5 * play * visit.came if self._plays and visit.came is not None else 0.0
+            found.append(model.solve(visit.joints - behind, wrench, self._nominal[k]))
         return found
 
     def errors(self, values: Array) -> Array:
         """Measured minus predicted coil (m, 3), robot's frame [m]."""
         return self._errors(values, self.solutions(values))[0]
+
+    @property
+    def _plays(self) -> int:
+        """How many plays are asked for."""
+        return len(self.robot.joints) if self.what and any(visit.came is not None for visit in self.visits) else 0
+
+    @property
+    def _first(self) -> int:
+        """Where the frames' parameters begin."""
+        return len(self.what) + self._plays
 
     @cached_property
     def _nominal(self) -> list[Solution]:
@@ -176,7 +196,7 @@ class Prediction:
 
     def _turned(self, values: Array) -> Array:
         """Measured coils (m, 3) in the robot's frame, from the middle about which R turns."""
-        own = values[len(self.what) :]
+        own = values[self._first :]
         return (self.start.registration.apply(self._coils) - self.middle) @ rotation_of(own[:3]).T
 
     def _errors(self, values: Array, solved: Sequence[Solution]) -> tuple[Array, Array]:

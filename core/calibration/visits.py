@@ -16,6 +16,7 @@ class Visit(NamedTuple):
     coil: Array  #: (3,) in the tracker's frame [m]
     wrenches: Array  #: (q, 6) in the sensors' axes, untared [N, N m]
     weight: float | None  #: known to hang at the tip, 0 for nothing; None: an unknown load [N]
+    came: Array | None = None  #: (n,) -1, 0, 1: which way each joint moved last; a drive with play is behind
     axes: Array | None = None  #: (1, 3) or (3, 3) directions of the coil, tracker's frame: its axis, or x, y, z
 
 

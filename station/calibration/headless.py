@@ -68,7 +68,7 @@ def carry_out(
     loop = ControlLoop(BEST.controller(subject.file), devices)
     loop.connect(0.0)
     rows: list[Array] = []
-    tick, free_from, under_way = 0, 0.0, False
+    tick, free_from, under_way, at = 0, 0.0, False, subject.start
     with interrupts() as interrupted:
         while (step := guided.step) is not None:
             now = tick * PERIOD
@@ -84,7 +84,9 @@ def carry_out(
                 raise AbortedError(f"stopped after {100.0 * step.done:.0f} %: {loop.cause or bench.trouble}")
             if loop.state is State.READY and now >= free_from:
                 if under_way:
-                    guided.answer(_answer(loop.channels, np.array(rows), step))
+                    answer = _answer(loop.channels, np.array(rows), step, at)
+                    at = answer.joints if isinstance(answer, Visit) else answer.joints[-1]
+                    guided.answer(answer)
                     rows, under_way = [], False
                     progress(guided.done, "")
                 elif isinstance(step, Ask):
@@ -121,8 +123,8 @@ def _counts(loop: ControlLoop, now: float, step: GoTo | Ask | Swing) -> bool:
     return progress is not None and loop.phase is Phase.SETTLING and now >= progress.settle_start + SETTLE
 
 
-def _answer(channels: Channels, rows: Array, step: GoTo | Ask | Swing) -> Visit | Swung:
-    """Averages of rows (m, channels) at rest, or what was recorded of a swing.
+def _answer(channels: Channels, rows: Array, step: GoTo | Ask | Swing, before: Array) -> Visit | Swung:
+    """Averages of rows (m, channels) at rest, or what was recorded of a swing; `before` (n,) is where it came from.
 
     Raises:
         AbortedError: the tracker saw nothing meanwhile.
@@ -139,4 +141,5 @@ def _answer(channels: Channels, rows: Array, step: GoTo | Ask | Swing) -> Visit 
         return Swung(times, joints, measured[inside], coils[inside])
     wrenches = channels.of(rows, "wrench_raw").mean(axis=0).reshape(-1, 6)
     weight = step.weight if isinstance(step, GoTo) else None
-    return Visit(float(times.mean()), joints[-1].copy(), coils.mean(axis=0), wrenches, weight)
+    came = np.sign(joints[-1] - before)
+    return Visit(float(times.mean()), joints[-1].copy(), coils.mean(axis=0), wrenches, weight, came)

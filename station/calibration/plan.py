@@ -12,9 +12,8 @@ from station.robots import RobotFile
 
 #: Poses to choose from.
 CANDIDATES = 300
-#: Standard deviations of a visit: 60 tracker frames and 750 samples of each force sensor, and what a drive's play
-#: moves the tip by.
-NOISE = Noise(coil=0.03e-3, axes=2e-3, force=1.5e-3, moment=0.05e-3)
+#: Standard deviations of a visit: 60 tracker frames and 750 samples of each force sensor.
+NOISE = Noise(coil=0.016e-3, axes=2e-3, force=1.2e-3, moment=0.05e-3)
 
 
 @dataclass(frozen=True)

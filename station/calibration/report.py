@@ -50,7 +50,7 @@ def _parts(what: str, result: Result, subject: Subject, facts: Sequence[tuple[st
     ]
     yield document.table(("", "before", "found", "95 %"), listed)
     for drawn in _figures(result):
-        style.stamp(drawn.figure, "simulated bench")
+        style.finish(drawn.figure, "simulated bench")
         yield document.picture(rendered.data_uri(drawn), drawn.alt, drawn.title, drawn.caption)
 
 

@@ -65,8 +65,10 @@ class StillLab:
         state = self._plant.advance(self.hidden.joints(joints), pull, contact)
         way = float(np.abs((joints - self._at) / self._subject.limits.speed).max()) / approach.SPEED
         self.time += way + SETTLE + 0.5 * AVERAGE
+        came = np.sign(joints - self._at)
         self._at = joints.copy()
-        visit = Visit(self.time, joints.copy(), self._seen(state.truth.tip), self._felt(state.wrenches), weight)
+        seen, felt = self._seen(state.truth.tip), self._felt(state.wrenches)
+        visit = Visit(self.time, joints.copy(), seen, felt, weight, came)
         self.time += 0.5 * AVERAGE
         return visit
 

@@ -156,6 +156,11 @@ def _tubes(result: TubesResult, described: Robot) -> list[Row]:
         else:
             text = f"{math.degrees(value):.2f}"
             found.append(Row(f"{tube.name} zero angle", "0", text, f"{math.degrees(half):.2g} deg"))
+    for parameter in fit.parameters:
+        if parameter.name.endswith(" play"):
+            factor, unit = (1e6, "um") if parameter.unit == "m" else (180.0 / math.pi, "deg")
+            value, half = factor * fit.value(parameter.name), factor * fit.interval(parameter.name)
+            found.append(Row(parameter.name, "0", f"{value:.2g}", f"{half:.2g} {unit}"))
     return found
 
 

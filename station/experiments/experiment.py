@@ -17,7 +17,7 @@ from core.robot import Array
 from core.statics import PAPER_SUBLINK, Statics
 from core.step import Controller
 from station.calibration.files import Calibration
-from station.config import ConfigError, Name, NotNegative, Row, Strict, check, merged, preset, read_toml
+from station.config import ConfigError, Name, NotNegative, Row, Strict, check, merged, on_line, preset, read_toml
 from station.devices.aurora_tracker import Registration
 from station.lab.config import LabConfig, load_lab
 from station.lab.faults import LabFault, check_faults
@@ -157,15 +157,16 @@ def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Expe
     variations = check(_CasesTable, {"cases": table.pop("cases", {})}, str(path)).cases or {path.stem: {}}
     cases: list[Case] = []
     for case, variation in variations.items():
-        cases.append(_case(path, case, merged(merged(table, variation), changes or {})))
+        cases.append(_case(path, case, merged(merged(table, variation), changes or {}), table))
     if unknown := [case for case in paper if case not in variations]:
         raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
     return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, path.read_text(encoding="utf-8"))
 
 
-def _case(path: Path, name: str, table: Mapping[str, Any]) -> Case:
-    source = f"{path}: case '{name}'"
-    file = check(CaseFile, _paths_beside(path, table), source)
+def _case(path: Path, name: str, table: Mapping[str, Any], document: Mapping[str, Any]) -> Case:
+    """One case, whose settings are in `table`, of the file that is `document`."""
+    source, within = f"{path}: case '{name}'", f"cases.{name}"
+    file = check(CaseFile, _paths_beside(path, table), source, document, within)
     robot = load_robot(file.robot)
     lab = load_lab(file.lab, robot)
     try:
@@ -185,7 +186,7 @@ def _case(path: Path, name: str, table: Mapping[str, Any]) -> Case:
         held = isinstance(controller.strategy.outer, PositionMode) and not isinstance(file.load, NoLoad)
         orders.check(controller, start, file.duration, file.load.force if held else None)
     except CtrError as error:
-        raise ConfigError(f"{source}: {error}") from None
+        raise ConfigError(f"{source}: {error}{on_line(document, str(error), within)}") from None
     registration = None if calibration is None else calibration.registration
     return Case(name, file, robot, lab, controller, orders, start, registration)
 

@@ -78,11 +78,14 @@ class CaseReader:
         Raises:
             RecordingError: a chunk is damaged.
         """
+        topic = self._topics[TOPIC]
         for index in sorted(self._summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
+            if topic not in index.message_index_offsets:
+                continue  # pictures or events only
             with _undamaged(self._path):
                 self._file.seek(index.chunk_start_offset + HEAD)
                 stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(self._file)), validate_crc=True)
-                rows = _rows(stream.read(length), self._topics[TOPIC], len(self.channels))
+                rows = _rows(stream.read(length), topic, len(self.channels))
             yield rows
 
     def events(self) -> tuple[Event, ...]:

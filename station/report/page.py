@@ -71,11 +71,10 @@ def _sweep(folder: Path, out: Path | None) -> Iterator[str]:
 
 
 def _shown(drawn: Drawn, origin: str, out: Path | None) -> str:
-    style.stamp(drawn.figure, origin)
-    source = rendered.data_uri(drawn)  # first: laying out for another format moves things by a hair
+    style.finish(drawn.figure, origin)
     if out is not None:
         rendered.write_files(drawn, out)
-    return document.picture(source, drawn.alt, drawn.title, drawn.caption)
+    return document.picture(rendered.data_uri(drawn), drawn.alt, drawn.title, drawn.caption)
 
 
 def written(text: str, path: Path) -> Path:

@@ -88,13 +88,21 @@ def stacked(labels: Sequence[str], *, height: float = 1.35, across: str = "time 
     return figure, axes
 
 
-def stamp(figure: Figure, text: str) -> None:
-    """Say on the figure itself, on a line of its own at the bottom, where its data come from."""
+def finish(figure: Figure, text: str) -> None:
+    """Say on the figure itself, on a line of its own at the bottom, where its data come from, and lay it out for good.
+
+    All formats show the same layout, and the same data give the same file: the solver's last digits are cut off.
+    """
     engine = figure.get_layout_engine()
     if isinstance(engine, ConstrainedLayoutEngine):
         height = STAMP / figure.get_figheight()
         engine.set(rect=(0.0, height, 1.0, 1.0 - height))
     figure.text(0.998, 0.004, text, ha="right", va="bottom", fontsize=6.5, color=GREY)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for axes in figure.axes:
+        left, bottom, width, height = np.round(axes.get_position().bounds, 5).tolist()
+        axes.set_position((left, bottom, width, height))
 
 
 def draw(axes: Axes, times: Array, values: Array, look: Look, *, label: bool = True) -> None:

@@ -1,12 +1,13 @@
 """One tick: what goes in comes out as an estimate and a command, purely, and never as a NaN."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from core.actuation import Actuation
-from core.controllers import strategy
+from core.controllers import INNER_LOOPS, STRATEGIES, Strategy, strategy
 from core.cosserat import ExactRod
 from core.deflection import RateFilter
 from core.errors import CtrError, NotFinite
@@ -241,3 +242,25 @@ def test_a_setpoint_that_is_not_finite_gives_no_tick(paper_robot):
 def test_nothing_begins_without_a_finite_frame(paper_robot, tip):
     with pytest.raises(NotFinite, match="tracker frame is needed"):
         begin(controller(paper_robot), Plant(paper_robot).sample()._replace(tip=tip))
+
+
+@pytest.mark.parametrize("observes", [False, True])
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize("inner", INNER_LOOPS)
+def test_loops_of_one_s_own_command_what_the_project_s_own_do(paper_robot, name, inner, exact, observes):
+    usual = controller(paper_robot, name, inner, observes, lag=0.012, exact=exact)
+    own = replace(usual, strategy=Strategy(usual.strategy.outer, lambda u, view: usual.strategy.inner(u, view)))
+    assert own.strategy.laws is None
+    plant = Plant(paper_robot)
+    plant.force = np.array([0.1, 0.05, 0.0])
+    memory = begin(usual, plant.sample())
+    for _ in range(5):
+        plant.force += np.array([0.01, 0.0, 0.0])
+        memory = step(usual, memory, plant.sample(), HERE).memory
+    order = Setpoint(np.array([1e-3, -2e-3, 3e-3]), np.array([2e-3, 0.0, 1e-3]))
+    first, second = (step(each, memory, plant.sample(), order) for each in (usual, own))
+
+    np.testing.assert_allclose(first.command, second.command, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(first.u_int, second.u_int, rtol=1e-12)
+    np.testing.assert_allclose(first.sigma, second.sigma, rtol=1e-9)

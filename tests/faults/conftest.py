@@ -1,10 +1,12 @@
 """What the tests of faults share: a bench in virtual time, and a real station."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
 from station.experiments.experiment import Case
+from station.robots import RobotFile, load_robot
 from tests.faults.virtual import VirtualStation, usual_case
 from tests.serving import Served, serving
 
@@ -30,3 +32,20 @@ def running() -> Iterator[Served]:
 def station(running: Served) -> Served:
     running.ready()
     return running
+
+
+@pytest.fixture(scope="session")
+def paper() -> RobotFile:
+    return load_robot("paper")
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str], Path]:
+    """Write a TOML file and say where it is."""
+
+    def write(text: str) -> Path:
+        path = tmp_path / "own.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write

@@ -62,7 +62,7 @@ const shown = (value) => value !== null && typeof value === "object"
 
 function device(one) {
   const light = make("i", { className: "light", "data-severity": one.condition === "connected" ? one.severity : Math.max(1, one.severity), style: "display:inline-block" });
-  const rows = Object.entries(one.details).map(([key, value]) => make("tr", {}, make("td", {}, key.replaceAll("_", " ")), make("td", {}, shown(value))));
+  const rows = Object.entries(one.details).map(([key, value]) => make("tr", {}, make("td", {}, key.replaceAll("_", " ")), make("td", { className: "any" }, shown(value))));
   const details = make("details", { open: opened.has(one.name) }, make("summary", {}, "details"), make("table", {}, ...rows));
   details.addEventListener("toggle", () => { if (details.open) opened.add(one.name); else opened.delete(one.name); });
   return make("fieldset", {}, make("legend", {}, one.name), make("div", {}, light, " ", make("b", {}, one.condition), " ", one.text), details);
@@ -74,7 +74,7 @@ async function refresh() {
   try {
     const all = await ask("GET", "/api/devices", undefined, 1000);
     list.replaceChildren(...all.devices.map(device));
-    raw.replaceChildren(...Object.entries(all.raw).map(([name, value]) => make("tr", {}, make("td", {}, name), make("td", { className: "number live" }, value.toFixed(6)))));
+    raw.replaceChildren(...Object.entries(all.raw).map(([name, value]) => make("tr", {}, make("td", { className: "any" }, name), make("td", { className: "number live" }, value.toFixed(6)))));
   } catch {
     return; // the header says that nobody answers
   }

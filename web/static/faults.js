@@ -13,14 +13,16 @@ const value = make("input", { type: "number", step: "any", min: 0, "aria-label":
 const lasts = make("input", { type: "number", step: "any", min: 0.01, value: 2, "aria-label": "duration [s]", placeholder: "for ever" });
 const inject = make("button", { type: "submit" }, "Inject"), mend = make("button", { type: "button" }, "Mend all");
 const row = (label, control, unitText) => [make("label", {}, label), control, unitText instanceof Node ? unitText : make("span", { className: "unit" }, unitText)];
+const sizeRow = row("size", value, valueUnit);
 const lab = make("form", {}, make("fieldset", {}, make("legend", {}, "Let a simulated device fail"),
-  make("div", { className: "rows" }, ...row("fault", kind, ""), ...row("device", device, ""), ...row("size", value, valueUnit), ...row("for", lasts, "s")),
+  make("div", { className: "rows" }, ...row("fault", kind, ""), ...row("device", device, ""), ...sizeRow, ...row("for", lasts, "s")),
   make("div", { className: "acts" }, inject, mend)));
 
 function choose() {
   const chosen = kinds.find((one) => one.kind === kind.value);
   device.replaceChildren(...chosen.devices.map((one) => make("option", { value: one }, one.replaceAll("_", " "))));
-  value.disabled = value.hidden = chosen.most === null;
+  value.disabled = chosen.most === null;
+  for (const cell of sizeRow) cell.hidden = value.disabled;
   value.required = chosen.most !== null;
   value.max = chosen.most ?? "";
   value.value = chosen.most === null ? "" : Math.min(0.05, chosen.most);
@@ -63,7 +65,7 @@ async function refresh() {
   try {
     const entries = await ask("GET", "/api/log?count=60", undefined, 1000);
     log.replaceChildren(make("tr", {}, ...["time", "who", "what", "outcome"].map((one) => make("th", {}, one))),
-      ...entries.map((one) => make("tr", {}, make("td", {}, new Date(one.time).toLocaleTimeString()), make("td", { title: one.where }, one.who), make("td", {}, one.what), make("td", {}, one.outcome))));
+      ...entries.map((one) => make("tr", {}, make("td", { className: "time" }, new Date(one.time).toLocaleTimeString()), make("td", { title: one.where }, one.who), make("td", { className: "any" }, one.what), make("td", { className: "any" }, one.outcome))));
   } catch {
     return; // the header says that nobody answers
   }

@@ -87,17 +87,17 @@ async function details(id) {
     make("p", {}, `${SHAPES[run.label] ?? "○"} ${run.label}${run.cause === "" ? "" : `: ${run.cause}`}`),
     make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · ${id}`),
     make("div", { className: "acts" }, replay, report, ...cases), make("h3", {}, "Notes"), notes, make("div", { className: "acts" }, save, remove),
-    make("h3", {}, "Summary"), make("table", {}, ...flat(run.summary).map(([key, value]) => make("tr", {}, make("td", {}, key), make("td", { className: "number" }, readable(value))))),
+    make("h3", {}, "Summary"), make("table", {}, ...flat({ ...run.summary, started: when(run.started) }).map(([key, value]) => make("tr", {}, make("td", { className: "any" }, key), make("td", { className: "any", style: "text-align:right" }, readable(value))))),
   );
 }
 
 compare.addEventListener("click", async () => {
   const runs = await Promise.all([...chosen].map((id) => ask("GET", `/api/runs/${encodeURIComponent(id)}`))).catch((error) => { note(error.message); return null; });
   if (runs === null) return;
-  const [a, b] = runs.map((run) => new Map(flat({ label: run.label, started: when(run.started), ...run.summary })));
+  const [a, b] = runs.map((run) => new Map(flat({ ...run.summary, label: run.label, started: when(run.started) })));
   const rows = [...new Set([...a.keys(), ...b.keys()])].map((key) => {
     const [x, y] = [a.get(key), b.get(key)], apart = typeof x === "number" && typeof y === "number" ? readable(y - x) : x === y ? "" : "≠";
-    return make("tr", {}, make("td", {}, key), ...[readable(x), readable(y), apart].map((text) => make("td", { className: "number" }, text)));
+    return make("tr", {}, make("td", { className: "any" }, key), ...[readable(x), readable(y), apart].map((text) => make("td", { className: "any", style: "text-align:right" }, text)));
   });
   place.replaceChildren(make("div", { className: "acts", style: "margin:0 0 10px" }, back()),
     make("table", { id: "comparison" }, make("tr", {}, ...["", ...runs.map((run) => run.id), "difference"].map((text) => make("th", {}, text))), ...rows));

@@ -86,3 +86,21 @@ def test_too_few_visits_are_refused(paper_robot, recorded):
 
     with pytest.raises(Unobservable, match="5 visits for 17 unknowns"):
         calibrate_tubes(paper_robot, visits[-5:], forces[-5:], NOISE)
+
+
+def test_the_play_of_a_drive_is_found_from_the_way_each_pose_was_come_to(paper_robot):
+    play, joints = np.array([0.0, 4e-3, 0.0]), poses(21, 40)
+    came = np.sign(np.diff(np.vstack((np.zeros(3), joints)), axis=0))
+    pull = np.array([0.4, 0.0, 0.0])
+    forces = np.where(np.arange(40)[:, None] < 20, 0.0, pull)
+    visits = []
+    for part, force in ((slice(0, 20), (0.0, 0.0, 0.0)), (slice(20, 40), pull)):
+        stood = joints[part] - 0.5 * play * came[part]
+        for visit, stage, way in zip(seen(paper_robot, stood, force), joints[part], came[part], strict=True):
+            visits.append(visit._replace(joints=stage, came=way))
+
+    found = calibrate_tubes(paper_robot, visits, forces, NOISE._replace(force=1e-6)).fit
+
+    assert found.value("inner_rotation play") == pytest.approx(4e-3, abs=1e-3)
+    assert abs(found.value("outer_rotation play")) < 1e-3
+    assert found.variance_factor < 1.6

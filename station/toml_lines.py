@@ -1,0 +1,67 @@
+"""On which line of a TOML file a key stands, for messages: the parser does not say."""
+
+import re
+
+_TABLE = re.compile(r"\[(\[?)\s*([^\[\]]+?)\s*\]?\]\s*(?:#.*)?")
+_KEY = re.compile(r"\s*((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=(.*)")
+_PART = re.compile(r"[\w-]+|\"[^\"]*\"|'[^']*'")
+_STRING = re.compile(r"\"(?:\\.|[^\"\\])*\"|'[^']*'")
+
+Path = tuple[str, ...]
+
+
+def line_of(text: str, key: str) -> int | None:
+    """The line, from 1, on which `key` (`devices.stages.port`, `tubes.0.name`) is set.
+
+    Of a key that is not there, the line of the table where it should be; None when that is not there either.
+    """
+    lines = _lines(text)
+    path = tuple(key.split("."))
+    for length in range(len(path), 0, -1):
+        if path[:length] in lines:
+            return lines[path[:length]]
+    return None
+
+
+def _lines(text: str) -> dict[Path, int]:
+    """The lines of all keys and tables; items of arrays of tables by their number."""
+    found: dict[Path, int] = {}
+    counts: dict[Path, int] = {}
+    table: Path = ()
+    depth, quoted = 0, ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if quoted:
+            quoted = "" if quoted in line else quoted
+            continue
+        if depth == 0 and (header := _TABLE.fullmatch(line.strip())):
+            table = _numbered(_parts(header[2]), counts)
+            if header[1]:
+                counts[table] = counts.get(table, -1) + 1
+                found.setdefault(table, number)
+                table = (*table, str(counts[table]))
+            found.setdefault(table, number)
+            continue
+        value = line
+        if depth == 0 and (key := _KEY.match(line)):
+            found.setdefault((*table, *_parts(key[1])), number)
+            value = key[2]
+        for mark in ('"""', "'''"):
+            if value.count(mark) % 2:
+                quoted = mark
+        bare = _STRING.sub("", value).split("#")[0]
+        depth = max(0, depth + bare.count("[") + bare.count("{") - bare.count("]") - bare.count("}"))
+    return found
+
+
+def _parts(dotted: str) -> Path:
+    return tuple(part.strip("\"'") for part in _PART.findall(dotted))
+
+
+def _numbered(path: Path, counts: dict[Path, int]) -> Path:
+    """A table inside an array of tables belongs to its last item."""
+    result: Path = ()
+    for part in path[:-1]:
+        result = (*result, part)
+        if result in counts:
+            result = (*result, str(counts[result]))
+    return (*result, path[-1])

@@ -1,0 +1,51 @@
+"""Malformed or oversized REST body, NaN, unknown field: 4xx with the field and the reason; never a 5xx, and nothing moves."""
+
+import pytest
+
+from tests.serving import Served
+
+JSON = {"content-type": "application/json"}
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "named"),
+    [
+        ("/api/start", '{"duration": NaN}', "duration"),
+        ("/api/start", '{"duration": 1e400}', "duration"),
+        ("/api/start", '{"trajectory": {"kind": "circle", "radius": -Infinity, "period": 10}}', "radius"),
+        ("/api/start", '{"speed": 1}', "unknown field 'speed'"),
+        ("/api/start", '{"duration": 10', "not JSON"),
+        ("/api/start", "\u00ff\u0000", "not JSON"),
+        ("/api/jog", '{"space": "tip", "velocity": [NaN, 0, 0]}', "velocity"),
+        ("/api/jog", '{"space": "tip", "velocity": [0.5, 0, 0]}', "x = 0.5 is outside +-0.01"),
+        ("/api/jog", '{"space": "joints", "velocity": [0, 0]}', "3 velocities"),
+        ("/api/home", "{}", "way_is_clear"),
+        ("/api/home", '{"way_is_clear": false}', "way_is_clear"),
+        ("/api/pull", '{"load": {"kind": "constant", "magnitude": NaN}}', "magnitude"),
+        ("/api/faults", '{"faults": [{"kind": "melt", "device": "tracker"}]}', "kind"),
+        ("/api/model/solve", '{"joints": {"outer_rotation": NaN}}', "outer_rotation"),
+        ("/api/operator", '{"name": 7}', "name"),
+    ],
+)
+def test_it_is_refused_by_field_and_reason(station: Served, path: str, body: str, named: str) -> None:
+    answer = station.rest.post(path, content=body.encode(), headers=JSON)
+
+    assert 400 <= answer.status_code < 500
+    assert named in answer.json()["error"]
+    assert station.status()["state"] == "READY"
+
+
+@pytest.mark.parametrize("path", ["/api/start", "/api/stop", "/api/jog"])
+def test_what_is_too_large_is_not_read_to_its_end(station: Served, path: str) -> None:
+    huge = b'{"duration": 1' + b" " * 300_000 + b"}"
+    answer = station.rest.post(path, content=huge, headers=JSON)
+
+    assert answer.status_code == 413
+    assert "65536" in answer.json()["error"]
+    assert station.status()["state"] == "READY"
+
+
+def test_a_deep_nest_of_brackets_is_only_a_wrong_body(station: Served) -> None:
+    answer = station.rest.post("/api/start", content=b"[" * 60_000, headers=JSON)
+    assert 400 <= answer.status_code < 500
+    assert station.status()["state"] == "READY"
