@@ -13,7 +13,7 @@ from rich.console import Console
 
 from core.errors import CtrError
 from core.statics import PAPER_SUBLINK
-from station import export_command, report_command, sweep_command
+from station import export_command, report_command, soak_command, sweep_command
 from station.calibration import command as calibrate_command
 from station.config import preset_names
 from station.options import between, progress_bar, seed
@@ -80,6 +80,7 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     export_command.add(commands)
     report_command.add(commands)
     sweep_command.add(commands)
+    soak_command.add(commands)
 
     doctor = commands.add_parser("doctor", help="what this machine offers, in plain words")
     doctor.set_defaults(command=_doctor)

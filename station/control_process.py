@@ -15,8 +15,9 @@ from typing import Literal
 import numpy as np
 
 from core.errors import CtrError
-from core.step import Sample, begin, step
+from core.step import Controller, Sample, begin, step
 from core.trajectories import JointMotion, Setpoint
+from station.calibration.files import Calibration
 from station.devices.config import BenchFile
 from station.devices.interfaces import Devices, Severity
 from station.devices.open_devices import open_devices
@@ -57,6 +58,24 @@ class Bench:
     core: int | None = None  #: processor of the control process; None: any
     alone: Literal["go_on", "hold"] = "go_on"  #: what a run does when its operator has gone
     warnings: tuple[str, ...] = ()  #: what a person should know before anything moves
+    calibration: Calibration | None = None  #: None: everything is taken to be as described
+
+    def controlled(self, file: ControllerFile) -> Controller:
+        """A controller that knows what a calibration has found.
+
+        Raises:
+            DescriptionError: unknown strategy, gain or bandwidth out of range.
+        """
+        if self.calibration is None:
+            return file.controller(self.robot)
+        return self.calibration.applied(file.controller(self.calibration.robot))
+
+    def registered(self, devices: BenchFile) -> BenchFile:
+        """The devices with the tracker where a calibration has found it."""
+        mount = None if self.calibration is None else self.calibration.mount
+        if mount is None:
+            return devices
+        return devices.model_copy(update={"tracker": {**devices.tracker, "mount": mount}})
 
     @property
     def title(self) -> str:
@@ -78,9 +97,9 @@ def run_control(bench: Bench, ring_name: str, pipe: Connection, parent: int) -> 
         told: BenchFile | None = pipe.recv()
         if told is None:
             return
-        devices = open_devices(told, bench.robot)
+        devices = open_devices(bench.registered(told), bench.robot)
         try:
-            loop = ControlLoop(bench.controller.controller(bench.robot), devices, bench.margins)
+            loop = ControlLoop(bench.controlled(bench.controller), devices, bench.margins)
             granted = be_punctual(fifo=bench.fifo, core=bench.core)
             ring.counters[SCHEDULER] = granted.fifo
             pipe.send(Refused(granted.refused))
@@ -251,7 +270,7 @@ def _close(devices: Devices) -> None:
 
 def _warm_up(bench: Bench) -> None:
     """Compile everything that a tick can reach."""
-    controller = bench.controller.controller(bench.robot)
+    controller = bench.controlled(bench.controller)
     park, tubes = np.array(bench.park), len(bench.robot.tubes)
     still = Sample(park, np.zeros_like(park), np.zeros((tubes, 6)), np.zeros(3), 0.0)
     memory = begin(controller, still)

@@ -59,7 +59,7 @@ class Desk:
         Raises:
             DescriptionError: unknown strategy, gain or bandwidth out of range.
         """
-        controller.controller(self.supervisor.bench.robot)
+        self.supervisor.bench.controlled(controller)
         with self._lock:
             self._settings = self._settings.model_copy(update={"controller": controller})
 
@@ -141,8 +141,7 @@ class Desk:
         self.supervisor.pull(load)
 
     def _start(self, motion: TipMotion, controller: ControllerFile, load: Load, duration: float, title: str) -> str:
-        robot = self.supervisor.bench.robot
-        task = Task(controller.controller(robot), Orders(motion, self.supervisor.robot), duration)
+        task = Task(self.supervisor.bench.controlled(controller), Orders(motion, self.supervisor.robot), duration)
         status = self.supervisor.status()
         if status.state is State.READY and "joints" in status.values:
             task.orders.check(task.controller, status.values["joints"], duration)

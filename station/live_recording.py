@@ -27,6 +27,11 @@ class LiveRecording:
         self._looking: Future[None] | None = None
         self._problem = ""
 
+    @property
+    def pid(self) -> int:
+        """Of the recorder's process."""
+        return self._recorder.process.pid or 0
+
     def begin(self, name: str, duration: float, metadata: Mapping[str, Any]) -> None:
         """Record from now on, for about `duration` [s].
 

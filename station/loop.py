@@ -216,10 +216,9 @@ class ControlLoop:
         # A snap blinds the tracker first, which does not believe in jumps: STOP may follow a HOLD.
         if snap is not None and (self.state is State.RUNNING or snap.severity is Severity.STOP):
             self._act_on(snap, now)
-        if self.state is State.RUNNING:
-            if isinstance(order, Setpoint) and frame is not None:
-                stalled = self._stall.look(now, tick, self.controller.limits)
-                self._act_on(Trouble(Severity.HOLD, stalled) if stalled else None, now)
+        if self.state is State.RUNNING and isinstance(order, Setpoint) and frame is not None:
+            stalled = self._stall.look(now, tick, self.controller.limits)
+            self._act_on(Trouble(Severity.HOLD, stalled) if stalled else None, now)
         if order is not None and self.state is State.RUNNING:
             stages.command(tick.command, now)
         self._row = self.channels.row(now, self.state, joints, wrenches, frame, tick, truth, self._troubles)
@@ -263,9 +262,9 @@ class ControlLoop:
             )
         ):
             self.request(Event.CONNECTED)
-        elif self.state is State.CONNECTING and self.devices.tracker.condition is Condition.FAULT:
-            if now >= self._retry:
-                self._retry = now + RETRY
+        elif self.state is State.CONNECTING and now >= self._retry:
+            self._retry = now + RETRY
+            if self.devices.tracker.condition is Condition.FAULT:
                 self.devices.tracker.connect(now)
         if self.state in (State.CONNECTED, State.HOMING) and self.devices.stages.ready:
             self.request(Event.HOMED)

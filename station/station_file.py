@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr
 
 from core.errors import CtrError
+from station.calibration.files import Calibration
 from station.config import ConfigError, Strict, check, on_line, read_toml, use_experiments
 from station.control_process import Bench
 from station.devices.config import DevicesFile
@@ -50,8 +51,11 @@ class StationFile(Strict):
     """the control process gets the last processor for itself, where there are two or more"""
     alone: Literal["go_on", "hold"] = "go_on"
     """what a run does when its operator has gone: closed the page, or said nothing for 10 s"""
+    calibration: str | None = None
+    """folder with what `calibrate` found, beside this file"""
     experiments: ExperimentsFile = ExperimentsFile()
     _source: str = PrivateAttr("the default station")
+    _folder: Path = PrivateAttr(default_factory=Path)
     _table: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 
     def bench(self) -> Bench:
@@ -66,7 +70,9 @@ class StationFile(Strict):
             park = start_pose(self.park, robot)
             robot.limits().check(park)
             robot.robot().check_pose(park)
-            self.controller.controller(robot)
+            folder = None if self.calibration is None else self._folder / self.calibration
+            calibration = None if folder is None else Calibration.load(folder, robot)
+            self.controller.controller(robot if calibration is None else calibration.robot)
             bench = None if self.devices == "virtual" else self.devices
             if bench is not None:
                 plan(bench, robot)
@@ -75,7 +81,7 @@ class StationFile(Strict):
             raise ConfigError(f"{self._source}: {error}{on_line(self._table, str(error))}") from None
         return Bench(
             robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns, bench,
-            self.margins, alone=self.alone, warnings=(snaps,) if snaps else (),
+            self.margins, alone=self.alone, warnings=(snaps,) if snaps else (), calibration=calibration,
         )  # fmt: skip
 
 
@@ -89,7 +95,7 @@ def load_station(path: Path | None) -> StationFile:
         return StationFile()
     table = read_toml(path)
     file = check(StationFile, table, str(path))
-    file._source, file._table = str(path), table
+    file._source, file._table, file._folder = str(path), table, path.parent
     if file.experiments.folder is not None:
         use_experiments(path.parent / file.experiments.folder)
     return file

@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import threading
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -97,6 +98,7 @@ class Supervisor:
         self._context = multiprocessing.get_context("spawn")
         self.recording = None if runs is None else LiveRecording(self.ring, bench.robot, runs)
         self._chronicle = Chronicle(self.ring, self.channels, audit, runs, self._session)
+        self._entered: Counter[State] = Counter()
         self._refused: tuple[str, ...] = ()  # by the system, to the control process
         self._recorded = 0  # the run that is being recorded
         self._lab = self._start_lab()
@@ -133,6 +135,21 @@ class Supervisor:
                 float(numbers[PROGRESS]), time.monotonic() - float(numbers[HEARTBEAT]), self.ring.timing(), groups,
                 self._devices, (*self.bench.warnings, *self._refused),
             )  # fmt: skip
+
+    def pids(self) -> dict[str, int]:
+        """Of every process that lives."""
+        found = {"station": os.getpid()}
+        if self._process.is_alive():
+            found["control"] = self._process.pid or 0
+        if isinstance(self._lab, LabHost) and self._lab.alive:
+            found["lab"] = self._lab.pid
+        if self.recording is not None:
+            found["recorder"] = self.recording.pid
+        return found
+
+    def entered(self, state: State) -> int:
+        """How often that state has been entered."""
+        return self._entered[state]
 
     # What may be asked
 
@@ -354,6 +371,7 @@ class Supervisor:
             self._state = State.FAULT
             self._cause = "; ".join(part for part in (cause or said, stopped, "reset to start it anew") if part)
             self._motion_start = None
+        self._entered[State.FAULT] += 1
         self._chronicle.state(State.FAULT, self._cause)
         self._end_recording(State.FAULT, self._cause, interrupted=True)
         self._lab.pull(NoLoad(), 0.0)
@@ -377,6 +395,7 @@ class Supervisor:
             self._state, self._cause = message.state, message.cause
             before, self._motion_start, load = self._motion_start, message.motion_start, self._load
         if changed:
+            self._entered[message.state] += 1
             self._chronicle.state(message.state, message.cause)
         if changed and self.recording is not None:
             text = f"{message.state.name}{message.cause and ': '}{message.cause}"

@@ -39,7 +39,8 @@ def _lines(text: str) -> dict[Path, int]:
                 counts[table] = counts.get(table, -1) + 1
                 found.setdefault(table, number)
                 table = (*table, str(counts[table]))
-            found.setdefault(table, number)
+            for length in range(1, len(table) + 1):
+                found.setdefault(table[:length], number)
             continue
         value = line
         if depth == 0 and (key := _KEY.match(line)):

@@ -54,8 +54,18 @@ class Served:
         status = self.wait_for(lambda status: status["state"] in ("READY", "CONNECTED") and not status["stale"], 20.0)
         if status["state"] == "CONNECTED":
             self.post("/api/home", {"way_is_clear": True})
-        self.wait_for(lambda status: status["state"] == "READY" and not status["stale"], 60.0)
+        status = self.wait_for(lambda status: status["state"] == "READY" and not status["stale"], 100.0)
+        if abs(status["joints"]["inner_translation"] + 0.1) > 0.02:
+            self._go_to_the_usual_pose()
         self.rest.delete("/api/operator")
+
+    def _go_to_the_usual_pose(self) -> None:
+        """By the way to an experiment's start, for instance after homing."""
+        assert self.post("/api/start", {"experiment": "fig7"}).status_code == 202
+        self.wait_for(lambda status: status["phase"] in ("settling", "moving"), 40.0)
+        self.post("/api/stop")
+        self.post("/api/reset")
+        self.wait_for(lambda status: status["state"] == "READY", 10.0)
 
     def child(self, name: str) -> psutil.Process:
         """Its child that is listed under that name: ctr-control, ctr-lab, ctr-recorder."""

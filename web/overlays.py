@@ -48,7 +48,7 @@ class Overlays:
             "/tip/uncertainty", radius=1.0, color=palette.ESTIMATED, opacity=0.25, cast_shadow=False, visible=False
         )
         self._cloud = scene.add_point_cloud(
-            "/workspace", np.zeros((1, 3), np.float32), palette.SKY, point_size=0.012, visible=False
+            "/workspace", np.zeros((1, 3), np.float32), palette.SKY, point_size=0.006, visible=False
         )
         self._cloud_is_there = False
 

@@ -102,6 +102,14 @@ class Calibration:
             found = _sensors(check(SensorsFile, read_toml(sensors), str(sensors)), robot, sensors)
         return cls(file, registration, Corrections(found, coil))
 
+    @property
+    def mount(self) -> dict[str, list[float]] | None:
+        """Where the tracker stands as a station file's `[devices.tracker.mount]`; None when that was not found."""
+        if self.registration is None:
+            return None
+        turn = vector_of(self.registration.rotation)
+        return {"position": self.registration.position.tolist(), "rotation_vector": turn.tolist()}
+
     def applied(self, controller: Controller) -> Controller:
         """The controller that takes coil and sensors into account."""
         return replace(controller, corrections=self.corrections)

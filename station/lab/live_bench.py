@@ -10,11 +10,15 @@ from station.devices.config import BenchFile
 from station.lab.config import LabConfig
 from station.lab.simulated_aurora_coil import MOUNT
 
+#: For a reply of the simulated stages [s]. Real ones have processors of their own: a busy computer makes these late
+#: and not lost.
+DEADLINE = 0.15
+
 
 def lab_bench(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
     """The `[devices]` of a lab that has told its endpoints."""
     tables = {
-        "stages": {"driver": "zaber", "port": endpoints["zaber"]},
+        "stages": {"driver": "zaber", "port": endpoints["zaber"], "deadline": DEADLINE},
         "tracker": {
             "driver": "aurora",
             "port": endpoints["aurora"],

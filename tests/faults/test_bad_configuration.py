@@ -25,7 +25,7 @@ from station.station_file import load_station
         ("[park]\nouter_rotation = 0.0\ninner_rotation = 0.0\ninner_translation = -100.0\n", "inner_translation -100 m is outside -0.13 ... -0.005 m (its travel)"),
         ("[controller]\nk1 = 100.0\n", "K1"),
         ('[devices.stages]\ndriver = "zaber"\n[devices.tracker]\ndriver = "none"\n[devices.sensors]\ndriver = "netft"\n', "devices.stages.port is missing: outer_rotation has neither a port of its own nor a chain's (line 1)"),
-        ('[devices.stages]\ndriver = "zaber"\nport = "/dev/x"\n', "'devices.tracker' is missing (line 1)"),
+        ('[devices.stages]\ndriver = "zaber"\nport = "/dev/x"\n', "'devices.tracker' is missing (and 1 more) (line 1)"),
         ("seed = [1\n", "not valid TOML"),
     ],
 )  # fmt: skip
@@ -41,9 +41,10 @@ def test_a_station_file_is_refused_with_line_key_value_and_what_was_expected(wri
 
 def test_so_are_robots_and_experiments(write) -> None:
     robot = (PRESETS / "robots" / "paper.toml").read_text(encoding="utf-8")
-    bad = robot.replace("curvature = [4.0, 0.0]", "curvature = [4.0]", 1)
-    line = 1 + bad[: bad.index("curvature = [4.0]")].count("\n")
-    with pytest.raises(ConfigError, match=rf"tubes.0.sections.1.curvature.* \(line {line}\)"):
+    bad = robot.replace("outer_diameter = ", "outer_diameter = -", 1)
+    line = 1 + bad[: bad.index("outer_diameter = -")].count("\n")
+    bad = bad.replace("outer_diameter = -", "outer_diametre = ", 1)
+    with pytest.raises(ConfigError, match=rf"unknown key 'tubes.0.outer_diametre'.* \(line {line}\)"):
         load_robot(str(write(bad)))
 
     experiment = (PRESETS / "experiments" / "fig10.toml").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Malformed or oversized REST body, NaN, unknown field: 4xx with the field and the reason; never a 5xx, and nothing moves."""
+"""Malformed or oversized REST body, NaN, unknown field: 4xx with field and reason; never a 5xx; nothing moves."""
 
 import pytest
 

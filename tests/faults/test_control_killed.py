@@ -1,4 +1,4 @@
-"""Control process killed or hung: axes stopped by the station process within 100 ms plus the line; run *interrupted*."""
+"""Control process killed or hung: the station process stops the axes within 100 ms plus the line; run interrupted."""
 
 import signal
 import time

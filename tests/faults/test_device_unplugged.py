@@ -1,4 +1,4 @@
-"""One device unplugged: stages FAULT, tracker or force sensor HOLD; known again by who it is, never resumed by itself."""
+"""One device unplugged: stages FAULT, tracker or sensor HOLD; known again by who it is; nothing resumes by itself."""
 
 import pytest
 

@@ -43,7 +43,9 @@ def test_tube_order_and_workspace_are_refused_with_value_and_bound() -> None:
     out[slides[0]], out[slides[1]] = robot.joints[slides[0]].upper, robot.joints[slides[1]].lower
     nothing = np.zeros((3, len(robot.joints)))
 
-    with pytest.raises(PoseError, match=r"tube order: end of tube 'middle' beyond that of tube 'outer' does not hold, by [\d.]+ mm"):
+    with pytest.raises(
+        PoseError, match=r"tube order: end of tube 'middle' beyond that of tube 'outer' does not hold, by [\d.]+ mm"
+    ):
         order.check(Situation(out, nothing, np.zeros(3), np.zeros(3)))
     with pytest.raises(PoseError, match=r"tip x 0.15 m is outside -0.1 ... 0.1 m \(the workspace\)"):
         box.check(Situation(middle, nothing, np.array([0.15, 0.0, 0.1]), np.zeros(3)))

@@ -30,7 +30,9 @@ class Spoilt:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize(("device", "named"), [("stages", "stages: "), ("tracker", "tracker: "), ("sensors", "force sensors: ")])
+@pytest.mark.parametrize(
+    ("device", "named"), [("stages", "stages: "), ("tracker", "tracker: "), ("sensors", "force sensors: ")]
+)
 def test_nothing_is_sent_and_every_axis_stops(virtual: VirtualStation, device: str, named: str, bad: float) -> None:
     spoilt = Spoilt(getattr(virtual.devices, device))
     devices: Devices = replace(virtual.devices, **{device: spoilt})

@@ -25,7 +25,9 @@ def test_a_short_drop_out_is_a_flag_and_the_run_goes_on(virtual: VirtualStation)
     assert flags.max() == Severity.WARN
     assert flags[-1] == 0
     off = virtual.of("tip_desired", virtual.rows[begin:]) - virtual.of("tip_true", virtual.rows[begin:])
-    before = virtual.of("tip_desired", virtual.rows[:begin])[-200:] - virtual.of("tip_true", virtual.rows[:begin])[-200:]
+    before = (
+        virtual.of("tip_desired", virtual.rows[:begin])[-200:] - virtual.of("tip_true", virtual.rows[:begin])[-200:]
+    )
     # the model goes on in its place: no more than noise is added
     assert np.abs(off - before.mean(axis=0)).max() < 0.5e-3
 

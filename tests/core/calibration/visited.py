@@ -46,5 +46,5 @@ def seen(robot: Robot, joints: np.ndarray, force=(0.0, 0.0, 0.0), seed: int = 0,
             axes = (rod.rotation.T[-directions:] @ TRACKER.rotation) + NOISE.axes * random.standard_normal(
                 (directions, 3)
             )
-        visits.append(Visit(10.0 * k, pose, coil, np.zeros((len(robot.tubes), 6)), weight, axes))
+        visits.append(Visit(10.0 * k, pose, coil, np.zeros((len(robot.tubes), 6)), weight, axes=axes))
     return visits

@@ -194,3 +194,21 @@ def test_efforts_scale():
     assert effort.steps() == 28 + 2 * (20 + 6 + 8)
     assert effort.scaled(0.5).unloaded == 14
     assert replace(effort, check=0).steps() == 28 + 2 * 28
+
+
+def test_a_live_station_takes_the_calibration_from_its_file(folder, found, tmp_path):
+    from station.devices.config import BenchFile
+    from station.experiments.experiment import BEST
+    from station.station_file import load_station
+
+    path = tmp_path / "bench.toml"
+    path.write_text(f'lab = "uncalibrated"\ncalibration = "{folder}"\n', encoding="utf-8")
+    bench = load_station(path).bench()
+
+    tube = bench.controlled(BEST).statics.robot.tubes[0]
+    assert tube.bending_stiffness == pytest.approx(found.calibration.robot.tubes[0].bending_stiffness, rel=1e-7)
+    assert bench.robot.tubes[0].bending_stiffness == 0.0413
+    told = BenchFile.model_construct(stages={}, tracker={"driver": "aurora", "port": "x"}, sensors={})
+    mount = bench.registered(told).tracker["mount"]
+    assert bench.calibration is not None
+    np.testing.assert_allclose(mount["position"], bench.calibration.registration.position)

@@ -1,0 +1,57 @@
+"""Where the robot is touched: rows of telemetry averaged over a moment, and the contact that explains them.
+
+The moment at the bases is redundant for a load at the tip. Single samples are too noisy to use it; half a second of
+them is not. For a station's screen: a look takes some ten milliseconds, so it is no part of the loop.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from core.calibration.contact import LEAST_FORCE, Contact, TipLoad, locate, tip_load
+from core.calibration.visits import Noise
+from core.robot import Array
+from core.statics import Statics
+from core.wrench import Fused
+from station.telemetry import Channels
+
+#: What a mean of many samples still has wrong: drift since the tare, mounting, counts [N, N m].
+FLOOR = Noise(force=5e-3, moment=0.2e-3)
+#: Fewer rows than this say nothing about their own noise.
+LEAST_ROWS = 20
+
+
+class Touch(NamedTuple):
+    """What the bases say about the load."""
+
+    force: Array  #: (3,) mean [N]
+    tip: TipLoad  #: whether the load acts at the tip
+    contact: Contact | None  #: where it acts instead; None while the tip explains it, or the force is too small
+
+
+def look(statics: Statics, channels: Channels, rows: Array) -> Touch | None:
+    """The load over rows (m, channels), half a second of a robot that moves slowly; None of too few rows.
+
+    Raises:
+        CtrError: the model has no shape under this load.
+    """
+    if len(rows) < LEAST_ROWS:
+        return None
+    joints = channels.of(rows, "joints").mean(axis=0)
+    forces, moments = channels.of(rows, "force"), channels.of(rows, "moment")
+    force = forces.mean(axis=0)
+    # Moments are about the plate: noise of the forces at the proximal ends is in them.
+    noise = Noise(force=_error(forces, FLOOR.force), moment=_error(moments, FLOOR.moment))
+    load = Fused(force, moments.mean(axis=0))
+    tip = statics.solve(joints, np.concatenate((force, np.zeros(3)))).tip
+    at_tip = tip_load(load, tip, noise)
+    if at_tip.holds or float(np.linalg.norm(force)) < LEAST_FORCE:
+        return Touch(force, at_tip, None)
+    return Touch(force, at_tip, locate(statics, joints, load, noise))
+
+
+def _error(values: Array, floor: float) -> float:
+    """Standard deviation of the mean of rows (m, 3), but never below what averaging cannot remove."""
+    spread = float(np.sqrt(values.var(axis=0).mean() / len(values)))
+    return math.hypot(spread, floor)

@@ -1,0 +1,67 @@
+"""Contacts on the shaft seen through the loop and the wire-level devices."""
+
+import numpy as np
+import pytest
+
+from core.statics import Statics
+from station.clock import VirtualClock
+from station.experiments.experiment import load_experiment
+from station.experiments.runner import Recording, run_case
+from station.robots import load_robot
+from station.touch import look
+
+#: The joints stay, but for a turn of a hundredth of a degree.
+RESTING = """
+title = "resting"
+start = {{ outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }}
+duration = 2.0
+settling = 0.0
+[trajectory]
+kind = "joint_sweep"
+joint = "outer_rotation"
+speed = 0.0001
+distance = 0.0001
+[load]
+{load}
+"""
+
+
+@pytest.fixture
+def recorded(write):
+    """A run under a load, as a TOML table."""
+
+    def recorded(load: str) -> Recording:
+        case = load_experiment(str(write(RESTING.format(load=load)))).cases[0]
+        return run_case(case, 0, VirtualClock(), lambda done: None)
+
+    return recorded
+
+
+@pytest.mark.parametrize("place", [0.06, 0.10, 0.14])
+def test_a_contact_on_the_shaft_is_told_from_a_load_at_the_tip_and_found(recorded, place):
+    run = recorded(f'kind = "contact"\nmagnitude = 0.3\nplace = {place}\ndirection = [0.0, 1.0, 0.3]')
+
+    touch = look(Statics(load_robot("paper").robot()), run.channels, run.rows[-300:])
+
+    assert touch is not None
+    assert not touch.tip.holds
+    assert touch.contact is not None
+    assert touch.contact.place == pytest.approx(place, abs=10e-3)
+    assert any(start - 1e-3 <= place <= end + 1e-3 for start, end in touch.contact.intervals)
+    np.testing.assert_allclose(np.linalg.norm(touch.force), 0.3, atol=0.02)
+
+
+def test_a_weight_at_the_tip_is_no_contact(recorded):
+    run = recorded('kind = "constant"\nmagnitude = 0.3')
+
+    touch = look(Statics(load_robot("paper").robot()), run.channels, run.rows[-300:])
+
+    assert touch is not None
+    assert touch.tip.holds
+    assert touch.contact is None
+
+
+def test_too_few_rows_say_nothing(recorded):
+    run = recorded('kind = "none"')
+
+    assert look(Statics(load_robot("paper").robot()), run.channels, run.rows[:5]) is None
