@@ -115,7 +115,7 @@ def on_line(table: Mapping[str, Any], message: str, within: str = "") -> str:
     key = _LEADING_KEY.match(message)
     if key is None or not text:
         return ""
-    line = (line_of(text, f"{within}.{key[1]}") if within else None) or line_of(text, key[1])
+    line = line_of(text, *([f"{within}.{key[1]}"] if within else []), key[1])
     return "" if line is None else f" (line {line})"
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
-from station.realtime import ask_for_fifo
+from station.realtime import ask_for_fifo, may_lock_memory
 
 
 class Finding(NamedTuple):
@@ -29,6 +29,7 @@ def findings() -> Iterator[Finding]:
         "only one: control and browser will disturb each other",
     )  # fmt: skip
     yield _scheduling()
+    yield _memory()
     yield _shared_memory()
     yield _serial_ports()
     browser = next((path for name in BROWSERS if (path := shutil.which(name))), None)
@@ -54,7 +55,8 @@ def _scheduling() -> Finding:
         return Finding("real time", True, "SCHED_FIFO is granted: the 500 Hz loop runs with little jitter")
     advice = {
         "linux": "add '@realtime - rtprio 90' to /etc/security/limits.d/realtime.conf, join the group realtime and"
-        " log in again, or start with CAP_SYS_NICE",
+        " log in again; for a systemd service LimitRTPRIO=90; or start with CAP_SYS_NICE, e.g."
+        " sudo setcap cap_sys_nice,cap_ipc_lock+ep on a copy of the interpreter",
         "darwin": "macOS has no SCHED_FIFO for programs; use Linux for experiments",
     }.get(sys.platform, "this system has no SCHED_FIFO; use Linux for experiments")
     return Finding("real time", False, f"SCHED_FIFO is refused: the loop still runs, with more jitter; {advice}")
@@ -62,6 +64,15 @@ def _scheduling() -> Finding:
 
 def _try_fifo(send: Connection) -> None:
     send.send(ask_for_fifo())
+
+
+def _memory() -> Finding:
+    if may_lock_memory():
+        return Finding("memory", True, "may be locked: the loop never waits for the disk")
+    advice = "add '@realtime - memlock unlimited' to the same file, or start with CAP_IPC_LOCK"
+    if sys.platform != "linux":
+        advice = "this system has no such right for programs; use Linux for experiments"
+    return Finding("memory", False, f"may not be locked: a computer short of memory makes the loop late; {advice}")
 
 
 def _shared_memory() -> Finding:

@@ -21,6 +21,8 @@ class LiveRecording:
     def __init__(self, ring: Ring, robot: RobotFile, runs: Path) -> None:
         self.runs = runs
         self.recovered = recover(runs)  #: folders of runs that were left behind
+        self._ring = ring
+        self._numbers: dict[str, float] = {}
         self._recorder = Recorder(ring, robot, runs)
         # One thread: the recorder answers one question at a time.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
@@ -41,12 +43,17 @@ class LiveRecording:
         problem = free_space_problem(self.runs, duration)
         if problem:
             raise RecordingError(problem)
-        self._problem = ""
+        self._problem, self._numbers = "", {}
+        self._ring.clear_timing()
         self._thread.submit(self._recorder.begin, name, metadata).result()
 
     def say(self, time: float, kind: str, text: str, *, bad: bool = False) -> None:
         """Note what happens at `time` of the telemetry [s]."""
         self._thread.submit(self._recorder.event, Event(time, kind, text, ERROR if bad else INFO))
+
+    def moving(self, start: float, settling: float) -> None:
+        """The motion begins at `start` of the telemetry; its errors count from `settling` on [s]."""
+        self._numbers = {"motion_start": start, "settling": settling}
 
     def end(self, state: State, cause: str) -> None:
         """The run has ended, in this state; does not wait."""
@@ -72,7 +79,11 @@ class LiveRecording:
         self._problem = self._problem or self._recorder.trouble()
 
     def _end(self, label: Label, cause: str) -> None:
+        ring = self._ring
+        timing = {
+            **ring.timing()._asdict(), "late_counts": ring.late.tolist(), "tick_counts": ring.busy.tolist()
+        }  # fmt: skip
         try:
-            self._recorder.end(label, cause)
+            self._recorder.end(label, cause, {**self._numbers, "timing": timing})
         except RecordingError as error:
             self._problem = self._problem or str(error)

@@ -59,13 +59,14 @@ def lock_memory() -> bool:
 
     Under a limit nothing is locked: memory that is asked for beyond it would be refused later, in the middle of a run.
     """
-    if not _may_lock_all():
+    if not may_lock_memory():
         return False
     lock = getattr(ctypes.CDLL(None, use_errno=True), "mlockall", None)
     return lock is not None and lock(_CURRENT | _FUTURE | _ON_FAULT) == 0
 
 
-def _may_lock_all() -> bool:
+def may_lock_memory() -> bool:
+    """Whether the system lets this process lock all of its memory."""
     try:
         import resource  # not on Windows
     except ImportError:

@@ -38,6 +38,7 @@ from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBE
 from station.states import Event, RefusedError, State, after
 from station.task import Phase, Task
 from station.telemetry import Channels
+from station.tracking_errors import settling_time
 
 #: The control process answers a command within this time or counts as gone [s].
 ANSWER_TIME = 1.0
@@ -101,6 +102,7 @@ class Supervisor:
         self._entered: Counter[State] = Counter()
         self._refused: tuple[str, ...] = ()  # by the system, to the control process
         self._recorded = 0  # the run that is being recorded
+        self._settling = 0.0  # errors of its motion count from then on [s]
         self._lab = self._start_lab()
         self._start_process()
         self._watchdog = threading.Thread(target=self._watch_time, name="watchdog")
@@ -183,6 +185,7 @@ class Supervisor:
                 name, task.duration, {"run": name, "title": title, "seed": self.bench.seed, "lab": lab, **about}
             )
             self._recorded = number
+        self._settling = about.get("settings", {}).get("settling", settling_time(task.duration))
         with self._lock:
             before, self._load, self._faults = self._load, load, tuple(faults)
         try:
@@ -409,6 +412,9 @@ class Supervisor:
                 self._lab.pull(NoLoad(), 0.0)
             else:
                 self._lab.pull(load, message.motion_start)
+                if self.recording is not None:
+                    start = self._time() + message.motion_start - time.monotonic()
+                    self.recording.moving(start, self._settling)
                 if self._faults:
                     self._lab.inject(self._faults, message.motion_start)
 

@@ -10,16 +10,17 @@ _STRING = re.compile(r"\"(?:\\.|[^\"\\])*\"|'[^']*'")
 Path = tuple[str, ...]
 
 
-def line_of(text: str, key: str) -> int | None:
-    """The line, from 1, on which `key` (`devices.stages.port`, `tubes.0.name`) is set.
+def line_of(text: str, *keys: str) -> int | None:
+    """The line, from 1, on which the first of `keys` (`devices.stages.port`, `tubes.0.name`) is set that is.
 
-    Of a key that is not there, the line of the table where it should be; None when that is not there either.
+    When none is there, the line of the table where one should be; None when that is not there either.
     """
     lines = _lines(text)
-    path = tuple(key.split("."))
-    for length in range(len(path), 0, -1):
-        if path[:length] in lines:
-            return lines[path[:length]]
+    paths = [tuple(key.split(".")) for key in keys]
+    for short in range(max(map(len, paths), default=0)):
+        for path in paths:
+            if len(path) > short and path[: len(path) - short] in lines:
+                return lines[path[: len(path) - short]]
     return None
 
 

@@ -71,11 +71,11 @@ def main() -> None:
                         if whom != "control":
                             break  # it is not started anew while the station lives
                         back(station)
-            print(
+            sys.stdout.write(
                 f"{whom}: killed {times} times; every stage told to stop after"
-                f" {1e3 * statistics.median(took):.0f} ms (median), {1e3 * max(took):.0f} ms at most",
-                flush=True,
+                f" {1e3 * statistics.median(took):.0f} ms (median), {1e3 * max(took):.0f} ms at most\n"
             )
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":

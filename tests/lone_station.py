@@ -1,12 +1,13 @@
 """A station without a web server, as a process for tests: `python -m tests.lone_station FOLDER [ENDPOINTS]`.
 
-It answers each line of its input with a line: `start`, `stop`, `home`, `reset`, `status`, `load` and `faults` with
-JSON behind them; it ends with its input.
+It answers each line of its input with a line of JSON: `start` (with a duration behind it), `stop`, `home`, `reset`
+and `status`; it ends with its input.
 """
 
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -80,14 +81,13 @@ def main() -> None:
         desk = Desk(supervisor)
         for line in sys.stdin:
             what, _, about = line.strip().partition(" ")
-            print(json.dumps(_answer(supervisor, desk, what, json.loads(about or "null"))), flush=True)
+            sys.stdout.write(f"{json.dumps(_answer(supervisor, desk, what, json.loads(about or 'null')))}\n")
+            sys.stdout.flush()
     finally:
         supervisor.close()
 
 
 def _settled(supervisor: Supervisor) -> None:
-    import time
-
     while supervisor.status().state.name in ("CONNECTING", "CONNECTED", "HOMED"):
         time.sleep(0.02)
 
@@ -107,11 +107,15 @@ def _answer(supervisor: Supervisor, desk: Desk, what: str, about: Any) -> dict[s
                 supervisor.home()
     except CtrError as error:
         refused = str(error)
-    status = supervisor.status()
+    status, recording = supervisor.status(), supervisor.recording
     return {
-        "state": status.state.name, "phase": status.phase.name, "cause": status.cause, "run": status.run,
-        "refused": refused, "recovered": [path.name for path in supervisor.recording.recovered] if supervisor.recording else [],
-    }  # fmt: skip
+        "state": status.state.name,
+        "phase": status.phase.name,
+        "cause": status.cause,
+        "run": status.run,
+        "refused": refused,
+        "recovered": [path.name for path in recording.recovered] if recording else [],
+    }
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
 """First procedures on a new bench: which way the axes run, where their zeros are, how late the tracker is."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from core.calibration.commissioning import Latency, Signs, find_latency, find_signs
-from core.calibration.fit import Fit, fit
+from core.calibration.fit import fit
 from core.calibration.prediction import Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
@@ -28,7 +29,6 @@ class AxesResult(NamedTuple):
 
     signs: Signs
     zeros: tuple[tuple[Quantity, float, float], ...]  #: zero angle of a tube and half its 95 % interval [rad]
-    fit: Fit
     visits: tuple[Visit, ...]
 
 
@@ -39,30 +39,39 @@ class LatencyResult(NamedTuple):
 
 
 def axes(subject: Subject) -> Procedure[AxesResult]:
-    """Signs by small moves, then zero angles of the tubes against the outermost by larger ones.
+    """Signs by small moves; if all axes run as described, zero angles of the tubes by larger ones.
 
     Raises:
         Unobservable: the signs are not clear.
     """
     visits: list[Visit] = []
-    joints = subject.robot.joints
-    moves = [sign * step[joint.unit] * np.eye(len(joints))[k]
-             for step in (SMALL, LARGE) for k, joint in enumerate(joints) for sign in (1.0, -1.0)]  # fmt: skip
-    for number, move in enumerate(moves):
-        visit = yield GoTo(subject.start + move, 0.0, number / len(moves))
-        visits += [visit] if isinstance(visit, Visit) else []
-    half = len(moves) // 2
+    yield from _moves(subject, SMALL, 0.0, visits)
     # A stage that runs the other way is still right in the middle of its travel.
     middle = np.array([0.5 * (limit.lower + limit.upper) for limit in subject.limits.joints])
-    signs = find_signs(subject.robot, middle, visits[:half])
-    turned = [visit._replace(joints=middle + signs.signs * (visit.joints - middle)) for visit in visits]
+    signs = find_signs(subject.robot, middle, visits)
+    if (signs.signs < 0.0).any():
+        # Larger moves wait until the bench's file has the directions right.
+        return AxesResult(signs, (), tuple(visits))
+    yield from _moves(subject, LARGE, 0.5, visits)
     what = tuple(quantity for quantity in quantities(subject.robot) if quantity.kind == "zero_angle")
-    forces, noise = np.zeros((len(turned), 3)), NOISE._replace(coil=MODEL_ERROR)
-    problem = Prediction(subject.robot, what, turned, forces, noise, closed_form(subject.robot, turned, forces))
+    forces, noise = np.zeros((len(visits), 3)), NOISE._replace(coil=MODEL_ERROR)
+    problem = Prediction(subject.robot, what, visits, forces, noise, closed_form(subject.robot, visits, forces))
     found = fit(problem, problem.parameters)
     names = [quantity.parameter(subject.robot).name for quantity in what]
     zeros = tuple((q, found.value(name), found.interval(name)) for q, name in zip(what, names, strict=True))
-    return AxesResult(signs, zeros, found, tuple(visits))
+    return AxesResult(signs, zeros, tuple(visits))
+
+
+def _moves(subject: Subject, steps: Mapping[str, float], done: float, visits: list[Visit]) -> Procedure[None]:
+    """Each joint either way from the start pose; half of the procedure, from `done` on."""
+    moves = [
+        sign * steps[joint.unit] * np.eye(len(subject.robot.joints))[k]
+        for k, joint in enumerate(subject.robot.joints)
+        for sign in (1.0, -1.0)
+    ]
+    for number, move in enumerate(moves):
+        visit = yield GoTo(subject.start + move, 0.0, done + 0.5 * number / len(moves))
+        visits += [visit] if isinstance(visit, Visit) else []
 
 
 def latency(subject: Subject) -> Procedure[LatencyResult]:

@@ -60,7 +60,10 @@ def findings(result: Result) -> list[str]:
     """What a person should know about the result, in sentences."""
     if isinstance(result, AxesResult):
         first, second = 1e3 * result.signs.rms, 1e3 * result.signs.next_rms
-        return [f"The signs fit to {first:.2f} mm RMS; the next best combination to {second:.2f} mm."]
+        said = [f"The signs fit to {first:.2f} mm RMS; the next best combination to {second:.2f} mm."]
+        if (result.signs.signs < 0.0).any():
+            said.append("Turn the axes marked - round in the bench's file, then do this once more for the zero angles.")
+        return said
     if isinstance(result, LatencyResult):
         return [
             "Counted from the positions that the stages report, whose own delay is in it.",

@@ -1,6 +1,5 @@
 """Numbers of a run: tracking errors as the paper counts them, and against the plant's true tip."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from station.experiments.experiment import PERIOD
 from station.experiments.runner import Recording
 from station.experiments.step_fit import fit_step, fold
 from station.motions import StepMotion
+from station.tracking_errors import errors, rms, rounded
 
 #: Ticks over which the model's tip is averaged before it is compared: the noise of one force sample, 0.02 N in each
 #: sensor, moves it by a millimetre, and that says nothing about the model.
@@ -50,24 +50,24 @@ def summarise(recording: Recording) -> dict[str, Any]:
     measured = channels.of(frames, "tip_measured")
     sweeps = recording.case.file.trajectory.kind == "joint_sweep"
     if not sweeps:
-        summary |= _errors("", at_frames("tip_desired") - measured)
+        summary |= errors("", at_frames("tip_desired") - measured)
     known = bool(channels.of(counted, "truth_known").all())
     if known:
         true = channels.of(counted, "tip_true")
         if not sweeps:
-            summary |= _errors("true_", channels.of(counted, "tip_desired") - true)
+            summary |= errors("true_", channels.of(counted, "tip_desired") - true)
         for group in ("force", "force_filtered"):
             force_error = channels.of(counted, group) - channels.of(counted, "force_true")
-            summary[f"{group}_rms_error_N"] = _rounded(_rms(force_error), 4)
+            summary[f"{group}_rms_error_N"] = rounded(rms(force_error), 4)
     if isinstance(recording.case.file.trajectory, StepMotion):
         summary["step"] = _step(recording, "tip_true" if known else "tip_observed", recording.case.file.trajectory)
     summary["model_error_mm"] = {
-        name: _rounded(1e3 * np.linalg.norm(at_frames(group, averaged=True) - measured, axis=1).mean())
+        name: rounded(1e3 * np.linalg.norm(at_frames(group, averaged=True) - measured, axis=1).mean())
         for name, group in (("loaded", "tip_estimated"), ("unloaded", "tip_unloaded"))
     }
     summary["deflection_rate_rms_error_mm_s"] = _rate_errors(recording)
     summary["deflection_max_mm"] = {
-        group: _rounded(1e3 * np.abs(channels.of(counted, group)).max(axis=0))
+        group: rounded(1e3 * np.abs(channels.of(counted, group)).max(axis=0))
         for group in ("deflection", "delta_1", "delta_2")
     }
     return summary
@@ -113,23 +113,4 @@ def _rate_errors(recording: Recording) -> dict[str, Any]:
         return {}
     first = int(np.searchsorted(channels.of(rows, "time")[:, 0], recording.case.file.settling - 1e-9))
     groups = {"raw": "deflection_rate_raw", "filtered": "deflection_rate", "exact": "deflection_rate_exact"}
-    return {
-        name: _rounded(1e3 * _rms(channels.of(rows, group)[first:] - true[first:])) for name, group in groups.items()
-    }
-
-
-def _errors(prefix: str, error: Array) -> dict[str, Any]:
-    millimetres = 1e3 * error
-    return {
-        f"{prefix}max_abs_error_mm": _rounded(np.abs(millimetres).max(axis=0)),
-        f"{prefix}rms_error_mm": _rounded(_rms(millimetres)),
-        f"{prefix}mean_error_mm": _rounded(np.linalg.norm(millimetres, axis=1).mean()),
-    }
-
-
-def _rms(error: Array) -> Array:
-    return np.sqrt(np.mean(error * error, axis=0))
-
-
-def _rounded(value: Any, digits: int = 4) -> float | Sequence[float]:
-    return np.round(value, digits).tolist()
+    return {name: rounded(1e3 * rms(channels.of(rows, group)[first:] - true[first:])) for name, group in groups.items()}

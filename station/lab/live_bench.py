@@ -10,15 +10,16 @@ from station.devices.config import BenchFile
 from station.lab.config import LabConfig
 from station.lab.simulated_aurora_coil import MOUNT
 
-#: For a reply of the simulated stages [s]. Real ones have processors of their own: a busy computer makes these late
-#: and not lost.
-DEADLINE = 0.15
+#: What a simulated device's word may take [s]. Real ones have processors of their own: a busy computer makes these
+#: late and not lost.
+LATE = 0.15
 
 
 def lab_bench(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
     """The `[devices]` of a lab that has told its endpoints."""
+    tubes = {box["tube"]: _box(box) for box in endpoints["netft"]}
     tables = {
-        "stages": {"driver": "zaber", "port": endpoints["zaber"], "deadline": DEADLINE},
+        "stages": {"driver": "zaber", "port": endpoints["zaber"], "deadline": LATE},
         "tracker": {
             "driver": "aurora",
             "port": endpoints["aurora"],
@@ -27,7 +28,7 @@ def lab_bench(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
             # A turn by half about x, as MOUNT has it.
             "mount": {"position": MOUNT.position.tolist(), "rotation_vector": [math.pi, 0.0, 0.0]},
         },
-        "sensors": {"driver": "netft", "tubes": {box["tube"]: _box(box) for box in endpoints["netft"]}},
+        "sensors": {"driver": "netft", "tubes": tubes, "stale_after": LATE},
     }
     return check(BenchFile, tables, "virtual lab")
 

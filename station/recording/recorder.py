@@ -21,17 +21,21 @@ from station.realtime import show_as
 from station.recording.drawing import Drawing
 from station.recording.events import WARNING, Event
 from station.recording.label import Label, RecordingError
+from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
 from station.recording.writer import CaseWriter
 from station.ring import Ring
 from station.robots import RobotFile
 from station.telemetry import Channels
+from station.tracking_errors import motion_errors
 
 #: A chunk is closed and handed to the operating system so often [s].
 FLUSH = 0.2
 #: The process has this long to begin and to finish a recording [s].
 START_TIME, ANSWER_TIME = 60.0, 10.0
+#: Of a longer run the errors are those of every second, third, ... tick.
+MOST_ROWS = 1_000_000
 #: Name of the only case of a live run.
 CASE = "run"
 
@@ -50,7 +54,7 @@ class End(NamedTuple):
     label: Label
     cause: str
     until: int  #: rows in the ring when the run ended
-    summary: Mapping[str, Any]
+    numbers: Mapping[str, Any]  #: what its summary says besides
 
 
 class Answer(NamedTuple):
@@ -104,13 +108,13 @@ class Recorder:
         with contextlib.suppress(OSError):  # `trouble` says that the recorder is gone
             self.pipe.send(event)
 
-    def end(self, label: Label, cause: str = "", summary: Mapping[str, Any] | None = None) -> Path:
+    def end(self, label: Label, cause: str = "", numbers: Mapping[str, Any] | None = None) -> Path:
         """Finish the recording with the rows so far; the run's folder.
 
         Raises:
             RecordingError: it could not be finished, had ended before, or the recorder is gone.
         """
-        return self._ask(End(label, cause, self._ring.written, summary or {}), ANSWER_TIME)
+        return self._ask(End(label, cause, self._ring.written, numbers or {}), ANSWER_TIME)
 
     def trouble(self) -> str:
         """Why the recording has ended by itself; empty while all is well. Never waits."""
@@ -241,7 +245,8 @@ class _Recording:
         try:
             self.copy()
             self.writer.close(end.label, end.cause, missed=self._missed, cpu_s=time.process_time() - self._cpu)
-            self._folder.finish(self._summary(end.label, end.cause, end.summary))
+            numbers = {**end.numbers, **_errors(self._folder.case(CASE), end.numbers)}
+            self._folder.finish(self._summary(end.label, end.cause, numbers))
         except RecordingError as error:
             self.give_up(str(error))
             return Answer(None, str(error))
@@ -252,15 +257,23 @@ class _Recording:
         with contextlib.suppress(RecordingError):
             self._folder.finish(self._summary(Label.INCOMPLETE, problem, {}))
 
-    def _summary(self, label: Label, cause: str, more: Mapping[str, Any]) -> dict[str, Any]:
+    def _summary(self, label: Label, cause: str, numbers: Mapping[str, Any]) -> dict[str, Any]:
         told = {
             key: self._begin.metadata[key] for key in ("experiment", "title", "seed") if key in self._begin.metadata
         }
         done = label is Label.COMPLETE
         return {
             **told, "started": self.writer.started, "label": label, "cause": cause, "completed": done,
-            "cases": {CASE: {"completed": done, "cause": cause}}, **more,
+            "cases": {CASE: {"completed": done, "cause": cause, **numbers}},
         }  # fmt: skip
+
+
+def _errors(path: Path, numbers: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Of the tip, if its motion has begun and settled."""
+    if "motion_start" not in numbers:
+        return {}
+    recording = read_case(path, MOST_ROWS)
+    return motion_errors(recording.of, numbers["motion_start"], numbers["settling"])
 
 
 def _begin(

@@ -144,7 +144,21 @@ def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any])
         channels = [recording.channels[at] for at in columns]
         file = merged(table, table.get("cases", {}).get(name, {}))
         numbers = summary.get("cases", {}).get(name, {})
-        return Case(name, channels, np.concatenate(rows), file, numbers, recording.metadata, max(stride, 1))
+        whole = _from_the_start(np.concatenate(rows), channels, float(numbers.get("motion_start", 0.0)))
+        # A live run brings its settings with its recording.
+        file = file or {**recording.metadata.get("settings", {}), "settling": numbers.get("settling", 0.0)}
+        return Case(name, channels, whole, file, numbers, recording.metadata, max(stride, 1))
+
+
+def _from_the_start(rows: Array, channels: Sequence[Channel], start: float) -> Array:
+    """The motion of a live run, which began at `start` [s], its times counted from there."""
+    if start == 0.0:
+        return rows
+    names = [channel.name for channel in channels]
+    moving = rows[rows[:, names.index("time")] >= start].copy()
+    for name in ("time", "tip_time"):
+        moving[:, names.index(name)] -= start
+    return moving
 
 
 def read_json(path: Path) -> Mapping[str, Any]:

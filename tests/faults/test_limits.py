@@ -1,4 +1,4 @@
-"""Joint, tube-order or workspace limit: refused before motion with value and bound; limited in the loop, braking included."""
+"""Joint, tube-order or workspace limit: refused before motion with value and bound; in the loop, braking included."""
 
 import math
 import re
@@ -21,10 +21,16 @@ from tests.faults.virtual import VirtualStation
     [
         (CircleMotion(radius=0.08, period=60.0), r"circle.* (travel|speed) of \w+"),
         (StepMotion(offset=(0.0, 0.0, 0.2)), r"step.*"),
-        (JointSweepMotion(joint="inner_translation", speed=0.01, distance=0.2), r"inner_translation 0.1 m is outside -0.13 ... -0.005 m \(its travel\)"),
-        (JointSweepMotion(joint="outer_rotation", speed=1.0, distance=0.2), r"speed 1 rad/s is outside \+-0.349066 rad/s"),
+        (
+            JointSweepMotion(joint="inner_translation", speed=0.01, distance=0.2),
+            r"inner_translation 0.1 m is outside -0.13 ... -0.005 m \(its travel\)",
+        ),
+        (
+            JointSweepMotion(joint="outer_rotation", speed=1.0, distance=0.2),
+            r"speed 1 rad/s is outside \+-0.349066 rad/s",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_motion_that_cannot_be_made_is_refused_before_it_begins(case, motion, said) -> None:
     orders = Orders(motion, case.robot.robot())
     with pytest.raises(CtrError) as refusal:

@@ -1,4 +1,4 @@
-"""Serial link lost: the others are stopped, FAULT, which axis and how far it can run; homed again before the next run."""
+"""Serial link lost: the others stopped, FAULT, which axis and how far it can run; homed again before the next run."""
 
 import re
 

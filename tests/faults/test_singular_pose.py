@@ -24,9 +24,7 @@ def test_speeds_stay_within_their_limits_near_a_singular_pose(virtual: VirtualSt
     virtual.loop.start(Task(virtual.case.controller, Orders(away, robot), 20.0))
     virtual.until(lambda: virtual.state is not State.RUNNING, 30.0)
     rows = virtual.rows[begin:]
-    sigma = virtual.of("sigma", rows)[virtual.of("state", rows)[:, 0] == State.RUNNING]
     moving = [row for row in rows if virtual.of("sigma", [row])[0, 0] > 0.0]
-    print(sigma[:, -1].min(), virtual.state, virtual.loop.cause)
 
     limits = virtual.case.controller.limits
     assert (np.abs(virtual.of("velocity_commanded", rows)) <= limits.speed * (1 + 1e-9)).all()

@@ -9,16 +9,21 @@ from core.stability import design_snap_number
 from station.config import ConfigError
 from station.lab.loads import ConstantLoad
 from station.margins import FRAMES, Margins, check_design
-from station.robots import load_robot
+from station.robots import TubeFile, load_robot
 from station.states import State
 from tests.faults.virtual import VirtualStation
 
 
 def test_a_design_that_snaps_is_named_and_refused_where_that_is_asked_for() -> None:
     paper = load_robot("paper")
+
     # the same tubes with twice the curvature
-    bent = [tube.model_copy(update={"sections": tuple(section.model_copy(update={"curvature": (2.0 * section.curvature[0], 0.0)}) for section in tube.sections)}) for tube in paper.tubes]  # fmt: skip
-    snaps = paper.model_copy(update={"name": "bent", "tubes": tuple(bent)})
+    def bent(tube: TubeFile) -> TubeFile:
+        x = [section.curvature[0] for section in tube.sections]
+        sections = [s.model_copy(update={"curvature": (2.0 * c, 0.0)}) for s, c in zip(tube.sections, x, strict=True)]
+        return tube.model_copy(update={"sections": tuple(sections)})
+
+    snaps = paper.model_copy(update={"name": "bent", "tubes": tuple(bent(tube) for tube in paper.tubes)})
 
     lower, upper = (np.array([getattr(joint, end) for joint in paper.joints]) for end in ("lower", "upper"))
     number = design_snap_number(snaps.robot(), lower, upper)

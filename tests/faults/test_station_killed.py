@@ -1,4 +1,4 @@
-"""Station process killed: axes stopped by the control process within 100 ms plus the line; recording recovered at start."""
+"""Station process killed: the control process stops the axes within 100 ms plus the line; recording recovered."""
 
 import time
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Tracker's tool missing: a quality flag, the outer correction freezes, HOLD after 0.25 s; jumps and repeats rejected."""
+"""Tracker's tool missing: a flag, the outer correction freezes, HOLD after 0.25 s; jumps and repeats rejected."""
 
 from dataclasses import replace
 

@@ -1,5 +1,6 @@
 """Procedures through the control loop and the wire-level devices."""
 
+import json
 import math
 import os
 import signal
@@ -32,12 +33,11 @@ def test_visits_on_the_wire_are_those_of_the_still_lab(subject):
     lab, seen = load_lab("uncalibrated", subject.file), []
 
     def few(bench: Subject):
-        visits = []
-        for joints in (START + np.array([0.2, -0.15, 0.005]), START):
-            visits.append((yield GoTo(joints, 0.0, 0.0)))
+        away = yield GoTo(START + np.array([0.2, -0.15, 0.005]), 0.0, 0.0)
+        back = yield GoTo(START, 0.0, 0.3)
         yield Ask("Hang a weight.", 0.5, 0.5)
-        visits.append((yield GoTo(START, 0.5, 0.9)))
-        return visits
+        pulled = yield GoTo(START, 0.5, 0.9)
+        return [away, back, pulled]
 
     texts = []
     seen = carry_out(few(subject), subject, lab, 4, VirtualClock(), lambda done, text: texts.append((done, text)))
@@ -106,3 +106,12 @@ def test_the_command_writes_its_folder_and_says_where(command_line, tmp_path):
         "visits.json",
     }
     assert folder.name in done.stdout.decode()
+
+
+def test_the_axes_command_finds_a_mirrored_stage_on_the_wire(command_line, write, tmp_path):
+    lab = write('[hidden]\nmirrored = ["inner_rotation"]\n', "mirrored")
+
+    done = command_line("calibrate", "axes", "--lab", str(lab), "--out", "found", "--json")
+
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["signs"] == {"outer_rotation": 1.0, "inner_rotation": -1.0, "inner_translation": 1.0}

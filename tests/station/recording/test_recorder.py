@@ -57,7 +57,7 @@ def test_a_run_is_recorded_from_its_beginning_to_its_end(recorder, feed, paper, 
     recorder.event(Event(float(feed.ring.written) * PERIOD, "state", "RUNNING"))
     wait_for(lambda: feed.ring.written > first + 400)
     last = feed.ring.written
-    assert recorder.end(Label.COMPLETE, summary={"mean_error_mm": 0.1}) == path == tmp_path / "runs" / "one"
+    assert recorder.end(Label.COMPLETE, numbers={"mean_error_mm": 0.1}) == path == tmp_path / "runs" / "one"
 
     read = read_case(path / "run.mcap")
     assert first <= round(read.rows[0, 0] / PERIOD) <= begun

@@ -1,0 +1,151 @@
+"""Raw bodies at the REST interface of a station that really runs: `python -m tests.fuzz.rest 10000 SEED`.
+
+Bodies that make sense are damaged, cut, nested, and filled with what a number or a name should not be. Looked for
+are answers that blame the station (5xx), answers that give no reason, and motion that was not asked for.
+"""
+
+import json
+import random
+import sys
+from collections import Counter
+from typing import Any
+
+import httpx
+
+from tests.serving import Served, serving
+
+JSON = {"content-type": "application/json"}
+#: What is sent where; requests that move something, and those that only set or ask.
+MOVES: list[tuple[str, str, Any]] = [
+    ("POST", "/api/start", {"trajectory": {"kind": "circle", "radius": 0.005, "period": 20.0}, "duration": 5.0}),
+    ("POST", "/api/start", {"experiment": "fig10", "case": "paper"}),
+    ("POST", "/api/jog", {"space": "tip", "velocity": [0.0, 0.0, 0.001]}),
+    ("POST", "/api/jog", {"space": "joints", "velocity": [0.0, 0.01, 0.0]}),
+    ("POST", "/api/home", {"way_is_clear": True}),
+]
+OTHERS: list[tuple[str, str, Any]] = [
+    ("PUT", "/api/trajectory", {"kind": "sinusoid", "direction": [0, 0, 1], "amplitude": 0.01, "frequency": 0.05}),
+    ("PUT", "/api/controller", {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5}),
+    ("POST", "/api/model/solve", {"joints": {"outer_rotation": 0.0}, "force": [0.1, 0.0, 0.0]}),
+    ("POST", "/api/operator", {"name": "somebody", "take_over": True}),
+    ("POST", "/api/pull", {"load": {"kind": "constant", "magnitude": 0.1}}),
+    ("POST", "/api/faults", {"faults": [{"kind": "stall", "device": "nobody", "duration": 1.0}]}),
+    ("POST", "/api/tare", {}),
+    ("DELETE", "/api/faults", None),
+    ("POST", "/api/nothing", {}),
+]
+ODD: list[Any] = [
+    None, True, -1, 0, 1e308, -1e-308, 10**400, "", "\u0000", "NaN", [], {}, [[]], {"": 0}, "x" * 5000, [0] * 500,
+]  # fmt: skip
+
+
+class RestFuzz:
+    """One station and what it has answered."""
+
+    def __init__(self, station: Served, seed: int) -> None:
+        self.station, self.chance = station, random.Random(seed)
+        self.answers: Counter[int] = Counter()
+        self.wrong: list[str] = []
+        self._joints = self._at_rest()
+
+    def one(self) -> None:
+        """One request and a look at what it did."""
+        method, path, body = self.chance.choice(MOVES if self.chance.random() < 0.4 else OTHERS)
+        raw = self._damaged(body)
+        headers = JSON if self.chance.random() < 0.9 else {"content-type": self.chance.choice(("text/plain", "", "é"))}
+        try:
+            answer = self.station.rest.request(method, path, content=raw, headers=headers)
+        except (httpx.HTTPError, UnicodeError) as error:
+            if isinstance(error, UnicodeError):
+                return  # httpx does not send such a header
+            self.wrong.append(f"{method} {path} {raw[:80]!r}: {error!r}")
+            return
+        self.answers[answer.status_code] += 1
+        if answer.status_code >= 500:
+            self.wrong.append(f"{answer.status_code}: {method} {path} {raw[:200]!r}: {answer.text[:200]}")
+        if 400 <= answer.status_code < 500 and path != "/api/nothing" and not _reason(answer):
+            self.wrong.append(f"{answer.status_code} without a reason: {method} {path} {raw[:200]!r}")
+        moved = answer.is_success and any(path == way for _, way, _ in MOVES)
+        if moved:
+            self._joints = self._at_rest()
+        elif self.chance.random() < 0.2:
+            self._look(f"{method} {path} {raw[:200]!r}")
+
+    def _look(self, after: str) -> None:
+        """Nothing has moved and nothing runs."""
+        status = self.station.status()
+        if status["state"] not in ("READY", "HOLD", "FAULT") or status["joints"] != self._joints:
+            self.wrong.append(f"motion that nobody asked for after {after}: {status['state']}")
+            self._joints = self._at_rest()
+
+    def _at_rest(self) -> dict[str, float]:
+        """Stop whatever was asked for; where the joints then are."""
+        self.station.rest.post("/api/stop")
+        self.station.ready()
+        return self.station.wait_for(lambda status: status["joints"] == self._joints_of(), 10.0)["joints"]
+
+    def _joints_of(self) -> dict[str, float]:
+        return self.station.status()["joints"]
+
+    def _damaged(self, body: Any) -> bytes:
+        chance = self.chance
+        way = chance.random()
+        if body is None or way < 0.1:
+            return bytes(chance.randrange(256) for _ in range(chance.choice((0, 1, 7, 300))))
+        if way < 0.15:
+            return b"[" * chance.randrange(1, 60_000)
+        if way < 0.17:
+            return b" " * chance.randrange(60_000, 200_000)
+        if way < 0.6:
+            body = self._odd(body)
+        text = json.dumps(body)
+        if way < 0.3:
+            text = text.replace("0.0", chance.choice(("NaN", "Infinity", "-Infinity", "1e999", "0x1", "0.0.0", "null")))
+        raw = bytearray(text.encode())
+        if 0.6 <= way < 0.95 and raw:
+            for _ in range(chance.randint(1, 4)):
+                at = chance.randrange(len(raw))
+                raw[at : at + chance.randrange(2)] = bytes([chance.randrange(256)])
+        return bytes(raw[: chance.randrange(len(raw) + 1)] if way > 0.9 else raw)
+
+    def _odd(self, body: Any) -> Any:
+        """The body with one thing in it that should not be."""
+        if isinstance(body, dict) and body and self.chance.random() < 0.8:
+            key = self.chance.choice(list(body))
+            if self.chance.random() < 0.2:
+                return {**body, f"{key}_": 1}
+            return {**body, key: self._odd(body[key])}
+        if isinstance(body, list) and body and self.chance.random() < 0.5:
+            at = self.chance.randrange(len(body))
+            return [self._odd(item) if i == at else item for i, item in enumerate(body)]
+        return self.chance.choice(ODD)
+
+
+def _reason(answer: httpx.Response) -> str:
+    try:
+        return str(answer.json()["error"])
+    except (ValueError, KeyError, TypeError):
+        return ""
+
+
+def fuzz(station: Served, requests: int, seed: int) -> RestFuzz:
+    """So many requests."""
+    fuzzed = RestFuzz(station, seed)
+    for _ in range(requests):
+        fuzzed.one()
+    return fuzzed
+
+
+def main() -> None:
+    """As many as the first argument says."""
+    requests, seed = [int(word) for word in sys.argv[1:3]] + [10_000, 1][len(sys.argv) - 1 :]
+    with serving() as station:
+        fuzzed = fuzz(station, requests, seed)
+    for line in fuzzed.wrong[:20]:
+        sys.stdout.write(f"{line}\n")
+    sys.stdout.write(f"{requests} requests: {dict(sorted(fuzzed.answers.items()))}, {len(fuzzed.wrong)} wrong\n")
+    sys.exit(bool(fuzzed.wrong))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""A short soak of the whole station; the long ones are run by hand (`ctr-station soak`)."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from station.growth import Growth, resident
+from station.soak import CHANCES, rows
+
+
+@pytest.mark.timeout(300)
+def test_three_quarters_of_a_minute_leave_nothing_unexplained(tmp_path: Path, environment: dict[str, str]) -> None:
+    command = [sys.executable, "-m", "station", "soak", "--minutes", "0.75", "--seed", "3", "--json"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=280)
+    summary = json.loads(done.stdout)
+
+    assert summary["wrong"] == []
+    assert summary["passed"] is True
+    assert done.returncode == 0
+    assert summary["seconds"] >= 45.0
+    assert sum(summary["actions"].values()) > 10
+    assert set(summary["memory_mb"]) == {"station", "control", "lab", "recorder"}
+    assert [what for what, _ in rows(summary)][-1] == "wrong"
+    assert list(tmp_path.iterdir()) == []  # what it records is thrown away
+
+
+def test_what_grows_is_told_by_its_slope() -> None:
+    growing, steady = Growth(), Growth()
+    for second in range(100):
+        growing.add(second, 1e6 + 5e3 * second)
+        steady.add(second, 5e7 if second > 10 else 1e6 * second)
+
+    assert growing.slope == pytest.approx(5e3)
+    assert steady.slope == pytest.approx(0.0, abs=1e-6)
+    assert growing.size == 1e6 + 5e3 * 99
+
+
+def test_the_size_of_a_process_is_that_of_the_system() -> None:
+    before = resident(os.getpid())
+    assert before is not None
+    block = bytearray(50_000_000)
+    block[::4096] = b"x" * len(block[::4096])
+    after = resident(os.getpid())
+    assert after is not None
+    assert after - before == pytest.approx(50e6, rel=0.2)
+    assert resident(2**22 + 1) is None
+
+
+def test_every_fault_that_may_happen_is_one_of_the_labs(paper) -> None:
+    from station.lab.faults import LabFault, check_faults
+
+    check_faults([LabFault(kind=chance.kind, device=chance.device) for chance in CHANCES], paper)
