@@ -48,6 +48,8 @@ STALE = 0.5
 HUNG = 1.0
 #: Of the threads that stop the stages when the control process cannot; below its own.
 WATCHER_PRIORITY = 45
+#: The same until the station has been READY once [s].
+FIRST_TICKS = 60.0
 #: Between two looks of the watchdog [s].
 LOOK = 0.02
 
@@ -306,7 +308,7 @@ class Supervisor:
     def _start_lab(self) -> LabHost | OwnBench:
         if self.bench.devices is not None:
             return OwnBench(self.bench.devices)
-        bench = LabBench(self.bench.robot, self.bench.lab, self.bench.seed, self.bench.park)
+        bench = LabBench(self.bench.robot, self.bench.lab, self.bench.seed, self.bench.park, self.bench.fifo)
         return LabHost(bench, self.ring.name, ring_width(self.bench.robot))
 
     def _start_process(self) -> None:
@@ -440,9 +442,11 @@ class Supervisor:
             numbers = self.ring.numbers
             numbers[STATION_HEARTBEAT] = time.monotonic()
             ticked = float(numbers[HEARTBEAT])
-            if ticked > 0.0 and time.monotonic() - ticked > HUNG and self._process.is_alive():
+            # The first ticks of a new installation compile what they meet.
+            patience = HUNG if self._entered[State.READY] else FIRST_TICKS
+            if ticked > 0.0 and time.monotonic() - ticked > patience and self._process.is_alive():
                 with self._lock:
-                    self._state, self._cause = State.FAULT, f"the control loop has not ticked for {HUNG:g} s"
+                    self._state, self._cause = State.FAULT, f"the control loop has not ticked for {patience:g} s"
                 self._process.kill()
             if self._recorded and self.recording is not None and (problem := self.recording.problem()):
                 self._recorded = 0

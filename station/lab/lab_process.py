@@ -57,6 +57,7 @@ class LabBench(NamedTuple):
     config: LabConfig
     seed: int
     park: tuple[float, ...]  #: joints at power-up [rad or m]
+    fifo: bool = True  #: ask for real-time scheduling
 
 
 def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, parent: int) -> None:
@@ -72,7 +73,8 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
         pipe.send(Opened({}, str(error)))
         return
     # Real devices have processors of their own: a busy computer must not make the simulated ones late.
-    ask_for_fifo(PRIORITY)
+    if bench.fifo:
+        ask_for_fifo(PRIORITY)
     with lab:
         pipe.send(Opened(lab.endpoints, ""))
         lab.run(_Visitor(lab, ring, pipe, parent).look)
