@@ -1,5 +1,6 @@
 """`ctr-station bench loop`: how punctual the 500 Hz loop is on this machine, in a process of its own."""
 
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,38 +11,41 @@ from core.errors import CtrError
 from station.desk import Desk
 from station.lab.loads import RaisedCosineLoad
 from station.motions import CircleMotion
+from station.realtime import leave_a_core
 from station.states import State
 from station.station_file import load_station
 from station.supervisor import Supervisor
 
 
 def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True) -> dict[str, Any]:
-    """Run a circle under load in the virtual lab for `seconds` and count.
+    """Run a circle under load in the virtual lab for `seconds`, recorded as any run is, and count.
 
     Raises:
         CtrError: the control process failed meanwhile.
     """
-    supervisor = Supervisor(replace(load_station(None).bench(), fifo=fifo))
-    try:
-        supervisor.wait_ready(120.0)
-        steal = stolen()
-        supervisor.ring.clear_timing()
-        Desk(supervisor).start_motion(
-            CircleMotion(radius=0.010, period=20.0),
-            load=RaisedCosineLoad(peak=0.3, period=15.0),
-            duration=seconds + 60.0,
-        )
-        begin = time.monotonic()
-        while (passed := time.monotonic() - begin) < seconds:
-            time.sleep(min(0.25, seconds - passed))
-            progress(min(1.0, passed / seconds))
-            status = supervisor.status()
-            if status.state is not State.RUNNING:
-                raise CtrError(f"the loop went to {status.state.name}: {status.cause}")
-        timing = supervisor.ring.timing()
-        stolen_s = round(stolen() - steal, 3)
-    finally:
-        supervisor.close()
+    bench = replace(load_station(None).bench(), fifo=fifo, core=leave_a_core())
+    with tempfile.TemporaryDirectory(prefix="ctr-bench-") as folder:
+        supervisor = Supervisor(bench, Path(folder))
+        try:
+            supervisor.wait_ready(120.0)
+            steal = stolen()
+            supervisor.ring.clear_timing()
+            Desk(supervisor).start_motion(
+                CircleMotion(radius=0.010, period=20.0),
+                load=RaisedCosineLoad(peak=0.3, period=15.0),
+                duration=seconds + 60.0,
+            )
+            begin = time.monotonic()
+            while (passed := time.monotonic() - begin) < seconds:
+                time.sleep(min(0.25, seconds - passed))
+                progress(min(1.0, passed / seconds))
+                status = supervisor.status()
+                if status.state is not State.RUNNING:
+                    raise CtrError(f"the loop went to {status.state.name}: {status.cause}")
+            timing = supervisor.ring.timing()
+            stolen_s = round(stolen() - steal, 3)
+        finally:
+            supervisor.close()
     return {**timing._asdict(), "seconds": seconds, "stolen_s": stolen_s}
 
 

@@ -6,7 +6,6 @@ control process has died, to stop the stages.
 
 import contextlib
 import itertools
-import multiprocessing
 import os
 import threading
 import time
@@ -15,59 +14,37 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from core.errors import CtrError
 from core.robot import Array
 from core.statics import Statics
 from station.audit import Audit
 from station.chronicle import Chronicle
-from station.control_process import Bench, ring_width, run_control
-from station.devices.built_in import stage_ports
+from station.control_host import WATCHER_PRIORITY, ControlHost, Ending, Said
+from station.control_process import Bench, ring_width
 from station.devices.config import BenchFile
 from station.lab.faults import LabFault
-from station.lab.lab_host import LabError, LabHost
+from station.lab.lab_host import LabHost
 from station.lab.lab_process import LabBench
 from station.lab.loads import Load, NoLoad
-from station.last_stop import stop_stages
 from station.live_recording import LiveRecording
-from station.messages import Command, DeviceReport, DeviceStatus, Notice, Refused, Reply
+from station.messages import DeviceReport, DeviceStatus, Refused
 from station.own_bench import OwnBench
 from station.realtime import ask_for_fifo, one_thread_each
-from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, Ring, Timing
+from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, Ring
 from station.states import Event, RefusedError, State, after
+from station.status import Status
 from station.task import Phase, Task
 from station.telemetry import Channels
 from station.tracking_errors import settling_time
 
-#: The control process answers a command within this time or counts as gone [s].
-ANSWER_TIME = 1.0
-#: Telemetry older than this is shown as stale [s].
-STALE = 0.5
 #: A control process that has begun to tick and has not for so long is hung: it is ended, the stages are stopped [s].
 HUNG = 1.0
-#: Of the threads that stop the stages when the control process cannot; below its own.
-WATCHER_PRIORITY = 45
 #: The same until the station has been READY once [s].
 FIRST_TICKS = 60.0
 #: Between two looks of the watchdog [s].
 LOOK = 0.02
-
-
-class Status(NamedTuple):
-    """One look says everything."""
-
-    state: State
-    cause: str  #: why it is HOLD, STOPPED or FAULT
-    run: str  #: the run that is on, or the last one; empty before the first
-    title: str  #: of that run
-    phase: Phase
-    progress: float  #: part of the motion that is done
-    age: float  #: since the last tick [s]
-    timing: Timing
-    values: Mapping[str, Array]  #: newest telemetry by group; empty until there is some
-    devices: tuple[DeviceStatus, ...] = ()  #: as reported last; empty before
-    warnings: tuple[str, ...] = ()  #: of this machine and this robot
 
 
 class Supervisor:
@@ -82,12 +59,8 @@ class Supervisor:
         self.ring = Ring(ring_width(bench.robot))
         self.task: Task | None = None  #: what the run that is on, or the last one, has to do
         self._session = f"{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-        self._numbers = itertools.count(1)
         self._runs = itertools.count(1)
         self._lock = threading.Lock()
-        self._replies: dict[int, str] = {}
-        self._waiting: set[int] = set()
-        self._answered = threading.Condition(self._lock)
         self._cause = ""
         self._state = State.OFF
         self._run, self._title = 0, ""
@@ -98,7 +71,6 @@ class Supervisor:
         self._told: BenchFile | None = None  # what the control process has to open
         self._closing = threading.Event()
         one_thread_each()
-        self._context = multiprocessing.get_context("spawn")
         self.recording = None if runs is None else LiveRecording(self.ring, bench.robot, runs)
         self._chronicle = Chronicle(self.ring, self.channels, audit, runs, self._session)
         self._entered: Counter[State] = Counter()
@@ -106,7 +78,7 @@ class Supervisor:
         self._recorded = 0  # the run that is being recorded
         self._settling = 0.0  # errors of its motion count from then on [s]
         self._lab = self._start_lab()
-        self._start_process()
+        self._control = self._start_control()
         self._watchdog = threading.Thread(target=self._watch_time, name="watchdog")
         self._watchdog.start()
 
@@ -143,8 +115,8 @@ class Supervisor:
     def pids(self) -> dict[str, int]:
         """Of every process that lives."""
         found = {"station": os.getpid()}
-        if self._process.is_alive():
-            found["control"] = self._process.pid or 0
+        if self._control.alive:
+            found["control"] = self._control.pid
         if isinstance(self._lab, LabHost) and self._lab.alive:
             found["lab"] = self._lab.pid
         if self.recording is not None:
@@ -191,7 +163,7 @@ class Supervisor:
         with self._lock:
             before, self._load, self._faults = self._load, load, tuple(faults)
         try:
-            self._ask(Command(next(self._numbers), Event.START, task, number))
+            self._control.ask(Event.START, task=task, run=number)
         except RefusedError:
             with self._lock:
                 self._load = before
@@ -203,10 +175,10 @@ class Supervisor:
 
     def stop(self) -> str:
         """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
-        if not self._process.is_alive():
-            return stop_stages(self._stage_ports) or "there is no control process and nothing that moves"
+        if not self._control.alive:
+            return self._control.stop_stages() or "there is no control process and nothing that moves"
         try:
-            self._ask(Command(next(self._numbers), Event.STOP))
+            self._control.ask(Event.STOP)
         except RefusedError as error:
             return f"{error}; the stop is the next thing that it does"
         return ""
@@ -218,13 +190,12 @@ class Supervisor:
             RefusedError: there is nothing to reset.
             CtrError: they do not come back.
         """
-        if self._process.is_alive() and self._lab.alive:
-            self._ask(Command(next(self._numbers), Event.RESET))
+        if self._control.alive and self._lab.alive:
+            self._control.ask(Event.RESET)
             return
-        if self._process.is_alive():
-            self._process.kill()  # the devices it has open are gone
-        self._watcher.join(timeout=5.0)
-        self._pipe.close()
+        if self._control.alive:
+            self._control.kill()  # the devices it has open are gone
+        self._control.close()
         if not self._lab.alive:
             self._lab.close()
             self._lab, self._told = self._start_lab(), None
@@ -232,7 +203,7 @@ class Supervisor:
         since = self.ring.written
         with self._lock:
             self._cause, self._state, self._run, self._title, self.task = "", State.OFF, 0, "", None
-        self._start_process()
+        self._control = self._start_control()
         self.wait_ready(60.0, since)
 
     def connect(self) -> None:
@@ -241,7 +212,7 @@ class Supervisor:
         Raises:
             RefusedError: not OFF.
         """
-        self._ask(Command(next(self._numbers), Event.CONNECT))
+        self._control.ask(Event.CONNECT)
 
     def home(self) -> None:
         """Home every stage; a person has said that the way is clear.
@@ -249,7 +220,7 @@ class Supervisor:
         Raises:
             RefusedError: neither CONNECTED nor READY, or the stages cannot.
         """
-        self._ask(Command(next(self._numbers), Event.HOME))
+        self._control.ask(Event.HOME)
 
     def tare(self) -> None:
         """Make what the force sensors feel zero.
@@ -257,7 +228,7 @@ class Supervisor:
         Raises:
             RefusedError: not READY.
         """
-        self._ask(Command(next(self._numbers), "tare"))
+        self._control.ask("tare")
 
     def jog(self, space: Literal["joints", "tip"], velocity: Array) -> None:
         """Move by hand for the next 0.3 s: (n,) [rad/s or m/s] joints or (3,) [m/s] tip.
@@ -265,14 +236,14 @@ class Supervisor:
         Raises:
             RefusedError: not READY.
         """
-        self._ask(Command(next(self._numbers), "jog", space=space, velocity=velocity))
+        self._control.ask("jog", space=space, velocity=velocity)
 
     def operator_gone(self) -> None:
         """Nobody commands any more; as configured, a run that is on goes on or is held."""
         if self.bench.alone == "hold" and self.status().state is State.RUNNING:
             cause = "the operator has gone; this station holds a run then (alone = 'hold')"
             with contextlib.suppress(RefusedError):  # it has just ended
-                self._ask(Command(next(self._numbers), Event.HOLD, cause=cause))
+                self._control.ask(Event.HOLD, cause=cause)
 
     def pull(self, load: Load) -> None:
         """Put a load on the virtual lab's tip, now; the next motion brings its own."""
@@ -285,19 +256,12 @@ class Supervisor:
     def close(self) -> None:
         """End the control process, its axes stopped, then the lab, and remove the shared memory."""
         self._closing.set()
-        with contextlib.suppress(OSError):  # it may be gone already
-            self._pipe.send(None)
-        self._process.join(timeout=3.0)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+        self._control.close()
         self._lab.close()
-        self._watcher.join(timeout=3.0)
         self._watchdog.join(timeout=3.0)
         if self.recording is not None:
             self.recording.close()
         self._chronicle.close()
-        self._pipe.close()
         self.ring.close(remove=True)
 
     # Processes
@@ -311,83 +275,30 @@ class Supervisor:
         bench = LabBench(self.bench.robot, self.bench.lab, self.bench.seed, self.bench.park, self.bench.fifo)
         return LabHost(bench, self.ring.name, ring_width(self.bench.robot))
 
-    def _start_process(self) -> None:
-        self._pipe, child = self._context.Pipe()
-        self.ring.numbers[HEARTBEAT] = 0.0
-        self._stage_ports: tuple[str, ...] = ()
-        self._process = self._context.Process(
-            target=run_control, args=(self.bench, self.ring.name, child, os.getpid()), name="control", daemon=True
-        )
-        self._process.start()
-        child.close()
-        self._watcher = threading.Thread(target=self._watch, args=(self._pipe, self._process), name="control watcher")
-        self._watcher.start()
+    def _start_control(self) -> ControlHost:
+        return ControlHost(self.bench, self.ring, self._find_devices, self._hear, self._ended)
 
-    def _ask(self, command: Command) -> None:
-        with self._lock:
-            self._waiting.add(command.number)
-        try:
-            try:
-                with self._lock:
-                    self._pipe.send(command)
-            except OSError:
-                raise RefusedError("the control process is gone; reset to start it anew") from None
-            with self._answered:
-                if not self._answered.wait_for(lambda: command.number in self._replies, ANSWER_TIME):
-                    raise RefusedError(
-                        f"the control process did not answer '{command.what}' within {ANSWER_TIME:g} s"
-                        f" (it is {self._state.name})"
-                    )
-                refused = self._replies.pop(command.number)
-        finally:
-            with self._lock:
-                self._waiting.discard(command.number)
-        if refused:
-            raise RefusedError(refused)
+    def _find_devices(self) -> BenchFile:
+        """What the control process has to open; waits for a lab that is coming up."""
+        if self._told is None:
+            self._told = self._lab.devices()
+        return self._told
 
-    def _watch(self, pipe: Any, process: Any) -> None:
-        """Give the control process its devices, take what it says until it ends; its end unasked is a fault."""
-        cause = ""
-        if self.bench.fifo:
-            ask_for_fifo(WATCHER_PRIORITY)  # what is left of a run must not wait for a page to be drawn
-        try:
-            if self._told is None:
-                self._told = self._lab.devices()
-            self._stage_ports = stage_ports(self._told.stages)
-            with self._lock:
-                pipe.send(self._told)
-            while True:
-                self._hear(pipe.recv())
-        except LabError as error:
-            cause = str(error)
-            process.kill()
-        except (EOFError, OSError):
-            pass  # it has ended
-        if self._closing.is_set():
-            process.join()
-            return
-        stopped = stop_stages(self._stage_ports)
-        process.join()
-        code = process.exitcode
-        how = f"by signal {-code}" if code is not None and code < 0 else f"with status {code}"
+    def _ended(self, ending: Ending) -> None:
+        """The control process has ended unasked: the stages have been stopped, the run is marked."""
         with self._lock:
             # What it has said last is the cause, if it was a fault.
-            said = self._cause if self._state is State.FAULT else f"the control process ended {how}"
+            said = self._cause if self._state is State.FAULT else ending.how
             self._state = State.FAULT
-            self._cause = "; ".join(part for part in (cause or said, stopped, "reset to start it anew") if part)
+            self._cause = "; ".join(part for part in (said, ending.stopped, "reset to start it anew") if part)
             self._motion_start = None
         self._entered[State.FAULT] += 1
         self._chronicle.state(State.FAULT, self._cause)
         self._end_recording(State.FAULT, self._cause, interrupted=True)
         self._lab.pull(NoLoad(), 0.0)
 
-    def _hear(self, message: Reply | Notice | DeviceReport | Refused) -> None:
-        with self._answered:
-            if isinstance(message, Reply):
-                if message.number in self._waiting:
-                    self._replies[message.number] = message.refused
-                    self._answered.notify_all()
-                return
+    def _hear(self, message: Said) -> None:
+        with self._lock:
             if isinstance(message, DeviceReport):
                 self._devices = message.devices
                 return
@@ -444,16 +355,11 @@ class Supervisor:
             ticked = float(numbers[HEARTBEAT])
             # The first ticks of a new installation compile what they meet.
             patience = HUNG if self._entered[State.READY] else FIRST_TICKS
-            if ticked > 0.0 and time.monotonic() - ticked > patience and self._process.is_alive():
+            if ticked > 0.0 and time.monotonic() - ticked > patience and self._control.alive:
                 with self._lock:
                     self._state, self._cause = State.FAULT, f"the control loop has not ticked for {patience:g} s"
-                self._process.kill()
+                self._control.kill()
             if self._recorded and self.recording is not None and (problem := self.recording.problem()):
                 self._recorded = 0
-                self._give_up_run(problem)
-
-    def _give_up_run(self, problem: str) -> None:
-        """A run that is not recorded is worth nothing: end it safely."""
-        # Nobody waits for the answer: this thread has to keep time.
-        with contextlib.suppress(OSError), self._lock:
-            self._pipe.send(Command(next(self._numbers), Event.HOLD, cause=f"the recording has ended: {problem}"))
+                # A run that is not recorded is worth nothing: end it safely.
+                self._control.hold(f"the recording has ended: {problem}")

@@ -1,7 +1,7 @@
 """A station without a web server, as a process for tests: `python -m tests.lone_station FOLDER [ENDPOINTS]`.
 
-It answers each line of its input with a line of JSON: `start` (with a duration behind it), `stop`, `home`, `reset`
-and `status`; it ends with its input.
+It answers each line of its input with a line of JSON: `start`, `stop`, `home`, `reset` and
+`status`; it ends with its input.
 """
 
 import json
@@ -19,7 +19,6 @@ import psutil
 from core.errors import CtrError
 from station.desk import Desk
 from station.lab.live_bench import lab_bench
-from station.motions import CircleMotion
 from station.station_file import load_station
 from station.supervisor import Supervisor
 
@@ -30,11 +29,11 @@ class LoneStation:
     def __init__(self, process: "subprocess.Popen[str]") -> None:
         self.process = process
 
-    def ask(self, what: str, about: Any = None) -> dict[str, Any]:
+    def ask(self, what: str) -> dict[str, Any]:
         """Its answer."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        self.process.stdin.write(f"{what} {json.dumps(about)}\n")
+        self.process.stdin.write(f"{what}\n")
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
 
@@ -80,8 +79,7 @@ def main() -> None:
         _settled(supervisor)
         desk = Desk(supervisor)
         for line in sys.stdin:
-            what, _, about = line.strip().partition(" ")
-            sys.stdout.write(f"{json.dumps(_answer(supervisor, desk, what, json.loads(about or 'null')))}\n")
+            sys.stdout.write(f"{json.dumps(_answer(supervisor, desk, line.strip()))}\n")
             sys.stdout.flush()
     finally:
         supervisor.close()
@@ -92,12 +90,12 @@ def _settled(supervisor: Supervisor) -> None:
         time.sleep(0.02)
 
 
-def _answer(supervisor: Supervisor, desk: Desk, what: str, about: Any) -> dict[str, Any]:
+def _answer(supervisor: Supervisor, desk: Desk, what: str) -> dict[str, Any]:
     refused = ""
     try:
         match what:
             case "start":
-                desk.start_motion(CircleMotion(radius=0.008, period=10.0), duration=float(about or 600.0))
+                desk.start_experiment("demo")  # from its start pose, wherever the robot is now
             case "stop":
                 supervisor.stop()
             case "reset":

@@ -15,7 +15,7 @@ from station.devices.interfaces import Severity
 from station.experiments.experiment import ControllerFile, Experiment, load_experiment, start_pose
 from station.solve import model_answer
 from station.states import State
-from station.supervisor import STALE, Status
+from station.status import STALE, Status
 from web.commands import Commands, aside, operator_out
 from web.pictures import picture
 from web.schemas import (
@@ -171,6 +171,7 @@ def status_out(desk: Desk, of: Commands, who: Who) -> StatusOut:
         stale=stale,
         age=round(status.age, 3),
         lab=supervisor.bench.title,
+        warnings=status.warnings,
         run=run,
         devices=_devices(status),
         loop=LoopOut(**status.timing._asdict()),

@@ -5,7 +5,7 @@ import numpy as np
 from core.robot import Array
 from core.trajectories import Setpoint
 from station.loop import Task
-from station.supervisor import Status
+from station.status import Status
 
 STEP = 5e-4  #: between points [m]
 LONGEST_STEP = 0.05  #: [s]

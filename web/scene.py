@@ -11,7 +11,8 @@ from core.errors import CtrError
 from core.robot import Array
 from core.statics import Solution, Statics
 from station.loop import Phase, Task
-from station.supervisor import STALE, Status, Supervisor
+from station.status import STALE, Status
+from station.supervisor import Supervisor
 from web import palette
 from web.history import BIN, SPAN, History
 from web.reference import path

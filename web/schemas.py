@@ -157,6 +157,8 @@ class StatusOut(Strict):
     """since the last tick [s]"""
     lab: str
     """what is simulated"""
+    warnings: tuple[str, ...]
+    """of this computer and this robot: real-time scheduling refused, tubes that snap"""
     run: RunOut | None
     devices: Mapping[str, DeviceOut]
     loop: LoopOut

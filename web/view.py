@@ -11,7 +11,7 @@ import viser
 from core.robot import Array
 from station.desk import Desk
 from station.lab.loads import GRAVITY, ConstantLoad, NoLoad
-from station.supervisor import STALE, Status
+from station.status import STALE, Status
 from web.gizmos import FORCE, TARGET, Gizmo, boxes, pull
 from web.history import History
 from web.legend import add_legend

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from station.loop import Phase
 from station.states import State
-from station.supervisor import STALE, Status
+from station.status import STALE, Status
 
 
 class Words(NamedTuple):

@@ -19,6 +19,7 @@ from station.lab.config import LabConfig
 from station.lab.loads import ConstantLoad, Load, NoLoad
 from station.lab.virtual_bench import virtual_bench
 from station.loop import ControlLoop
+from station.margins import Margins
 from station.motions import Orders
 from station.rest import SETTLE
 from station.states import State
@@ -28,6 +29,9 @@ from station.telemetry import Channels
 Result = TypeVar("Result")
 #: Longest wait until the devices are connected [s].
 BRING_UP = 60.0
+#: At each rest the loop tares away the weight that hangs, and its model goes on without it; and nothing is calibrated
+#: yet. Only a tip that is somewhere else altogether stops a procedure.
+MARGINS = Margins(apart=0.12)
 #: After a weight was hung or taken off it may swing this long [s].
 SWINGING = 2.0
 
@@ -65,7 +69,7 @@ def carry_out(
     """
     guided = Guided(procedure)
     bench, devices = virtual_bench(subject.file, lab, seed, subject.start, registration)
-    loop = ControlLoop(BEST.controller(subject.file), devices)
+    loop = ControlLoop(BEST.controller(subject.file), devices, MARGINS)
     loop.connect(0.0)
     rows: list[Array] = []
     tick, free_from, under_way, at = 0, 0.0, False, subject.start

@@ -69,7 +69,7 @@ def test_five_hundred_damaged_bodies_break_nothing_and_move_nothing(station: Ser
 def test_what_the_schema_allows_and_forbids_is_answered_without_a_server_error(station: Served, tmp_path: Path) -> None:
     command = [
         Path(sys.executable).parent / "st", "run", f"{station.url}/api/openapi.json", "--checks", "not_a_server_error",
-        "--phases", "examples,coverage,fuzzing", "--max-examples", "5", "--max-time", "40", "--seed", "1", "--no-color",
+        "--phases", "examples,coverage,fuzzing", "--max-examples", "3", "--max-time", "20", "--seed", "1", "--no-color",
         # a report of a run that does not exist is not looked for by name
         "--exclude-path-regex", "viser|telemetry",
     ]  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 from station.loop import Phase
 from station.ring import Timing
 from station.states import State
-from station.supervisor import Status
+from station.status import Status
 from web.words import words
 
 NO_TIMING = Timing(0, 0, {}, {}, "")
