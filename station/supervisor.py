@@ -89,7 +89,9 @@ class Supervisor:
             CtrError: it does not, in `timeout` [s].
         """
         deadline = time.monotonic() + timeout
-        while self.ring.written <= since and self._state is not State.CONNECTED:
+        while self._state is not State.CONNECTED and (
+            self.ring.written <= since or int(self.ring.counters[STATE]) == State.HOMED
+        ):
             if self._state is State.FAULT:
                 raise CtrError(f"the station did not come up: {self._cause}")
             if time.monotonic() > deadline:

@@ -10,6 +10,7 @@ calibrated on the wire-level devices, and contacts on the shaft are looked for. 
 import argparse
 import json
 import math
+import sys
 import tempfile
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from station.calibration.files import write_registration, write_robot, write_sen
 from station.calibration.plan import Subject
 from station.calibration.still_lab import StillLab, carry_out
 from station.clock import VirtualClock
+from station.config import PRESETS
 from station.experiments.experiment import load_experiment
 from station.experiments.results import summarise
 from station.experiments.runner import run_case
@@ -128,8 +130,8 @@ def one(seed: int, distortion: float, with_runs: bool) -> dict[str, object]:
             lab = "uncalibrated"
             if distortion > 0.0:
                 lab = str(folder / "lab.toml")
-                preset = Path(load_lab.__code__.co_filename).parents[1] / "presets" / "labs" / "uncalibrated.toml"
-                Path(lab).write_text(f"{preset.read_text()}\n[tracker]\ndistortion = {distortion!r}\n")
+                plain = (PRESETS / "labs" / "uncalibrated.toml").read_text(encoding="utf-8")
+                Path(lab).write_text(f"{plain}\n[tracker]\ndistortion = {distortion!r}\n", encoding="utf-8")
             result |= runs(folder, lab, seed)
     return result
 
@@ -144,17 +146,18 @@ def main() -> None:
     results = []
     for seed in range(parsed.first, parsed.first + parsed.seeds):
         results.append(one(seed, 1e-3 * parsed.distortion, not parsed.no_runs))
-        print(json.dumps(results[-1]), flush=True)
+        sys.stdout.write(f"{json.dumps(results[-1])}\n")
+        sys.stdout.flush()
     for key in results[0]:
-        values = np.abs([result[key] for result in results if result.get(key) is not None and key not in ("contacts",)])
-        if key not in ("seed", "contacts") and values.dtype.kind == "f":
-            print(f"{key:28s} median {np.median(values, axis=0)} worst {values.max(axis=0)}")
+        values = [result[key] for result in results if result.get(key) is not None]
+        if key not in ("seed", "contacts") and not isinstance(values[0], str):
+            sizes = np.abs(values)
+            sys.stdout.write(f"{key:28s} median {np.median(sizes, axis=0)} worst {sizes.max(axis=0)}\n")
     found = [contact for result in results for contact in result["contacts"]]
     located = [contact["error_mm"] for contact in found if contact["located"]]
-    print(
-        f"contacts {len(found)}, located {len(located)}: median {np.median(located):.2f} mm, worst {max(located):.1f} mm;"
-        f" inside their interval {sum(contact['inside'] for contact in found)}"
-    )
+    inside = sum(contact["inside"] for contact in found)
+    sys.stdout.write(f"contacts {len(found)}, inside their interval {inside}, located {len(located)}:")
+    sys.stdout.write(f" median {np.median(located):.2f} mm, worst {max(located):.1f} mm\n")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from station.states import Event, RefusedError, State, after
 
 #: What follows from each state (rows) at each event (columns); - is refused.
 DRAWN = """
-           connect    connected home   homed prepare start   finish hold stop      fault reset      reconnect  disconnect
+           connect    connected home   homed prepare start   finish hold stop      fault reset     reconnect  disconnect
 OFF        CONNECTING -         -      -     -       -       -      -    OFF       -     -          -          -
 CONNECTING -          CONNECTED -      -     -       -       -      -    OFF       FAULT -          -          OFF
 CONNECTED  -          -         HOMING HOMED -       -       -      -    CONNECTED FAULT -          -          OFF
