@@ -27,7 +27,7 @@ from station.loop import ControlLoop
 from station.margins import Margins
 from station.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Refused, Reply
 from station.overruns import OverrunLimits, Overruns
-from station.realtime import be_punctual, show_as
+from station.realtime import be_punctual, is_dying, show_as
 from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, STATION_HEARTBEAT, Ring
 from station.robots import RobotFile
 from station.states import Event, State
@@ -36,6 +36,8 @@ from station.telemetry import Channels
 
 #: A station process that says nothing for so long counts as gone while something moves [s].
 STATION_SILENT = 1.0
+#: One that has said nothing for so long is looked at: is it being killed [s]?
+STATION_DOUBTED = 0.045
 #: The last stops get this long to be carried and answered [s].
 LAST_WORDS = 0.25
 #: Between two reports of the devices [ticks].
@@ -200,6 +202,9 @@ class _LiveLoop:
     def _listen(self, now: float) -> bool:
         """Carry out what has arrived; False when nobody is there any more."""
         if os.getppid() != self._parent:
+            return False
+        silent = time.monotonic() - float(self._ring.numbers[STATION_HEARTBEAT])
+        if STATION_DOUBTED < silent < STATION_SILENT and is_dying(self._parent):
             return False
         try:
             while self._pipe.poll():

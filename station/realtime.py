@@ -12,6 +12,7 @@ from typing import NamedTuple
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4
 #: Bit of the right to lock memory in a process's capabilities.
 _CAP_IPC_LOCK = 14
+_SIGKILL = 9
 
 
 class Granted(NamedTuple):
@@ -101,6 +102,21 @@ def leave_a_core() -> int | None:
     if len(cores) < 2 or not keep_to(set(cores[:-1])):
         return None
     return cores[-1]
+
+
+def is_dying(pid: int) -> bool:
+    """Whether a process has been killed or has ended, as far as the system tells.
+
+    Its children and the other ends of its pipes learn it only when the last of its threads has gone, which on a
+    busy computer takes a tenth of a second.
+    """
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return False
+    told = dict(line.split(":\t", 1) for line in lines if ":\t" in line)
+    pending = int(told.get("SigPnd", "0"), 16) | int(told.get("ShdPnd", "0"), 16)
+    return told.get("State", "")[:1] in ("Z", "X") or bool(pending >> (_SIGKILL - 1) & 1)
 
 
 def one_thread_each() -> None:

@@ -1,4 +1,4 @@
-"""Kill the station's processes at random moments: `python -m tests.kill_stations 20 [SEED]`.
+"""Kill the station's processes at random moments: `python -m tests.kill_stations 20 [SEED [WHOM ...]]`.
 
 Each time a run is on, one process gets kill -9, and it is measured how long it took until every stage had been told
 to stop, on the stages' own side of the line.
@@ -62,7 +62,7 @@ def main() -> None:
     times = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     chance = random.Random(int(sys.argv[2]) if len(sys.argv) > 2 else 0)
     with WatchedLab() as lab:
-        for whom in WHOM:
+        for whom in sys.argv[3:] or WHOM:
             took: list[float] = []
             while len(took) < times:
                 with tempfile.TemporaryDirectory() as folder, lone_station(Path(folder), lab.endpoints) as station:

@@ -4,11 +4,12 @@ import gc
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
-from station.realtime import one_thread_each
+from station.realtime import is_dying, one_thread_each
 
 SCRIPT = """
 import os, sys, gc
@@ -63,6 +64,17 @@ def test_without_the_rights_it_is_said_in_plain_words() -> None:
     assert got["locked"] == 0
     assert [text.split(":")[0] for text in got["refused"]] == ["memory cannot be locked", "SCHED_FIFO is refused"]
     assert all("ctr-station doctor" in text for text in got["refused"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux")
+def test_a_killed_process_is_seen_to_die_before_it_is_reaped() -> None:
+    with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) as process:
+        assert not is_dying(process.pid)
+        process.kill()
+        deadline = time.monotonic() + 5.0
+        while not is_dying(process.pid):
+            assert time.monotonic() < deadline
+    assert not is_dying(process.pid)  # there is none of that number
 
 
 def test_processes_get_no_threads_for_linear_algebra() -> None:
