@@ -115,9 +115,7 @@ class Desk:
             "settings": chosen.file.model_dump(mode="json"),
             "source": experiment.source,
         }
-        return self.supervisor.start(
-            task, chosen.file.load, f"{name}, case {chosen.name}", about, chosen.file.faults
-        )
+        return self.supervisor.start(task, chosen.file.load, f"{name}, case {chosen.name}", about, chosen.file.faults)
 
     def jog(self, space: Literal["joints", "tip"], velocity: tuple[float, ...]) -> None:
         """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].

@@ -217,7 +217,10 @@ class OpenLab:
         self._opened.close()
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Keep real time until `stopped`, which is asked at every look; a robot that cannot follow its stages is reported on stderr."""
+        """Keep real time until `stopped`, which is asked at every look.
+
+        A robot that cannot follow its stages is reported on stderr.
+        """
         start, due, trouble = self.begun, 0.0, ""
         while not stopped():
             files = [file for line in self._lines for file in line.files]
