@@ -162,9 +162,12 @@ class _LiveLoop:
             tick += 1
 
     def _bear(self, now: float, skipped: int) -> None:
-        """Too much lateness ends a motion."""
+        """Too much lateness ends a motion; what was late before it does not count."""
+        if self._loop.state not in (State.RUNNING, State.HOMING):
+            self._overruns.forget()
+            return
         late = self._overruns.look(now, skipped)
-        if late is not None and self._loop.state in (State.RUNNING, State.HOMING):
+        if late is not None:
             event = Event.FAULT if late.severity is Severity.FAULT else Event.HOLD
             if event is Event.FAULT or self._loop.state is State.RUNNING:
                 self._loop.stop(now, event, late.text)

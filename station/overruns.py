@@ -37,6 +37,12 @@ class Overruns:
         self._missed = 0
         self._recent: deque[tuple[float, int]] = deque()  # when, and how many periods were skipped
 
+    def forget(self) -> None:
+        """Begin to count anew."""
+        if self._missed or self._in_a_row:
+            self._in_a_row = self._missed = 0
+            self._recent.clear()
+
     def look(self, now: float, skipped: int) -> Trouble | None:
         """What follows from a tick at `now` [s] that has `skipped` so many periods; None if nothing."""
         recent = self._recent

@@ -52,6 +52,13 @@ def test_what_was_missed_ten_seconds_ago_is_forgotten(overruns):
     assert late(overruns, [1, 0], begin=10.2) == [None, None]
 
 
+def test_what_was_late_before_a_motion_does_not_count(overruns):
+    late(overruns, [25, 0, 25, 0, 1])
+    overruns.forget()
+
+    assert late(overruns, [1, 0], begin=1.0) == [None, None]
+
+
 def test_the_thresholds_are_the_station_s():
     overruns = Overruns(OverrunLimits(hold_in_a_row=2, fault_in_a_row=3), PERIOD)
 

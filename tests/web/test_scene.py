@@ -173,7 +173,7 @@ def test_old_telemetry_is_called_stale_and_a_restart_is_followed_until_closed() 
     with viewing() as viewed:
         scene = viewed.view._scene
         wait_for(lambda: scene._measured.visible)
-        os.kill(viewed.supervisor._process.pid or 0, signal.SIGKILL)
+        os.kill(viewed.supervisor.pids()["control"], signal.SIGKILL)
         wait_for(lambda: viewed.supervisor.status().state is State.FAULT)
         wait_for(lambda: scene._stale.visible)
         assert scene._stale.text.startswith("STALE")
