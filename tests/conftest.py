@@ -9,11 +9,24 @@ import threading
 import time
 from collections.abc import Iterator
 from multiprocessing import resource_tracker
+from pathlib import Path
 
 import psutil
 import pytest
 
 from core.robot import Joint, Robot, Section, Tube
+
+
+#: Real processes, real browsers and real time: on a busy computer they get a second try.
+REAL = ("browser", "faults", "web", "station/test_soak.py", "station/test_client.py", "station/test_own_bench.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what depends on the computer's time."""
+    here = Path(__file__).parent
+    for item in items:
+        if any(item.path.is_relative_to(here / name) for name in REAL):
+            item.add_marker(pytest.mark.flaky(reruns=2))
 
 
 @pytest.fixture(scope="session")

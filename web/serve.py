@@ -66,7 +66,7 @@ def serve(config: Path | None, host: str, port: int, data: Path, *, browser: boo
                 app = build_app(desk, view, data, audit, host, port, tokens)
                 settings = uvicorn.Config(
                     app, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
-                    timeout_graceful_shutdown=1, lifespan="on",
+                    timeout_graceful_shutdown=3, lifespan="on",
                 )  # fmt: skip
                 page = f"http://{_shown(host)}:{port}/"
                 address = page + (f"?token={tokens.operator}" if tokens else "")
