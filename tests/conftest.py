@@ -21,10 +21,17 @@ from core.robot import Joint, Robot, Section, Tube
 REAL = ("browser", "faults", "web", "station/test_soak.py", "station/test_client.py", "station/test_own_bench.py")
 
 
+#: Long ones, left out unless they are asked for: `pytest -m slow`, or `-m ""` for all.
+SLOW = ("browser/test_tabs.py", "station/test_soak.py", "web/test_kills.py")
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what depends on the computer's time."""
+    """Mark what depends on the computer's time, and what takes minutes of it."""
     here = Path(__file__).parent
     for item in items:
+        if any(item.path.is_relative_to(here / name) for name in SLOW):
+            item.add_marker(pytest.mark.slow)
         if any(item.path.is_relative_to(here / name) for name in REAL):
             item.add_marker(pytest.mark.flaky(reruns=2))
 
