@@ -16,7 +16,6 @@ import pytest
 
 from core.robot import Joint, Robot, Section, Tube
 
-
 #: Real processes, real browsers and real time: on a busy computer they get a second try.
 REAL = ("browser", "faults", "web", "station/test_soak.py", "station/test_client.py", "station/test_own_bench.py")
 
