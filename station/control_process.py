@@ -23,6 +23,7 @@ from station.devices.interfaces import Devices, Severity
 from station.devices.open_devices import open_devices
 from station.experiments.experiment import PERIOD, ControllerFile
 from station.lab.config import LabConfig
+from station.lab.virtual_bench import virtual_bench
 from station.loop import ControlLoop
 from station.margins import Margins
 from station.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Refused, Reply
@@ -40,6 +41,8 @@ STATION_SILENT = 1.0
 STATION_DOUBTED = 0.045
 #: The last stops get this long to be carried and answered [s].
 LAST_WORDS = 0.25
+#: A bench in memory is READY after less than these [ticks].
+WARM_TICKS = 1500
 #: Between two reports of the devices [ticks].
 REPORT_TICKS = 250
 
@@ -284,4 +287,10 @@ def _warm_up(bench: Bench) -> None:
     memory = begin(controller, still)
     for order in (Setpoint(np.zeros(3), np.zeros(3)), JointMotion(np.zeros_like(park)), None):
         memory = step(controller, memory, still, order).memory
-    Channels(bench.robot.robot())
+    # The drivers on a bench in memory: what a first frame or record compiled later would look like a dead device.
+    lab, devices = virtual_bench(bench.robot, bench.lab, bench.seed, park)
+    loop = ControlLoop(controller, devices)
+    loop.connect(0.0)
+    for tick in range(WARM_TICKS):
+        lab.advance(tick * PERIOD)
+        loop.tick(tick * PERIOD)
