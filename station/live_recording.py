@@ -58,11 +58,11 @@ class LiveRecording:
     def end(self, state: State, cause: str) -> None:
         """The run has ended, in this state; does not wait."""
         label = Label.COMPLETE if state is State.READY else Label.STOPPED
-        self._thread.submit(self._end, label, cause)
+        self._thread.submit(self._end, label, cause, self._numbers_now())
 
     def interrupted(self, cause: str) -> None:
         """The process that ran it has died; does not wait."""
-        self._thread.submit(self._end, Label.INTERRUPTED, cause)
+        self._thread.submit(self._end, Label.INTERRUPTED, cause, self._numbers_now())
 
     def problem(self) -> str:
         """Why the recording that was on has ended by itself; empty while all is well. Does not wait."""
@@ -78,12 +78,14 @@ class LiveRecording:
     def _look(self) -> None:
         self._problem = self._problem or self._recorder.trouble()
 
-    def _end(self, label: Label, cause: str) -> None:
+    def _numbers_now(self) -> dict[str, Any]:
+        """Of this run; taken before the next one may begin, which counts anew."""
         ring = self._ring
-        timing = {
-            **ring.timing()._asdict(), "late_counts": ring.late.tolist(), "tick_counts": ring.busy.tolist()
-        }  # fmt: skip
+        counts = {"late_counts": ring.late.tolist(), "tick_counts": ring.busy.tolist()}
+        return {**self._numbers, "timing": {**ring.timing()._asdict(), **counts}}
+
+    def _end(self, label: Label, cause: str, numbers: Mapping[str, Any]) -> None:
         try:
-            self._recorder.end(label, cause, {**self._numbers, "timing": timing})
+            self._recorder.end(label, cause, numbers)
         except RecordingError as error:
             self._problem = self._problem or str(error)

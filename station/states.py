@@ -35,7 +35,6 @@ class Event(StrEnum):
     FAULT = "fault"
     RESET = "reset"
     RECONNECT = "reconnect"  #: a reset while a device is not right: it is found and set up again
-    DISCONNECT = "disconnect"
 
 
 TABLE: dict[tuple[State, Event], State] = {
@@ -57,9 +56,6 @@ TABLE: dict[tuple[State, Event], State] = {
     (State.STOPPED, Event.RECONNECT): State.CONNECTING,
     # A fault may have lost devices or positions: connect again, and home what has to be.
     (State.FAULT, Event.RESET): State.CONNECTING,
-    **{
-        (state, Event.DISCONNECT): State.OFF for state in State if state not in (State.OFF, State.RUNNING, State.HOMING)
-    },
     # STOP is accepted everywhere; where nothing can move it changes nothing.
     (State.OFF, Event.STOP): State.OFF,
     (State.CONNECTING, Event.STOP): State.OFF,

@@ -163,12 +163,13 @@ class Supervisor:
             self._recorded = number
         self._settling = about.get("settings", {}).get("settling", settling_time(task.duration))
         with self._lock:
-            before, self._load, self._faults = self._load, load, tuple(faults)
+            before = self._load, self._faults
+            self._load, self._faults = load, tuple(faults)
         try:
             self._control.ask(Event.START, task=task, run=number)
         except RefusedError:
             with self._lock:
-                self._load = before
+                self._load, self._faults = before
             self._end_recording(State.STOPPED, "it was refused after all")
             raise
         with self._lock:
@@ -325,6 +326,8 @@ class Supervisor:
             # The load is on during the motion only.
             if message.motion_start is None:
                 self._lab.pull(NoLoad(), 0.0)
+                if self._faults:
+                    self._lab.inject((), 0.0)  # what an experiment has spoilt ends with it
             else:
                 self._lab.pull(load, message.motion_start)
                 if self.recording is not None:

@@ -127,7 +127,8 @@ def serving(*arguments: str) -> Iterator[Served]:
             yield served
             text = Path(said.name).read_text()
             # A page's request that is cut off by the end of the server is told as a traceback, too.
-            assert "Traceback" not in text or "timeout graceful shutdown exceeded" in text, text[-4000:]
+            tracebacks = text.split("Traceback (most recent call last)")[1:]
+            assert all("timeout graceful shutdown exceeded" in each for each in tracebacks), text[-4000:]
         finally:
             if served is not None:
                 served.end()

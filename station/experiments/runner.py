@@ -61,7 +61,7 @@ def run_case(
     loop = ControlLoop(case.controller, devices)
     rows: list[Array] = []
     keep = rows.append if record is None else record
-    tip_time = [channel.name for channel in loop.channels.all].index("tip_time")
+    later = np.zeros(len(loop.channels))  # what is taken off a row, for times to count from the motion's start
     tick, kept, motion_start, cause, begun = 0, 0, 0.0, "", False
     counted: Mapping[str, Any] = {}
     loop.connect(0.0)
@@ -86,6 +86,8 @@ def run_case(
                     break
                 elif loop.phase is Phase.SETTLING and motion_start == 0.0 and loop.progress is not None:
                     motion_start = loop.progress.motion_start
+                    for group in ("time", "tip_time"):
+                        loop.channels.of(later, group)[:] = motion_start
                     lab.pull(case.file.load, motion_start)
                     lab.inject(case.file.faults, motion_start)
                 elif loop.phase is Phase.MOVING and row is not None:
@@ -94,9 +96,7 @@ def run_case(
                     if lab.trouble:
                         cause = f"the simulated robot cannot follow its stages: {lab.trouble}"
                         break
-                    row[0] -= motion_start
-                    row[tip_time] -= motion_start
-                    keep(row)
+                    keep(row - later)
                     kept += 1
                 tick += 1
                 if tick % 250 == 0:

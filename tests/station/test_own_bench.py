@@ -1,9 +1,6 @@
 """A station whose devices are its own: here those of a lab that knows nothing of the station."""
 
-import contextlib
-import threading
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +16,7 @@ from station.own_bench import OwnBench
 from station.states import State
 from station.station_file import load_station
 from station.supervisor import Supervisor
+from tests.station.running_lab import running
 
 PARK = np.array([0.0, np.pi / 2.0, -0.1])
 
@@ -26,20 +24,6 @@ PARK = np.array([0.0, np.pi / 2.0, -0.1])
 @pytest.fixture
 def grace() -> float:
     return 10.0
-
-
-@contextlib.contextmanager
-def running(lab: OpenLab) -> Iterator[OpenLab]:
-    """A lab that a thread keeps in real time."""
-    over = threading.Event()
-    thread = threading.Thread(target=lab.run, args=(over.is_set,))
-    thread.start()
-    try:
-        yield lab
-    finally:
-        over.set()
-        thread.join()
-        lab.close()
 
 
 def test_it_waits_for_a_person_to_home(paper, tmp_path: Path):

@@ -6,17 +6,17 @@ from station.states import Event, RefusedError, State, after
 
 #: What follows from each state (rows) at each event (columns); - is refused.
 DRAWN = """
-           connect    connected home   homed prepare start   finish hold stop      fault reset     reconnect  disconnect
-OFF        CONNECTING -         -      -     -       -       -      -    OFF       -     -          -          -
-CONNECTING -          CONNECTED -      -     -       -       -      -    OFF       FAULT -          -          OFF
-CONNECTED  -          -         HOMING HOMED -       -       -      -    CONNECTED FAULT -          -          OFF
-HOMING     -          -         -      HOMED -       -       -      -    CONNECTED FAULT -          -          -
-HOMED      -          -         -      -     READY   -       -      -    HOMED     FAULT -          -          OFF
-READY      -          -         HOMING -     -       RUNNING -      HOLD STOPPED   FAULT -          -          OFF
-RUNNING    -          -         -      -     -       -       READY  HOLD STOPPED   FAULT -          -          -
-HOLD       -          -         -      -     -       -       -      -    STOPPED   FAULT READY      CONNECTING OFF
-STOPPED    -          -         -      -     -       -       -      -    STOPPED   FAULT READY      CONNECTING OFF
-FAULT      -          -         -      -     -       -       -      -    FAULT     FAULT CONNECTING -          OFF
+           connect    connected home   homed prepare start   finish hold stop      fault reset      reconnect
+OFF        CONNECTING -         -      -     -       -       -      -    OFF       -     -          -
+CONNECTING -          CONNECTED -      -     -       -       -      -    OFF       FAULT -          -
+CONNECTED  -          -         HOMING HOMED -       -       -      -    CONNECTED FAULT -          -
+HOMING     -          -         -      HOMED -       -       -      -    CONNECTED FAULT -          -
+HOMED      -          -         -      -     READY   -       -      -    HOMED     FAULT -          -
+READY      -          -         HOMING -     -       RUNNING -      HOLD STOPPED   FAULT -          -
+RUNNING    -          -         -      -     -       -       READY  HOLD STOPPED   FAULT -          -
+HOLD       -          -         -      -     -       -       -      -    STOPPED   FAULT READY      CONNECTING
+STOPPED    -          -         -      -     -       -       -      -    STOPPED   FAULT READY      CONNECTING
+FAULT      -          -         -      -     -       -       -      -    FAULT     FAULT CONNECTING -
 """
 
 HEAD, *ROWS = (line.split() for line in DRAWN.strip().splitlines())
@@ -51,7 +51,7 @@ def test_stop_is_accepted_everywhere_and_never_leaves_anything_running():
 def test_a_fault_stays_until_somebody_resets_it_and_then_devices_must_be_found_again():
     accepted = {event for event in Event if CELLS["FAULT", event.value] not in ("-", "FAULT")}
 
-    assert accepted == {Event.RESET, Event.DISCONNECT}
+    assert accepted == {Event.RESET}
     assert after(State.FAULT, Event.RESET) is State.CONNECTING
 
 

@@ -1,10 +1,7 @@
 """A bench from its configuration: the station's own drivers open a lab's real endpoints, or nothing stays open."""
 
-import contextlib
 import math
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -21,25 +18,12 @@ from station.lab.config import BaseSensorConfig, LabConfig, TrackerConfig
 from station.lab.faults import LabFault
 from station.lab.loads import ConstantLoad
 from station.lab.open_lab import OpenLab
+from tests.station.running_lab import running
 
 PARK = np.array([0.2, 1.2, -0.08])
 LOAD = np.array([0.3, 0.0, 0.0])
 QUIET = BaseSensorConfig(force_noise=0.0, moment_noise=0.0, drift=0.0, force_offset=0.0, moment_offset=0.0)
 CONFIG = LabConfig(tracker=TrackerConfig(noise=0.0), sensors=QUIET)
-
-
-@contextlib.contextmanager
-def running(lab: OpenLab) -> Iterator[OpenLab]:
-    """A lab that a thread keeps in real time."""
-    over = threading.Event()
-    thread = threading.Thread(target=lab.run, args=(over.is_set,))
-    thread.start()
-    try:
-        yield lab
-    finally:
-        over.set()
-        thread.join()
-        lab.close()
 
 
 def bench_of(lab: OpenLab) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from station.devices.zaber_stages import Condition, ZaberStages
 from station.lab.simulated_zaber import Faults, SimulatedChain, pump
 from station.lab.simulated_zaber_unit import Unit, UnitKind
 from station.robots import RobotFile
+from tests.station.file_link import FileLink
 
 TICK = 0.002
 START = np.array([0.0, math.pi / 2, -0.100])
@@ -562,28 +563,6 @@ class HardOfHearing:
 
     def close(self) -> None:
         self._link.close()
-
-
-class FileLink:
-    """The device's end of a pty or a connected socket."""
-
-    name = "device"
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        os.set_blocking(descriptor, False)
-
-    def read(self) -> bytes:
-        try:
-            return os.read(self._descriptor, 4096)
-        except BlockingIOError:
-            return b""
-
-    def write(self, data: bytes) -> None:
-        os.write(self._descriptor, data)
-
-    def close(self) -> None:
-        os.close(self._descriptor)
 
 
 @pytest.mark.parametrize("kind", ["pty", "socket"])

@@ -14,6 +14,7 @@ from station.devices.zaber import BYTE_TIME, MESSAGE_TIME, Message, Parser, deco
 from station.lab.simulated_zaber import BUFFER, RENUMBERING, Faults, SimulatedChain, pump
 from station.lab.simulated_zaber_motion import way
 from station.lab.simulated_zaber_unit import Unit, UnitKind
+from tests.station.file_link import FileLink
 
 ROTARY = UnitKind(4421, None, 1_536_000)
 LINEAR = UnitKind(4332, 604_724, serial=1001)
@@ -477,28 +478,6 @@ def test_one_code_for_pipes_ptys_and_sockets():
                 assert asked(near, FileLink(connection.fileno())) == Message(2, 50, 4332)
             finally:
                 near.close()
-
-
-class FileLink:
-    """The device's end of a pty or a connected socket."""
-
-    name = "device"
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        os.set_blocking(descriptor, False)
-
-    def read(self) -> bytes:
-        try:
-            return os.read(self._descriptor, 4096)
-        except BlockingIOError:
-            return b""
-
-    def write(self, data: bytes) -> None:
-        os.write(self._descriptor, data)
-
-    def close(self) -> None:
-        os.close(self._descriptor)
 
 
 def asked(host, device) -> Message:
