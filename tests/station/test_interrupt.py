@@ -3,12 +3,22 @@
 import os
 import signal
 import threading
+from collections.abc import Iterator
 
 import pytest
 
 from station.interrupt import interrupts
 
 
+@pytest.fixture
+def ordinary() -> Iterator[None]:
+    """Ctrl-C raises, also where these tests were started in the background and were to be deaf to it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ordinary")
 def test_the_first_press_is_noted_and_the_second_is_the_ordinary_exception() -> None:
     before = signal.getsignal(signal.SIGINT)
     with interrupts() as interrupted:

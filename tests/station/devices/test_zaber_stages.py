@@ -1,119 +1,30 @@
-"""The Zaber driver on simulated units: connecting, homing, moving, stopping, and what happens when it breaks."""
+"""The Zaber driver on simulated units: connecting, moving, stopping, and the same over real lines."""
 
 import math
 import os
 import socket
 import time
 import tty
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from station.devices.links import Link, SerialLink
+from station.devices.links import SerialLink
 from station.devices.memory_pipe import memory_pipe
-from station.devices.zaber import Message, ZaberError
+from station.devices.zaber import ZaberError
 from station.devices.zaber_chain import Line
 from station.devices.zaber_setup import Port, StageSetup
 from station.devices.zaber_stages import Condition, ZaberStages
-from station.lab.simulated_zaber import Faults, SimulatedChain, pump
-from station.lab.simulated_zaber_unit import Unit, UnitKind
-from station.robots import RobotFile
+from station.lab.simulated_zaber import Faults, pump
+from tests.station.devices.zaber_bench import ROTARY, START, STEPS, Bench, connected, swing
 from tests.station.file_link import FileLink
-
-TICK = 0.002
-START = np.array([0.0, math.pi / 2, -0.100])
-ROTARY = UnitKind(4421, None, 1_536_000)
-LINEAR = UnitKind(4332, 604_724, serial=1001)
-#: Microsteps of the three stages: 0.000234375 deg, 0.49609375 um.
-STEPS = np.array([math.radians(0.000234375)] * 2 + [0.49609375e-6])
-
-
-class Bench:
-    """The paper's three stages on one line, or on a line each, in virtual time."""
-
-    def __init__(
-        self,
-        robot: RobotFile,
-        at: Sequence[float] = tuple(START),
-        homed: bool = True,
-        apart: bool = False,
-        seed: int = 0,
-    ) -> None:
-        numbers = (1, 1, 1) if apart else (1, 2, 3)
-        self.setups = [StageSetup.of(joint, n) for joint, n in zip(robot.joints, numbers, strict=True)]
-        self.home_at = np.array([setup.home_at for setup in self.setups])
-        self.units: list[Unit] = []
-        for setup, kind, q in zip(self.setups, (ROTARY, ROTARY, LINEAR), at, strict=True):
-            place = (q - setup.home_at) / setup.joint.microstep
-            self.units.append(Unit(kind, setup.device, place, place + setup.home_count if homed else None))
-        groups = ((0,), (1,), (2,)) if apart else ((0, 1, 2),)
-        self.chains = [SimulatedChain([self.units[i] for i in group], seed) for group in groups]
-        self.chain = self.chains[0]
-        self.now = 0.0
-        self.truth = self.places  #: joint positions at the last poll
-        self.ports = self.plug(groups)
-        self.stages = ZaberStages(self.setups, self.ports)
-        self.order: list[int] = []  # in which the units began to home
-
-    def plug(self, groups: Sequence[tuple[int, ...]] = ((0, 1, 2),)) -> list[Port]:
-        """New links, as after plugging an adapter in again."""
-        pipes = [memory_pipe(f"line {k}") for k in range(len(groups))]
-        self.far: list[Link] = [device for _, device in pipes]
-        self.near = [host for host, _ in pipes]
-        return [Port(host, group) for host, group in zip(self.near, groups, strict=True)]
-
-    def run(
-        self,
-        seconds: float,
-        velocities: Callable[[float], Sequence[float]] | None = None,
-        until: Callable[[], bool] = lambda: False,
-    ) -> None:
-        end = self.now + seconds
-        while self.now < end and not until():
-            self.reading, self.truth = self.stages.poll(self.now), self.places
-            if velocities:
-                self.stages.command(np.array(velocities(self.now)), self.now)
-            self.let_go()
-
-    def let_go(self) -> None:
-        """One tick of the units."""
-        for far, chain in zip(self.far, self.chains, strict=True):
-            pump(far, chain, self.now + TICK, written=self.now)
-        for i, unit in enumerate(self.units):
-            if unit.status == 1 and i not in self.order:
-                self.order.append(i)
-        self.now += TICK
-
-    def connect(self) -> "Bench":
-        self.stages.connect(self.now)
-        self.run(10.0, until=lambda: self.stages.condition is not Condition.CONNECTING)
-        return self
-
-    def home(self) -> None:
-        self.stages.home(self.now)
-        self.run(400.0, until=lambda: self.stages.condition is not Condition.HOMING)
-
-    @property
-    def places(self) -> np.ndarray:
-        return self.home_at + STEPS * [unit.place for unit in self.units]
-
-    @property
-    def moving(self) -> list[bool]:
-        return [unit.status != 0 for unit in self.units]
 
 
 @pytest.fixture
 def bench(paper) -> Bench:
-    bench = Bench(paper).connect()
-    assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
-    return bench
-
-
-def swing(now: float) -> list[float]:
-    """All three, up to 15 deg/s and 12 mm/s."""
-    return [0.25 * math.sin(1.3 * now), 0.26 * math.cos(0.9 * now), 0.012 * math.sin(2.0 * now)]
+    return connected(paper)
 
 
 class TestSetup:
@@ -320,249 +231,12 @@ class TestMoving:
         assert sum(count.rejected + count.missed for count in bench.stages.counts) > 0
 
 
-class TestHoming:
-    """One after the other, the translation first."""
-
-    def test_the_translation_first_then_one_rotation_at_a_time(self, paper):
-        bench = Bench(paper, at=(0.3, 0.6, -0.110), homed=False).connect()
-        together = 0
-
-        bench.stages.home(bench.now)
-        while bench.stages.condition is Condition.HOMING and bench.now < 400:
-            bench.run(TICK)
-            together = max(together, sum(bench.moving))
-
-        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
-        assert bench.order == [2, 0, 1]
-        assert together == 1
-        assert bench.stages.ready
-        assert bench.reading.positions == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
-        assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
-        assert [unit.position for unit in bench.units] == [1_536_000, 1_536_000, 0]
-
-    def test_a_rotation_that_begins_below_zero_is_turned_back_to_its_own_zero(self, paper):
-        bench = Bench(paper, at=(0.01, -math.radians(170.0), -0.129), homed=False).connect()
-        bench.home()
-
-        assert bench.stages.ready, bench.stages.problem
-        assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
-        assert bench.reading.positions == pytest.approx(bench.truth, abs=1e-9)
-        assert [unit.settings[44] for unit in bench.units[:2]] == [3_072_000, 3_072_000]  # the travel is as before
-
-    def test_a_rotation_stopped_on_its_long_way_home_still_finds_its_own_zero(self, paper):
-        bench = Bench(paper, at=(-0.2, 0.01, -0.129), homed=False).connect()
-        bench.stages.home(bench.now)
-        bench.run(100.0, until=lambda: bench.truth[0] < -4.0)  # beyond half a turn
-        bench.stages.stop(bench.now)
-        bench.run(3.0)
-        assert bench.moving == [False, False, False]
-        bench.home()
-
-        assert bench.stages.ready, bench.stages.problem
-        assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
-
-    def test_after_homing_the_stages_move_both_ways(self, paper):
-        bench = Bench(paper, at=(0.1, 0.1, -0.125), homed=False).connect()
-        bench.home()
-        bench.run(2.0, lambda now: [-0.2, 0.2, 0.01])
-
-        assert bench.truth == pytest.approx([-0.4, 0.4, -0.110], abs=0.05)
-        assert bench.reading.positions == pytest.approx(bench.truth, abs=1e-5)
-
-    def test_a_stop_while_homing_is_answered_busy_and_ends_in_a_reset(self, paper):
-        bench = Bench(paper, homed=False).connect()
-        bench.stages.home(bench.now)
-        bench.run(1.0)
-        assert bench.units[2].status == 1
-        bench.stages.stop(bench.now)
-        bench.run(0.5)
-
-        assert bench.moving == [False, False, False]
-        assert bench.stages.condition is Condition.CONNECTED
-        assert not bench.stages.homed[2]
-        bench.run(2.0)
-        assert not any(bench.stages.counts[i].missed for i in range(3))
-        bench.home()
-        assert bench.stages.ready, bench.stages.problem
-
-    def test_a_home_that_was_not_heard_is_said_again(self, paper):
-        bench = Bench(paper, at=(0.01, 0.01, -0.129)).connect()
-        bench.far[0] = hard_of_hearing = HardOfHearing(bench.far[0], bytes.fromhex("03 01 00 00 00 00"))
-        bench.home()
-
-        assert hard_of_hearing.missed == 1
-        assert bench.stages.ready, bench.stages.problem
-        assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
-
-    def test_a_noisy_line_homes_or_says_what_is_wrong(self, paper):
-        bench = Bench(paper, at=(0.01, 0.01, -0.129), homed=False).connect()
-        bench.chain.faults = Faults(drop=2e-4, flip=2e-4)
-        bench.home()
-
-        if bench.stages.ready:
-            assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
-        else:
-            assert bench.stages.problem
-
-    def test_a_stage_that_cannot_home_is_named(self, paper):
-        bench = Bench(paper, homed=False).connect()
-        bench.chain.faults = Faults(stalled=frozenset({3}))
-        bench.home()
-        assert bench.stages.condition is Condition.FAULT
-        assert "inner_translation" in bench.stages.problem
-        assert "home sensor" in bench.stages.problem
-        assert bench.order == [2]  # the rotations do not turn with the tubes out
-
-    def test_homing_needs_a_connection(self, paper):
-        with pytest.raises(ZaberError, match="closed"):
-            Bench(paper).stages.home(0.0)
-
-
-class TestLosing:
-    """A stage in constant-speed motion has no watchdog: those that hear are stopped, the others are named."""
-
-    def test_a_cut_chain_stops_what_it_can_reach_and_says_how_far_the_rest_can_run(self, bench):
-        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
-        bench.chain.faults = Faults(cut=3)
-        cut = bench.now
-        bench.run(2.0, lambda now: [0.1, 0.1, 0.010], until=lambda: bench.stages.condition is Condition.FAULT)
-        assert bench.now - cut < 0.3
-        bench.run(0.5)
-
-        assert bench.moving == [False, False, True]
-        problem = bench.stages.problem
-        assert "inner_translation (device 3 on line 0) cannot be reached" in problem
-        assert "it can run on to -5.0 mm" in problem
-        assert "outer_rotation" not in problem
-        assert not bench.stages.ready
-        bench.run(15.0)
-        assert bench.truth[2] == pytest.approx(-0.005, abs=1e-6)  # it did
-
-    def test_a_lost_stage_that_hears_again_is_stopped(self, bench):
-        bench.run(1.0, lambda now: [0.0, 0.0, 0.010])
-        bench.chain.faults = Faults(cut=3)
-        bench.run(1.0)
-        assert bench.moving == [False, False, True]
-        bench.chain.faults = Faults()
-        bench.run(1.0)
-
-        assert bench.moving == [False, False, False]
-        assert bench.stages.condition is Condition.FAULT
-
-    @pytest.mark.parametrize("seed", range(4))
-    def test_on_a_line_that_loses_bytes_no_stage_runs_on(self, paper, seed):
-        bench = Bench(paper, seed=seed).connect()
-        bench.chain.faults = Faults(drop=2e-3)
-        bench.run(20.0, swing, until=lambda: bench.stages.condition is Condition.FAULT)
-        bench.stages.stop(bench.now)
-        bench.chain.faults = Faults()
-        bench.run(2.0)
-
-        assert bench.moving == [False, False, False]
-
-    def test_a_unit_that_was_reset_unnoticed_is_not_believed(self, bench):
-        bench.units[0].take(Message(1, 0, 0))
-        bench.units[0].deaf_until = 0.0  # it is back at once
-        bench.run(1.0, lambda now: [0.0, 0.0, 0.0])
-
-        assert bench.stages.condition is Condition.FAULT
-        assert "outer_rotation" in bench.stages.problem
-        assert "does not move as it was told" in bench.stages.problem
-        assert not bench.stages.homed[0]
-
-    def test_an_adapter_pulled_out_loses_all_its_stages_and_raises_nothing(self, paper):
-        bench = Bench(paper, apart=True).connect()
-        bench.run(1.0, lambda now: [0.1, -0.1, 0.010])
-        bench.near[1].close()
-        bench.run(0.5, lambda now: [0.1, -0.1, 0.010])
-
-        assert bench.stages.condition is Condition.FAULT
-        assert "inner_rotation (device 1 on line 1) cannot be reached" in bench.stages.problem
-        assert "it can run on to -360.0 deg" in bench.stages.problem
-        assert bench.moving == [False, True, False]
-        assert np.isfinite(bench.reading.positions).all()
-
-    def test_a_mute_unit_that_still_listens_is_stopped_too(self, bench):
-        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
-        bench.chain.faults = Faults(mute=frozenset({1}))
-        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
-
-        assert bench.stages.condition is Condition.FAULT
-        assert bench.moving == [False, False, False]
-
-    def test_after_a_loss_it_connects_to_the_same_units_on_another_port_and_wants_homing(self, bench):
-        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
-        bench.near[0].close()
-        bench.run(0.1)
-        assert bench.stages.condition is Condition.FAULT
-        bench.run(20.0)  # they run to their limits
-
-        bench.stages.connect(bench.now, bench.plug())
-        bench.run(10.0, until=lambda: bench.stages.condition is not Condition.CONNECTING)
-        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
-        assert bench.stages.homed == [False, False, False]
-        bench.home()
-        assert bench.stages.ready, bench.stages.problem
-
-    def test_other_units_in_their_place_are_refused(self, bench):
-        bench.near[0].close()
-        bench.run(0.1)
-        bench.units[2].kind = replace(LINEAR, serial=5)
-        bench.stages.connect(bench.now, bench.plug())
-        bench.run(10.0, until=lambda: bench.stages.condition is not Condition.CONNECTING)
-
-        assert "serial number 5; 1001 is expected" in bench.stages.problem
-
-    def test_slow_replies_within_the_deadline_lose_nothing(self, bench):
-        bench.chain.faults = Faults(delay=0.025)
-        bench.run(3.0, swing)
-        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
-
-    def test_a_unit_that_lost_its_power_is_noticed(self, bench):
-        bench.run(1.0, swing)
-        bench.chain.power_cycle(1)
-        bench.run(2.0, swing)
-
-        assert bench.stages.condition is Condition.FAULT
-        assert "outer_rotation" in bench.stages.problem
-
-    def test_a_stopped_connection_is_not_a_connection(self, paper):
-        bench = Bench(paper)
-        bench.stages.connect(0.0)
-        bench.run(0.2)
-        bench.stages.stop(bench.now)
-        bench.run(0.2)
-        assert bench.stages.condition is Condition.FAULT
-        assert "stopped" in bench.stages.problem
-
-
 def test_deadlines_can_be_changed(paper):
     bench = Bench(paper)
     bench.stages = ZaberStages(bench.setups, bench.ports, Line(deadline=0.2))
     bench.chain.faults = Faults(delay=0.150)
     bench.connect()
     assert bench.stages.condition is not Condition.FAULT, bench.stages.problem
-
-
-class HardOfHearing:
-    """The device's end of a link that misses one message, once."""
-
-    def __init__(self, link: Link, message: bytes) -> None:
-        self.name, self.missed = link.name, 0
-        self._link, self._message = link, message
-
-    def read(self) -> bytes:
-        data = self._link.read()
-        if self._message in data and not self.missed:
-            self.missed += 1
-            return data.replace(self._message, b"", 1)
-        return data
-
-    def write(self, data: bytes) -> None:
-        self._link.write(data)
-
-    def close(self) -> None:
-        self._link.close()
 
 
 @pytest.mark.parametrize("kind", ["pty", "socket"])

@@ -253,7 +253,8 @@ def test_bx_and_tx_tell_where_the_tip_is():
         assert tool.port_status == 0x31
         assert tool.transform is not None
         assert tool.transform.position == pytest.approx(SEEN, abs=1e-4)
-    assert MOUNT.world(binary.transform.position) == pytest.approx(TIP, abs=1e-7)  # type: ignore[union-attr]
+    assert binary.transform is not None
+    assert MOUNT.world(binary.transform.position) == pytest.approx(TIP, abs=1e-7)
 
 
 def test_a_coil_shows_its_direction_but_no_roll():

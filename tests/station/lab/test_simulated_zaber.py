@@ -10,47 +10,12 @@ import pytest
 
 from station.devices.links import SerialLink
 from station.devices.memory_pipe import memory_pipe
-from station.devices.zaber import BYTE_TIME, MESSAGE_TIME, Message, Parser, decode, encode, with_id
-from station.lab.simulated_zaber import BUFFER, RENUMBERING, Faults, SimulatedChain, pump
+from station.devices.zaber import BYTE_TIME, MESSAGE_TIME, Message, decode, encode, with_id
+from station.lab.simulated_zaber import BUFFER, RENUMBERING, SimulatedChain, pump
 from station.lab.simulated_zaber_motion import way
 from station.lab.simulated_zaber_unit import Unit, UnitKind
 from tests.station.file_link import FileLink
-
-ROTARY = UnitKind(4421, None, 1_536_000)
-LINEAR = UnitKind(4332, 604_724, serial=1001)
-#: Worked units at R = 64: 9.375 microsteps/s of speed, 11250 microsteps/s^2 of acceleration.
-SPEED, RAMP = 9.375, 11250.0
-
-
-class Wire:
-    """The host's end of a simulated chain."""
-
-    def __init__(self, chain: SimulatedChain) -> None:
-        self.chain = chain
-        self.now = 0.0
-        self.heard: list[tuple[float, Message]] = []
-        self._parser = Parser()
-
-    def send(self, device: int, command: int, data: int = 0) -> None:
-        self.chain.receive(encode(Message(device, command, data)), self.now)
-
-    def wait(self, seconds: float, tick: float = 1e-3) -> list[Message]:
-        """What is heard meanwhile."""
-        begin = len(self.heard)
-        for _ in range(round(seconds / tick)):
-            self.now += tick
-            for message in self._parser.feed(self.chain.advance(self.now), self.now):
-                self.heard.append((self.now, message))
-        return [message for _, message in self.heard[begin:]]
-
-    def ask(self, device: int, command: int, data: int = 0, seconds: float = 0.05) -> list[Message]:
-        self.send(device, command, data)
-        return self.wait(seconds)
-
-    def talk(self, text: str) -> list[str]:
-        """Bytes as they are printed in a manual, both ways."""
-        self.chain.receive(bytes.fromhex(text), self.now)
-        return [encode(message).hex(" ") for message in self.wait(0.1)]
+from tests.station.lab.zaber_wire import LINEAR, RAMP, ROTARY, SPEED, Wire
 
 
 @pytest.fixture
@@ -384,75 +349,6 @@ def test_motion_does_not_depend_on_how_often_it_is_looked_at():
         return wire.chain.places
 
     assert places(0.002) == pytest.approx(places(0.05), abs=1e-6)
-
-
-class TestFaults:
-    """What can be wrong with a chain."""
-
-    def test_lost_and_turned_bits_come_as_often_as_asked_for(self, wire):
-        wire.chain.faults = Faults(drop=0.02)
-        for k in range(200):
-            wire.ask(1, 55, k, seconds=0.03)
-        answered = sum(message.command == 55 for _, message in wire.heard)
-        assert pytest.approx(answered, abs=30) == 200 * (1 - 0.02) ** 12
-
-    def test_a_mute_unit_moves_and_says_nothing(self, wire):
-        wire.chain.faults = Faults(mute=frozenset({2}))
-        assert wire.ask(2, 22, 1000, seconds=0.5) == []
-        assert wire.chain.units[1].position > 100_000
-        assert wire.ask(1, 55, 1) == [Message(1, 55, 1)]
-
-    def test_behind_a_cut_nothing_is_heard_and_motion_goes_on(self, wire):
-        wire.ask(3, 22, 1000)
-        wire.chain.faults = Faults(cut=2)
-        assert wire.ask(0, 23, seconds=30.0) == [Message(1, 23, 100_000)]
-        # Nothing watches it: it runs on, here for 30 s.
-        assert wire.chain.units[2].position == pytest.approx(100_000 + 1000 * SPEED * 30, rel=0.01)
-        wire.chain.faults = Faults(cut=1)
-        assert wire.ask(1, 55) == []
-        wire.chain.faults = Faults()
-        assert wire.ask(3, 55) == [Message(3, 55, 0)]
-
-    def test_a_delay_holds_every_reply(self, wire):
-        wire.chain.faults = Faults(delay=0.1)
-        assert wire.ask(1, 55, seconds=0.1) == []
-        assert wire.wait(0.02) == [Message(1, 55, 0)]
-
-    def test_a_stalled_motor_counts_steps_that_it_does_not_make(self, wire):
-        wire.chain.faults = Faults(stalled=frozenset({3}))
-        assert wire.ask(3, 21, 5000, seconds=2.0) == [Message(3, 21, 105_000)]
-        assert wire.chain.places[2] == 100_000
-        wire.chain.faults = Faults()
-        wire.ask(3, 21, -1000, seconds=2.0)
-        assert wire.chain.places[2] == 99_000  # the count stays wrong until it is homed
-
-    def test_a_stalled_motor_does_not_find_home(self, wire):
-        wire.chain.faults = Faults(stalled=frozenset({3}))
-        assert wire.ask(3, 1, seconds=30.0) == [Message(3, 255, 1)]
-
-    def test_a_hard_stop_takes_steps(self):
-        unit = Unit(LINEAR, 1, place=600_000.0, count=0.0)  # homed wrongly
-        wire = Wire(SimulatedChain([unit]))
-        wire.ask(1, 20, 50_000, seconds=10.0)
-        assert unit.position == 50_000
-        assert unit.place == pytest.approx(604_724 + 2000)
-
-    def test_power_lost_and_back(self, wire):
-        wire.chain.power_cycle(3)
-        wire.wait(0.6)
-        assert wire.ask(3, 60) == [Message(3, 60, 0)]
-        assert wire.chain.places[2] == 100_000
-
-    def test_the_same_seed_does_the_same_damage(self):
-        def heard(seed: int) -> list[Message]:
-            wire = Wire(SimulatedChain([Unit(ROTARY, 1)], seed))
-            wire.chain.faults = Faults(drop=0.05, flip=0.05)
-            for k in range(50):
-                wire.ask(1, 55, k, seconds=0.02)
-            return [message for _, message in wire.heard]
-
-        assert heard(4) == heard(4)
-        assert heard(4) != heard(5)
 
 
 def test_one_code_for_pipes_ptys_and_sockets():

@@ -1,0 +1,107 @@
+"""The paper's three stages as simulated units under their driver, in virtual time."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from station.devices.links import Link
+from station.devices.memory_pipe import memory_pipe
+from station.devices.zaber_setup import Port, StageSetup
+from station.devices.zaber_stages import Condition, ZaberStages
+from station.lab.simulated_zaber import SimulatedChain, pump
+from station.lab.simulated_zaber_unit import Unit, UnitKind
+from station.robots import RobotFile
+
+TICK = 0.002
+START = np.array([0.0, math.pi / 2, -0.100])
+ROTARY = UnitKind(4421, None, 1_536_000)
+LINEAR = UnitKind(4332, 604_724, serial=1001)
+#: Microsteps of the three stages: 0.000234375 deg, 0.49609375 um.
+STEPS = np.array([math.radians(0.000234375)] * 2 + [0.49609375e-6])
+
+
+class Bench:
+    """The paper's three stages on one line, or on a line each, in virtual time."""
+
+    def __init__(
+        self,
+        robot: RobotFile,
+        at: Sequence[float] = tuple(START),
+        homed: bool = True,
+        apart: bool = False,
+        seed: int = 0,
+    ) -> None:
+        numbers = (1, 1, 1) if apart else (1, 2, 3)
+        self.setups = [StageSetup.of(joint, n) for joint, n in zip(robot.joints, numbers, strict=True)]
+        self.home_at = np.array([setup.home_at for setup in self.setups])
+        self.units: list[Unit] = []
+        for setup, kind, q in zip(self.setups, (ROTARY, ROTARY, LINEAR), at, strict=True):
+            place = (q - setup.home_at) / setup.joint.microstep
+            self.units.append(Unit(kind, setup.device, place, place + setup.home_count if homed else None))
+        groups = ((0,), (1,), (2,)) if apart else ((0, 1, 2),)
+        self.chains = [SimulatedChain([self.units[i] for i in group], seed) for group in groups]
+        self.chain = self.chains[0]
+        self.now = 0.0
+        self.truth = self.places  #: joint positions at the last poll
+        self.ports = self.plug(groups)
+        self.stages = ZaberStages(self.setups, self.ports)
+        self.order: list[int] = []  # in which the units began to home
+
+    def plug(self, groups: Sequence[tuple[int, ...]] = ((0, 1, 2),)) -> list[Port]:
+        """New links, as after plugging an adapter in again."""
+        pipes = [memory_pipe(f"line {k}") for k in range(len(groups))]
+        self.far: list[Link] = [device for _, device in pipes]
+        self.near = [host for host, _ in pipes]
+        return [Port(host, group) for host, group in zip(self.near, groups, strict=True)]
+
+    def run(
+        self,
+        seconds: float,
+        velocities: Callable[[float], Sequence[float]] | None = None,
+        until: Callable[[], bool] = lambda: False,
+    ) -> None:
+        end = self.now + seconds
+        while self.now < end and not until():
+            self.reading, self.truth = self.stages.poll(self.now), self.places
+            if velocities:
+                self.stages.command(np.array(velocities(self.now)), self.now)
+            self.let_go()
+
+    def let_go(self) -> None:
+        """One tick of the units."""
+        for far, chain in zip(self.far, self.chains, strict=True):
+            pump(far, chain, self.now + TICK, written=self.now)
+        for i, unit in enumerate(self.units):
+            if unit.status == 1 and i not in self.order:
+                self.order.append(i)
+        self.now += TICK
+
+    def connect(self) -> "Bench":
+        self.stages.connect(self.now)
+        self.run(10.0, until=lambda: self.stages.condition is not Condition.CONNECTING)
+        return self
+
+    def home(self) -> None:
+        self.stages.home(self.now)
+        self.run(400.0, until=lambda: self.stages.condition is not Condition.HOMING)
+
+    @property
+    def places(self) -> np.ndarray:
+        return self.home_at + STEPS * [unit.place for unit in self.units]
+
+    @property
+    def moving(self) -> list[bool]:
+        return [unit.status != 0 for unit in self.units]
+
+
+def connected(robot: RobotFile) -> Bench:
+    """A bench whose units have been found and set up."""
+    bench = Bench(robot).connect()
+    assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
+    return bench
+
+
+def swing(now: float) -> list[float]:
+    """All three, up to 15 deg/s and 12 mm/s."""
+    return [0.25 * math.sin(1.3 * now), 0.26 * math.cos(0.9 * now), 0.012 * math.sin(2.0 * now)]
