@@ -9,9 +9,11 @@ from typing import Any
 
 from core.errors import CtrError
 from station.desk import Desk
+from station.experiments.experiment import PERIOD
 from station.lab.loads import RaisedCosineLoad
 from station.motions import CircleMotion
 from station.realtime import leave_a_core
+from station.ring import Ring
 from station.states import State
 from station.station_file import load_station
 from station.supervisor import Supervisor
@@ -42,11 +44,16 @@ def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True
                 status = supervisor.status()
                 if status.state is not State.RUNNING:
                     raise CtrError(f"the loop went to {status.state.name}: {status.cause}")
-            timing = supervisor.ring.timing()
-            stolen_s = round(stolen() - steal, 3)
+            result = figures(supervisor.ring, seconds, stolen() - steal)
         finally:
             supervisor.close()
-    return {**timing._asdict(), "seconds": seconds, "stolen_s": stolen_s}
+    return result
+
+
+def figures(ring: Ring, seconds: float, stolen_s: float) -> dict[str, Any]:
+    """The loop's own counts over so long [s], with the time that was stolen meanwhile [s]."""
+    late = ring.later_than(PERIOD)
+    return {**ring.timing()._asdict(), "a_period_late": late, "seconds": seconds, "stolen_s": round(stolen_s, 3)}
 
 
 def stolen() -> float:

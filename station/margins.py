@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from core.errors import DescriptionError
 from core.robot import Array
 from core.stability import design_snap_number
 from core.step import Tick
@@ -66,13 +67,16 @@ class SnapWatch:
 
 
 def check_design(robot: RobotFile, margins: Margins) -> str:
-    """What is to be said of a robot whose tubes snap without load; empty when they do not.
+    """What is to be said of a robot whose tubes snap without load, or may; empty when they do not.
 
     Raises:
         ConfigError: they do, and such designs are to be refused.
     """
     lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
-    number = design_snap_number(robot.robot(), lower, upper)
+    try:
+        number = design_snap_number(robot.robot(), lower, upper)
+    except DescriptionError as error:
+        return f"{error}, so nobody can say beforehand whether its tubes snap: mind its stability"
     if number < 1.0:
         return ""
     text = (

@@ -123,6 +123,10 @@ class Ring:
             "SCHED_FIFO" if self.counters[SCHEDULER] else "normal priority",
         )
 
+    def later_than(self, late: float) -> int:
+        """How many ticks have begun so late [s, below 5 ms] or later."""
+        return int(self.late[int(1e6 * late) :].sum())
+
     def clear_timing(self) -> None:
         """Start the statistics anew."""
         self.late[:], self.busy[:] = 0, 0

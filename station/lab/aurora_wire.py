@@ -1,5 +1,7 @@
 """The line of a simulated Aurora: a pipe in memory with a rate and a break, and a pump for any link."""
 
+from typing import Protocol, runtime_checkable
+
 from station.devices.aurora import POWER_UP_BAUD
 from station.devices.links import Link, LinkError
 from station.devices.memory_pipe import Cable
@@ -90,6 +92,16 @@ class DeviceEnd:
         return _emptied(self._to_host)
 
 
+@runtime_checkable
+class Rated(Protocol):
+    """A link that knows at which rate the host talks."""
+
+    @property
+    def host_baud(self) -> int | None:
+        """The host's rate [bit/s]."""
+        ...
+
+
 def _emptied(buffer: bytearray) -> bytes:
     if not buffer:
         return b""
@@ -101,18 +113,17 @@ def _emptied(buffer: bytearray) -> bytes:
 def pump(link: Link, unit: SimulatedAurora, now: float) -> None:
     """Move bytes between the device's end of any link and the unit; without the link the unit goes on.
 
-    A link that knows the host's rate says so as `host_baud`, one that carries a break as `broken`.
-    `now` [s] is virtual or real, the same time that `advance` counts.
+    Only a line in memory carries a break. `now` [s] is virtual or real, the same time that `advance` counts.
     """
-    if getattr(link, "broken", False):
-        link.broken = False  # type: ignore[attr-defined]
+    host_baud = link.host_baud if isinstance(link, Rated) else None
+    if isinstance(link, DeviceEnd) and link.broken:
+        link.broken = False
         unit.restart(now)
     try:
         data = link.read()
         if not data and unit.due > now:
             unit.looked = now
             return
-        host_baud = getattr(link, "host_baud", None)
         unit.receive(data, now, host_baud)
         data = unit.transmit(now, host_baud)
         if data:

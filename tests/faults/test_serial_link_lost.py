@@ -21,7 +21,7 @@ def reset_and_home(station: VirtualStation) -> None:
     station.seconds(1.0)
     assert station.state is State.CONNECTED, "not READY by itself: where the stage is now nobody knows"
     with pytest.raises(RefusedError, match="it needs READY"):
-        station.loop.start(Task(station.case.controller, None, 1.0))  # type: ignore[arg-type]
+        station.loop.start(Task(station.case.controller, station.case.orders, 1.0))
     station.loop.home(station.now)
     station.becomes(State.READY, 120.0)
 

@@ -36,6 +36,19 @@ def test_a_design_that_snaps_is_named_and_refused_where_that_is_asked_for() -> N
     assert check_design(paper, Margins(design="refuse")) == ""
 
 
+def test_a_design_that_cannot_be_judged_is_taken_and_said_so() -> None:
+    paper = load_robot("paper")
+    inner = paper.tubes[0]
+    twisted = tuple(
+        section.model_copy(update={"curvature": (2.0, 3.0 * number)}) for number, section in enumerate(inner.sections)
+    )
+    helix = paper.model_copy(update={"tubes": (inner.model_copy(update={"sections": twisted}), *paper.tubes[1:])})
+
+    warning = check_design(helix, Margins())
+    assert f"tube '{inner.name}' is not curved in one plane" in warning
+    assert "mind its stability" in warning
+
+
 def test_a_load_that_brings_the_tubes_near_a_snap_holds_the_motion(case) -> None:
     # the paper's tubes are far from it: the floor is raised to where a load of 0.3 N brings them
     station = VirtualStation(case, Margins(stability=0.99)).ready()

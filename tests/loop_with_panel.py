@@ -1,0 +1,59 @@
+"""How punctual the loop is while a page is open: `python -m tests.loop_with_panel [SECONDS] [--config FILE]`.
+
+`ctr-station bench loop` has the control process, the lab and the recorder; here the server, the scene and a Chromium
+that draws the page are on the same processors. One recorded motion under load; the loop's own counts, with the time
+that the machine was stolen meanwhile. With `fifo = false` in the file: without real-time scheduling.
+"""
+
+import argparse
+import json
+import sys
+import time
+
+from playwright.sync_api import sync_playwright
+
+from station.bench_loop import figures, stolen
+from station.control_process import ring_width
+from station.ring import Ring
+from station.robots import load_robot
+from tests.browser.conftest import CHROMIUM, FLAGS, SIZE
+from tests.serving import serving, shared_memory
+
+MOTION = {
+    "trajectory": {"kind": "circle", "radius": 0.010, "period": 20.0},
+    "load": {"kind": "raised_cosine", "peak": 0.3, "period": 15.0},
+}
+#: Chromium has started and drawn its first pictures by then, and the robot is at rest no more [s].
+DRAWN, MOVING = 10.0, 5.0
+
+
+def main() -> None:
+    """Print the loop's timing as JSON."""
+    parser = argparse.ArgumentParser(prog="python -m tests.loop_with_panel")
+    parser.add_argument("seconds", type=float, nargs="?", default=60.0)
+    parser.add_argument("--config", help="station file of the paper's robot")
+    parsed = parser.parse_args()
+    others = shared_memory()
+    with serving(*(("--config", parsed.config) if parsed.config else ())) as station, sync_playwright() as playwright:
+        station.ready()
+        ring = Ring(ring_width(load_robot("paper")), (shared_memory() - others).pop())
+        page = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS).new_page(viewport=SIZE)
+        page.goto(station.url)
+        time.sleep(DRAWN)
+        started = station.post("/api/start", {**MOTION, "duration": parsed.seconds + 60.0})
+        assert started.status_code == 202, started.text
+        time.sleep(MOVING)
+        ring.clear_timing()
+        before = stolen()
+        time.sleep(parsed.seconds)
+        result = figures(ring, parsed.seconds, stolen() - before)
+        status = station.status()
+        assert status["state"] == "RUNNING", status["cause"]
+        station.post("/api/stop")
+        page.close()
+        ring.close(remove=False)
+    sys.stdout.write(f"{json.dumps(result)}\n")
+
+
+if __name__ == "__main__":
+    main()
