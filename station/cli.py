@@ -125,12 +125,16 @@ def _run(parsed: argparse.Namespace) -> int:
     from station.experiments.output import ResultFolder, label_of, result_table
     from station.experiments.results import summarise
     from station.experiments.runner import run_case
+    from station.margins import Margins, check_design
 
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
     given = {"lab": parsed.lab, "calibration": parsed.calibration}
     changes = {key: _from_here(value) for key, value in given.items() if value is not None}
     experiment = load_experiment(parsed.experiment, changes)
+    for robot in {case.robot.name: case.robot for case in experiment.cases}.values():
+        if warning := check_design(robot, Margins()):
+            sys.stderr.write(f"ctr-station: {warning}\n")
     folder = ResultFolder(parsed.out, experiment, parsed.seed)
     cases = {}
     try:

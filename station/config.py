@@ -134,11 +134,20 @@ def read_toml(path: Path) -> Document:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not UTF-8 text: {error}") from None
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, source: str) -> Document:
+    """The table of a text that comes from `source`.
+
+    Raises:
+        ConfigError: not TOML; with the line.
+    """
     try:
         document = Document(tomllib.loads(text))
     # A number of 5000 digits is a plain ValueError, a deep nest of brackets a RecursionError.
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+        raise ConfigError(f"{source}: not valid TOML: {error}") from None
     document.text = text
     return document
 

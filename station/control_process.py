@@ -10,6 +10,7 @@ import signal
 import time
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -64,6 +65,7 @@ class Bench:
     alone: Literal["go_on", "hold"] = "go_on"  #: what a run does when its operator has gone
     warnings: tuple[str, ...] = ()  #: what a person should know before anything moves
     calibration: Calibration | None = None  #: None: everything is taken to be as described
+    terminals: Path | None = None  #: folder for the virtual lab's pseudo-terminals; None: TCP
 
     def controlled(self, file: ControllerFile) -> Controller:
         """A controller that knows what a calibration has found.

@@ -1,5 +1,6 @@
 """What an operator or a script may ask of a running station, checked before anything moves."""
 
+import math
 import threading
 from typing import Annotated, Literal
 
@@ -108,7 +109,8 @@ class Desk:
             )
         if chosen.robot != self.supervisor.bench.robot:
             raise DeskError(f"{name} needs robot '{chosen.robot.name}', not '{self.supervisor.bench.robot.name}'")
-        task = Task(chosen.controller, chosen.orders, chosen.file.duration, chosen.start)
+        controller = self.supervisor.bench.controlled(chosen.file.controller)
+        task = Task(controller, chosen.orders, chosen.file.duration, chosen.start)
         about = {
             "experiment": name,
             "case": chosen.name,
@@ -135,13 +137,26 @@ class Desk:
         self.supervisor.jog(space, np.array(velocity))
 
     def pull(self, load: Load) -> None:
-        """Put a load on the virtual lab's tip, now."""
+        """Put a load on the virtual lab's tip or shaft, now.
+
+        Raises:
+            PoseError: the shaft does not reach to where it acts.
+        """
+        self._check(load)
         self.supervisor.pull(load)
 
+    def _check(self, load: Load) -> None:
+        """The simulated robot cannot be touched beyond its tip."""
+        values = self.supervisor.status().values
+        if math.isfinite(load.contact) and "joints" in values:
+            self.supervisor.robot.check_contact(values["joints"], load.contact)
+
     def _start(self, motion: TipMotion, controller: ControllerFile, load: Load, duration: float, title: str) -> str:
-        task = Task(self.supervisor.bench.controlled(controller), Orders(motion, self.supervisor.robot), duration)
+        orders = Orders(motion, self.supervisor.robot)
+        task = Task(self.supervisor.bench.controlled(controller), orders, duration)
+        self._check(load)
         status = self.supervisor.status()
         if status.state is State.READY and "joints" in status.values:
-            task.orders.check(task.controller, status.values["joints"], duration)
+            orders.check(task.controller, status.values["joints"], duration)
         settings = Settings(trajectory=motion, controller=controller, load=load, duration=duration)
         return self.supervisor.start(task, load, title, {"settings": settings.model_dump(mode="json")})

@@ -135,7 +135,7 @@ class ControlLoop:
         self.request(Event.START)
         self.controller, self._rest = task.controller, None
         self.progress = Progress(task, Phase.APPROACHING)
-        self._snap = SnapWatch(self._margins)
+        self._snap = SnapWatch(task.margins or self._margins)
 
     def tare(self, now: float) -> None:
         """Take what the force sensors feel in the next moments as zero.
@@ -307,7 +307,7 @@ class ControlLoop:
                 if now >= progress.settle_start + SETTLE:
                     self._rest.take(wrenches, self._tip(frame))
                 return None
-            if not self._set_out(now, joints, self._rest):
+            if not self._set_out(now, joints, self._rest, task):
                 return None
             self.progress = replace(progress, phase=Phase.MOVING)
         if now - progress.motion_start >= task.duration - 1e-9:
@@ -315,7 +315,7 @@ class ControlLoop:
             return None
         return task.order(now - progress.motion_start, now - self._frame_at)
 
-    def _set_out(self, now: float, joints: JointReading, rest: Rest) -> bool:
+    def _set_out(self, now: float, joints: JointReading, rest: Rest, task: Task) -> bool:
         """Tare and start tip from what was measured at rest; False when the tracker saw nothing."""
         tip, self._rest = rest.tip, None
         if tip is None or self._memory is None:
@@ -324,7 +324,7 @@ class ControlLoop:
             return False
         self._tare = self.controller.tare(rest.wrenches, joints.positions)
         self._memory = set_origin(self.controller, self._memory, tip)
-        self._stall, self._snap = Stall(), SnapWatch(self._margins)
+        self._stall, self._snap = Stall(), SnapWatch(task.margins or self._margins)
         return True
 
     def _tip(self, frame: TipReading | None) -> Array | None:

@@ -7,7 +7,20 @@ from pydantic import Field
 from core.errors import CtrError
 from core.limits import ForceLimit, JointLimit, Limit, Limits, TubeOrder, Workspace
 from core.robot import Base, Joint, Robot, Section, Tube
-from station.config import ConfigError, Name, Positive, Row, Strict, Vector, check, on_line, preset, read_toml
+from station.config import (
+    ConfigError,
+    Document,
+    Name,
+    Positive,
+    Row,
+    Strict,
+    Vector,
+    check,
+    on_line,
+    parse_toml,
+    preset,
+    read_toml,
+)
 
 
 class SectionFile(Strict):
@@ -153,11 +166,23 @@ def load_robot(name: str) -> RobotFile:
         ConfigError: with file, key and value.
     """
     path = preset("robots", name)
-    table = read_toml(path)
-    file = check(RobotFile, table, str(path))
+    return _checked(read_toml(path), str(path))
+
+
+def robot_of(text: str, source: str) -> RobotFile:
+    """A robot by what its file says; `source` is for messages.
+
+    Raises:
+        ConfigError: with source, key and value.
+    """
+    return _checked(parse_toml(text, source), source)
+
+
+def _checked(table: Document, source: str) -> RobotFile:
+    file = check(RobotFile, table, source)
     try:
         file.robot()
         file.limits()
     except CtrError as error:
-        raise ConfigError(f"{path}: {error}{on_line(table, str(error))}") from None
+        raise ConfigError(f"{source}: {error}{on_line(table, str(error))}") from None
     return file

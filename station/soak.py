@@ -6,11 +6,12 @@ nothing explains, and faults that are reported not at all or more than once.
 """
 
 import math
+import os
 import random
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +25,8 @@ from station.states import State
 from station.station_file import load_station
 from station.supervisor import Supervisor
 
+#: A station comes up within this time, also where everything is compiled first on a busy computer [s].
+COMES_UP = 300.0
 #: A fault shows within this time; after it was mended and reset, READY comes within that [s].
 SHOWS, READY_AGAIN = 3.0, 150.0
 #: Growth of a process's memory that is none [bytes], and the slope beyond it that counts as a leak [bytes/s].
@@ -87,14 +90,18 @@ class Result:
 
 
 def soak(seconds: float, seed: int, folder: Path, progress: Callable[[float], None]) -> dict[str, Any]:
-    """Soak a station for so long [s]; its recordings go to `folder`. The summary.
+    """Soak a station for so long [s], its serial lines pseudo-terminals; what it leaves goes to `folder`. The summary.
 
     Raises:
         CtrError: it does not come up.
     """
-    supervisor = Supervisor(load_station(None).bench(), folder)
+    terminals = folder / "lines" if hasattr(os, "openpty") else None
+    if terminals is not None:
+        terminals.mkdir()
+    bench = replace(load_station(None).bench(), terminals=terminals)
+    supervisor = Supervisor(bench, folder / "runs")
     try:
-        supervisor.wait_ready(120.0)
+        supervisor.wait_ready(COMES_UP)
         soaked = _Soak(supervisor, seed)
         soaked.run(seconds, progress)
     finally:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr
@@ -72,11 +73,12 @@ class StationFile(Strict):
             robot.robot().check_pose(park)
             folder = None if self.calibration is None else self._folder / self.calibration
             calibration = None if folder is None else Calibration.load(folder, robot)
-            self.controller.controller(robot if calibration is None else calibration.robot)
+            believed = robot if calibration is None else calibration.robot
+            self.controller.controller(believed)
             bench = None if self.devices == "virtual" else self.devices
             if bench is not None:
                 plan(bench, robot)
-            snaps = check_design(robot, self.margins)
+            snaps = check_design(believed, self.margins)
         except CtrError as error:
             raise ConfigError(f"{self._source}: {error}{on_line(self._table, str(error))}") from None
         return Bench(
@@ -85,16 +87,16 @@ class StationFile(Strict):
         )  # fmt: skip
 
 
-def load_station(path: Path | None) -> StationFile:
-    """The station's configuration, or the defaults.
+def load_station(path: Path | None, changes: Mapping[str, Any] = MappingProxyType({})) -> StationFile:
+    """The station's configuration, or the defaults; `changes` are keys that are to be otherwise.
 
     Raises:
         ConfigError: with file, key, value and what was expected.
     """
     if path is None:
-        return StationFile()
+        return check(StationFile, dict(changes), "the command line")
     table = read_toml(path)
-    file = check(StationFile, table, str(path))
+    file = check(StationFile, {**table, **changes}, str(path), table)
     file._source, file._table, file._folder = str(path), table, path.parent
     if file.experiments.folder is not None:
         use_experiments(path.parent / file.experiments.folder)

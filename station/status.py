@@ -27,3 +27,4 @@ class Status(NamedTuple):
     values: Mapping[str, Array]  #: newest telemetry by group; empty until there is some
     devices: tuple[DeviceStatus, ...] = ()  #: as reported last; empty before
     warnings: tuple[str, ...] = ()  #: of this machine and this robot
+    reserved: str = ""  #: why nobody but a procedure may move anything; empty when everybody may

@@ -64,7 +64,8 @@ class Supervisor:
         self._cause = ""
         self._state = State.OFF
         self._run, self._title = 0, ""
-        self._load: Load = NoLoad()
+        self._load: Load | None = NoLoad()  # of the run that is on; None: what hangs is left alone
+        self._reserved = ""  # why nobody but a procedure may move anything
         self._faults: tuple[LabFault, ...] = ()
         self._motion_start: float | None = None
         self._devices: tuple[DeviceStatus, ...] = ()
@@ -111,7 +112,7 @@ class Supervisor:
                 state, self._cause if state in (State.HOLD, State.STOPPED, State.FAULT) else "", self._run_id(),
                 self._title, Phase(int(counters[PHASE])) if int(counters[RUN]) == self._run else Phase.NONE,
                 float(numbers[PROGRESS]), time.monotonic() - float(numbers[HEARTBEAT]), self.ring.timing(), groups,
-                self._devices, (*self.bench.warnings, *self._refused),
+                self._devices, (*self.bench.warnings, *self._refused), self._reserved,
             )  # fmt: skip
 
     def pids(self) -> dict[str, int]:
@@ -149,9 +150,10 @@ class Supervisor:
             faults: of the virtual lab's devices, their times counted from the motion's start.
 
         Raises:
-            RefusedError: the state does not allow it.
+            RefusedError: the state does not allow it, or a procedure is on.
             RecordingError: it cannot be recorded.
         """
+        self._check_free()
         after(self.status().state, Event.START)
         number = next(self._runs)
         if self.recording is not None:
@@ -162,19 +164,40 @@ class Supervisor:
             )
             self._recorded = number
         self._settling = about.get("settings", {}).get("settling", settling_time(task.duration))
-        with self._lock:
-            before = self._load, self._faults
-            self._load, self._faults = load, tuple(faults)
         try:
-            self._control.ask(Event.START, task=task, run=number)
+            return self._begin(number, task, load, title, faults)
         except RefusedError:
-            with self._lock:
-                self._load, self._faults = before
             self._end_recording(State.STOPPED, "it was refused after all")
             raise
+
+    def visit(self, task: Task, title: str) -> str:
+        """Start a step of the procedure that has the station to itself; its id.
+
+        It is not recorded, and what hangs at the tip stays there.
+
+        Raises:
+            RefusedError: the state does not allow it.
+        """
+        return self._begin(next(self._runs), task, None, title)
+
+    def reserve(self, why: str) -> None:
+        """From now on only `visit` moves anything, until `release`; STOP and reset are as always.
+
+        Args:
+            why: is told whoever is refused.
+
+        Raises:
+            RefusedError: not READY, or reserved already.
+        """
+        self._check_free()
+        after(self.status().state, Event.START)
         with self._lock:
-            self._run, self._title, self.task = number, title, task
-            return self._run_id()
+            self._reserved = why
+
+    def release(self) -> None:
+        """Everybody may move the robot again."""
+        with self._lock:
+            self._reserved, self._load = "", NoLoad()
 
     def stop(self) -> str:
         """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
@@ -213,32 +236,36 @@ class Supervisor:
         """Find the devices, after they were given up.
 
         Raises:
-            RefusedError: not OFF.
+            RefusedError: not OFF, or a procedure is on.
         """
+        self._check_free()
         self._control.ask(Event.CONNECT)
 
     def home(self) -> None:
         """Home every stage; a person has said that the way is clear.
 
         Raises:
-            RefusedError: neither CONNECTED nor READY, or the stages cannot.
+            RefusedError: neither CONNECTED nor READY, a procedure is on, or the stages cannot.
         """
+        self._check_free()
         self._control.ask(Event.HOME)
 
     def tare(self) -> None:
         """Make what the force sensors feel zero.
 
         Raises:
-            RefusedError: not READY.
+            RefusedError: not READY, or a procedure is on.
         """
+        self._check_free()
         self._control.ask("tare")
 
     def jog(self, space: Literal["joints", "tip"], velocity: Array) -> None:
         """Move by hand for the next 0.3 s: (n,) [rad/s or m/s] joints or (3,) [m/s] tip.
 
         Raises:
-            RefusedError: not READY.
+            RefusedError: not READY, or a procedure is on.
         """
+        self._check_free()
         self._control.ask("jog", space=space, velocity=velocity)
 
     def operator_gone(self) -> None:
@@ -267,6 +294,25 @@ class Supervisor:
         self._chronicle.close()
         self.ring.close(remove=True)
 
+    def _check_free(self) -> None:
+        if self._reserved:
+            raise RefusedError(self._reserved)
+
+    def _begin(self, number: int, task: Task, load: Load | None, title: str, faults: Sequence[LabFault] = ()) -> str:
+        """Have a task carried out; its id."""
+        with self._lock:
+            before = self._load, self._faults
+            self._load, self._faults = load, tuple(faults)
+        try:
+            self._control.ask(Event.START, task=task, run=number)
+        except RefusedError:
+            with self._lock:
+                self._load, self._faults = before
+            raise
+        with self._lock:
+            self._run, self._title, self.task = number, title, task
+            return self._run_id()
+
     # Processes
 
     def _run_id(self) -> str:
@@ -275,8 +321,9 @@ class Supervisor:
     def _start_lab(self) -> LabHost | OwnBench:
         if self.bench.devices is not None:
             return OwnBench(self.bench.devices)
-        bench = LabBench(self.bench.robot, self.bench.lab, self.bench.seed, self.bench.park, self.bench.fifo)
-        return LabHost(bench, self.ring.name, ring_width(self.bench.robot))
+        bench = self.bench
+        lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals)
+        return LabHost(lab, self.ring.name, ring_width(bench.robot))
 
     def _start_control(self) -> ControlHost:
         return ControlHost(self.bench, self.ring, self._find_devices, self._hear, self._ended)
@@ -325,11 +372,13 @@ class Supervisor:
         if message.motion_start != before:
             # The load is on during the motion only.
             if message.motion_start is None:
-                self._lab.pull(NoLoad(), 0.0)
+                if load is not None:
+                    self._lab.pull(NoLoad(), 0.0)
                 if self._faults:
                     self._lab.inject((), 0.0)  # what an experiment has spoilt ends with it
             else:
-                self._lab.pull(load, message.motion_start)
+                if load is not None:
+                    self._lab.pull(load, message.motion_start)
                 if self.recording is not None:
                     start = self._time() + message.motion_start - time.monotonic()
                     self.recording.moving(start, self._settling)

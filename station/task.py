@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Protocol
 
 from core.robot import Array
 from core.step import Controller
 from core.trajectories import JointMotion, Setpoint
 from station.approach import approach
-from station.motions import Orders
+from station.margins import Margins
 from station.rest import AVERAGE, SETTLE
 
 #: Without a frame for this long the outer correction stays as it was at the last one: four frames [s].
@@ -24,14 +25,23 @@ class Phase(IntEnum):
     JOGGING = 4  #: moved by hand
 
 
+class TimedOrders(Protocol):
+    """What a motion wants at each moment."""
+
+    def at(self, time: float) -> Setpoint | JointMotion:
+        """The order at `time` [s] since the motion's start."""
+        ...
+
+
 @dataclass(frozen=True)
 class Task:
     """A motion to carry out and how."""
 
     controller: Controller
-    orders: Orders
+    orders: TimedOrders
     duration: float  #: of the motion, after the preparation [s]
     start: Array | None = None  #: joints (n,) to begin from; None: from where they are
+    margins: Margins | None = None  #: what is left before the tubes snap; None: the station's
 
     def approach(self, joints: Array) -> Array | None:
         """Velocities (n,) from `joints` (n,) toward the start pose; None when there."""

@@ -15,13 +15,20 @@ import psutil
 import pytest
 
 from core.robot import Joint, Robot, Section, Tube
+from tests.serving import Served, serving
 
 #: Real processes, real browsers and real time: on a busy computer they get a second try.
-REAL = ("browser", "faults", "web", "station/test_soak.py", "station/test_client.py", "station/test_own_bench.py")
+REAL = (
+    "browser", "faults", "web", "station/test_soak.py", "station/test_client.py", "station/test_own_bench.py",
+    "station/calibration/test_live.py",
+)  # fmt: skip
 
 
 #: Long ones, left out unless they are asked for: `pytest -m slow`, or `-m ""` for all.
-SLOW = ("browser/test_tabs.py", "station/test_soak.py", "web/test_kills.py")
+SLOW = (
+    "browser/test_tabs.py", "browser/test_pictures.py", "browser/test_calibrate.py", "station/test_soak.py",
+    "web/test_kills.py",
+)  # fmt: skip
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -32,6 +39,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if any(item.path.is_relative_to(here / name) for name in SLOW):
             item.add_marker(pytest.mark.slow)
         if any(item.path.is_relative_to(here / name) for name in REAL):
+            item.add_marker(pytest.mark.real)
             item.add_marker(pytest.mark.flaky(reruns=2))
 
 
@@ -49,6 +57,20 @@ def paper_robot() -> Robot:
     return Robot("paper", (inner, outer), joints)
 
 
+@pytest.fixture(scope="module")
+def running() -> Iterator[Served]:
+    """A station that a module shares."""
+    with serving() as served:
+        yield served
+
+
+@pytest.fixture
+def station(running: Served) -> Served:
+    """It, READY and without an operator."""
+    running.ready()
+    return running
+
+
 @pytest.fixture
 def grace() -> float:
     """Seconds in which what a test has stopped may still be going; a module may override it."""
@@ -59,18 +81,18 @@ def grace() -> float:
 def nothing_is_left_behind(grace: float) -> Iterator[None]:
     """Fail a test that leaves a thread, a child process or a listening port."""
     shared = {child.pid for child in psutil.Process().children()}
-    before = running(shared)
+    before = what_runs(shared)
     yield
-    left = running(shared) - before
+    left = what_runs(shared) - before
     give_up = time.monotonic() + grace
     while left and time.monotonic() < give_up:
         time.sleep(0.02)
-        left = running(shared) - before
+        left = what_runs(shared) - before
     if left:
         pytest.fail("left behind: " + ", ".join(sorted(f"{kind} {name}" for kind, _, name in left)), pytrace=False)
 
 
-def running(shared: set[int]) -> set[tuple[str, int, str]]:
+def what_runs(shared: set[int]) -> set[tuple[str, int, str]]:
     """Threads, child processes and ports open to others, each as kind, identity and name.
 
     Children in `shared` are left out with all that they have started.

@@ -22,7 +22,7 @@ BODY_LIMIT = 64 * 1024
 COOKIE = "ctr_station"
 CHANGES = ("POST", "PUT", "PATCH", "DELETE")
 #: What viewers may send beside questions: STOP, and questions that need a body.
-FOR_VIEWERS = ("/api/stop", "/api/model/solve")
+FOR_VIEWERS = ("/api/stop", "/api/model/solve", "/api/calibration/exchange")
 FRAMES = ("iframe", "frame", "embed", "object")
 
 

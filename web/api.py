@@ -1,6 +1,7 @@
 """The REST interface: state, runs, motions and the model, for the page and for scripts."""
 
 import asyncio
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Annotated, Any
@@ -11,22 +12,17 @@ from fastapi import APIRouter, Depends, Query, Request, Response, WebSocket, Web
 from core.robot import Array
 from station.config import preset_names
 from station.desk import Desk
-from station.devices.interfaces import Severity
 from station.experiments.experiment import ControllerFile, Experiment, load_experiment, start_pose
 from station.solve import model_answer
 from station.states import State
-from station.status import STALE, Status
-from web.commands import Commands, aside, operator_out
+from web.commands import Commands, aside
 from web.pictures import picture
 from web.schemas import (
     REFUSED,
     CaseOut,
-    DeviceOut,
     DoneOut,
     ErrorOut,
     ExperimentOut,
-    LoopOut,
-    RunOut,
     SolveIn,
     SolveOut,
     StartIn,
@@ -34,9 +30,10 @@ from web.schemas import (
     StatusOut,
     TipMotionIn,
 )
+from web.status_out import status_out
 from web.timing import RecentTiming
-from web.who import Who, who_of
-from web.words import words
+from web.touching import Felt
+from web.who import who_of
 
 #: Groups of telemetry that websocket clients get.
 STREAMED = (
@@ -45,8 +42,15 @@ STREAMED = (
 )  # fmt: skip
 
 
-def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor) -> APIRouter:
-    """Routes under /api for one station; `stopping` are threads that wait for nothing but STOP."""
+def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor, felt: Callable[[], Felt | None]) -> APIRouter:
+    """Routes under /api for one station.
+
+    Args:
+        desk: what requests may do.
+        of: who may command.
+        stopping: threads that wait for nothing but STOP.
+        felt: tells of a load that does not act at the tip.
+    """
     router = APIRouter(prefix="/api", responses={422: REFUSED[422]}, dependencies=[Depends(of.heard)])
     supervisor = desk.supervisor
     operator = [Depends(of.needed)]
@@ -54,7 +58,7 @@ def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor) -> APIRou
 
     @router.get("/status", summary="Everything at one look")
     def status(request: Request) -> StatusOut:
-        return status_out(desk, of, who_of(request))
+        return status_out(desk, of, who_of(request), felt())
 
     @router.post(
         "/start", status_code=202, responses=REFUSED, dependencies=operator, summary="Start an experiment or a motion"
@@ -143,47 +147,6 @@ def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor) -> APIRou
     return router
 
 
-def status_out(desk: Desk, of: Commands, who: Who) -> StatusOut:
-    """The station's status for `who` asks."""
-    supervisor = desk.supervisor
-    status = supervisor.status()
-    stale = status.age > STALE
-
-    def vector(group: str) -> tuple[float, float, float] | None:
-        return tuple(status.values[group].tolist()) if group in status.values else None
-
-    known = "truth_known" in status.values and bool(status.values["truth_known"][0])
-    names, said = supervisor.robot.joint_names, words(status)
-    task = supervisor.task
-    run = None
-    if status.run and task is not None:
-        run = RunOut(
-            id=status.run, title=status.title, phase=status.phase.name.lower(), progress=status.progress,
-            duration=task.duration,
-        )  # fmt: skip
-    return StatusOut(
-        state=status.state.name,
-        cause=status.cause,
-        phase=status.phase.name.lower(),
-        says=said.what,
-        next=said.next,
-        operator=operator_out(of.lease, who),
-        stale=stale,
-        age=round(status.age, 3),
-        lab=supervisor.bench.title,
-        warnings=status.warnings,
-        run=run,
-        devices=_devices(status),
-        loop=LoopOut(**status.timing._asdict()),
-        joints=dict(zip(names, status.values["joints"].tolist(), strict=True)) if status.values else {},
-        tip_measured=vector("tip_measured"),
-        tip_estimated=vector("tip_estimated"),
-        tip_desired=vector("tip_desired"),
-        tip_true=vector("tip_true") if known else None,
-        force=vector("force"),
-    )
-
-
 def experiment_out(experiment: Experiment) -> ExperimentOut:
     """A preset for a reader."""
     return ExperimentOut(
@@ -211,21 +174,6 @@ def sample_out(desk: Desk, row: Array, skipped: int) -> dict[str, Any]:
         numbers = channels.of(row, group).tolist()
         values[group] = numbers[0] if group in ("time", "state") else numbers
     return {"skipped": skipped, **values, "state": State(int(values["state"])).name}
-
-
-def _devices(status: Status) -> dict[str, DeviceOut]:
-    """Lights of the devices; what was reported before the loop fell silent is not called good."""
-    silent = status.age > STALE
-    return {
-        device.name: DeviceOut(
-            severity=max(device.severity, Severity.FAULT if silent else 0),
-            condition=device.condition,
-            text=f"no word from it for {status.age:.1f} s; {status.cause or 'is the control process alive?'}"
-            if silent
-            else device.text,
-        )
-        for device in status.devices
-    }
 
 
 async def _until_closed(socket: WebSocket) -> None:

@@ -15,6 +15,7 @@ from starlette.exceptions import HTTPException
 
 from core.errors import CtrError
 from station.audit import Audit
+from station.calibration.live import LiveCalibration
 from station.desk import Desk
 from station.recording.history import History
 from station.states import RefusedError
@@ -23,6 +24,7 @@ from web.alone import tell_when_alone
 from web.api import api_routes
 from web.audited import Audited
 from web.bench_api import bench_routes
+from web.calibration_api import calibration_routes
 from web.commands import commands, operator_routes
 from web.lease import Lease
 from web.runs_api import runs_routes
@@ -36,12 +38,22 @@ STATIC = Path(__file__).parent / "static"
 POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
 
 
-def build_app(desk: Desk, view: View, runs: Path, audit: Audit, host: str, port: int, tokens: Tokens | None) -> Audited:
+def build_app(
+    desk: Desk,
+    view: View,
+    calibration: LiveCalibration,
+    runs: Path,
+    audit: Audit,
+    host: str,
+    port: int,
+    tokens: Tokens | None,
+) -> Audited:
     """The station's web application.
 
     Args:
         desk: what requests may do.
         view: the scene behind the page.
+        calibration: of the same station.
         runs: folder with the recordings.
         audit: where commands and refusals are written down.
         host, port: where the application will be reached.
@@ -67,10 +79,11 @@ def build_app(desk: Desk, view: View, runs: Path, audit: Audit, host: str, port:
     )
     of = commands(Lease())
     routes, app.state.scene = viser_routes(view.door, of.lease, audit)
-    app.include_router(api_routes(desk, of, stopping))
+    app.include_router(api_routes(desk, of, stopping, view.felt))
     app.include_router(operator_routes(of))
     app.include_router(bench_routes(desk, of, audit))
     app.include_router(scene_routes(view, desk, of))
+    app.include_router(calibration_routes(calibration, of))
     app.include_router(runs_routes(History(runs), of))
     app.include_router(routes)
 

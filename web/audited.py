@@ -15,7 +15,7 @@ from web.access import CHANGES
 REPEATED = "/api/jog"
 QUIET = 1.0
 #: Questions that are sent as a POST.
-QUESTIONS = ("/api/model/solve",)
+QUESTIONS = ("/api/model/solve", "/api/calibration/exchange")
 #: So much of a body is kept [bytes].
 KEPT = 400
 #: Questions that nobody lets through are written down as well.

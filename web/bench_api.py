@@ -86,7 +86,7 @@ class JogIn(Strict):
 
 
 class PullIn(Strict):
-    """A load for the simulated tip, from now on."""
+    """A load for the simulated tip or shaft, from now on."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"load": {"kind": "constant", "magnitude": 0.2}}]})
 
@@ -177,7 +177,7 @@ def bench_routes(desk: Desk, of: Commands, audit: Audit) -> APIRouter:
         await aside(desk.jog, request.space, request.velocity)
         return done()
 
-    @router.post("/pull", responses=REFUSED, dependencies=virtual, summary="Pull at the simulated tip (virtual lab)")
+    @router.post("/pull", responses=REFUSED, dependencies=virtual, summary="Pull at the simulated robot (virtual lab)")
     async def pull(request: PullIn) -> DoneOut:
         await aside(desk.pull, request.load)
         return done()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from station.cli import execute, parser
+from station.options import seed
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -14,10 +15,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     serve = commands.add_parser("serve", help="start the virtual lab, the control process and the panel (default)")
     for target in (top, serve):
         target.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
+        target.add_argument("--lab", metavar="LAB", help="virtual lab: preset or .toml file (default)")
+        target.add_argument("--seed", type=seed, metavar="N", help="of everything random in the virtual lab (0)")
+        target.add_argument("--calibration", type=Path, metavar="DIR", help="use what 'calibrate' found")
         target.add_argument("--host", default="127.0.0.1", metavar="H", help="address to listen on (127.0.0.1)")
         target.add_argument("--port", type=_port, default=8000, metavar="P", help="port of page and REST (8000)")
         target.add_argument(
-            "--data", type=Path, default=Path("runs"), metavar="DIR", help="folder of runs and audit log (runs)"
+            "--data", type=Path, default=Path("runs"), metavar="DIR", help="folder of runs, calibrations and log (runs)"
         )
         target.add_argument("--no-browser", action="store_true", help="do not open a browser")
         target.set_defaults(command=_serve)
@@ -27,7 +31,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _serve(parsed: argparse.Namespace) -> int:
     from web.serve import serve
 
-    return serve(parsed.config, parsed.host, parsed.port, parsed.data, browser=not parsed.no_browser)
+    known = None if parsed.calibration is None else str(parsed.calibration.absolute())
+    given = {"lab": parsed.lab, "seed": parsed.seed, "calibration": known}
+    changes = {key: value for key, value in given.items() if value is not None}
+    return serve(parsed.config, changes, parsed.host, parsed.port, parsed.data, browser=not parsed.no_browser)
 
 
 def _port(text: str) -> int:

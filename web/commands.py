@@ -2,12 +2,15 @@
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, NamedTuple, TypeVar
 
 from fastapi import APIRouter, Depends, Request
+from fastapi.exceptions import RequestValidationError
 from starlette.requests import HTTPConnection
 
+from core.errors import CtrError
+from station.states import RefusedError
 from web.lease import LENGTH, Lease
 from web.schemas import REFUSED, OperatorIn, OperatorOut
 from web.who import Who, clean_name, who_of
@@ -20,7 +23,7 @@ class Commands(NamedTuple):
 
     lease: Lease
     heard: Callable[[HTTPConnection], Awaitable[None]]  #: any word of the holder keeps the lease
-    needed: Callable[[Request], Awaitable[Who]]  #: for commands
+    needed: Callable[[Request], AsyncIterator[Who]]  #: for commands
 
 
 def commands(lease: Lease) -> Commands:
@@ -29,10 +32,19 @@ def commands(lease: Lease) -> Commands:
     async def heard(connection: HTTPConnection) -> None:
         lease.renew(who_of(connection).client, time.monotonic())
 
-    async def needed(request: Request) -> Who:
-        who = who_of(request)
-        lease.take(who.client, who.name, time.monotonic())
-        return who
+    async def needed(request: Request) -> AsyncIterator[Who]:
+        who, now = who_of(request), time.monotonic()
+        was_free = lease.holder(now) is None
+        taken = lease.take(who.client, who.name, now)
+        try:
+            yield who
+        except RefusedError:
+            raise  # the state forbids it: a command all the same
+        except (RequestValidationError, CtrError):
+            # What makes no sense makes nobody operator.
+            if was_free and lease.holder(time.monotonic()) == taken:
+                lease.release(who.client, time.monotonic())
+            raise
 
     return Commands(lease, heard, needed)
 

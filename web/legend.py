@@ -7,6 +7,10 @@ from core.robot import Robot
 from web import palette
 from web.overlays import LARGER, SIGMAS
 
+#: Of the camera, from top to bottom [rad].
+FIELD = np.deg2rad(35.0)
+#: A narrower picture than this, width by height, is looked at from further away.
+NARROW = 1.35
 #: Where the camera stands and what it looks at, scene units; x points down on the screen.
 VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "Overview": ((-1.4, -4.2, 2.3), (0.2, -0.1, 0.66)),
@@ -15,11 +19,10 @@ VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] 
     "Front": ((0.2, -0.1, 6.0), (0.2, -0.1, 0.0)),
     "Tip": ((-0.3, -1.6, 2.6), (0.25, -0.4, 1.94)),
 }
-BACKGROUNDS = ("Light", "Dark")
 
 
 def add_legend(server: viser.ViserServer, robot: Robot) -> dict[str, tuple[str, ...]]:
-    """Buttons that change the view of the one who presses them, and signs and names of what is drawn.
+    """Buttons that move the camera of the one who presses them, and signs and names of what is drawn.
 
     Returns:
         The values that each button group may have, by its identity.
@@ -31,29 +34,28 @@ def add_legend(server: viser.ViserServer, robot: Robot) -> dict[str, tuple[str, 
         gui.add_html(f'<div style="padding:4px 8px;font-size:12px">{_rows(robot)}</div>')
     with panel.add_tab("View"):
         views = gui.add_button_group("Camera", tuple(VIEWS))
-        backgrounds = gui.add_button_group("Colours", BACKGROUNDS)
     panel.float(x=12, y=-12, width=262)
 
     # On viser's own thread, and for the one client only.
     async def look(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
         if event.client is not None and event.target.value in VIEWS:
-            position, look_at = VIEWS[event.target.value]
-            with event.client.atomic():
-                above = event.target.value == "Above"
-                event.client.camera.up_direction = (0.0, 1.0, 0.0) if above else (-1.0, 0.0, 0.0)
-                event.client.camera.position = np.array(position)
-                event.client.camera.look_at = np.array(look_at)
+            _place_camera(event.client, event.target.value)
 
-    async def paint(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-        if event.client is not None:
-            event.client.gui.configure_theme(
-                show_logo=False, show_share_button=False, brand_color=palette.BLUE,
-                dark_mode=event.target.value == "Dark",
-            )  # fmt: skip
+    @server.on_client_connect
+    async def _(client: viser.ClientHandle) -> None:
+        if client.camera.aspect < NARROW:
+            _place_camera(client, "Overview")
 
     views.on_click(look)
-    backgrounds.on_click(paint)
-    return {views._impl.uuid: tuple(VIEWS), backgrounds._impl.uuid: BACKGROUNDS}
+    return {views._impl.uuid: tuple(VIEWS)}
+
+
+def _place_camera(client: viser.ClientHandle, view: str) -> None:
+    eye, centre = (np.array(place) for place in VIEWS[view])
+    with client.atomic():
+        client.camera.up_direction = (0.0, 1.0, 0.0) if view == "Above" else (-1.0, 0.0, 0.0)
+        client.camera.position = centre + max(1.0, NARROW / client.camera.aspect) * (eye - centre)
+        client.camera.look_at = centre
 
 
 def _rows(robot: Robot) -> str:
@@ -62,6 +64,7 @@ def _rows(robot: Robot) -> str:
         (_disc(palette.MEASURED, 9), "measured tip, trace of 20 s"),
         (_disc(palette.ESTIMATED, 9, corner=1), "estimated tip (loaded model)"),
         (_bar(palette.FORCE, 3), "force, 100 mm for 1 N"),
+        (_bar(palette.CONTACT, 5), "contact on the shaft, 95 %"),
         (_bar(palette.DESIRED, 2), "reference path"),
         *((_bar(palette.tube(number), 5), f"tube '{tube.name}'") for number, tube in enumerate(robot.tubes)),
         (_bar(palette.SLATE, 2), "shape without load (on demand)"),

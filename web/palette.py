@@ -11,8 +11,9 @@ BLUE: Colour = (0, 114, 178)
 VERMILLION: Colour = (213, 94, 0)
 PURPLE: Colour = (204, 121, 167)
 SLATE: Colour = (86, 98, 112)
+GREY: Colour = (150, 158, 166)
 
-DESIRED, MEASURED, ESTIMATED, FORCE = GREEN, ORANGE, BLUE, PURPLE
+DESIRED, MEASURED, ESTIMATED, FORCE, CONTACT = GREEN, ORANGE, BLUE, PURPLE, VERMILLION
 #: Of the tubes, innermost first; more tubes begin again.
 TUBES: tuple[Colour, ...] = (SKY, SLATE, YELLOW, BLACK)
 #: Of x, y and z in plots.

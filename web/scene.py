@@ -14,9 +14,12 @@ from station.loop import Phase, Task
 from station.status import STALE, Status
 from station.supervisor import Supervisor
 from web import palette
+from web.contact_mark import ContactMark
 from web.history import BIN, SPAN, History
+from web.legend import FIELD, VIEWS
 from web.reference import path
 from web.stage import Stage, draw_grid
+from web.touching import Felt
 from web.tubes import TubeMesh
 
 #: Scene units in a metre.
@@ -64,6 +67,7 @@ class Scene:
             "/force/arrow", np.zeros((1, 2, 3)), palette.FORCE,
             shaft_radius=0.0009, head_radius=0.0024, head_length=0.007, scale=UNIT, visible=False,
         )  # fmt: skip
+        self._contact = ContactMark(scene, UNIT)
         self._newton = scene.add_label("/force/label", "0.00 N", anchor="center-left", visible=False)
         self._stale = scene.add_label("/stale", "", position=(0.0, 0.0, 0.0), anchor="bottom-left", visible=False)
         self._trace = scene.add_line_segments(
@@ -75,8 +79,8 @@ class Scene:
             thickness=1.5, thickness_units="screen", scale=UNIT, visible=False,
         )  # fmt: skip
 
-    def update(self, status: Status, history: History) -> None:
-        """One frame; what has not changed is not sent again."""
+    def update(self, status: Status, history: History, felt: Felt | None = None) -> None:
+        """One frame; what has not changed is not sent again. `felt` is a load that does not act at the tip."""
         live = bool(status.values) and status.age <= STALE and len(history.recent) > 0
         moving = live and status.phase is Phase.MOVING
         self._show_age(status, live)
@@ -84,14 +88,13 @@ class Scene:
         self._desired.visible = moving
         if not live:
             self._estimated.visible = self._force.visible = self._newton.visible = False
+            self._contact.hide()
             return
         self._measured.position = UNIT * status.values["tip_measured"]
         if moving:
             self._desired.position = UNIT * status.values["tip_desired"]
         force = history.mean("force")
-        tip = self._draw_robot(status.values["joints"], force)
-        if tip is not None:
-            self._draw_force(tip, force)
+        self._draw_robot(status.values["joints"], force, felt)
         self._draw_path(status)
 
     def update_trace(self, history: History) -> None:
@@ -102,30 +105,38 @@ class Scene:
             ends = np.concatenate((np.repeat(tips[:1], TRACE_POINTS + 1 - len(tips), axis=0), tips))
             self._trace.points = np.stack((ends[:-1], ends[1:]), axis=1).astype(np.float32)
 
-    def _draw_robot(self, joints: Array, force: Array) -> Array | None:
-        """Tubes as the loaded model has them; the tip (3,) [m], None without a solution."""
+    def _draw_robot(self, joints: Array, force: Array, felt: Felt | None) -> None:
+        """Tubes as the loaded model has them, and the load where it acts."""
+        _, beta = self._supervisor.robot.tube_poses(joints)
+        length = float(beta[0]) + self._supervisor.robot.tubes[0].length
+        contact = None if felt is None else min(felt.contact.place, length)
         try:
-            self._near = self._statics.solve(joints, np.concatenate((force, np.zeros(3))), self._near)
+            self._near = self._statics.solve(joints, np.concatenate((force, np.zeros(3))), self._near, contact)
         except CtrError:
             # The drawing stands still; what is wrong is the control loop's to say.
             self._near, self._estimated.visible = None, False
-            return None
+            return
         shape = self._statics.shape(self._near)
-        _, beta = self._supervisor.robot.tube_poses(joints)
         for tube, mesh, start in zip(self._tubes, self._meshes, beta, strict=True):
             mesh.vertices = tube.vertices(shape, float(start)).astype(np.float32)
             mesh.visible = True
         self._stage.move(beta)
         self._estimated.position = UNIT * self._near.tip
         self._estimated.visible = True
-        return self._near.tip
+        if felt is None:
+            self._contact.hide()
+            self._draw_force(self._near.tip, force)
+        else:
+            self._draw_force(self._contact.draw(felt, shape), force)
+            self._newton.visible = False  # the contact's own words have it
 
-    def _draw_force(self, tip: Array, force: Array) -> None:
+    def _draw_force(self, place: Array, force: Array) -> None:
+        """The load's arrow from where it acts (3,) [m]."""
         size = float(np.linalg.norm(force))
         self._force.visible = self._newton.visible = size >= LEAST_FORCE
         if size >= LEAST_FORCE:
-            end = tip + ARROW * force
-            self._force.points = np.array([[tip, end]], dtype=np.float32)
+            end = place + ARROW * force
+            self._force.points = np.array([[place, end]], dtype=np.float32)
             self._newton.position = UNIT * (end + 0.004 * force / size)
             self._newton.text = f"{size:.2f} N"
 
@@ -154,9 +165,9 @@ class Scene:
 
 
 def _fade(colour: palette.Colour, count: int) -> np.ndarray:
-    """Colours (count, 2, 3) from nearly white to the full colour."""
-    share = np.linspace(0.1, 1.0, count + 1)[:, None]
-    shades = (255.0 + share * (np.array(colour) - 255.0)).astype(np.uint8)
+    """Colours (count, 2, 3) from a grey that is dim on light and dark backgrounds to the full colour."""
+    share = np.linspace(0.0, 1.0, count + 1)[:, None]
+    shades = (np.array(palette.GREY) + share * np.subtract(colour, palette.GREY)).astype(np.uint8)
     return np.stack((shades[:-1], shades[1:]), axis=1)
 
 
@@ -164,7 +175,6 @@ def _place_camera(server: viser.ViserServer) -> None:
     """From the side, a little above and in front: the bent part large, the stages at the left."""
     server.scene.set_up_direction("-x")
     camera = server.initial_camera
-    camera.fov = np.deg2rad(35.0)
-    camera.look_at = UNIT * np.array((0.02, -0.01, 0.066))
-    camera.position = UNIT * np.array((-0.14, -0.42, 0.23))
+    camera.fov = FIELD
+    camera.position, camera.look_at = (np.array(place) for place in VIEWS["Overview"])
     camera.near, camera.far = 0.01 * UNIT, 10.0 * UNIT

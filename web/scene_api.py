@@ -1,7 +1,7 @@
 """What the scene shows, and the target in it, over REST: for the page's switches, the keyboard and scripts."""
 
 import numpy as np
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter, Depends, Request
 
 from station.config import Strict, Vector
 from station.desk import Desk
@@ -10,6 +10,14 @@ from web.commands import Commands, aside
 from web.overlays import Shown
 from web.schemas import REFUSED, StartOut
 from web.view import View
+from web.who import who_of
+
+
+class ShownOut(Shown):
+    """What is shown, and whether the asker sees it."""
+
+    connected: bool
+    """the scene in the asker's page has its stream; without it the picture stands still"""
 
 
 class TargetIn(Strict):
@@ -38,13 +46,13 @@ def scene_routes(view: View, desk: Desk, of: Commands) -> APIRouter:
     operator = [Depends(of.needed)]
 
     @router.get("", summary="What is shown beside the robot")
-    def get_shown() -> Shown:
-        return view.shown
+    def get_shown(request: Request) -> ShownOut:
+        return ShownOut(**view.shown.model_dump(), connected=view.door.open[who_of(request).client] > 0)
 
     @router.put("", responses=REFUSED, dependencies=operator, summary="Show something else")
-    def put_shown(shown: Shown) -> Shown:
+    def put_shown(shown: Shown, request: Request) -> ShownOut:
         view.show(shown)
-        return view.shown
+        return get_shown(request)
 
     @router.get("/target", summary="The target, and whether the tip can get there")
     def get_target() -> TargetOut:

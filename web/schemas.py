@@ -137,6 +137,19 @@ class OperatorOut(Strict):
     """after so long without a word from the operator anybody else may command [s]"""
 
 
+class TouchOut(Strict):
+    """A load that does not act at the tip."""
+
+    force: Vector
+    """world frame [N]"""
+    place: float | None
+    """on the shaft, arc length from the plate [m]; null: the geometry does not tell"""
+    intervals: tuple[tuple[float, float], ...]
+    """where it may be, 95 % [m]"""
+    reason: str
+    """why the place cannot be told; empty when it can"""
+
+
 class StatusOut(Strict):
     """Everything at one look."""
 
@@ -158,7 +171,7 @@ class StatusOut(Strict):
     lab: str
     """what is simulated"""
     warnings: tuple[str, ...]
-    """of this computer and this robot: real-time scheduling refused, tubes that snap"""
+    """of this computer, this robot and its load: real-time scheduling refused, tubes that snap, a touched shaft"""
     run: RunOut | None
     devices: Mapping[str, DeviceOut]
     loop: LoopOut
@@ -174,6 +187,8 @@ class StatusOut(Strict):
     """simulated truth, virtual lab only [m]"""
     force: Vector | None
     """at the tip, from the base sensors [N]"""
+    touch: TouchOut | None
+    """where the load acts instead of the tip; null: at the tip, too small, or the robot moves too fast to tell"""
 
 
 class CaseOut(Strict):

@@ -6,8 +6,10 @@ import socket
 import sys
 import threading
 import webbrowser
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 import viser
@@ -15,6 +17,7 @@ from rich.console import Console
 
 from core.errors import CtrError
 from station.audit import Audit
+from station.calibration.live import LiveCalibration
 from station.desk import Desk
 from station.realtime import leave_a_core
 from station.station_file import load_station
@@ -26,6 +29,8 @@ from web.view import View
 
 #: The control process has this long to compile and to begin [s].
 START_TIME = 120.0
+#: Folder of calibrations beside the runs.
+CALIBRATIONS = "calibrations"
 #: That a browser may send over a websocket [bytes].
 LONGEST_MESSAGE = 64 * 1024
 
@@ -34,8 +39,16 @@ class PortError(CtrError):
     """A port that cannot be had."""
 
 
-def serve(config: Path | None, host: str, port: int, data: Path, *, browser: bool) -> int:
-    """Run the station until Ctrl-C; runs and the audit log are kept in the folder `data`.
+def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int, data: Path, *, browser: bool) -> int:
+    """Run the station until Ctrl-C.
+
+    Args:
+        config: its file; None: the default station.
+        changes: keys of that file that are to be otherwise.
+        host: address to listen on.
+        port: of page and REST; 0: any.
+        data: folder of runs, calibrations and audit log.
+        browser: open one on a terminal.
 
     Raises:
         ConfigError: the configuration cannot be.
@@ -44,7 +57,7 @@ def serve(config: Path | None, host: str, port: int, data: Path, *, browser: boo
         CtrError: the control process does not start.
     """
     out = Console(highlight=False, soft_wrap=True)
-    station = load_station(config)
+    station = load_station(config, changes)
     bench = station.bench()
     tokens = None if is_loopback(host) else new_tokens()
     with contextlib.closing(_listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
@@ -58,12 +71,13 @@ def serve(config: Path | None, host: str, port: int, data: Path, *, browser: boo
         try:
             supervisor.wait_ready(START_TIME)
             desk = Desk(supervisor)
+            calibration = LiveCalibration(supervisor, data / CALIBRATIONS)
             # viser knows no access control: loopback only, the page comes through our own port.
             with contextlib.redirect_stdout(io.StringIO()):  # it announces its own address
                 scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
             view = View(scene, desk)
             try:
-                app = build_app(desk, view, data, audit, host, port, tokens)
+                app = build_app(desk, view, calibration, data, audit, host, port, tokens)
                 settings = uvicorn.Config(
                     app, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
                     timeout_graceful_shutdown=3, lifespan="on",
@@ -80,6 +94,7 @@ def serve(config: Path | None, host: str, port: int, data: Path, *, browser: boo
                 with contextlib.suppress(KeyboardInterrupt):
                     server.run(sockets=[listening])
             finally:
+                calibration.close()
                 view.close()
                 with contextlib.redirect_stdout(io.StringIO()):
                     scene.stop()

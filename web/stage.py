@@ -51,7 +51,8 @@ class Stage:
 
 def draw_grid(scene: viser.SceneApi, unit: float) -> None:
     """Lines every 10 mm and 50 mm on a floor and a wall, with numbers in millimetres."""
-    fine, coarse = (226, 230, 234), (176, 184, 192)
+    # Thin and neither light nor dark: the page's background may be both.
+    fine, coarse = (178, 184, 191), (138, 147, 156)
     middle = {"x": sum(X) / 2, "y": sum(Y) / 2, "z": sum(Z) / 2}
     planes: tuple[tuple[str, Literal["yz", "xz"], float, float, Place], ...] = (
         ("floor", "yz", Y[1] - Y[0], Z[1] - Z[0], (FLOOR_X, middle["y"], middle["z"])),
@@ -60,7 +61,8 @@ def draw_grid(scene: viser.SceneApi, unit: float) -> None:
     for name, plane, width, height, position in planes:
         scene.add_grid(
             f"/grid/{name}", width=unit * width, height=unit * height, plane=plane,
-            cell_size=unit * FINE, cell_color=fine, section_size=unit * COARSE, section_color=coarse,
+            cell_size=unit * FINE, cell_color=fine, cell_thickness=0.45,
+            section_size=unit * COARSE, section_color=coarse, section_thickness=0.7,
             fade_distance=1e3, shadow_opacity=0.15, position=tuple(unit * np.array(position)),
         )  # fmt: skip
 

@@ -4,6 +4,7 @@ import logging
 import math
 import threading
 import time
+from collections import Counter
 
 import numpy as np
 import viser
@@ -19,11 +20,12 @@ from web.overlays import Overlays, Shown
 from web.scene import ARROW, UNIT, Scene
 from web.scene_messages import Handles
 from web.target import Way, way_to
+from web.touching import ROWS, Feeler, Felt
 from web.viser_proxy import SceneDoor
 
-#: Pictures a second; trace and target come with every third.
+#: Pictures a second; trace and target come with every third, a look at the load with every tenth.
 RATE = 30.0
-SLOW = 3
+SLOW, LOOK = 3, 10
 
 log = logging.getLogger(__name__)
 
@@ -40,13 +42,14 @@ class View:
         self._history = History(desk.supervisor.channels)
         self._limits = desk.supervisor.bench.robot.limits()
         self._scene = Scene(server, desk.supervisor)
+        self._feeler = Feeler(desk.supervisor.robot, desk.supervisor.statics, desk.supervisor.channels)
         self._overlays = Overlays(server.scene, desk.supervisor.statics, self._limits, UNIT)
         self._target = Gizmo(server.scene, TARGET, UNIT, 0.35)
         self._hand = Gizmo(server.scene, FORCE, UNIT, 0.25)
         self._pulls = False
         self._verdict = server.scene.add_label("/handle/verdict", "", anchor="bottom-center", visible=False)
         buttons = add_legend(server, desk.supervisor.robot)
-        self.door = SceneDoor(server.get_port(), Handles(buttons, boxes(UNIT)))
+        self.door = SceneDoor(server.get_port(), Handles(buttons, boxes(UNIT)), Counter())
         self._shown = Shown()
         self._way: Way | None = None
         self._end = threading.Event()
@@ -57,6 +60,10 @@ class View:
     def shown(self) -> Shown:
         """What is shown beside the robot."""
         return self._shown
+
+    def felt(self) -> Felt | None:
+        """A load that does not act at the tip."""
+        return self._feeler.felt
 
     def show(self, shown: Shown) -> None:
         """Show something else beside the robot; a target begins at the tip."""
@@ -94,6 +101,8 @@ class View:
         due, number = time.monotonic(), 0
         while not self._end.wait(max(0.0, due - time.monotonic())):
             try:
+                if number % LOOK == 0:
+                    self._feel()
                 self._frame(slow=number % SLOW == 0)
             except Exception:
                 # Whatever it was, the next picture is a new chance; once a second is enough in the log.
@@ -102,11 +111,16 @@ class View:
             number += 1
             due = max(due + 1.0 / RATE, time.monotonic())
 
+    def _feel(self) -> None:
+        ring = self._supervisor.ring
+        rows = ring.read(max(ring.written - ROWS, 0))[0]
+        self._feeler.feel(rows if self._supervisor.status().age <= STALE else rows[:0])
+
     def _frame(self, *, slow: bool) -> None:
         status = self._supervisor.status()
         self._history.read(self._supervisor.ring)
         with self._server.atomic():
-            self._scene.update(status, self._history)
+            self._scene.update(status, self._history, self.felt())
             self._overlay(status)
             if slow:
                 self._scene.update_trace(self._history)

@@ -6,6 +6,7 @@ page asks for the scene under its own identity, so that its socket can be told f
 
 import asyncio
 import time
+from collections import Counter
 from typing import NamedTuple
 from urllib.parse import quote
 
@@ -31,6 +32,7 @@ class SceneDoor(NamedTuple):
 
     port: int  #: viser's, on loopback
     handles: Handles
+    open: Counter[str]  #: sockets through it, by their senders' identity
 
 
 def viser_routes(door: SceneDoor, lease: Lease, audit: Audit) -> tuple[APIRouter, httpx.AsyncClient]:
@@ -80,9 +82,13 @@ def viser_routes(door: SceneDoor, lease: Lease, audit: Audit) -> tuple[APIRouter
 
         gate = Gate(door.handles, lease, who, time.monotonic, report)
         tasks = [asyncio.create_task(_to_scene(browser, scene, gate)), asyncio.create_task(_back(scene, browser))]
+        door.open[who.client] += 1
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
+            door.open[who.client] -= 1
+            if not door.open[who.client]:
+                del door.open[who.client]
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)

@@ -45,4 +45,6 @@ def words(status: Status) -> Words:
         return Words(_PHASES[status.phase], "")
     if state in (State.HOLD, State.STOPPED):
         return Words(cause or "cause unknown", "look at the bench, then Reset")
+    if state is State.READY and status.reserved:
+        return Words(status.reserved, "see the tab Calibrate")
     return _QUIET[state.name]

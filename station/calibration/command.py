@@ -81,17 +81,11 @@ def _calibrate(parsed: argparse.Namespace) -> int:
 
 def _carried_out(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[Any, float]:
     """The result, and how long it would have taken on a bench [s]."""
-    from station.calibration import commission, headless, procedures, still_lab
+    from station.calibration import headless, still_lab
+    from station.calibration.catalogue import begin
     from station.clock import RealClock, VirtualClock
 
-    effort = procedures.Effort().scaled(parsed.effort)
-    procedure = {
-        "axes": lambda: commission.axes(subject),
-        "latency": lambda: commission.latency(subject),
-        "tracker": lambda: procedures.tracker(subject, effort),
-        "force": lambda: procedures.force(subject, effort),
-        "tubes": lambda: procedures.tubes(subject, effort),
-    }[parsed.what]()
+    procedure = begin(parsed.what, subject, parsed.effort)
     with progress_bar() as bar:
         task = bar.add_task(f"calibrate {parsed.what}", total=1.0)
 

@@ -75,6 +75,7 @@ class Calibration:
     robot: RobotFile  #: tubes as they were found; as described where they were not calibrated
     registration: Registration | None
     corrections: Corrections
+    folder: Path | None = None  #: where it was read from
 
     @classmethod
     def load(cls, folder: Path, described: RobotFile) -> "Calibration":
@@ -100,7 +101,7 @@ class Calibration:
         found = Sensors.ideal(len(robot.tubes))
         if sensors.is_file():
             found = _sensors(check(SensorsFile, read_toml(sensors), str(sensors)), robot, sensors)
-        return cls(file, registration, Corrections(found, coil))
+        return cls(file, registration, Corrections(found, coil), folder)
 
     @property
     def mount(self) -> dict[str, list[float]] | None:
@@ -113,6 +114,23 @@ class Calibration:
     def applied(self, controller: Controller) -> Controller:
         """The controller that takes coil and sensors into account."""
         return replace(controller, corrections=self.corrections)
+
+
+def carry_over(known: Path, folder: Path) -> list[Path]:
+    """Copy what an earlier calibration found and `folder` does not have: the copies.
+
+    Raises:
+        ConfigError: a file cannot be read or written.
+    """
+    copies: list[Path] = []
+    for name in (REGISTRATION, SENSORS, ROBOT):
+        if (known / name).is_file() and not (folder / name).exists():
+            try:
+                text = (known / name).read_text(encoding="utf-8")
+            except OSError as error:
+                raise ConfigError(f"{known / name}: cannot be read: {error.strerror}") from None
+            copies.append(_write(folder / name, text))
+    return copies
 
 
 def write_registration(

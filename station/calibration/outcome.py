@@ -23,26 +23,43 @@ class Provenance(NamedTuple):
 
     what: str  #: procedure
     when: str  #: ISO 8601
-    lab: str
-    seed: int
-    simulated_s: float
+    bench: str  #: the lab's title, or which devices
+    seed: int | None  #: of a virtual lab; None: a real bench
+    robot_s: float  #: from the first visit to the last
+
+    @property
+    def simulated(self) -> bool:
+        """Whether robot and devices were a virtual lab's."""
+        return self.seed is not None
+
+    @property
+    def where(self) -> str:
+        """The bench on one line."""
+        return self.bench if self.seed is None else f"{self.bench}; seed {self.seed}"
 
     def __str__(self) -> str:
         """One line for the files."""
-        return f"'calibrate {self.what}' of {self.when}, {self.lab}, seed {self.seed}; visits in {VISITS}"
+        return f"'calibrate {self.what}' of {self.when}, {self.where}; visits in {VISITS}"
 
 
 def write_all(
-    folder: Path, result: Result, subject: Subject, provenance: Provenance, assumed: Registration = MOUNT
+    folder: Path,
+    result: Result,
+    subject: Subject,
+    provenance: Provenance,
+    assumed: Registration = MOUNT,
+    known: Path | None = None,
 ) -> dict[str, Any]:
     """The files for runs, the visits, the numbers and the report; the numbers are the answer.
 
     Args:
-        folder: there already.
+        folder: made when it is not there.
         result: of a procedure.
         subject: as it was believed to be.
         provenance: goes into every file.
         assumed: where the tracker was believed to stand meanwhile.
+        known: folder of the calibration in use; what was not found anew is copied from there, so that one folder
+            says everything.
 
     Raises:
         ConfigError: the folder cannot be written to.
@@ -63,29 +80,33 @@ def write_all(
             files.write_sensors(folder, subject.robot, result.sensors, made),
             files.write_robot(folder, subject.file, tubes, made),
         ]
+    if written and known is not None:
+        written += files.carry_over(known, folder)
     visits = [*getattr(result, "visits", ()), *getattr(result, "check_visits", ())]
     numbers: dict[str, Any] = {
         "procedure": provenance.what,
         "seed": provenance.seed,
-        "lab": provenance.lab,
+        "lab": provenance.bench,
+        "simulated": provenance.simulated,
         "made": provenance.when,
         "visits": len(visits),
-        "simulated_s": round(provenance.simulated_s, 3),
+        "robot_s": round(provenance.robot_s, 3),
         "folder": str(folder),
         "files": [path.name for path in written],
         **summary.numbers(result, subject),
     }
     facts = [
         ("made", provenance.when),
-        ("lab", f"{provenance.lab}; seed {provenance.seed}"),
+        ("bench", provenance.where),
         ("robot", subject.robot.name),
-        ("visits", f"{len(visits)}, {provenance.simulated_s:.0f} s of robot time"),
+        ("visits", f"{len(visits)}, {provenance.robot_s:.0f} s of robot time"),
         ("files", ", ".join(path.name for path in written) or "none"),
     ]
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         (folder / VISITS).write_text(json.dumps(summary.recorded(visits), indent=1) + "\n", encoding="utf-8")
         (folder / NUMBERS).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-        report.write_report(folder, provenance.what, result, subject, facts)
+        report.write_report(folder, provenance.what, result, subject, facts, simulated=provenance.simulated)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
     return numbers
@@ -93,7 +114,7 @@ def write_all(
 
 def result_table(result: Result, subject: Subject, provenance: Provenance) -> Table:
     """What was found, on the screen."""
-    table = Table(title=Text(f"calibrate {provenance.what}\n{provenance.lab}, seed {provenance.seed}"), title_style="")
+    table = Table(title=Text(f"calibrate {provenance.what}\n{provenance.where}"), title_style="")
     table.add_column("")
     for column in ("before", "found", "+- (95 %)"):
         table.add_column(column, justify="right")

@@ -24,22 +24,35 @@ TITLES = {
 }
 
 
-def write_report(folder: Path, what: str, result: Result, subject: Subject, facts: Sequence[tuple[str, str]]) -> Path:
-    """report.html in `folder`; `facts` are name and value of what belongs at the top.
+def write_report(
+    folder: Path, what: str, result: Result, subject: Subject, facts: Sequence[tuple[str, str]], *, simulated: bool
+) -> Path:
+    """report.html in `folder`.
+
+    Args:
+        folder: there already.
+        what: procedure.
+        result: of it.
+        subject: as it was believed to be.
+        facts: name and value of what belongs at the top.
+        simulated: robot and devices were a virtual lab's; the page and every figure say so.
 
     Raises:
         OSError: the folder does not take it.
     """
     with matplotlib.rc_context(style.SETTINGS):
-        page = document.document(f"{TITLES[what]}: calibration", _parts(what, result, subject, facts))
+        page = document.document(f"{TITLES[what]}: calibration", _parts(what, result, subject, facts, simulated))
     path = folder / NAME
     path.write_text(page, encoding="utf-8")
     return path
 
 
-def _parts(what: str, result: Result, subject: Subject, facts: Sequence[tuple[str, str]]) -> Iterator[str]:
+def _parts(
+    what: str, result: Result, subject: Subject, facts: Sequence[tuple[str, str]], simulated: bool
+) -> Iterator[str]:
     yield f"<h1>{TITLES[what]}</h1>"
-    yield document.paragraph("Everything here comes from simulated devices of the virtual lab.", "note")
+    if simulated:
+        yield document.paragraph("Everything here comes from simulated devices of the virtual lab.", "note")
     yield document.table(("", ""), facts, texts=2)
     yield document.heading("What to know")
     for sentence in findings(result):
@@ -50,7 +63,7 @@ def _parts(what: str, result: Result, subject: Subject, facts: Sequence[tuple[st
     ]
     yield document.table(("", "before", "found", "95 %"), listed)
     for drawn in _figures(result):
-        style.finish(drawn.figure, "simulated bench")
+        style.finish(drawn.figure, "simulated bench" if simulated else f"bench of '{subject.robot.name}'")
         yield document.picture(rendered.data_uri(drawn), drawn.alt, drawn.title, drawn.caption)
 
 

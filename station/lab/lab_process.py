@@ -10,6 +10,7 @@ import signal
 import time
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,6 +59,7 @@ class LabBench(NamedTuple):
     seed: int
     park: tuple[float, ...]  #: joints at power-up [rad or m]
     fifo: bool = True  #: ask for real-time scheduling
+    terminals: Path | None = None  #: folder for pseudo-terminals instead of TCP
 
 
 def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, parent: int) -> None:
@@ -66,9 +68,10 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
     show_as("ctr-lab")
     ring = Ring(width, ring_name)
     try:
-        # No pseudo-terminals: the kernel carries their bytes in a thread of normal priority, behind whose locks the
-        # control loop would wait for milliseconds on a busy computer.
-        lab = OpenLab(bench.robot, bench.config, bench.seed, np.array(bench.park), pty=False, homed=True)
+        # No pseudo-terminals unless asked for: the kernel carries their bytes in a thread of normal priority, behind
+        # whose locks the control loop would wait for milliseconds on a busy computer.
+        pty, park = bench.terminals is not None, np.array(bench.park)
+        lab = OpenLab(bench.robot, bench.config, bench.seed, park, pty, homed=True, folder=bench.terminals)
     except CtrError as error:
         pipe.send(Opened({}, str(error)))
         return

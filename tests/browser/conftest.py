@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from tests.serving import Served, serving
+from tests.serving import Served
 
 CHROMIUM = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
@@ -39,18 +39,6 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 
 _DESELECTED = pytest.StashKey[int]()
-
-
-@pytest.fixture(scope="module")
-def running() -> Iterator[Served]:
-    with serving() as served:
-        yield served
-
-
-@pytest.fixture
-def station(running: Served) -> Served:
-    running.ready()
-    return running
 
 
 @pytest.fixture(scope="module")

@@ -124,38 +124,6 @@ def test_a_page_of_another_site_reads_nothing_and_moves_nothing(
     assert len(refused) >= 3
 
 
-def test_a_dropped_socket_is_seen_and_comes_back(station: Served, browser: Browser) -> None:
-    context = browser.new_context()
-    try:
-        page = context.new_page()
-        opened: list[str] = []
-        page.on("websocket", lambda socket: opened.append(socket.url))
-        page.goto(station.url)
-        page.frame_locator("#scene").get_by_text("desired tip").first.wait_for(timeout=60_000)
-        page.locator("#tab-plots").click()
-        page.wait_for_function("() => document.querySelector('.chart canvas')")
-        sockets = len(opened)
-        assert any("/viser/" in url for url in opened)
-        station.process.send_signal(19)  # SIGSTOP: everything is silent
-        page.wait_for_function("() => document.body.classList.contains('stale')", timeout=5000)
-        station.process.send_signal(18)
-        page.wait_for_function("() => !document.body.classList.contains('stale')", timeout=20_000)
-        # Now the sockets themselves.
-        page.evaluate("() => { document.getElementById('scene').contentWindow.location.reload(); }")
-        page.wait_for_function("() => true")
-        context.set_offline(True)
-        page.wait_for_function("() => document.body.classList.contains('stale')", timeout=10_000)
-        context.set_offline(False)
-        page.wait_for_function("() => !document.body.classList.contains('stale')", timeout=20_000)
-        page.frame_locator("#scene").get_by_text("desired tip").first.wait_for(timeout=60_000)
-        page.wait_for_timeout(2000)
-        assert len(opened) > sockets
-        page.locator("#stop").click()
-        station.wait_for(lambda s: s["state"] == "STOPPED", 5.0)
-    finally:
-        context.close()
-
-
 def test_a_raw_client_with_forged_messages_changes_nothing_for_others(station: Served, browser: Browser) -> None:
     context = browser.new_context()
     try:

@@ -24,14 +24,9 @@ def virtual(case: Case) -> VirtualStation:
 
 @pytest.fixture(scope="package")
 def running() -> Iterator[Served]:
+    """One for all of them: each module asks it little."""
     with serving() as served:
         yield served
-
-
-@pytest.fixture
-def station(running: Served) -> Served:
-    running.ready()
-    return running
 
 
 @pytest.fixture(scope="session")

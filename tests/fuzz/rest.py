@@ -22,6 +22,7 @@ MOVES: list[tuple[str, str, Any]] = [
     ("POST", "/api/jog", {"space": "tip", "velocity": [0.0, 0.0, 0.001]}),
     ("POST", "/api/jog", {"space": "joints", "velocity": [0.0, 0.01, 0.0]}),
     ("POST", "/api/home", {"way_is_clear": True}),
+    ("POST", "/api/calibration/start", {"what": "force", "effort": 1.0, "weights": [0.2, 0.5], "way_is_clear": True}),
 ]
 OTHERS: list[tuple[str, str, Any]] = [
     ("PUT", "/api/trajectory", {"kind": "sinusoid", "direction": [0, 0, 1], "amplitude": 0.01, "frequency": 0.05}),
@@ -32,6 +33,10 @@ OTHERS: list[tuple[str, str, Any]] = [
     ("POST", "/api/faults", {"faults": [{"kind": "stall", "device": "nobody", "duration": 1.0}]}),
     ("POST", "/api/tare", {}),
     ("DELETE", "/api/faults", None),
+    ("POST", "/api/calibration/done", {}),
+    ("POST", "/api/calibration/abort", {}),
+    ("POST", "/api/calibration/exchange", {"robot": "three_tubes"}),
+    ("POST", "/api/calibration/exchange", {"file": "name = 'own'\n[[tubes]]\n"}),
     ("POST", "/api/nothing", {}),
 ]
 ODD: list[Any] = [

@@ -7,15 +7,9 @@ from pathlib import Path
 import pytest
 
 from station.client import Refused, RunFailed, Station, StationError
-from tests.serving import Served, free_port, serving
+from tests.serving import Served, free_port
 
 CIRCLE = {"kind": "circle", "radius": 0.004, "period": 4.0}
-
-
-@pytest.fixture(scope="module")
-def running() -> Iterator[Served]:
-    with serving() as served:
-        yield served
 
 
 @pytest.fixture

@@ -56,3 +56,16 @@ def test_a_folder_of_experiments_is_beside_the_file(monkeypatch, write, tmp_path
     assert "hold_still" in preset_names("experiments")
     with pytest.raises(ConfigError, match="elsewhere: no such folder of experiments"):
         load_station(write('[experiments]\nfolder = "elsewhere"\n', "station"))
+
+
+def test_what_the_command_line_says_goes_before_the_file(tmp_path):
+    path = tmp_path / "bench.toml"
+    path.write_text('lab = "ideal"\nseed = 4\n', encoding="utf-8")
+
+    bench = load_station(path, {"lab": "uncalibrated"}).bench()
+
+    assert (bench.lab.title[:12], bench.seed) == ("uncalibrated", 4)
+    with pytest.raises(ConfigError, match="no such folder"):
+        load_station(None, {"calibration": str(tmp_path / "nope")}).bench()
+    with pytest.raises(ConfigError, match="'nowhere' is not one of the labs"):
+        load_station(path, {"lab": "nowhere"}).bench()

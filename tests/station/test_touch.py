@@ -61,6 +61,26 @@ def test_a_weight_at_the_tip_is_no_contact(recorded):
     assert touch.contact is None
 
 
+def drifted(run: Recording) -> np.ndarray:
+    """Its last rows with 30 mN more on each axis of a sensor 0.1 m behind the plate."""
+    rows, more = run.rows[-300:].copy(), np.array([0.03, -0.03, 0.03])
+    run.channels.of(rows, "force")[:] += more
+    run.channels.of(rows, "moment")[:] += np.cross([0.0, 0.0, -0.1], more)
+    return rows
+
+
+def test_sensors_that_have_drifted_make_no_contact_of_a_weight_and_a_contact_less_certain(recorded):
+    statics = Statics(load_robot("paper").robot())
+    weight = recorded('kind = "constant"\nmagnitude = 0.3')
+    assert look(statics, weight.channels, drifted(weight)).contact is None
+
+    leaning = recorded('kind = "contact"\nmagnitude = 0.3\nplace = 0.1\ndirection = [0.0, 1.0, 0.3]')
+    sharp, blunt = (look(statics, leaning.channels, rows).contact for rows in (leaning.rows[-300:], drifted(leaning)))
+    (first, last), (low, high) = sharp.intervals[0], blunt.intervals[0]
+    assert high - low > 1.5 * (last - first)
+    assert low <= 0.1 <= high
+
+
 def test_too_few_rows_say_nothing(recorded):
     run = recorded('kind = "none"')
 

@@ -53,6 +53,37 @@ def test_a_script_runs_each_trajectory_to_its_end(station: Served, trajectory: d
     assert abs(reached - travel_mm) < 1.5
 
 
+def test_a_load_at_the_tip_warns_of_nothing_and_a_touched_shaft_is_named_with_its_place(station: Served) -> None:
+    def warned(status: dict) -> bool:
+        return any("the load does not act at the tip" in warning for warning in status["warnings"])
+
+    # A run zeroes the sensors before it moves.
+    station.post("/api/start", {"trajectory": {"kind": "hold"}, "controller": CONTROLLER, "duration": 60.0})
+    station.wait_for(lambda s: s["phase"] == "moving", 10.0)
+    try:
+        station.post("/api/pull", {"load": {"kind": "constant", "magnitude": 0.3}})
+        station.wait_for(lambda s: s["force"][0] > 0.25, 5.0)
+        for _ in range(25):  # several looks
+            time.sleep(0.1)
+            status = station.status()
+            assert status["touch"] is None
+            assert not warned(status)
+        contact = {"kind": "contact", "magnitude": 0.3, "place": 0.1, "direction": [0.0, 1.0, 0.3]}
+        assert station.post("/api/pull", {"load": contact}).status_code == 200
+        status = station.wait_for(lambda s: s["touch"] is not None, 5.0)
+        assert abs(status["touch"]["place"] - 0.1) < 0.010
+        assert any(first <= 0.101 and last >= 0.099 for first, last in status["touch"]["intervals"])
+        assert abs(np.linalg.norm(status["touch"]["force"]) - 0.3) < 0.05
+        assert "the load does not act at the tip: contact at" in status["warnings"][-1]
+        assert status["state"] == "RUNNING"  # it is said, and nothing is stopped
+        beyond = station.post("/api/pull", {"load": contact | {"place": 0.9}})
+        assert beyond.status_code == 422
+        assert "900 mm is outside 0 ... 203" in beyond.json()["error"]
+    finally:
+        station.post("/api/pull", {"load": {"kind": "none"}})
+    station.wait_for(lambda s: s["touch"] is None and not warned(s), 5.0)
+
+
 def test_an_experiment_goes_to_its_start_pose_first(station: Served) -> None:
     assert station.post("/api/start", {"experiment": "fig10", "case": "feedforward"}).status_code == 202
     station.wait_for(lambda s: s["run"]["phase"] == "moving", 15.0)

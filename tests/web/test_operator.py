@@ -60,6 +60,26 @@ def test_taking_over_is_on_purpose_and_seen_by_the_other(people) -> None:
     assert anna.post("/api/tare", json={}).status_code == 200
 
 
+@pytest.mark.parametrize(
+    ("path", "body"),
+    [
+        ("/api/start", {"speed": 1.0}),
+        ("/api/start", {"experiment": "fig99"}),
+        ("/api/jog", {"space": "tip", "velocity": [9.0, 0.0, 0.0]}),
+        ("/api/home", {"way_is_clear": False}),
+        ("/api/pull", {}),
+    ],
+)
+def test_a_command_that_makes_no_sense_makes_nobody_operator(people, path: str, body: dict) -> None:
+    anna, ben = people
+    assert anna.post(path, json=body).status_code == 422
+    assert anna.get("/api/operator").json()["name"] is None
+    # Nor does it cost the lease of somebody who has it.
+    assert ben.post("/api/connect", json={}).status_code == 409  # not while READY: a command all the same
+    assert ben.post(path, json=body).status_code == 422
+    assert ben.get("/api/operator").json()["you"]
+
+
 def test_a_name_is_one_line_and_not_too_long(people) -> None:
     anna, _ = people
     assert anna.post("/api/operator", json={"name": "A\nn\tna\x00"}).json()["name"] == "Anna"

@@ -59,6 +59,7 @@ def test_ctrl_c_with_clients_connected_leaves_nothing_behind() -> None:
 def test_the_control_process_ends_when_the_station_process_is_killed() -> None:
     before = shared_memory()
     with serving() as station:
+        station.ready()
         body = {"trajectory": {"kind": "sinusoid", "amplitude": 0.01, "frequency": 0.2}, "duration": 60.0}
         assert station.post("/api/start", body).status_code == 202
         station.wait_for(lambda s: s["run"]["phase"] == "moving", 6.0)

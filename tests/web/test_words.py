@@ -38,3 +38,9 @@ def test_a_latched_state_says_why_and_that_reset_is_next(state: State) -> None:
 @pytest.mark.parametrize("state", [State.READY, State.RUNNING, State.HOMING])
 def test_old_telemetry_is_never_called_good(state: State) -> None:
     assert "no telemetry" in words(status(state, age=2.0)).what
+
+
+def test_a_station_that_is_being_calibrated_asks_nobody_to_press_start() -> None:
+    said = words(status(State.READY, reserved="'calibrate tubes' has the robot to itself; abort it first"))
+    assert "'calibrate tubes'" in said.what
+    assert said.next == "see the tab Calibrate"

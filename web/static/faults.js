@@ -1,5 +1,6 @@
 // Faults: what is wrong and what to do, who did what, and, in the virtual lab, faults on purpose.
 import { $, ask, make, mayCommand, note, onStatus, press } from "./station.js";
+import { form, schemas, variants } from "./form.js";
 import { isOpen, onTab } from "./tabs.js";
 
 const now = make("div", { "aria-live": "polite" }), log = make("table"), reset = make("button", { type: "button", className: "main" }, "Reset");
@@ -40,21 +41,34 @@ lab.addEventListener("submit", async (event) => {
 });
 mend.addEventListener("click", () => press("DELETE", "/api/faults"));
 
-lab.hidden = !bench.virtual;
-$("faults").append(make("h3", {}, "Now"), now, lab, make("h3", {}, "Log: commands and refusals"), log);
+// A finger on the shaft: the controller takes every load for one at the tip, and the station says where it is not.
+const contact = form(variants(await schemas(), (await schemas()).PullIn.properties.load).contact,
+  { values: { magnitude: 0.3, place: 0.1, direction: [0, 1, 0] } });
+const letGo = make("button", { type: "button" }, "Let go");
+const finger = make("form", {}, make("fieldset", {}, make("legend", {}, "Touch the simulated shaft"), contact.element,
+  make("div", { className: "acts" }, make("button", { type: "submit" }, "Touch"), letGo)));
+finger.addEventListener("submit", async (event) => {
+  event.preventDefault();
+  if (await press("POST", "/api/pull", { load: contact.read() })) note("touched; a moment later the scene shows where it is felt", true);
+});
+letGo.addEventListener("click", () => press("POST", "/api/pull", { load: { kind: "none" } }));
+
+lab.hidden = finger.hidden = !bench.virtual;
+$("faults").append(make("h3", {}, "Now"), now, lab, finger, make("h3", {}, "Log: commands and refusals"), log);
 
 onStatus((status, stale) => {
   if (status === null) { now.dataset.shown = ""; now.replaceChildren(make("p", {}, "The station does not answer. Use the emergency stop of the bench.")); return; }
   const latched = ["HOLD", "STOPPED", "FAULT"].includes(status.state);
   const troubles = Object.entries(status.devices).filter(([, one]) => one.severity > 0 || one.text !== "");
-  const shown = JSON.stringify([status.state, status.says, status.next, troubles, mayCommand(status)]);
-  for (const button of [inject, mend]) button.disabled = stale || !mayCommand(status);
+  const shown = JSON.stringify([status.state, status.says, status.next, status.warnings, troubles, mayCommand(status)]);
+  for (const button of [inject, mend, ...finger.querySelectorAll("button")]) button.disabled = stale || !mayCommand(status);
   if (now.dataset.shown === shown) return;
   now.dataset.shown = shown;
   reset.disabled = !mayCommand(status);
   now.replaceChildren(...[
     make("p", {}, make("b", { "data-state": status.state }, status.state), ` ${status.says}`),
     status.next === "" ? null : make("p", {}, "What to do: ", make("b", {}, status.next)),
+    ...status.warnings.map((text) => make("p", { className: "mind" }, `▲ ${text}`)),
     ...troubles.map(([name, one]) => make("p", {}, make("i", { className: "light", "data-severity": one.severity, style: "display:inline-block" }), ` ${name}: ${one.text || one.condition}`)),
     latched ? reset : null,
   ].filter((one) => one !== null));

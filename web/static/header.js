@@ -1,5 +1,6 @@
 // The header: STOP, the state in words, who is operator, the run, the devices, the loop.
 import { $, ask, confirm, latest, look, make, mayCommand, name, onStatus, press, Refused } from "./station.js";
+import { open } from "./tabs.js";
 
 const NAMES = { stages: "stages", tracker: "tracker", sensors: "force sensors" };
 const LATCHED = ["HOLD", "STOPPED", "FAULT"];
@@ -81,6 +82,15 @@ function showLights(devices, stale) {
   }));
 }
 
+/** What a person should know and nothing is stopped by: counted here, spelt out in the tab Faults. */
+function showMind(status) {
+  const count = status.warnings.length, touched = status.touch !== null;
+  $("mind").hidden = count === 0;
+  $("mind").textContent = `▲ ${touched ? "load not at the tip" : count === 1 ? "1 warning" : `${count} warnings`}`;
+  $("mind").title = status.warnings.join("\n");
+}
+$("mind").addEventListener("click", () => open("faults"));
+
 let lights = "";
 onStatus((status, stale) => {
   const state = status === null ? "NO ANSWER" : status.state;
@@ -100,6 +110,7 @@ onStatus((status, stale) => {
   const shown = JSON.stringify([status.devices, stale]);
   if (shown !== lights) showLights(status.devices, stale); // a tooltip must not vanish under the pointer
   lights = shown;
+  showMind(status);
   const { late_us: late, tick_us: work, missed, ticks, scheduler } = status.loop;
   $("loop").textContent = `loop 500 Hz\nlate p99 ${late.p99.toFixed(0)} µs\nmissed ${missed}`;
   $("loop").title = `${ticks} ticks, ${missed} periods missed, ${scheduler}; late p50 ${late.p50} µs, p99.9 ${late.p99_9} µs, max ${late.max} µs;`

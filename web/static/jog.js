@@ -84,7 +84,7 @@ function axis(label, count, place, space, value, shown) {
   });
   const now = make("span", { className: "dim live" });
   onStatus((status) => { if (status !== null && !$("jog").hidden) now.textContent = shown(status); });
-  return [make("span", {}, label.replaceAll("_", " "), " ", now), ...pair];
+  return [make("div", {}, make("div", {}, label.replaceAll("_", " ")), now), ...pair];
 }
 
 const degrees = (joint, status) => {
@@ -98,13 +98,13 @@ const sliding = speed("slide at", "m/s", Math.min(...bench.joints.filter((one) =
 const tip = speed("tip at", "m/s", bench.tip_speed, 0.3);
 const why = make("p", { className: "small" });
 $("jog").append(
-  make("p", {}, "The robot moves while a button is held: with the pointer, or with Space on the keyboard."), why,
+  make("p", {}, "The robot moves while a button is held, with the pointer or Space."), why,
   make("fieldset", {}, make("legend", {}, "Joints"),
     make("div", { className: "rows" }, ...turning.elements, ...sliding.elements),
     make("div", { className: "jog", style: "margin-top:10px" }, ...bench.joints.flatMap((joint, i) =>
       axis(joint.name, bench.joints.length, i, "joints", joint.motion === "rotation" ? turning.value : sliding.value, (status) => degrees(joint, status))))),
   make("fieldset", {}, make("legend", {}, "Tip, world frame"),
-    make("p", { className: "small dim" }, "x: along gravity, down on the screen; z: along the straight tubes. The loaded model moves the joints."),
+    make("p", { className: "small dim" }, "x: along gravity, down on the screen; z: along the straight tubes"),
     make("div", { className: "rows" }, ...tip.elements),
     make("div", { className: "jog", style: "margin-top:10px" }, ...["x", "y", "z"].flatMap((name, i) =>
       axis(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`))))),

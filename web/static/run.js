@@ -7,7 +7,7 @@ const FIRST = {
   circle: { radius: 0.01, period: 20 }, sinusoid: { amplitude: 0.01, frequency: 0.05 }, step: { offset: [0.001, 0, 0] },
   helix: { radius: 0.008, pitch: 0.003, turn: 20, turns: 3 }, waypoints: { points: [[5, 0, 0.01, 0], [10, 0, 0, 0]] },
   constant: { magnitude: 0.2 }, sine: { amplitude: 0.2, frequency: 0.05 }, raised_cosine: { peak: 0.3, period: 20 },
-  hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.2 },
+  hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
 };
 const BEST = { strategy: "dual_layer", inner: "type_2", feedback: "observer", feedforward: true, filter_bandwidth: 0.5 };
 const MORE = ["deflection_rate", "filter_bandwidth", "observer_bandwidth", "hold", "transport", "sublink", "direction", "max_speed", "max_acceleration"];

@@ -3,7 +3,7 @@ import { $, ask, confirm, make, mayCommand, note, onStatus, press, Refused } fro
 import { isOpen, onTab } from "./tabs.js";
 
 const SHAPES = { complete: "●", stopped: "■", interrupted: "▲", incomplete: "◆" };
-const search = make("input", { type: "text", placeholder: "name, cause or notes", "aria-label": "search" });
+const search = make("input", { type: "text", placeholder: "name, cause or notes", "aria-label": "search", style: "flex:1 1 0" });
 const label = make("select", { "aria-label": "how it ended" }, make("option", { value: "" }, "all"),
   ...Object.keys(SHAPES).map((one) => make("option", { value: one }, one)));
 const compare = make("button", { type: "button", disabled: true }, "Compare two");

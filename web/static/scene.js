@@ -15,23 +15,37 @@ frame.addEventListener("load", () => {
   style.textContent = "[data-testid=floating-panel] { display: none !important; }";
   frame.contentDocument.head.append(style);
 });
-frame.src = `/viser/as/${client}/`;
+// In the page's colours.
+const dark = matchMedia("(prefers-color-scheme: dark)");
+const draw = () => { frame.src = `/viser/as/${client}/${dark.matches ? "?darkMode" : ""}`; };
+dark.addEventListener("change", draw);
+draw();
 
 // A dropped socket: viser looks at the focus only when it changes.
 setInterval(() => { if (frame.contentDocument !== null) frame.contentWindow.dispatchEvent(new Event("focus")); }, 2000);
 
+let changes = 0, pending = 0; // made by this page's person; an older answer must not undo them
+
 for (const box of boxes) {
   box.addEventListener("change", async () => {
+    changes += 1;
+    pending += 1;
     await press("PUT", "/api/scene", Object.fromEntries(boxes.map((one) => [one.name, one.checked])));
+    pending -= 1;
     refresh();
   });
 }
 $("go").addEventListener("click", () => press("POST", "/api/scene/target/go", {}));
 
+let cut = 0; // looks running that found the scene without its stream
+
 async function refresh() {
+  const before = changes;
   try {
     const shown = await ask("GET", "/api/scene", undefined, 1000);
-    for (const box of boxes) box.checked = shown[box.name];
+    cut = shown.connected ? 0 : cut + 1;
+    $("scene-cut").hidden = cut < 3;
+    if (pending === 0 && before === changes) for (const box of boxes) box.checked = shown[box.name];
     $("go").hidden = !shown.target;
     if (!shown.target) { $("target-says").textContent = ""; return; }
     const target = await ask("GET", "/api/scene/target", undefined, 1000);

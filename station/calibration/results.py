@@ -1,0 +1,114 @@
+"""What calibrations have left in a folder: found by name, read back, and how each is put to use."""
+
+import json
+import shlex
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from core.errors import CtrError
+from station.calibration.files import REGISTRATION, ROBOT, SENSORS
+from station.calibration.outcome import NUMBERS, VISITS
+from station.calibration.report import NAME as REPORT
+
+#: What the numbers of every calibration say.
+WANTED = {"procedure", "made", "lab", "simulated", "findings", "found", "visits", "robot_s"}
+
+
+class NoResultError(CtrError):
+    """A calibration or a file of it that is not there."""
+
+
+class Use(NamedTuple):
+    """How a result gets to where it is needed."""
+
+    text: str
+    line: str  #: for the station's file, at its top; empty when nothing is to be put there
+    options: str  #: of `ctr-station serve`, the same for a station without a file
+
+
+class Kept(NamedTuple):
+    """One calibration."""
+
+    name: str  #: of its folder
+    numbers: Mapping[str, Any]  #: what `outcome` has written
+    files: tuple[str, ...]  #: that can be had
+    use: Use
+
+
+class Results:
+    """Calibrations in one folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def all(self) -> list[Kept]:
+        """Every one, the newest first; what is damaged or only half written is left out."""
+        found = [kept for path in self._folders() if (kept := _read(path)) is not None]
+        return sorted(found, key=lambda kept: (str(kept.numbers.get("made", "")), kept.name), reverse=True)
+
+    def one(self, name: str) -> Kept:
+        """The calibration of that name.
+
+        Raises:
+            NoResultError: there is none.
+        """
+        kept = _read(self._find(name))
+        if kept is None:
+            raise NoResultError(f"calibration '{name}' is damaged: no numbers in {NUMBERS}")
+        return kept
+
+    def file(self, name: str, file: str) -> Path:
+        """A file of it.
+
+        Raises:
+            NoResultError: there is no such calibration, or no such file in it.
+        """
+        folder = self._find(name)
+        if file not in _files(folder):
+            raise NoResultError(f"calibration '{name}' has no file '{file}', but {', '.join(_files(folder))}")
+        return folder / file
+
+    def _find(self, name: str) -> Path:
+        # Compared with what is there and never made into a path: a name cannot lead elsewhere.
+        for path in self._folders():
+            if path.name == name:
+                return path
+        raise NoResultError(f"'{name}' is not one of the calibrations in {self._folder}")
+
+    def _folders(self) -> Iterator[Path]:
+        if not self._folder.is_dir():
+            return
+        for path in self._folder.iterdir():
+            if not path.is_symlink() and (path / NUMBERS).is_file():
+                yield path
+
+
+def _files(folder: Path) -> tuple[str, ...]:
+    return tuple(name for name in (REGISTRATION, SENSORS, ROBOT, REPORT, NUMBERS, VISITS) if (folder / name).is_file())
+
+
+def _read(folder: Path) -> Kept | None:
+    try:
+        numbers = json.loads((folder / NUMBERS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(numbers, dict) or WANTED - numbers.keys():
+        return None
+    return Kept(folder.name, numbers, _files(folder), _use(folder.absolute(), numbers))
+
+
+def _use(folder: Path, numbers: Mapping[str, Any]) -> Use:
+    if any((folder / name).is_file() for name in (REGISTRATION, SENSORS, ROBOT)):
+        text = (
+            "Put this line at the top of the station's file, or start the station with this option: then it is in use."
+        )
+        return Use(text, f"calibration = {json.dumps(str(folder))}", f"--calibration {shlex.quote(str(folder))}")
+    if (late := numbers.get("latency_s")) is not None:
+        text = f"Add {1e3 * float(late):.1f} ms to `latency` under [devices.tracker] of the station's file."
+        return Use(text, "", "")
+    wrong = [name for name, sign in numbers.get("signs", {}).items() if sign < 0.0]
+    if wrong:
+        turned = ", ".join(f"joints.{name}.backwards" for name in wrong)
+        return Use(f"Turn round {turned} under [devices.stages] of the station's file, and do this again.", "", "")
+    return Use("Nothing has to be changed: the axes run as described. 'tubes' finds the zero angles better.", "", "")

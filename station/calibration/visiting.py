@@ -1,0 +1,102 @@
+"""A step of a procedure as a task of the control loop, and rows of telemetry as what was measured in it.
+
+The same in virtual time and on a running station.
+"""
+
+import math
+
+import numpy as np
+
+from core.calibration.visits import Visit
+from core.robot import Array
+from core.step import Controller
+from core.trajectories import JointMotion
+from station.calibration.procedure import AbortedError, GoTo, Swing, Swung
+from station.margins import Margins
+from station.rest import AVERAGE
+from station.states import State
+from station.task import Task
+from station.telemetry import Channels
+
+#: At each rest the loop tares away the weight that hangs, and its model goes on without it; and nothing is calibrated
+#: yet. Only a tip that is somewhere else altogether stops a procedure.
+MARGINS = Margins(apart=0.12)
+#: After a weight was hung or taken off it may swing this long [s].
+SWINGING = 2.0
+#: So much of the time that is averaged must have been seen.
+LEAST_SEEN = 0.5
+
+
+class Sway:
+    """Orders in joints: to and fro from where they are, or nothing at all."""
+
+    def __init__(self, amplitudes: Array, period: float) -> None:
+        self._amplitudes, self._rate = amplitudes, 2.0 * math.pi / period
+
+    def at(self, time: float) -> JointMotion:
+        """Velocities `time` [s] after the start: a (1 - cos) / 2 begins and ends at rest where it began."""
+        return JointMotion(0.5 * self._rate * math.sin(self._rate * time) * self._amplitudes)
+
+
+def still(joints: int) -> Sway:
+    """Orders to stand."""
+    return Sway(np.zeros(joints), 1.0)
+
+
+def task(step: GoTo | Swing, controller: Controller) -> Task:
+    """A visit ends with the rest before its motion, a swing begins there."""
+    if isinstance(step, GoTo):
+        return Task(controller, still(len(step.joints)), 0.0, step.joints, MARGINS)
+    return Task(controller, Sway(step.amplitudes, step.period), step.duration, margins=MARGINS)
+
+
+def measured(
+    channels: Channels, rows: Array, step: GoTo | Swing, before: Array, controller: Controller
+) -> Visit | Swung:
+    """What the last rest, or a swing, has shown.
+
+    Args:
+        channels: of the rows.
+        rows: telemetry (m, channels) of the task, or more of it.
+        step: what was to be done.
+        before: joints (n,) from which the robot came [rad or m].
+        controller: of the task.
+
+    Raises:
+        AbortedError: too little was seen of it, or nothing by the tracker.
+    """
+    running = rows[channels.of(rows, "state")[:, 0] == State.RUNNING]
+    times = channels.of(running, "time")[:, 0]
+    wanted, period = AVERAGE if isinstance(step, GoTo) else step.duration, _period(times)
+    counted = running[times > times.max(initial=0.0) - wanted + 0.5 * period]
+    if len(counted) < LEAST_SEEN * wanted / period:
+        seen = len(counted) * period
+        raise AbortedError(f"only {seen:.1f} of {wanted:g} s were recorded: the computer is too busy")
+    frames = counted[channels.of(counted, "tip_new")[:, 0] > 0.0]
+    if len(frames) == 0:
+        raise AbortedError("no tracker frame while the robot rested; is the coil inside the tracker's volume?")
+    times, joints = channels.of(counted, "time")[:, 0], channels.of(counted, "joints")
+    coils = _coils(channels, frames, controller)
+    if isinstance(step, Swing):
+        seen = channels.of(frames, "tip_time")[:, 0]
+        # The first frames were measured before the swing began.
+        inside = (seen > times[0] + 0.1) & (seen < times[-1])
+        return Swung(times, joints, seen[inside], coils[inside])
+    wrenches = channels.of(counted, "wrench_raw").mean(axis=0).reshape(-1, 6)
+    came = np.sign(joints[-1] - before)
+    return Visit(float(times.mean()), joints[-1].copy(), coils.mean(axis=0), wrenches, step.weight, came)
+
+
+def _coils(channels: Channels, frames: Array, controller: Controller) -> Array:
+    """Where the coil was (k, 3) [m]: a calibration that is in use has led the controller from there to the tip."""
+    tips, known = channels.of(frames, "tip_measured"), controller.corrections
+    if known is None or not known.coil.any():
+        return tips
+    loads = zip(channels.of(frames, "joints"), channels.of(frames, "force"), strict=True)
+    turns = [controller.statics.solve(joints, np.concatenate((force, np.zeros(3)))).rotation for joints, force in loads]
+    return tips + np.array([turn @ known.coil for turn in turns])
+
+
+def _period(times: Array) -> float:
+    """Of the ticks [s]; where some were skipped, of the others."""
+    return float(np.median(np.diff(times))) if len(times) > 1 else AVERAGE

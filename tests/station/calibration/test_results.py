@@ -1,0 +1,119 @@
+"""Calibrations that are kept, and how each is put to use."""
+
+import json
+import math
+import shlex
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.calibration.catalogue import begin
+from station.calibration.files import Calibration, carry_over
+from station.calibration.outcome import Provenance, write_all
+from station.calibration.plan import Subject
+from station.calibration.results import NoResultError, Results
+from station.calibration.still_lab import StillLab, carry_out
+from station.lab.config import load_lab
+
+START = np.array([0.0, math.pi / 2, -0.100])
+NUMBERS = {
+    "procedure": "axes", "made": "2026-01-01T00:00:00+00:00", "lab": "a lab", "simulated": True, "findings": [],
+    "found": [], "visits": 6, "robot_s": 30.0,
+}  # fmt: skip
+
+
+def keep(folder: Path, name: str, **numbers: object) -> Path:
+    path = folder / name
+    path.mkdir()
+    (path / "report.json").write_text(json.dumps(NUMBERS | numbers), encoding="utf-8")
+    return path
+
+
+def test_the_newest_comes_first_and_what_is_damaged_not_at_all(tmp_path):
+    keep(tmp_path, "old", made="2026-01-01T00:00:00+00:00")
+    keep(tmp_path, "new", made="2026-02-01T00:00:00+00:00")
+    (keep(tmp_path, "cut") / "report.json").write_text('{"procedure": "ax')
+    (keep(tmp_path, "other") / "report.json").write_text("[]")
+    (tmp_path / "empty").mkdir()
+
+    assert [kept.name for kept in Results(tmp_path).all()] == ["new", "old"]
+    assert Results(tmp_path / "nowhere").all() == []
+
+
+@pytest.mark.parametrize("name", ["nope", "..", "../secret", "/etc", ""])
+def test_a_name_leads_nowhere_else(tmp_path, name):
+    keep(tmp_path, "secret")
+    results = tmp_path / "results"
+    results.mkdir()
+    keep(results, "one")
+
+    with pytest.raises(NoResultError, match="not one of the calibrations"):
+        Results(results).one(name)
+    with pytest.raises(NoResultError, match="has no file"):
+        Results(results).file("one", "../../secret/report.json")
+
+
+def test_signs_and_latency_are_told_as_keys_of_the_station_file(tmp_path):
+    signs = {"outer_rotation": 1.0, "inner_rotation": -1.0}
+    keep(tmp_path, "mirrored", signs=signs)
+    keep(tmp_path, "right", signs=dict.fromkeys(signs, 1.0))
+    keep(tmp_path, "late", latency_s=0.0123)
+
+    use = {kept.name: kept.use for kept in Results(tmp_path).all()}
+
+    assert "joints.inner_rotation.backwards" in use["mirrored"].text
+    assert "outer_rotation" not in use["mirrored"].text
+    assert "Nothing has to be changed" in use["right"].text
+    assert "Add 12.3 ms to `latency`" in use["late"].text
+    assert all(each.line == "" for each in use.values())
+
+
+def test_files_are_used_by_a_line_that_a_station_file_takes(tmp_path):
+    folder = tmp_path / 'a "new" one'
+    folder.mkdir()
+    (keep(folder, "tracker") / "registration.toml").write_text("")
+
+    use = Results(folder).one("tracker").use
+
+    assert tomllib.loads(use.line)["calibration"] == str(folder / "tracker")
+    assert shlex.split(use.options) == ["--calibration", str(folder / "tracker")]
+
+
+def test_what_was_not_found_anew_is_carried_over(tmp_path, paper):
+    """So that the newest folder says everything that is known."""
+    subject = Subject.of(paper, START)
+    bench = StillLab(subject, load_lab("uncalibrated", paper), 3)
+    first, second = tmp_path / "first", tmp_path / "second"
+    write_all(first, carry_out(begin("tracker", subject, 0.5), bench), subject, told("tracker"))
+
+    numbers = write_all(second, carry_out(begin("force", subject, 0.5), bench), subject, told("force"), known=first)
+
+    assert numbers["files"] == ["sensors.toml", "registration.toml"]
+    known = Calibration.load(second, paper)
+    assert known.folder == second
+    assert known.corrections.sensors.mounting.shape == (2, 3, 3)
+    earlier = Calibration.load(first, paper).registration
+    assert known.registration is not None
+    assert earlier is not None
+    np.testing.assert_array_equal(known.registration.position, earlier.position)
+    assert carry_over(first, second) == []
+
+
+def told(what: str) -> Provenance:
+    return Provenance(what, "2026-01-01T00:00:00+00:00", "bench of 'paper': zaber, aurora, netft", None, 100.0)
+
+
+def test_a_real_bench_is_not_called_simulated(tmp_path, paper):
+    subject = Subject.of(paper, START)
+    bench = StillLab(subject, load_lab("uncalibrated", paper), 3)
+
+    write_all(tmp_path / "one", carry_out(begin("tracker", subject, 0.5), bench), subject, told("tracker"))
+
+    kept = Results(tmp_path).one("one")
+    assert kept.numbers["simulated"] is False
+    for name in kept.files:
+        text = (tmp_path / "one" / name).read_text(encoding="utf-8")
+        assert "simulated devices" not in text
+        assert "seed" not in text or name == "report.json"

@@ -1,0 +1,99 @@
+"""Steps as tasks of the control loop, rows as what was measured, on the wire-level devices in virtual time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.corrections import Corrections
+from core.sensors import Sensors
+from core.step import Controller
+from station.calibration.procedure import AbortedError, GoTo, Swing
+from station.calibration.visiting import measured, task
+from station.experiments.experiment import BEST, PERIOD
+from station.lab.config import load_lab
+from station.lab.loads import ConstantLoad
+from station.lab.virtual_bench import virtual_bench
+from station.loop import ControlLoop
+from station.rest import AVERAGE
+from station.states import State
+
+START = np.array([0.0, np.pi / 2, -0.100])
+AWAY = START + np.array([0.1, -0.1, 0.0])
+
+
+def rows_of(step: GoTo | Swing, controller: Controller, paper, weight: float = 0.0) -> tuple[ControlLoop, np.ndarray]:
+    """Telemetry of one step from START on, in the lab `uncalibrated`."""
+    lab, devices = virtual_bench(paper, load_lab("uncalibrated", paper), 7, START)
+    if weight:
+        lab.pull(ConstantLoad(magnitude=weight), 0.0)
+    loop, rows, tick, begun = ControlLoop(controller, devices), [], 0, False
+    loop.connect(0.0)
+    while not (begun and loop.state is State.READY):
+        row = loop.tick(tick * PERIOD, lab.advance(tick * PERIOD))
+        tick += 1
+        assert not loop.cause
+        if begun and row is not None:
+            rows.append(row)
+        if not begun and loop.state is State.READY:
+            loop.start(task(step, controller))
+            begun = True
+    return loop, np.array(rows)
+
+
+def test_a_visit_is_the_last_rest_and_says_which_way_each_joint_came(paper):
+    controller = BEST.controller(paper)
+    loop, rows = rows_of(GoTo(AWAY, 0.0, 0.0), controller, paper)
+
+    visit = measured(loop.channels, rows, GoTo(START, 0.25, 0.0), START, controller)
+
+    end = loop.channels.of(rows, "time")[-1, 0]
+    assert visit.time == pytest.approx(end - 0.5 * AVERAGE, abs=2 * PERIOD)
+    np.testing.assert_allclose(visit.joints, AWAY, atol=2e-3)
+    assert visit.came.tolist()[:2] == [1.0, -1.0]
+    assert visit.weight == 0.25
+    assert visit.wrenches.shape == (2, 6)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.5])
+def test_the_coil_of_a_calibration_in_use_is_taken_out_of_what_is_measured(paper, weight):
+    """Or the next calibration would find a coil that is at the tip, and lose it."""
+    plain = BEST.controller(paper)
+    known = replace(plain, corrections=Corrections(Sensors.ideal(2), np.array([2e-3, -1e-3, 3e-3])))
+    step = GoTo(START, weight, 0.0)
+    (loop, rows), (_, corrected) = rows_of(step, plain, paper, weight), rows_of(step, known, paper, weight)
+
+    first = measured(loop.channels, rows, step, START, plain)
+    second = measured(loop.channels, corrected, step, START, known)
+
+    shown = [loop.channels.of(each, "tip_measured")[-1] for each in (rows, corrected)]
+    assert np.linalg.norm(shown[1] - shown[0]) == pytest.approx(np.sqrt(14.0) * 1e-3, rel=0.1)
+    np.testing.assert_allclose(second.coil, first.coil, rtol=0, atol=20e-6)  # the frames' own mean is as sure
+
+
+def test_a_swing_is_everything_that_was_seen_in_it(paper):
+    controller, step = BEST.controller(paper), Swing(np.array([0.1, 0.1, 0.003]), 4.0, 4.0, 0.0)
+    loop, rows = rows_of(step, controller, paper)
+
+    swung = measured(loop.channels, rows, step, START, controller)
+
+    assert swung.times[-1] - swung.times[0] == pytest.approx(4.0, abs=2 * PERIOD)
+    # (1 - cos) / 2 of the amplitudes: there and back again
+    np.testing.assert_allclose(np.ptp(swung.joints, axis=0), step.amplitudes, rtol=0.1)
+    np.testing.assert_allclose(swung.joints[-1], swung.joints[0], atol=5e-3)
+    assert 140 <= len(swung.coils) == len(swung.frame_times) <= 160
+    assert (np.diff(swung.frame_times) > 0.0).all()
+
+
+def test_what_was_hardly_seen_is_no_visit(paper):
+    controller, step = BEST.controller(paper), GoTo(START, 0.0, 0.0)
+    loop, rows = rows_of(step, controller, paper)
+
+    with pytest.raises(AbortedError, match=r"only 0\.2 of 1\.5 s were recorded"):
+        measured(loop.channels, rows[-102:], step, START, controller)
+    with pytest.raises(AbortedError, match="were recorded"):
+        measured(loop.channels, rows[:0], step, START, controller)
+    blind = rows.copy()
+    loop.channels.of(blind, "tip_new")[:] = 0.0
+    with pytest.raises(AbortedError, match="no tracker frame"):
+        measured(loop.channels, blind, step, START, controller)
