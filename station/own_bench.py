@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from station.config import ConfigError
 from station.devices.config import BenchFile
 from station.lab.faults import LabFault
 from station.lab.loads import Load
@@ -23,14 +22,8 @@ class OwnBench:
     def pull(self, load: Load, start: float) -> None:
         """A real tip is pulled at by hand; a run's load is only what a person has announced."""
 
-    def inject(self, faults: Sequence[LabFault], start: float) -> None:  # noqa: ARG002 - as the lab has it
-        """Real devices have faults of their own.
-
-        Raises:
-            ConfigError: some were asked for.
-        """
-        if faults:
-            raise ConfigError("faults can be injected into the virtual lab only; this station has devices of its own")
+    def inject(self, faults: Sequence[LabFault], start: float) -> None:
+        """Real devices have faults of their own."""
 
     def close(self) -> None:
         """It stays."""

@@ -20,17 +20,14 @@ from core.errors import CtrError
 from core.robot import Array
 from core.statics import Statics
 from station.audit import Audit
+from station.bench_side import BenchSide, Brings
 from station.chronicle import Chronicle
 from station.control_host import WATCHER_PRIORITY, ControlHost, Ending, Said
 from station.control_process import Bench, ring_width
-from station.devices.config import BenchFile
 from station.lab.faults import LabFault
-from station.lab.lab_host import LabHost
-from station.lab.lab_process import LabBench
-from station.lab.loads import Load, NoLoad
+from station.lab.loads import Load
 from station.live_recording import LiveRecording
 from station.messages import DeviceReport, DeviceStatus, Refused
-from station.own_bench import OwnBench
 from station.realtime import ask_for_fifo, one_thread_each
 from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, Ring
 from station.states import Event, RefusedError, State, after
@@ -64,12 +61,8 @@ class Supervisor:
         self._cause = ""
         self._state = State.OFF
         self._run, self._title = 0, ""
-        self._load: Load | None = NoLoad()  # of the run that is on; None: what hangs is left alone
         self._reserved = ""  # why nobody but a procedure may move anything
-        self._faults: tuple[LabFault, ...] = ()
-        self._motion_start: float | None = None
         self._devices: tuple[DeviceStatus, ...] = ()
-        self._told: BenchFile | None = None  # what the control process has to open
         self._closing = threading.Event()
         one_thread_each()
         self.recording = None if runs is None else LiveRecording(self.ring, bench.robot, runs)
@@ -78,7 +71,7 @@ class Supervisor:
         self._refused: tuple[str, ...] = ()  # by the system, to the control process
         self._recorded = 0  # the run that is being recorded
         self._settling = 0.0  # errors of its motion count from then on [s]
-        self._lab = self._start_lab()
+        self._lab = BenchSide(bench, self.ring)
         self._control = self._start_control()
         self._watchdog = threading.Thread(target=self._watch_time, name="watchdog")
         self._watchdog.start()
@@ -120,7 +113,7 @@ class Supervisor:
         found = {"station": os.getpid()}
         if self._control.alive:
             found["control"] = self._control.pid
-        if isinstance(self._lab, LabHost) and self._lab.alive:
+        if self._lab.pid is not None:
             found["lab"] = self._lab.pid
         if self.recording is not None:
             found["recorder"] = self.recording.pid
@@ -151,9 +144,11 @@ class Supervisor:
 
         Raises:
             RefusedError: the state does not allow it, or a procedure is on.
+            ConfigError: faults are asked of devices that are real.
             RecordingError: it cannot be recorded.
         """
         self._check_free()
+        self._lab.check(faults)
         after(self.status().state, Event.START)
         number = next(self._runs)
         if self.recording is not None:
@@ -165,7 +160,7 @@ class Supervisor:
             self._recorded = number
         self._settling = about.get("settings", {}).get("settling", settling_time(task.duration))
         try:
-            return self._begin(number, task, load, title, faults)
+            return self._begin(number, task, Brings(load, tuple(faults)), title)
         except RefusedError:
             self._end_recording(State.STOPPED, "it was refused after all")
             raise
@@ -178,7 +173,7 @@ class Supervisor:
         Raises:
             RefusedError: the state does not allow it.
         """
-        return self._begin(next(self._runs), task, None, title)
+        return self._begin(next(self._runs), task, Brings(None), title)
 
     def reserve(self, why: str) -> None:
         """From now on only `visit` moves anything, until `release`; STOP and reset are as always.
@@ -196,8 +191,9 @@ class Supervisor:
 
     def release(self) -> None:
         """Everybody may move the robot again."""
+        self._lab.prepare(Brings())
         with self._lock:
-            self._reserved, self._load = "", NoLoad()
+            self._reserved = ""
 
     def stop(self) -> str:
         """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
@@ -223,8 +219,7 @@ class Supervisor:
             self._control.kill()  # the devices it has open are gone
         self._control.close()
         if not self._lab.alive:
-            self._lab.close()
-            self._lab, self._told = self._start_lab(), None
+            self._lab.restart()
         self.ring.clear_timing()
         since = self.ring.written
         with self._lock:
@@ -277,11 +272,11 @@ class Supervisor:
 
     def pull(self, load: Load) -> None:
         """Put a load on the virtual lab's tip, now; the next motion brings its own."""
-        self._lab.pull(load, time.monotonic())
+        self._lab.pull(load)
 
     def inject(self, faults: Sequence[LabFault]) -> None:
         """Let these faults of the virtual lab's devices happen from now on; none: mend all."""
-        self._lab.inject(faults, time.monotonic())
+        self._lab.inject(faults)
 
     def close(self) -> None:
         """End the control process, its axes stopped, then the lab, and remove the shared memory."""
@@ -298,16 +293,13 @@ class Supervisor:
         if self._reserved:
             raise RefusedError(self._reserved)
 
-    def _begin(self, number: int, task: Task, load: Load | None, title: str, faults: Sequence[LabFault] = ()) -> str:
+    def _begin(self, number: int, task: Task, brings: Brings, title: str) -> str:
         """Have a task carried out; its id."""
-        with self._lock:
-            before = self._load, self._faults
-            self._load, self._faults = load, tuple(faults)
+        before = self._lab.prepare(brings)
         try:
             self._control.ask(Event.START, task=task, run=number)
         except RefusedError:
-            with self._lock:
-                self._load, self._faults = before
+            self._lab.prepare(before)
             raise
         with self._lock:
             self._run, self._title, self.task = number, title, task
@@ -318,21 +310,8 @@ class Supervisor:
     def _run_id(self) -> str:
         return f"{self._session}-{self._run}" if self._run else ""
 
-    def _start_lab(self) -> LabHost | OwnBench:
-        if self.bench.devices is not None:
-            return OwnBench(self.bench.devices)
-        bench = self.bench
-        lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals)
-        return LabHost(lab, self.ring.name, ring_width(bench.robot))
-
     def _start_control(self) -> ControlHost:
-        return ControlHost(self.bench, self.ring, self._find_devices, self._hear, self._ended)
-
-    def _find_devices(self) -> BenchFile:
-        """What the control process has to open; waits for a lab that is coming up."""
-        if self._told is None:
-            self._told = self._lab.devices()
-        return self._told
+        return ControlHost(self.bench, self.ring, self._lab.devices, self._hear, self._ended)
 
     def _ended(self, ending: Ending) -> None:
         """The control process has ended unasked: the stages have been stopped, the run is marked."""
@@ -341,11 +320,10 @@ class Supervisor:
             said = self._cause if self._state is State.FAULT else ending.how
             self._state = State.FAULT
             self._cause = "; ".join(part for part in (said, ending.stopped, "reset to start it anew") if part)
-            self._motion_start = None
         self._entered[State.FAULT] += 1
         self._chronicle.state(State.FAULT, self._cause)
         self._end_recording(State.FAULT, self._cause, interrupted=True)
-        self._lab.pull(NoLoad(), 0.0)
+        self._lab.motion(None)
 
     def _hear(self, message: Said) -> None:
         with self._lock:
@@ -359,7 +337,6 @@ class Supervisor:
                 return
             changed = self._state is not message.state
             self._state, self._cause = message.state, message.cause
-            before, self._motion_start, load = self._motion_start, message.motion_start, self._load
         if changed:
             self._entered[message.state] += 1
             self._chronicle.state(message.state, message.cause)
@@ -369,21 +346,10 @@ class Supervisor:
             self.recording.say(self._time(), "state", text, bad=bad)
         if message.run == self._recorded and message.state is not State.RUNNING:
             self._end_recording(message.state, message.cause)
-        if message.motion_start != before:
-            # The load is on during the motion only.
-            if message.motion_start is None:
-                if load is not None:
-                    self._lab.pull(NoLoad(), 0.0)
-                if self._faults:
-                    self._lab.inject((), 0.0)  # what an experiment has spoilt ends with it
-            else:
-                if load is not None:
-                    self._lab.pull(load, message.motion_start)
-                if self.recording is not None:
-                    start = self._time() + message.motion_start - time.monotonic()
-                    self.recording.moving(start, self._settling)
-                if self._faults:
-                    self._lab.inject(self._faults, message.motion_start)
+        begun = self._lab.motion(message.motion_start)
+        if begun and message.motion_start is not None and self.recording is not None:
+            start = self._time() + message.motion_start - time.monotonic()
+            self.recording.moving(start, self._settling)
 
     def _end_recording(self, state: State, cause: str, *, interrupted: bool = False) -> None:
         if self.recording is None or not self._recorded:

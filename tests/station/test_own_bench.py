@@ -7,12 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.config import ConfigError
 from station.lab.config import LabConfig
-from station.lab.faults import LabFault
 from station.lab.live_bench import lab_bench
 from station.lab.open_lab import OpenLab
-from station.own_bench import OwnBench
 from station.states import State
 from station.station_file import load_station
 from station.supervisor import Supervisor
@@ -44,11 +41,3 @@ def test_it_waits_for_a_person_to_home(paper, tmp_path: Path):
             assert supervisor.stop() == ""
         finally:
             supervisor.close()
-
-
-def test_faults_cannot_be_injected_into_devices_of_ones_own(paper):
-    with OpenLab(paper, LabConfig(), 0, PARK) as lab:
-        bench = OwnBench(lab_bench(lab.endpoints, LabConfig()))
-    bench.inject((), 0.0)  # nothing to mend
-    with pytest.raises(ConfigError, match="virtual lab only"):
-        bench.inject([LabFault(kind="mute", device="stages")], 0.0)
