@@ -13,10 +13,9 @@ from rich.console import Console
 
 from core.errors import CtrError
 from core.statics import PAPER_SUBLINK
-from station import export_command, report_command, soak_command, sweep_command
-from station.calibration import command as calibrate_command
+from station.commands import calibrate_command, export_command, report_command, soak_command, sweep_command
+from station.commands.options import between, progress_bar, seed
 from station.config import preset_names
-from station.options import between, progress_bar, seed
 
 
 class Parser(argparse.ArgumentParser):
@@ -211,28 +210,28 @@ def _lab(parsed: argparse.Namespace) -> int:
 
 
 def _bench(parsed: argparse.Namespace) -> int:
-    from station import bench
+    from station.commands import bench
 
     if parsed.what == "loop":
-        from station.bench_loop import loop
+        from station.commands.bench_loop import loop
 
         with progress_bar() as bar:
             task = bar.add_task("bench loop", total=1.0)
             result = loop(parsed.seconds, lambda done: bar.update(task, completed=done), fifo=not parsed.no_fifo)
     elif parsed.what == "recorder":
-        from station.bench_recorder import recorder
+        from station.commands.bench_recorder import recorder
 
         result = recorder(parsed.seconds)
     elif parsed.what == "accuracy":
-        from station.bench_accuracy import accuracy
+        from station.commands.bench_accuracy import accuracy
 
         with progress_bar() as bar:
             task = bar.add_task("bench accuracy", total=1.0)
             result = accuracy(lambda done: bar.update(task, completed=done))
     else:
-        from station.bench_accuracy import cost
-        from station.bench_tick import tick
-        from station.bench_wire import wire
+        from station.commands.bench_accuracy import cost
+        from station.commands.bench_tick import tick
+        from station.commands.bench_wire import wire
 
         measures = {"model": bench.model, "cost": cost, "tick": tick, "wire": wire, "headless": bench.headless}
         result = measures[parsed.what]()
@@ -244,7 +243,7 @@ def _bench(parsed: argparse.Namespace) -> int:
 
 
 def _doctor(parsed: argparse.Namespace) -> int:  # noqa: ARG001 - it takes no options
-    from station.doctor import findings
+    from station.commands.doctor import findings
 
     console = Console(highlight=False, soft_wrap=True)
     for finding in findings():

@@ -19,14 +19,14 @@ from tests.serving import Served, serving
 
 #: Real processes, real browsers and real time: on a busy computer they get a second try.
 REAL = (
-    "browser", "faults", "web", "station/test_soak.py", "station/test_client.py", "station/test_own_bench.py",
+    "browser", "faults", "web", "station/commands/test_soak.py", "station/test_client.py", "station/test_own_bench.py",
     "station/calibration/test_live.py",
 )  # fmt: skip
 
 
 #: Long ones, left out unless they are asked for: `pytest -m slow`, or `-m ""` for all.
 SLOW = (
-    "browser/test_tabs.py", "browser/test_pictures.py", "browser/test_calibrate.py", "station/test_soak.py",
+    "browser/test_tabs.py", "browser/test_pictures.py", "browser/test_calibrate.py", "station/commands/test_soak.py",
     "web/test_kills.py",
 )  # fmt: skip
 

@@ -12,7 +12,7 @@ import time
 
 from playwright.sync_api import sync_playwright
 
-from station.bench_loop import figures, stolen
+from station.commands.bench_loop import figures, stolen
 from station.control_process import ring_width
 from station.ring import Ring
 from station.robots import load_robot

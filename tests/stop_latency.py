@@ -32,7 +32,7 @@ from playwright.sync_api import sync_playwright
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from station.bench_loop import stolen
+from station.commands.bench_loop import stolen
 from station.realtime import ask_for_fifo
 from tests.browser.conftest import CHROMIUM, FLAGS, bare_page
 from tests.serving import serving

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from station.cli import execute, parser
-from station.options import seed
+from station.commands.options import seed
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

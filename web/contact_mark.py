@@ -12,6 +12,8 @@ from web.tubes import centre_line
 POINTS = 24
 #: Around the shaft, so that it is seen beside the tubes [m].
 THICKNESS, MARKER = 4.4e-3, 3.2e-3
+#: The words stand lower than the place, beside the shaft (3,) [m].
+BELOW = np.array((0.012, 0.0, 0.0))
 
 
 class ContactMark:
@@ -39,7 +41,8 @@ class ContactMark:
         known = felt.contact.located
         stretches = [_segments(shape, first, last) for first, last in felt.contact.intervals]
         self._stretch.points = np.concatenate(stretches).astype(np.float32)
-        self._marker.position = self._label.position = self._unit * place
+        self._marker.position = self._unit * place
+        self._label.position = self._unit * (place + BELOW)
         self._label.text = f"{size} at {felt.place}" if known else f"{size}, place not known"
         self._marker.visible = known
         self._stretch.visible = self._label.visible = True

@@ -11,6 +11,8 @@ from web.scene_messages import Box
 
 #: Names by which the gate knows them.
 TARGET, FORCE = "/handle/target", "/handle/force"
+#: Length of their arrows [m].
+TARGET_SIZE, FORCE_SIZE = 0.035, 0.025
 #: Where they may be dragged [m].
 LOWER, UPPER = (-0.25, -0.25, -0.05), (0.25, 0.25, 0.40)
 #: The force that a hand may pull with [N].
@@ -29,12 +31,12 @@ def boxes(unit: float) -> dict[str, Box]:
 
 
 class Gizmo:
-    """One handle; what is dragged is read by another thread."""
+    """One handle with arrows of `size` [m]; what is dragged is read by another thread."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, unit: float, scale: float) -> None:
+    def __init__(self, scene: viser.SceneApi, name: str, unit: float, size: float) -> None:
         self._unit = unit
         self._handle = scene.add_transform_controls(
-            name, scale=scale, disable_rotations=True, depth_test=False, visible=False
+            name, scale=unit * size, disable_rotations=True, depth_test=False, visible=False
         )
         self._lock = threading.Lock()
         self._place = np.zeros(3)

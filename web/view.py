@@ -13,7 +13,7 @@ from core.robot import Array
 from station.desk import Desk
 from station.lab.loads import GRAVITY, ConstantLoad, NoLoad
 from station.status import STALE, Status
-from web.gizmos import FORCE, TARGET, Gizmo, boxes, pull
+from web.gizmos import FORCE, FORCE_SIZE, TARGET, TARGET_SIZE, Gizmo, boxes, pull
 from web.history import History
 from web.legend import add_legend
 from web.overlays import Overlays, Shown
@@ -44,8 +44,8 @@ class View:
         self._scene = Scene(server, desk.supervisor)
         self._feeler = Feeler(desk.supervisor.robot, desk.supervisor.statics, desk.supervisor.channels)
         self._overlays = Overlays(server.scene, desk.supervisor.statics, self._limits, UNIT)
-        self._target = Gizmo(server.scene, TARGET, UNIT, 0.35)
-        self._hand = Gizmo(server.scene, FORCE, UNIT, 0.25)
+        self._target = Gizmo(server.scene, TARGET, UNIT, TARGET_SIZE)
+        self._hand = Gizmo(server.scene, FORCE, UNIT, FORCE_SIZE)
         self._pulls = False
         self._verdict = server.scene.add_label("/handle/verdict", "", anchor="bottom-center", visible=False)
         buttons = add_legend(server, desk.supervisor.robot)

@@ -58,6 +58,8 @@ def open_page(running: Served, browser: Browser) -> Iterator[Page]:
     scene.get_by_text("desired tip").first.wait_for(timeout=60_000)
     scene.locator("canvas").first.wait_for(timeout=60_000)
     page.wait_for_timeout(4000)
+    for notice in scene.locator(".mantine-Notification-closeButton").all():
+        notice.click()  # that there is no graphics card, over a part of the picture
     yield page
     page.close()
 

@@ -11,7 +11,10 @@ KEYS = 80
 
 def tab_to(page: Page, text: str) -> None:
     """Press Tab until what has the focus is called `text`."""
-    name = "() => document.activeElement.getAttribute('aria-label') ?? document.activeElement.innerText ?? ''"
+    name = """() => {
+      const here = document.activeElement;
+      return here === document.body ? '' : here.getAttribute('aria-label') ?? here.innerText;
+    }"""
     for _ in range(KEYS):
         page.keyboard.press("Tab")
         if text in page.evaluate(name):

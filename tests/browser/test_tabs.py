@@ -187,6 +187,13 @@ def test_devices_say_what_they_are_and_home_only_when_the_way_is_clear(
     assert dialog.get_by_role("button", name="Home", exact=True).is_enabled()
     dialog.get_by_role("button", name="Cancel").click()
     assert station.status()["state"] == "READY"
+    page.get_by_role("button", name="Home…").click()
+    dialog.get_by_role("checkbox").check()
+    dialog.get_by_role("button", name="Home", exact=True).click()
+    page.locator("#state", has_text="HOMING").wait_for(timeout=5000)
+    assert page.get_by_role("button", name="Home…").is_disabled()
+    page.locator("#state", has_text="READY").wait_for(timeout=100_000)
+    assert abs(station.status()["joints"]["inner_translation"] + 0.1) > 0.02  # retracted, not where it was
 
 
 def test_an_axis_is_checked_against_the_model(page: Page, station: Served) -> None:

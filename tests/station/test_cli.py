@@ -291,7 +291,7 @@ def test_without_a_command_there_is_help_and_a_status_that_says_nothing_was_done
 
 
 def test_bench_prints_one_json_object_or_a_table(call, monkeypatch):
-    from station import bench
+    from station.commands import bench
 
     whole = bench.model
     monkeypatch.setattr(bench, "model", lambda: whole(300))

@@ -46,8 +46,8 @@ async function refresh() {
     cut = shown.connected ? 0 : cut + 1;
     $("scene-cut").hidden = cut < 3;
     if (pending === 0 && before === changes) for (const box of boxes) box.checked = shown[box.name];
-    $("go").hidden = !shown.target;
-    if (!shown.target) { $("target-says").textContent = ""; return; }
+    $("target-box").hidden = !shown.target;
+    if (!shown.target) return;
     const target = await ask("GET", "/api/scene/target", undefined, 1000);
     const place = target.position.map((x) => (1e3 * x).toFixed(1)).join(", ");
     $("target-says").textContent = target.reachable ? `✓ (${place}) mm in ${target.duration.toFixed(0)} s` : `✗ (${place}) mm: ${target.reason}`;

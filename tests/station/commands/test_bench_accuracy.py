@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from station.bench_accuracy import cases, cold_starts, cost, derivatives, telescope
+from station.commands.bench_accuracy import cases, cold_starts, cost, derivatives, telescope
 
 
 @pytest.mark.parametrize(("integrator", "mean"), [("paper", 0.05), ("fourth_order", 0.0005)])

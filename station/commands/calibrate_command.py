@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.options import between, progress_bar, seed
+from station.commands.options import between, progress_bar, seed
 
 PROCEDURES = {
     "axes": "which way each axis runs, and the tubes' zero angles roughly",

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from core.errors import CtrError
+from station.commands.growth import Growth, resident
 from station.desk import Desk
-from station.growth import Growth, resident
 from station.lab.faults import FaultKind, LabFault
 from station.lab.loads import ConstantLoad, NoLoad
 from station.motions import CircleMotion, HoldMotion, SinusoidMotion

@@ -1,6 +1,6 @@
 """The recorder's bench really records, both ways."""
 
-from station.bench_recorder import recorder
+from station.commands.bench_recorder import recorder
 
 
 def test_the_bench_records_every_row_and_tells_what_a_row_costs():

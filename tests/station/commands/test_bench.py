@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from station import bench
+from station.commands import bench
 
 
 def test_the_models_bench_reports_times_and_its_distance_from_the_exact_rod():

@@ -14,8 +14,8 @@ from rich.console import Console
 
 from core import step as core_step
 from station import loop
-from station.bench import table
 from station.clock import VirtualClock
+from station.commands.bench import table
 from station.experiments.experiment import load_experiment
 from station.experiments.runner import run_case
 

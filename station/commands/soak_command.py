@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from station.options import between, progress_bar, seed
+from station.commands.options import between, progress_bar, seed
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
@@ -23,7 +23,7 @@ def _soak(parsed: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from station.soak import rows, soak
+    from station.commands.soak import rows, soak
 
     with progress_bar() as bar, tempfile.TemporaryDirectory(prefix="ctr-soak-") as folder:
         task = bar.add_task("soak", total=1.0)

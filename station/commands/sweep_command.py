@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from station.options import count, progress_bar
+from station.commands.options import count, progress_bar
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:

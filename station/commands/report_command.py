@@ -30,7 +30,7 @@ def _report(parsed: argparse.Namespace) -> int:
 
 
 def _replay(parsed: argparse.Namespace) -> int:
-    from station.options import progress_bar
+    from station.commands.options import progress_bar
     from station.report.player import write_player
 
     folder = _folder(parsed.run)

@@ -19,7 +19,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    from station.options import progress_bar
+    from station.commands.options import progress_bar
     from station.recording.export import export_run
     from station.recording.history import resolve_run
     from station.recording.recover import recover

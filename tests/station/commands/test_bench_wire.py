@@ -1,6 +1,6 @@
 """The wire-level bench moves a connected lab and names its parts."""
 
-from station.bench_wire import wire
+from station.commands.bench_wire import wire
 
 
 def test_every_part_of_the_tick_is_measured():

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from station.growth import Growth, resident
-from station.soak import CHANCES, rows
+from station.commands.growth import Growth, resident
+from station.commands.soak import CHANCES, rows
 
 
 @pytest.mark.timeout(300)
