@@ -194,7 +194,8 @@ class ControlLoop:
             self._memory = None
             return self._held(now, joints, wrenches)
         if self._tare is None and wrenches.usable:
-            self._tare = self.controller.tare(wrenches.wrenches, joints.positions)
+            # One sample for a beginning; the mean of more follows.
+            self._tare, self._rest = self.controller.tare(wrenches.wrenches, joints.positions), Rest(now)
         tare = wrenches.wrenches if self._tare is None else self._tare
         order = None if trouble else self._order(now, joints, wrenches.wrenches, frame)
         tip, age = (None, 0.0) if frame is None else (frame.position, now - frame.time)

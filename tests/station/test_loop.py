@@ -107,6 +107,17 @@ def test_a_ready_station_estimates_but_sends_nothing(ideal):
     assert np.linalg.norm(bench.of("tip_estimated") - bench.of("tip_true"), axis=1).max() < 1e-4
 
 
+def test_the_first_tare_is_a_mean_and_not_one_noisy_sample(case):
+    """One sample of two sensors with 0.02 N of noise would leave 0.028 N an axis."""
+    bench = Bench(case)
+    bench.ready()
+    bench.tick(1000)
+    begin = len(bench.rows)
+    bench.tick(1000)
+
+    assert bench.of("force")[begin:].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.004)
+
+
 def test_a_run_rests_for_the_tare_and_the_start_tip_before_it_moves(case):
     bench = Bench(case)
     bench.ready()
