@@ -28,7 +28,7 @@ from station.supervisor import Supervisor
 #: A station comes up within this time, also where everything is compiled first on a busy computer [s].
 COMES_UP = 300.0
 #: A fault shows within this time; after it was mended and reset, READY comes within that [s].
-SHOWS, READY_AGAIN = 3.0, 150.0
+SHOWS, READY_AGAIN = 3.0, 300.0
 #: Growth of a process's memory that is none [bytes], and the slope beyond it that counts as a leak [bytes/s].
 GRAIN, LEAK = 8e6, 2e3
 #: What the computer itself may do to a run, and says so.
@@ -224,7 +224,7 @@ class _Soak:
         while (state := self._supervisor.status().state) is not State.READY:
             if time.monotonic() > deadline:
                 self.result.wrong.append(
-                    f"not READY {READY_AGAIN:g} s after a reset: {self._supervisor.status().cause}"
+                    f"not READY {READY_AGAIN:g} s after a reset but {state.name}: {self._what_is_wrong()}"
                 )
                 return
             if state in RESTING:
@@ -232,6 +232,12 @@ class _Soak:
             elif state is State.CONNECTED:
                 self._try("home", self._supervisor.home)
             time.sleep(0.2)
+
+    def _what_is_wrong(self) -> str:
+        """In the station's words."""
+        status = self._supervisor.status()
+        texts = [status.cause, *(f"{device.name} {device.condition}: {device.text}" for device in status.devices)]
+        return "; ".join(text for text in texts if text)
 
     def _explain(self) -> None:
         """Every state that nobody asked for has to say why."""
