@@ -19,10 +19,13 @@ from tests.serving import Served, serving
 
 #: Real processes, real browsers and real time: on a busy computer they get a second try.
 REAL = (
-    "browser", "faults", "web", "station/commands/test_soak.py", "station/test_client.py", "station/test_own_bench.py",
+    "browser", "web", "station/commands/test_soak.py", "station/test_client.py", "station/test_own_bench.py",
     "station/calibration/test_live.py",
+    *(f"faults/test_{name}.py" for name in (
+        "bad_configuration", "bad_request", "browser_closed", "control_killed", "cross_site", "disk_full",
+        "station_killed", "two_operators",
+    )),
 )  # fmt: skip
-
 
 #: Long ones, left out unless they are asked for: `pytest -m slow`, or `-m ""` for all.
 SLOW = (
