@@ -78,7 +78,7 @@ def test_a_load_at_the_tip_warns_of_nothing_and_a_touched_shaft_is_named_with_it
         assert status["state"] == "RUNNING"  # it is said, and nothing is stopped
         beyond = station.post("/api/pull", {"load": contact | {"place": 0.9}})
         assert beyond.status_code == 422
-        assert "contact at 900 mm is outside 0 ... 20" in beyond.json()["error"]  # 203 mm, as far as the tip has not moved
+        assert "contact at 900 mm is outside 0 ... 20" in beyond.json()["error"]  # about 203 mm
     finally:
         station.post("/api/pull", {"load": {"kind": "none"}})
     station.wait_for(lambda s: s["touch"] is None and not warned(s), 5.0)
