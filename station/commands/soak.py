@@ -28,7 +28,7 @@ from station.supervisor import Supervisor
 #: A station comes up within this time, also where everything is compiled first on a busy computer [s].
 COMES_UP = 300.0
 #: A fault shows within this time; after it was mended and reset, READY comes within that [s].
-SHOWS, READY_AGAIN = 3.0, 300.0
+SHOWS, READY_AGAIN = 3.0, 400.0
 #: Growth of a process's memory that is none [bytes], and the slope beyond it that counts as a leak [bytes/s].
 GRAIN, LEAK = 8e6, 2e3
 #: What the computer itself may do to a run, and says so.

@@ -295,7 +295,7 @@ def test_a_fault_is_injected_seen_explained_and_reset(page: Page, station: Serve
 
 def test_every_control_is_reached_by_keyboard(page: Page, station: Served) -> None:
     page.locator("#tab-start").focus()
-    for name in ("jog", "devices", "plots", "runs", "faults", "start"):
+    for name in ("jog", "devices", "plots", "runs", "calibrate", "faults", "start"):
         page.keyboard.press("ArrowRight")
         assert page.locator(f"#{name}").is_visible()
         assert page.evaluate("document.activeElement.id") == f"tab-{name}"
