@@ -22,7 +22,7 @@ REAL = (
     "browser", "web", "station/commands/test_soak.py", "station/test_client.py", "station/test_own_bench.py",
     "station/calibration/test_live.py",
     *(f"faults/test_{name}.py" for name in (
-        "bad_configuration", "bad_request", "browser_closed", "control_killed", "cross_site", "disk_full",
+        "bad_configuration", "bad_request", "browser_closed", "control_killed", "cross_site", "disk_full", "overrun",
         "station_killed", "two_operators",
     )),
 )  # fmt: skip
