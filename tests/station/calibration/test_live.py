@@ -155,6 +155,7 @@ def test_a_stop_ends_it_while_it_thinks_even_if_it_is_reset_at_once(live):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(400)
 def test_a_weight_is_hung_when_a_person_says_so_and_goes_with_an_abort(live):
     """The weight of the virtual lab's tip, felt by its force sensors."""
     live.start("force", 0.5, (0.5,))
@@ -201,6 +202,7 @@ def test_a_station_that_is_not_ready_is_not_calibrated(live):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(400)
 def test_axes_are_found_with_the_zero_angles_that_the_lab_hides(live):
     live.start("axes")
     report = ended(live, 150.0)
