@@ -17,7 +17,7 @@ from station.devices.interfaces import Truth
 ROWS = 4096  #: slots, about 8 s at 500 Hz
 BINS = 5001  #: 1 us each; the last holds everything from 5 ms on
 
-WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN = range(6)  #: places of the counters
+WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK = range(7)  #: places of the counters
 COUNTERS = 8
 LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT = range(5)  #: places of the numbers
 NUMBERS = 8
@@ -64,9 +64,10 @@ class Ring:
         self._rows[written % ROWS] = row
         self.counters[WRITTEN] = written + 1
 
-    def tell_truth(self, truth: Truth) -> None:
-        """What the virtual lab knows; only the lab may."""
+    def tell_truth(self, truth: Truth, stuck: bool = False) -> None:
+        """What the virtual lab knows, and whether its robot cannot follow its stages; only the lab may."""
         cells = self._truth
+        self.counters[STUCK] = stuck
         cells[0] += 1.0
         cells[1:4], cells[4:7] = truth.tip, truth.force
         cells[0] += 1.0

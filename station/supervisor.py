@@ -29,7 +29,7 @@ from station.lab.loads import Load
 from station.live_recording import LiveRecording
 from station.messages import DeviceReport, DeviceStatus, Refused
 from station.realtime import ask_for_fifo, one_thread_each
-from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, Ring
+from station.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, STUCK, Ring
 from station.states import Event, RefusedError, State, after
 from station.status import Status
 from station.task import Phase, Task
@@ -42,6 +42,7 @@ HUNG = 1.0
 FIRST_TICKS = 60.0
 #: Between two looks of the watchdog [s].
 LOOK = 0.02
+STUCK_TEXT = "the simulated robot cannot follow its stages under its load and stays where it is: take the load off"
 
 
 class Supervisor:
@@ -105,8 +106,12 @@ class Supervisor:
                 state, self._cause if state in (State.HOLD, State.STOPPED, State.FAULT) else "", self._run_id(),
                 self._title, Phase(int(counters[PHASE])) if int(counters[RUN]) == self._run else Phase.NONE,
                 float(numbers[PROGRESS]), time.monotonic() - float(numbers[HEARTBEAT]), self.ring.timing(), groups,
-                self._devices, (*self.bench.warnings, *self._refused), self._reserved,
+                self._devices, self._warnings(), self._reserved,
             )  # fmt: skip
+
+    def _warnings(self) -> tuple[str, ...]:
+        stuck = (STUCK_TEXT,) if self.ring.counters[STUCK] else ()
+        return (*self.bench.warnings, *self._refused, *stuck)
 
     def pids(self) -> dict[str, int]:
         """Of every process that lives."""

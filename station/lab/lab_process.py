@@ -75,6 +75,7 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
     except CtrError as error:
         pipe.send(Opened({}, str(error)))
         return
+    lab.lab.advance(time.monotonic() - lab.begun)  # what is loaded or compiled for it keeps nobody else waiting
     # Real devices have processors of their own: a busy computer must not make the simulated ones late.
     if bench.fifo:
         ask_for_fifo(PRIORITY)
@@ -93,7 +94,7 @@ class _Visitor:
 
     def look(self) -> bool:
         """True when the lab is to end."""
-        self._ring.tell_truth(self._lab.lab.truth)
+        self._ring.tell_truth(self._lab.lab.truth, bool(self._lab.lab.trouble))
         if self._alone_since or os.getppid() != self._parent:
             self._alone_since = self._alone_since or time.monotonic()
             return time.monotonic() - self._alone_since > OUTLIVES

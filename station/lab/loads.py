@@ -12,6 +12,10 @@ from core.robot import Array
 from station.config import Direction, NotNegative, Positive, Row, Strict
 
 GRAVITY = (1.0, 0.0, 0.0)
+#: The base sensors saturate at 18 N; nothing that a millimetre of nitinol is asked to bear comes near it [N].
+MOST = 20.0
+Force = Annotated[float, Field(ge=0.0, le=MOST)]
+SignedForce = Annotated[float, Field(ge=-MOST, le=MOST)]
 
 
 @lru_cache(maxsize=64)
@@ -49,7 +53,7 @@ class ConstantLoad(_Directed):
     """A weight that always hangs."""
 
     kind: Literal["constant"] = "constant"
-    magnitude: NotNegative
+    magnitude: Force
     """[N]"""
 
     def force(self, time: float) -> Array:
@@ -61,7 +65,7 @@ class SineLoad(_Directed):
     """amplitude * sin(2 pi frequency t)."""
 
     kind: Literal["sine"] = "sine"
-    amplitude: NotNegative
+    amplitude: Force
     """[N]"""
     frequency: Positive
     """[Hz]"""
@@ -75,7 +79,7 @@ class RaisedCosineLoad(_Directed):
     """Up to `peak` and back every period, starting from nothing: peak / 2 (1 - cos(2 pi t / period))."""
 
     kind: Literal["raised_cosine"] = "raised_cosine"
-    peak: NotNegative
+    peak: Force
     """[N]"""
     period: Positive
     """[s]"""
@@ -91,7 +95,7 @@ class RampLoad(_Directed):
     kind: Literal["ramps"] = "ramps"
     times: tuple[NotNegative, ...] = Field(min_length=1, strict=False)
     """rising [s]"""
-    magnitudes: Annotated[tuple[float, ...], Row]
+    magnitudes: Annotated[tuple[SignedForce, ...], Row]
     """[N]"""
 
     @model_validator(mode="after")
@@ -120,7 +124,7 @@ class HungWeightLoad(_Directed):
     """
 
     kind: Literal["hung_weight"] = "hung_weight"
-    weight: NotNegative
+    weight: Force
     """[N]"""
     lowering: Positive = 2.0
     """time in which the hand lets go [s]"""
@@ -147,7 +151,7 @@ class ContactLoad(_Directed):
     """Something leans on the shaft."""
 
     kind: Literal["contact"] = "contact"
-    magnitude: NotNegative
+    magnitude: Force
     """[N]"""
     place: NotNegative
     """arc length from the plate [m]"""

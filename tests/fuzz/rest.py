@@ -7,7 +7,7 @@ are answers that blame the station (5xx), answers that give no reason, and motio
 import json
 import random
 import sys
-from collections import Counter
+from collections import Counter, deque
 from typing import Any
 
 import httpx
@@ -51,6 +51,7 @@ class RestFuzz:
         self.station, self.chance = station, random.Random(seed)
         self.answers: Counter[int] = Counter()
         self.wrong: list[str] = []
+        self.taken: deque[str] = deque(maxlen=12)  #: the last requests that were accepted
         self._joints = self._at_rest()
 
     def one(self) -> None:
@@ -70,6 +71,8 @@ class RestFuzz:
             self.wrong.append(f"{answer.status_code}: {method} {path} {raw[:200]!r}: {answer.text[:200]}")
         if 400 <= answer.status_code < 500 and path != "/api/nothing" and not _reason(answer):
             self.wrong.append(f"{answer.status_code} without a reason: {method} {path} {raw[:200]!r}")
+        if answer.is_success:
+            self.taken.append(f"{method} {path} {raw[:300]!r}")
         moved = answer.is_success and any(path == way for _, way, _ in MOVES)
         if moved:
             self._joints = self._at_rest()
@@ -86,6 +89,8 @@ class RestFuzz:
     def _at_rest(self) -> dict[str, float]:
         """Stop whatever was asked for; where the joints then are."""
         self.station.rest.post("/api/stop")
+        self.station.rest.post("/api/pull", json={"load": {"kind": "none"}})
+        self.station.rest.delete("/api/faults")
         self.station.ready()
         return self.station.wait_for(lambda status: status["joints"] == self._joints_of(), 10.0)["joints"]
 
@@ -137,7 +142,13 @@ def fuzz(station: Served, requests: int, seed: int) -> RestFuzz:
     """So many requests."""
     fuzzed = RestFuzz(station, seed)
     for _ in range(requests):
-        fuzzed.one()
+        try:
+            fuzzed.one()
+        except AssertionError as error:
+            taken = "\n".join(fuzzed.taken)
+            raise AssertionError(
+                f"{error}\nafter {sum(fuzzed.answers.values())} answers, the last accepted:\n{taken}"
+            ) from None
     return fuzzed
 
 

@@ -270,7 +270,7 @@ def test_a_pulled_cable_is_a_dead_port_and_the_same_device_comes_back(paper, tmp
 
 def test_a_robot_that_cannot_follow_is_reported_once(paper, capsys):
     with OpenLab(paper, LabConfig(), 0, np.array(PARK)) as lab:
-        lab.lab.pull(ConstantLoad(magnitude=1e6), 0.0)
+        lab.lab.pull(ConstantLoad.model_construct(magnitude=1e6), 0.0)
         end = time.monotonic() + 0.05
         lab.run(lambda: time.monotonic() > end)
 

@@ -145,6 +145,8 @@ def test_a_second_start_is_refused_while_one_is_on(station: Served) -> None:
         ('{"controller": {"strategy": "magic"}}', "magic"),
         ('{"controller": {"k1": 1000}}', "K1"),
         ('{"load": {"kind": "constant", "magnitude": -1}}', "magnitude"),
+        ('{"load": {"kind": "constant", "magnitude": 20.1}}', "magnitude"),
+        ('{"load": {"kind": "ramps", "times": [0, 1], "magnitudes": [0, -21]}}', "magnitudes"),
         ("[]", "body"),
         ("not json", "JSON"),
         ("[" * 60_000, "body"),

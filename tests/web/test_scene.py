@@ -12,7 +12,7 @@ import pytest
 from core.robot import Array, Robot
 from core.trajectories import Setpoint
 from station.experiments.experiment import ControllerFile
-from station.lab.loads import ConstantLoad
+from station.lab.loads import ConstantLoad, NoLoad
 from station.loop import Task
 from station.motions import CircleMotion, HoldMotion, JointSweepMotion, Motion, Orders, SinusoidMotion
 from station.robots import load_robot
@@ -184,3 +184,15 @@ def test_old_telemetry_is_called_stale_and_a_restart_is_followed_until_closed() 
         viewed.view.close()
         assert not viewed.view._thread.is_alive()
         viewed.server.gui.add_markdown("the server is still its owner's")
+
+
+def test_a_simulated_robot_that_cannot_follow_its_stages_is_a_warning(viewed: Viewed) -> None:
+    viewed.make_ready()
+    before = viewed.supervisor.status().warnings
+    # More than may be asked for: no rod stands under it.
+    viewed.supervisor.pull(ConstantLoad.model_construct(magnitude=1e6))
+    try:
+        wait_for(lambda: any("cannot follow" in text for text in viewed.supervisor.status().warnings))
+    finally:
+        viewed.supervisor.pull(NoLoad())
+    wait_for(lambda: viewed.supervisor.status().warnings == before)

@@ -108,7 +108,7 @@ def test_an_interrupt_before_the_motion_leaves_no_rows_but_all_channels(a_case):
 
 
 def test_a_load_beyond_the_robots_reach_ends_the_run_with_a_cause(a_case, a_run):
-    recording = a_run(a_case("fig8", "regulation", duration=2.0, load=ConstantLoad(magnitude=1e6)))
+    recording = a_run(a_case("fig8", "regulation", duration=2.0, load=ConstantLoad.model_construct(magnitude=1e6)))
 
     assert not recording.completed
     assert "1000000" in recording.cause

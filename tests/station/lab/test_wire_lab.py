@@ -196,7 +196,7 @@ def test_stages_left_on_since_they_were_homed_need_no_homing(paper):
 def test_where_the_robot_cannot_stand_it_stays_and_the_lab_goes_on(paper):
     lab = WireLab(paper, CLEAR, 0, PARK)
     tip = lab.advance(0.002).tip
-    lab.pull(ConstantLoad(magnitude=1e6), 0.0)
+    lab.pull(ConstantLoad.model_construct(magnitude=1e6), 0.0)
     stuck = lab.advance(0.004)
 
     assert lab.trouble
