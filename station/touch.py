@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.calibration.contact import LEAST_FORCE, Contact, TipLoad, locate, tip_load
+from core.calibration.contact import LEAST_FORCE, Contact, TipLoad, locate, spans, tip_load
 from core.calibration.visits import Noise
 from core.robot import Array
 from core.statics import Statics
@@ -21,6 +21,7 @@ from station.telemetry import Channels
 FLOOR = Noise(force=5e-3, moment=0.2e-3)
 #: Of chi square with two degrees of freedom, 99 %: a place that explains the moment no better means more noise.
 EXPLAINED = 9.21
+UNEXPLAINED = "the moments fit no single place well: two contacts, or drift (tare again without load)"
 #: Fewer rows than this say nothing about their own noise.
 LEAST_ROWS = 20
 
@@ -54,6 +55,9 @@ def look(statics: Statics, channels: Channels, rows: Array) -> Touch | None:
         # The sensors have drifted since they were zeroed, say: both answers have to bear it.
         more = math.sqrt(touch.contact.statistic / 2.0)
         touch = _explain(statics, joints, load, tips, Noise(force=more * noise.force, moment=more * noise.moment))
+        contact = touch.contact
+        if contact is not None and not contact.located:
+            touch = touch._replace(contact=contact._replace(note=f"{UNEXPLAINED}: {spans(contact.intervals)}"))
     return touch
 
 

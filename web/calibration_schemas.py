@@ -23,7 +23,9 @@ class OfferOut(Strict):
     needs: str
     """what a person has to have at hand"""
     seconds: float
-    """of robot time at an effort of 1, persons' work included [s]"""
+    """of robot time with the usual poses and weights, persons' work included [s]"""
+    weight_seconds: float
+    """for each weight, included in `seconds` [s]"""
     scales: bool
     """an effort other than 1 means more or fewer poses"""
     weighs: bool

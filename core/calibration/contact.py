@@ -11,6 +11,7 @@ several: the geometry does not tell, and the answer says so. At the tip chi2 tel
 holds: three components of noise exceed `TIP_LOAD` once in a thousand.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -90,9 +91,13 @@ def locate(statics: Statics, joints: Array, load: Fused, noise: Noise) -> Contac
     total = sum(end - start for start, end in intervals)
     note = ""
     if total > LOCATED:
-        where = " or ".join(f"{1e3 * start:.0f} ... {1e3 * end:.0f} mm" for start, end in intervals)
-        note = f"the force acts too much along the shaft, or its line passes the shaft more than once: {where}"
+        note = f"the force acts along the shaft, or its line passes the shaft more than once: {spans(intervals)}"
     return Contact(place, search.point(place), intervals, least, total <= LOCATED, note)
+
+
+def spans(intervals: Sequence[tuple[float, float]]) -> str:
+    """Places (start, end) [m] along the shaft for a reader."""
+    return " or ".join(f"{1e3 * start:.0f} ... {1e3 * end:.0f} mm" for start, end in intervals)
 
 
 class _Search:

@@ -19,14 +19,20 @@ class Offer(NamedTuple):
     title: str
     sentence: str  #: when, and what happens
     needs: str  #: what a person has at hand; empty: nothing
-    seconds: float  #: of robot time at an effort of 1, persons' work included [s]
+    seconds: float  #: of robot time with the usual poses and weights, persons' work included [s]
+    weight_seconds: float  #: for each weight, included in that [s]
     scales: bool  #: takes more or fewer poses
-    weighs: bool  #: asks for known weights
     begin: Callable[[Subject, Effort], Procedure[Any]]
 
-    def expected(self, effort: float) -> float:
-        """How long it will take [s]."""
-        return self.seconds * effort if self.scales else self.seconds
+    @property
+    def weighs(self) -> bool:
+        """It asks for known weights."""
+        return self.weight_seconds > 0.0
+
+    def expected(self, effort: float, weights: int) -> float:
+        """How long it will take with so many weights [s]."""
+        seconds = self.seconds + self.weight_seconds * (weights - len(WEIGHTS))
+        return seconds * effort if self.scales else seconds
 
 
 #: By name, in the order in which a new bench goes through them.
@@ -34,27 +40,27 @@ OFFERS: Mapping[str, Offer] = {
     "axes": Offer(
         "Axes",
         "First on a new bench: each joint moves a little either way, and the tracker tells which way it really went.",
-        "", 87.0, False, False, lambda subject, _: commission.axes(subject),
+        "", 87.0, 0.0, False, lambda subject, _: commission.axes(subject),
     ),
     "latency": Offer(
         "Latency",
         "All joints swing for 16 s; the delay that makes the model meet the tracker is how late the tracker is.",
-        "", 22.0, False, False, lambda subject, _: commission.latency(subject),
+        "", 22.0, 0.0, False, lambda subject, _: commission.latency(subject),
     ),
     "tracker": Offer(
         "Tracker",
         "After the field generator or the coil was moved: where both are, from poses all over the workspace.",
-        "", 265.0, True, False, procedures.tracker,
+        "", 265.0, 0.0, True, procedures.tracker,
     ),
     "force": Offer(
         "Force sensors",
         "After a force sensor was mounted: how it stands and what hangs on it, checked by known weights.",
-        "known weights, and a way to hang them at the tip", 740.0, True, True, procedures.force,
+        "known weights, and a way to hang them at the tip", 740.0, 260.0, True, procedures.force,
     ),
     "tubes": Offer(
         "Tubes, tracker and sensors",
         "The whole: stiffness, curvature, lengths and zeros of the tubes, jointly with tracker, coil and sensors.",
-        "known weights, and a way to hang them at the tip", 1150.0, True, True, procedures.tubes,
+        "known weights, and a way to hang them at the tip", 1150.0, 410.0, True, procedures.tubes,
     ),
 }  # fmt: skip
 

@@ -66,6 +66,7 @@ class Course:
         self._controller = supervisor.bench.controlled(supervisor.bench.controller)
         self._answered, self._abort = threading.Event(), ""
         self._began, self._ended = time.monotonic(), 0.0
+        self._expected = OFFERS[job.what].expected(job.effort, len(job.weights))
         self._zero: float | None = None  # telemetry's time at the first visit [s]
         self._hung = 0.0  # at the tip, on a person's word [N]
         self._visits, self._trouble = 0, self._troubles()
@@ -78,7 +79,7 @@ class Course:
         if not now.on:
             return now._replace(elapsed=elapsed)
         # Not by the pace so far: it has persons' time in it.
-        return now._replace(elapsed=elapsed, left=OFFERS[now.what].expected(now.effort) * (1.0 - now.done))
+        return now._replace(elapsed=elapsed, left=self._expected * (1.0 - now.done))
 
     def done(self) -> None:
         """A person has done what was asked for.

@@ -81,6 +81,16 @@ def test_sensors_that_have_drifted_make_no_contact_of_a_weight_and_a_contact_les
     assert low <= 0.1 <= high
 
 
+def test_moments_that_fit_no_place_are_said_to_and_drift_is_named(recorded):
+    leaning = recorded('kind = "contact"\nmagnitude = 0.3\nplace = 0.1\ndirection = [0.0, 1.0, 0.3]')
+    rows = leaning.rows[-300:].copy()
+    leaning.channels.of(rows, "moment")[:] += [0.0, 0.00383, 0.00115]  # along the force: no place explains that
+    touch = look(Statics(load_robot("paper").robot()), leaning.channels, rows).contact
+    assert not touch.located
+    assert "tare again" in touch.note
+    assert "along the shaft" not in touch.note
+
+
 def test_too_few_rows_say_nothing(recorded):
     run = recorded('kind = "none"')
 

@@ -116,8 +116,13 @@ function procedure(offer) {
   effort.value = "1";
   const weights = make("input", { type: "text", value: known.weights.join(", "), required: true, "aria-label": "known weights [N]" });
   const long = make("span", { className: "wide" });
-  const tell = () => { long.textContent = about(offer.seconds * (offer.scales ? Number(effort.value) : 1)); };
+  const hung = () => weights.value.split(",").map(Number);
+  const tell = () => {
+    const seconds = offer.seconds + (offer.weighs ? offer.weight_seconds * (hung().length - known.weights.length) : 0);
+    long.textContent = about(seconds * (offer.scales ? Number(effort.value) : 1));
+  };
   effort.addEventListener("change", tell);
+  weights.addEventListener("input", tell);
   tell();
   starter = make("button", { type: "submit", className: "main" }, `Start: ${offer.title}`);
   why = make("span", { className: "small dim" });
@@ -135,7 +140,7 @@ function procedure(offer) {
       make("p", {}, "The tubes will move through their whole workspace, turn and slide, again and again. Is the way clear of everything?"), sure)) return;
     const wish = { what: offer.name, way_is_clear: true };
     if (offer.scales) wish.effort = Number(effort.value);
-    if (offer.weighs) wish.weights = weights.value.split(",").map(Number);
+    if (offer.weighs) wish.weights = hung();
     const answer = await press("POST", "/api/calibration/start", wish);
     if (answer !== null) { course = answer.course; show(); }
   });
