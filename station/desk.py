@@ -9,7 +9,7 @@ from pydantic import Field
 
 from core.errors import CtrError
 from station.config import Strict, preset_names
-from station.experiments.experiment import BEST, ControllerFile, load_experiment
+from station.experiments.experiment import BEST, ControllerFile, offered
 from station.lab.loads import Load, NoLoad
 from station.motions import HoldMotion, Orders, TipMotion
 from station.states import State
@@ -101,7 +101,7 @@ class Desk:
         """
         if name not in preset_names("experiments"):
             raise DeskError(f"'{name}' is not one of the experiments: {', '.join(preset_names('experiments'))}")
-        experiment = load_experiment(name)
+        experiment = offered(name)
         chosen = experiment.cases[0] if case is None else next((c for c in experiment.cases if c.name == case), None)
         if chosen is None:
             raise DeskError(

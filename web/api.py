@@ -3,7 +3,6 @@
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response, WebSocket, Web
 from core.robot import Array
 from station.config import preset_names
 from station.desk import Desk
-from station.experiments.experiment import ControllerFile, Experiment, load_experiment, start_pose
+from station.experiments.experiment import ControllerFile, Experiment, offered, start_pose
 from station.solve import model_answer
 from station.states import State
 from web.commands import Commands, aside
@@ -54,7 +53,6 @@ def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor, felt: Cal
     router = APIRouter(prefix="/api", responses={422: REFUSED[422]}, dependencies=[Depends(of.heard)])
     supervisor = desk.supervisor
     operator = [Depends(of.needed)]
-    experiment = cache(load_experiment)
 
     @router.get("/status", summary="Everything at one look")
     def status(request: Request) -> StatusOut:
@@ -107,7 +105,7 @@ def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor, felt: Cal
 
     @router.get("/experiments", summary="Experiments that come with the station")
     def experiments() -> list[ExperimentOut]:
-        return [experiment_out(experiment(name)) for name in preset_names("experiments")]
+        return [experiment_out(offered(name)) for name in preset_names("experiments")]
 
     @router.get(
         "/experiments/{name}/picture.svg",
@@ -117,7 +115,7 @@ def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor, felt: Cal
     def experiment_picture(name: str) -> Response:
         if name not in preset_names("experiments"):
             return Response(status_code=404)
-        return Response(picture(experiment(name).cases[0]), media_type="image/svg+xml")
+        return Response(picture(offered(name).cases[0]), media_type="image/svg+xml")
 
     @router.post("/model/solve", responses=REFUSED, summary="Ask the loaded model")
     def solve(request: SolveIn) -> SolveOut:

@@ -1,6 +1,7 @@
 """Experiments as TOML files: a start pose, a motion, a load, a controller, and cases that vary them."""
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -17,7 +18,19 @@ from core.robot import Array
 from core.statics import PAPER_SUBLINK, Statics
 from core.step import Controller
 from station.calibration.files import Calibration
-from station.config import ConfigError, Name, NotNegative, Row, Strict, check, merged, on_line, preset, read_toml
+from station.config import (
+    PRESETS,
+    ConfigError,
+    Name,
+    NotNegative,
+    Row,
+    Strict,
+    check,
+    merged,
+    on_line,
+    preset,
+    read_toml,
+)
 from station.devices.aurora_tracker import Registration
 from station.lab.config import LabConfig, load_lab
 from station.lab.faults import LabFault, check_faults
@@ -161,6 +174,20 @@ def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Expe
     if unknown := [case for case in paper if case not in variations]:
         raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
     return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, path.read_text(encoding="utf-8"))
+
+
+_shipped = cache(load_experiment)
+
+
+def offered(name: str) -> Experiment:
+    """A preset or one's own, for a station that runs: what comes with the station is tried on the model only once.
+
+    One's own is read anew each time: it may have been edited meanwhile.
+
+    Raises:
+        ConfigError: as `load_experiment`.
+    """
+    return _shipped(name) if preset("experiments", name).is_relative_to(PRESETS) else load_experiment(name)
 
 
 def _case(path: Path, name: str, table: Mapping[str, Any], document: Mapping[str, Any]) -> Case:

@@ -8,8 +8,8 @@ import pytest
 
 from core.controllers import PositionMode, VelocityMode, loaded, type_1, type_2, unloaded
 from core.trajectories import JointMotion, Setpoint
-from station.config import ConfigError, preset_names
-from station.experiments.experiment import Case, load_experiment
+from station.config import OWN_EXPERIMENTS, ConfigError, preset_names
+from station.experiments.experiment import Case, load_experiment, offered
 from station.lab.config import LabConfig
 
 #: name: duration [s], settling [s], cases
@@ -21,6 +21,15 @@ AGREED = {
     "fig8": (60.0, 2.0, ["regulation", "lift_and_drop", "type_1", "type_1_exact", "type_2", "regulation_distorted"]),
     "fig10": (200.0, 20.0, ["paper", "feedforward", "paper_distorted"]),
 }
+
+
+OWN = """
+title = "TITLE"
+start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
+duration = 1.0
+[trajectory]
+kind = "hold"
+"""
 
 
 def a_case(experiment: str, name: str) -> Case:
@@ -344,3 +353,16 @@ def test_changes_are_laid_on_top_of_every_case(write, short):
     assert (one.file.duration, two.file.duration) == (0.5, 0.5)
     assert (one.file.controller.k1, one.file.controller.k2) == (1.0, 2.5)
     assert (two.file.controller.k1, two.file.controller.k2) == (1.0, 4.0)
+
+
+def test_an_own_experiment_that_was_edited_is_offered_as_it_is_now(tmp_path, monkeypatch):
+    monkeypatch.setenv(OWN_EXPERIMENTS, str(tmp_path))
+    text = OWN.replace("TITLE", "first")
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    assert offered("own").title == "first"
+    (tmp_path / "own.toml").write_text(text.replace("first", "second"), encoding="utf-8")
+    assert offered("own").title == "second"
+    assert offered("fig7") is offered("fig7")
+    # One's own goes before the station's, whether that has been asked for or not.
+    (tmp_path / "fig7.toml").write_text(text.replace("first", "mine"), encoding="utf-8")
+    assert offered("fig7").title == "mine"
