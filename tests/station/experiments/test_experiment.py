@@ -27,6 +27,7 @@ OWN = """
 title = "TITLE"
 start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
 duration = 1.0
+settling = 0.0
 [trajectory]
 kind = "hold"
 """
