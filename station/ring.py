@@ -57,6 +57,7 @@ class Ring:
         self.late: NDArray[np.int64] = view(BINS, np.int64)
         self.busy: NDArray[np.int64] = view(BINS, np.int64)
         self._rows: Array = view(ROWS * width, np.float64).reshape(ROWS, width)
+        self._told: Truth | None = None
 
     def write(self, row: Array) -> None:
         """Add a row; only the one writer may."""
@@ -73,12 +74,12 @@ class Ring:
         cells[0] += 1.0
 
     def truth(self) -> Truth | None:
-        """What the virtual lab told last; None without one, or while it is just telling."""
+        """What the virtual lab told last; None without one."""
         before = self._truth[0]
         values = self._truth.copy()
-        if before == 0.0 or before % 2.0 or values[0] != before or self._truth[0] != before:
-            return None
-        return Truth(values[1:4], values[4:7])
+        if before and not before % 2.0 and values[0] == before and self._truth[0] == before:
+            self._told = Truth(values[1:4], values[4:7])
+        return self._told  # what it told before, while it is just telling: a loop does not wait for it
 
     def time_late(self, late: float, skipped: int) -> None:
         """Count how late a tick begins [s] and how many whole periods that skips."""

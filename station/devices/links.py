@@ -130,9 +130,14 @@ def _open(url: str, baud: int) -> tuple[PortLock, Any]:
     except PortTaken as error:
         raise LinkError(str(error)) from None
     try:
-        return lock, cast(Any, serial).serial_for_url(
+        port = cast(Any, serial).serial_for_url(
             url, baudrate=baud, timeout=0.0, write_timeout=0.0, **({} if "://" in url else {"exclusive": True})
         )
+        inner = getattr(port, "_socket", None)
+        if isinstance(inner, socket.socket):
+            # Or a message waits up to 40 ms for the other side to have confirmed the one before it.
+            inner.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return lock, port
     except (serial.SerialException, OSError, ValueError) as error:
         lock.release()
         raise LinkError(f"{url} cannot be opened: {error}; is it plugged in, and free?") from None

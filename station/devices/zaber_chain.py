@@ -9,6 +9,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from station.devices.zaber import (
     ACCELERATION_UNIT,
@@ -23,6 +24,7 @@ from station.devices.zaber import (
     Status,
     encode,
 )
+from station.devices.zaber_backlog import Backlog
 from station.devices.zaber_dialogue import Answer, Ask, Astray, Complaint, Happening, Lost, ResetDone
 from station.devices.zaber_estimate import ASTRAY, Estimate
 from station.devices.zaber_shifts import IGNORED, sayable
@@ -79,6 +81,16 @@ class Counts:
     missed: int = 0
 
 
+class _Waited(NamedTuple):
+    """A reply that should come."""
+
+    deadline: float  #: [s]
+    axis: int
+    poll: bool
+    due: float = 0.0  #: when its last byte is expected [s]
+    idle: bool = True  #: its request found the line idle
+
+
 class Chain:
     """The units on one line."""
 
@@ -105,7 +117,8 @@ class Chain:
         self._urgent: deque[tuple[int, int]] = deque()  # axis (-1: all), command
         self._ask: Ask | None = None
         self._asked = False
-        self._pending: dict[tuple[int, int], tuple[float, int, bool]] = {}  # deadline, axis, is a poll
+        self._pending: dict[tuple[int, int], _Waited] = {}
+        self._backlog = Backlog()
         self._turn = self._poll_turn = 0
         self._since_poll = 0
         self._free = self._quiet = self._looked = self._cried = -math.inf
@@ -139,7 +152,7 @@ class Chain:
     def cancel(self) -> None:
         """Wait for no answer any more."""
         self._ask = None
-        self._pending = {key: waited for key, waited in self._pending.items() if waited[2]}
+        self._pending = {key: waited for key, waited in self._pending.items() if waited.poll}
 
     # Bytes and time in
 
@@ -150,7 +163,7 @@ class Chain:
         happenings: list[Happening] = []
         if data:
             for message in self.parser.feed(data, now, self._looked):
-                self._take(message, happenings)
+                self._take(message, happenings, now)
         self._looked = now
         if self._ask is not None and self._asked and self._ask.reply is None:
             self._ask = None
@@ -158,11 +171,11 @@ class Chain:
         while self._pending:
             # They wait in the order of their deadlines.
             key = next(iter(self._pending))
-            deadline, axis, poll = self._pending[key]
-            if deadline >= now:
+            waited = self._pending[key]
+            if waited.deadline >= now:
                 break
             del self._pending[key]
-            self._miss(axis, poll, happenings, now)
+            self._miss(waited.axis, waited.poll, happenings, now)
         return happenings
 
     # Bytes out
@@ -205,7 +218,7 @@ class Chain:
             if (device, ask.reply) not in self._pending:
                 self._asked = True
                 if ask.reply is not None:
-                    self._pending[device, ask.reply] = (now + self.line.deadline, ask.axis, False)
+                    self._pending[device, ask.reply] = _Waited(now + self.line.deadline, ask.axis, poll=False)
                 # Its data may read as anything to a unit that has lost the frame: in a pause it finds it again.
                 self._quiet = max(self._free, now) + MESSAGE_TIME + 1.25 * GAP
                 return Message(device, ask.command, ask.data)
@@ -262,10 +275,12 @@ class Chain:
             if (device, Command.POSITION) in self._pending or (device, Command.STATUS) in self._pending:
                 continue
             self._poll_turn = i if self.estimates[i].doubtful else i + 1
-            self._pending[device, command] = (now + self.line.deadline, i, True)
+            read = max(self._free, now) + MESSAGE_TIME + self.line.processing
+            deadline = now + self.line.deadline
+            self._pending[device, command] = _Waited(deadline, i, True, read + MESSAGE_TIME, self._free < now)
             self.counts[i].polls += 1
             if not status:
-                self.estimates[i].expect(max(self._free, now) + MESSAGE_TIME + self.line.processing)
+                self.estimates[i].expect(read)
             return Message(self._address(i), command, IGNORED)
         return None
 
@@ -280,7 +295,7 @@ class Chain:
             return data in ERRORS or 4000 <= data <= 4031
         return command in UNSOLICITED and -MOST_POSITION <= data <= MOST_POSITION
 
-    def _take(self, message: Message, happenings: list[Happening]) -> None:
+    def _take(self, message: Message, happenings: list[Happening], now: float) -> None:
         device, command, data = message
         axis, ask = self._index[device], self._ask
         waited = self._pending.get((device, command))
@@ -293,12 +308,15 @@ class Chain:
                 else:
                     happenings.append(Complaint(axis, data))
             return
-        if waited[2] and command == Command.STATUS and data not in STATUSES:
+        if waited.poll and command == Command.STATUS and data not in STATUSES:
             self.counts[axis].rejected += 1
             return  # the deadline goes on
         del self._pending[device, command]
         self._misses[axis] = 0
-        if not waited[2]:
+        if waited.poll:
+            # The line is free so much later than it was believed to be.
+            self._free += self._backlog.heard(now - waited.due, waited.idle)
+        if not waited.poll:
             self._ask = None
             happenings.append(Answer(data))
         elif command == Command.STATUS:

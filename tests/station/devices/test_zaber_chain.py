@@ -28,6 +28,16 @@ class Host:
         self.status = 0
         self._back: list[tuple[float, bytes]] = []
         self._line_free = 0.0
+        self.message_time = MESSAGE_TIME  #: as the line really takes it [s]
+
+    @property
+    def behind(self) -> float:
+        """How much longer the line has to carry what the host thinks is through [s]."""
+        return max(0.0, self._line_free - max(self.chain._free, self.now))
+
+    def held_up(self, seconds: float) -> None:
+        """For so long nothing goes out of an adapter."""
+        self._line_free = max(self._line_free, self.now) + seconds
 
     def run(self, seconds: float, each=None) -> None:
         for _ in range(round(seconds / TICK)):
@@ -40,7 +50,7 @@ class Host:
             if data:
                 message = decode(data)
                 self.sent.append((self.now, message))
-                self._line_free = max(self._line_free, self.now) + MESSAGE_TIME
+                self._line_free = max(self._line_free, self.now) + self.message_time
                 self._reply(message)
             self.now += TICK
 
