@@ -7,17 +7,21 @@ that the machine was stolen meanwhile. With `fifo = false` in the file: without 
 
 import argparse
 import json
+import os
 import sys
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from playwright.sync_api import sync_playwright
 
 from station.commands.bench_loop import figures, stolen
+from station.commands.witness import Witness
 from station.control_process import ring_width
 from station.ring import Ring
 from station.robots import load_robot
 from tests.browser.conftest import CHROMIUM, FLAGS, SIZE
-from tests.serving import serving, shared_memory
+from tests.serving import Served, serving, shared_memory
 
 MOTION = {
     "trajectory": {"kind": "circle", "radius": 0.010, "period": 20.0},
@@ -27,16 +31,25 @@ MOTION = {
 DRAWN, MOVING = 10.0, 5.0
 
 
+@contextmanager
+def _served(arguments: Sequence[str]) -> Iterator[tuple[Served, str]]:
+    """A station and the name of its shared memory."""
+    others = shared_memory()
+    with serving(*arguments) as station:
+        yield station, (shared_memory() - others).pop()
+
+
 def main() -> None:
     """Print the loop's timing as JSON."""
     parser = argparse.ArgumentParser(prog="python -m tests.loop_with_panel")
     parser.add_argument("seconds", type=float, nargs="?", default=60.0)
     parser.add_argument("--config", help="station file of the paper's robot")
     parsed = parser.parse_args()
-    others = shared_memory()
-    with serving(*(("--config", parsed.config) if parsed.config else ())) as station, sync_playwright() as playwright:
+    core = max(os.sched_getaffinity(0))
+    arguments = ("--config", parsed.config) if parsed.config else ()
+    with Witness(core) as witness, sync_playwright() as playwright, _served(arguments) as (station, ring_name):
         station.ready()
-        ring = Ring(ring_width(load_robot("paper")), (shared_memory() - others).pop())
+        ring = Ring(ring_width(load_robot("paper")), ring_name)
         page = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS).new_page(viewport=SIZE)
         page.goto(station.url)
         time.sleep(DRAWN)
@@ -44,9 +57,10 @@ def main() -> None:
         assert started.status_code == 202, started.text
         time.sleep(MOVING)
         ring.clear_timing()
+        witness.clear()
         before = stolen()
         time.sleep(parsed.seconds)
-        result = figures(ring, parsed.seconds, stolen() - before)
+        result = {**figures(ring, parsed.seconds, stolen() - before), "computer": witness.figures()}
         status = station.status()
         assert status["state"] == "RUNNING", status["cause"]
         station.post("/api/stop")

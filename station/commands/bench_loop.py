@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from core.errors import CtrError
+from station.commands.witness import Witness
 from station.desk import Desk
 from station.experiments.experiment import PERIOD
 from station.lab.loads import RaisedCosineLoad
@@ -22,16 +23,21 @@ from station.supervisor import Supervisor
 def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True) -> dict[str, Any]:
     """Run a circle under load in the virtual lab for `seconds`, recorded as any run is, and count.
 
+    `computer` are the same counts of a timer with nothing to do on the loop's processor: what the loop cannot be
+    better than.
+
     Raises:
         CtrError: the control process failed meanwhile.
     """
-    bench = replace(load_station(None).bench(), fifo=fifo, core=leave_a_core())
-    with tempfile.TemporaryDirectory(prefix="ctr-bench-") as folder:
+    core = leave_a_core()
+    bench = replace(load_station(None).bench(), fifo=fifo, core=core)
+    with tempfile.TemporaryDirectory(prefix="ctr-bench-") as folder, Witness(core) as witness:
         supervisor = Supervisor(bench, Path(folder))
         try:
             supervisor.wait_ready(120.0)
             steal = stolen()
             supervisor.ring.clear_timing()
+            witness.clear()
             Desk(supervisor).start_motion(
                 CircleMotion(radius=0.010, period=20.0),
                 load=RaisedCosineLoad(peak=0.3, period=15.0),
@@ -44,7 +50,7 @@ def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True
                 status = supervisor.status()
                 if status.state is not State.RUNNING:
                     raise CtrError(f"the loop went to {status.state.name}: {status.cause}")
-            result = figures(supervisor.ring, seconds, stolen() - steal)
+            result = {**figures(supervisor.ring, seconds, stolen() - steal), "computer": witness.figures()}
         finally:
             supervisor.close()
     return result
