@@ -5,11 +5,16 @@ import os
 import platform
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
+from station.commands.witness import Witness
 from station.realtime import ask_for_fifo, may_lock_memory
+
+#: A timer is watched for so long, once it has started [s].
+WATCHED, STARTS = 3.0, 20.0
 
 
 class Finding(NamedTuple):
@@ -29,6 +34,7 @@ def findings() -> Iterator[Finding]:
         "only one: control and browser will disturb each other",
     )  # fmt: skip
     yield _scheduling()
+    yield _punctuality()
     yield _memory()
     yield _shared_memory()
     yield _serial_ports()
@@ -64,6 +70,25 @@ def _scheduling() -> Finding:
 
 def _try_fifo(send: Connection) -> None:
     send.send(ask_for_fifo())
+
+
+def _punctuality() -> Finding:
+    """A timer with nothing to do: the loop cannot be more punctual."""
+    with Witness(None) as witness:
+        deadline = time.monotonic() + STARTS
+        while not witness.figures()["ticks"] and time.monotonic() < deadline:
+            time.sleep(0.05)
+        witness.clear()
+        time.sleep(WATCHED)
+        seen = witness.figures()
+    late = seen["late_us"]
+    text = (
+        f"a timer that does nothing woke {late['p50']:.0f} us late (median), {1e-3 * late['max']:.2g} ms at most, and"
+        f" {seen['a_period_late']} of {seen['ticks']} times by 2 ms or more"
+    )
+    if not seen["a_period_late"]:
+        return Finding("timer", bool(seen["ticks"]), text)
+    return Finding("timer", False, f"{text}: the loop cannot be better; use a computer that is not shared with others")
 
 
 def _memory() -> Finding:
