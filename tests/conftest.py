@@ -19,10 +19,14 @@ from tests.serving import Served, serving
 
 #: Real processes, real browsers and real time: on a busy computer they get a second try.
 REAL = (
-    "browser", "web", "station/commands/test_soak.py", "station/test_client.py", "station/test_own_bench.py",
+    *(f"browser/test_{name}.py" for name in (
+        "calibrate", "cut", "header", "keyboard", "page", "people", "pictures", "tabs",
+    )),
+    *(f"web/test_{name}.py" for name in ("access", "api", "calibration_api", "kills", "operator", "scene", "serve")),
+    "station/commands/test_soak.py", "station/test_client.py", "station/test_own_bench.py",
     "station/calibration/test_live.py",
     *(f"faults/test_{name}.py" for name in (
-        "bad_configuration", "bad_request", "browser_closed", "control_killed", "cross_site", "disk_full", "overrun",
+        "bad_request", "browser_closed", "control_killed", "cross_site", "disk_full", "overrun",
         "station_killed", "two_operators",
     )),
 )  # fmt: skip
@@ -43,6 +47,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.slow)
         if any(item.path.is_relative_to(here / name) for name in REAL):
             item.add_marker(pytest.mark.real)
+        if item.get_closest_marker("real") or item.path.parent == here / "browser":
             item.add_marker(pytest.mark.flaky(reruns=2))
 
 

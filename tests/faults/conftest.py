@@ -1,6 +1,6 @@
-"""What the tests of faults share: a bench in virtual time, and a real station."""
+"""What the tests of faults share: a bench in virtual time."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -8,7 +8,6 @@ import pytest
 from station.experiments.experiment import Case
 from station.robots import RobotFile, load_robot
 from tests.faults.virtual import VirtualStation, usual_case
-from tests.serving import Served, serving
 
 
 @pytest.fixture(scope="session")
@@ -20,13 +19,6 @@ def case() -> Case:
 def virtual(case: Case) -> VirtualStation:
     """Not READY yet."""
     return VirtualStation(case)
-
-
-@pytest.fixture(scope="package")
-def running() -> Iterator[Served]:
-    """One for all of them: each module asks it little."""
-    with serving() as served:
-        yield served
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import psutil
+import pytest
 from websockets.sync.client import connect
 
 from tests.serving import serving, shared_memory
@@ -75,6 +76,7 @@ def test_the_control_process_ends_when_the_station_process_is_killed() -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_a_killed_control_process_is_a_fault_at_once_and_a_reset_starts_a_new_one() -> None:
     with serving() as station:
         killed = station.control_process()

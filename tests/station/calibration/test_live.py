@@ -76,6 +76,7 @@ def moving(live: LiveCalibration) -> None:
     until(lambda: live.supervisor.status().state is State.RUNNING, 60.0)
 
 
+@pytest.mark.slow
 def test_the_latency_that_nobody_told_is_found_and_written_down(live):
     ring, channels = live.supervisor.ring, live.supervisor.channels
     live.start("latency")
