@@ -9,13 +9,16 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from core.robot import Array
-from station.config import Direction, NotNegative, Positive, Row, Strict
+from station.config import Direction, NotNegative, Row, Strict
 
 GRAVITY = (1.0, 0.0, 0.0)
 #: The base sensors saturate at 18 N; nothing that a millimetre of nitinol is asked to bear comes near it [N].
 MOST = 20.0
 Force = Annotated[float, Field(ge=0.0, le=MOST)]
 SignedForce = Annotated[float, Field(ge=-MOST, le=MOST)]
+#: Beyond these nothing is left of a number in the formulas below.
+Frequency = Annotated[float, Field(ge=1e-3, le=100.0)]
+Time = Annotated[float, Field(ge=0.01, le=1e5)]
 
 
 @lru_cache(maxsize=64)
@@ -67,7 +70,7 @@ class SineLoad(_Directed):
     kind: Literal["sine"] = "sine"
     amplitude: Force
     """[N]"""
-    frequency: Positive
+    frequency: Frequency
     """[Hz]"""
 
     def force(self, time: float) -> Array:
@@ -81,7 +84,7 @@ class RaisedCosineLoad(_Directed):
     kind: Literal["raised_cosine"] = "raised_cosine"
     peak: Force
     """[N]"""
-    period: Positive
+    period: Time
     """[s]"""
 
     def force(self, time: float) -> Array:
@@ -126,11 +129,11 @@ class HungWeightLoad(_Directed):
     kind: Literal["hung_weight"] = "hung_weight"
     weight: Force
     """[N]"""
-    lowering: Positive = 2.0
+    lowering: Time = 2.0
     """time in which the hand lets go [s]"""
-    frequency: Positive = 2.0
+    frequency: Frequency = 2.0
     """of the weight on the band [Hz]"""
-    damping: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05
+    damping: Annotated[float, Field(ge=1e-3, le=0.999)] = 0.05
     """part of the critical one"""
 
     def force(self, time: float) -> Array:

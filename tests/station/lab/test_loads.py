@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
 from station.config import ConfigError, Strict, check
-from station.lab.loads import HungWeightLoad, Load
+from station.lab.loads import ConstantLoad, HungWeightLoad, Load, RaisedCosineLoad, SineLoad
 
 
 class Holder(Strict):
@@ -95,3 +96,33 @@ def test_a_weight_on_a_rubber_band_swings_at_its_frequency_and_dies_out() -> Non
     assert np.ptp(forces[times > 1.5]) > 0.01
     assert load.force(-1.0).tolist() == [0.0, 0.0, 0.0]
     assert abs(load.force(60.0)[0] - 0.2) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        (HungWeightLoad, {"weight": 0.2, "frequency": 1e-200}),
+        (HungWeightLoad, {"weight": 0.2, "frequency": 1e200}),
+        (HungWeightLoad, {"weight": 0.2, "lowering": 1e-300}),
+        (SineLoad, {"amplitude": 0.2, "frequency": 1e308}),
+        (RaisedCosineLoad, {"peak": 0.2, "period": 1e-308}),
+        (ConstantLoad, {"magnitude": 20.1}),
+    ],
+)
+def test_what_no_formula_bears_is_refused(kind, values):
+    with pytest.raises(ValidationError):
+        kind(**values)
+
+
+@pytest.mark.parametrize("edge", ["lowest", "highest"])
+def test_at_the_bounds_every_load_is_a_number(edge):
+    low = edge == "lowest"
+    frequency, time, damping = (1e-3, 0.01, 1e-3) if low else (100.0, 1e5, 0.999)
+    loads = (
+        HungWeightLoad(weight=20.0, frequency=frequency, lowering=time, damping=damping),
+        SineLoad(amplitude=20.0, frequency=frequency),
+        RaisedCosineLoad(peak=20.0, period=time),
+    )
+    for load in loads:
+        for moment in (0.0, 0.005, 1.0, 86400.0):
+            assert np.isfinite(load.force(moment)).all()
