@@ -11,7 +11,7 @@ import time
 from typing import Any, Self
 
 from station.experiments.experiment import PERIOD
-from station.realtime import ask_for_fifo, calm_memory, keep_to, lock_memory, show_as
+from station.realtime import ask_for_fifo, be_punctual, show_as
 from station.ring import SCHEDULER, Ring
 
 #: Above the control loop and all that belongs to it.
@@ -58,11 +58,8 @@ def _watch(ring_name: str, core: int | None, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who asked decides when it ends
     show_as("ctr-witness")
     ring = Ring(1, ring_name)
-    if core is not None:
-        keep_to({core})
-    lock_memory()
+    be_punctual(fifo=False, core=core)
     ring.counters[SCHEDULER] = ask_for_fifo(PRIORITY)
-    calm_memory()
     begun, tick = time.monotonic(), 0
     while tick % LOOK or os.getppid() == parent:  # ticks that are skipped put the look off
         due = begun + tick * PERIOD

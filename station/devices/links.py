@@ -116,11 +116,17 @@ class SerialLink:
     def close(self) -> None:
         """Let go of the port."""
         # pyserial forgets the socket of a socket:// port whose peer has left first.
-        inner = getattr(self._port, "_socket", None)
+        inner = _socket_of(self._port)
         self._port.close()
-        if isinstance(inner, socket.socket):
+        if inner is not None:
             inner.close()
         self._lock.release()
+
+
+def _socket_of(port: Any) -> socket.socket | None:
+    """What is behind a socket:// port of pyserial."""
+    inner = getattr(port, "_socket", None)
+    return inner if isinstance(inner, socket.socket) else None
 
 
 def _open(url: str, baud: int) -> tuple[PortLock, Any]:
@@ -133,8 +139,8 @@ def _open(url: str, baud: int) -> tuple[PortLock, Any]:
         port = cast(Any, serial).serial_for_url(
             url, baudrate=baud, timeout=0.0, write_timeout=0.0, **({} if "://" in url else {"exclusive": True})
         )
-        inner = getattr(port, "_socket", None)
-        if isinstance(inner, socket.socket):
+        inner = _socket_of(port)
+        if inner is not None:
             # Or a message waits up to 40 ms for the other side to have confirmed the one before it.
             inner.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return lock, port

@@ -71,3 +71,12 @@ def test_a_line_by_tcp_is_reopened_when_its_host_is_back():
     finally:
         link.close()
         server.close()
+
+
+def test_a_line_over_tcp_sends_each_message_at_once() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = SerialLink(f"socket://127.0.0.1:{server.getsockname()[1]}", 9600)
+        try:
+            assert link._port._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        finally:
+            link.close()

@@ -23,16 +23,6 @@ AGREED = {
 }
 
 
-OWN = """
-title = "TITLE"
-start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
-duration = 1.0
-settling = 0.0
-[trajectory]
-kind = "hold"
-"""
-
-
 def a_case(experiment: str, name: str) -> Case:
     return next(case for case in load_experiment(experiment).cases if case.name == name)
 
@@ -356,9 +346,9 @@ def test_changes_are_laid_on_top_of_every_case(write, short):
     assert (two.file.controller.k1, two.file.controller.k2) == (1.0, 4.0)
 
 
-def test_an_own_experiment_that_was_edited_is_offered_as_it_is_now(tmp_path, monkeypatch):
+def test_an_own_experiment_that_was_edited_is_offered_as_it_is_now(short, tmp_path, monkeypatch):
     monkeypatch.setenv(OWN_EXPERIMENTS, str(tmp_path))
-    text = OWN.replace("TITLE", "first")
+    text = short.replace('"short"', '"first"')
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
     assert offered("own").title == "first"
     (tmp_path / "own.toml").write_text(text.replace("first", "second"), encoding="utf-8")
