@@ -42,6 +42,10 @@ class Trajectory(Protocol):
         ...
 
 
+#: Between two waypoints [s].
+CLOSEST = 1e-3
+
+
 @dataclass(frozen=True)
 class Hold:
     """Stay at the start tip (regulation)."""
@@ -208,6 +212,12 @@ class Waypoints:
         for before, after in zip(self.times, self.times[1:], strict=False):
             if not after > before:
                 raise DescriptionError(f"waypoints: time {after:g} s does not come after {before:g} s")
+        for before, after in zip((0.0, *self.times), self.times, strict=False):
+            # Nearer ones overflow the spline's coefficients, and nothing compares with what is no number.
+            if 0.0 < after - before < CLOSEST:
+                raise DescriptionError(
+                    f"waypoints: {after:g} s is less than {1e3 * CLOSEST:g} ms after {before:g} s; give it more time"
+                )
         self._check_limits()
 
     @property

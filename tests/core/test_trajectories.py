@@ -166,6 +166,8 @@ def test_a_circle_keeps_its_radius_its_plane_and_its_speed_and_turns_once_about_
         (lambda: Step((0.0, 0.0, 0.0), 0.0), "step: stay 0 s must be"),
         (lambda: Waypoints((), ()), "waypoints: 0 times and 0 places"),
         (lambda: Waypoints((1.0, 2.0), ((0.0, 0.0, 0.0),)), "waypoints: 2 times and 1 places"),
+        (lambda: Waypoints((1e-308,), ((0.0, 0.01, 0.0),)), "waypoints: 1e-308 s is less than 1 ms after 0 s"),
+        (lambda: Waypoints((1.0, 1.0000001), ((0.0, 0.01, 0.0),) * 2), "waypoints: 1 s is less than 1 ms after 1 s"),
         (lambda: Waypoints((1.0, 1.0), ((0.0, 0.0, 0.0),) * 2), "waypoints: time 1 s does not come after 1 s"),
         (lambda: Waypoints((0.0,), ((0.01, 0.0, 0.0),)), "give it a time above 0 s for the way there"),
         (lambda: Waypoints((1.0,), ((math.nan, 0.0, 0.0),)), "waypoints: number 1 at 1.0 s, (nan, 0.0, 0.0) m"),
