@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from core.compiled import compiled
+from core.estimation import VELOCITY
 from core.robot import Array, Robot
 from core.step import Tick
 from station.devices.interfaces import JointReading, TipReading, Truth, WrenchReading
@@ -30,7 +32,7 @@ class Channels:
     def __init__(self, robot: Robot) -> None:
         self.all: tuple[Channel, ...] = tuple(_channels(robot))
         self._at: dict[str, slice] = {}
-        self._scalars, self._true = np.zeros(12), np.zeros(6)  # of the row that is being made
+        self._width = len(self.all)
         names = [channel.name for channel in self.all]
         groups = [name.rsplit(".", 1)[0] for name in names]
         for group in dict.fromkeys(groups):
@@ -66,24 +68,17 @@ class Channels:
         the severities of what is wrong with stages, tracker and force sensors, 0 where nothing is.
         """
         memory, now = tick.memory, tick.memory.estimate
-        scalars, true, numbers, where = self._scalars, self._true, now.numbers, now.places
-        new, frame_time = (0.0, 0.0) if frame is None else (1.0, frame.time)
-        scalars[:] = (
-            time, state, new, frame_time, now.loaded.numbers[-1], now.unloaded.numbers[-1],
-            numbers[where.place], now.loaded.numbers[-3], *troubles, truth is not None,
+        where = now.places
+        known, new = truth is not None, frame is not None
+        true_tip, true_force = truth if truth is not None else _UNKNOWN
+        row = np.empty(self._width)
+        _fill(
+            row, time, int(state), new, frame.time if frame is not None else 0.0, *troubles, known, true_tip, true_force,
+            joints.positions, tick.command, joints.sent, wrenches.wrenches, tick.load.force, tick.load.moment,
+            memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
+            tick.u_int, tick.sigma, tick.at_bound, now.numbers, where.vectors, where.state, where.sent, where.tips,
         )  # fmt: skip
-        if truth is None:
-            true[:] = 0.0
-        else:
-            true[:3], true[3:] = truth.tip, truth.force
-        # One call for all: an assignment for each would take longer than the model.
-        return np.concatenate((
-            scalars, true,
-            joints.positions, tick.command, joints.sent, wrenches.wrenches.ravel(),
-            tick.load.force, tick.load.moment,
-            memory.tip, now.loaded.numbers[:3], now.unloaded.numbers[:3], memory.origin + tick.setpoint.position,
-            tick.u_int, tick.delta, tick.sigma, tick.at_bound, now.tip, numbers[: where.state],
-        ))  # fmt: skip
+        return row
 
     def held(
         self,
@@ -107,6 +102,50 @@ class Channels:
         self.of(row, "tip_new")[:] = 0.0
         self.of(row, "trouble")[:] = troubles
         return row
+
+
+_UNKNOWN = Truth(np.zeros(3), np.zeros(3))
+
+
+@compiled
+def _fill(
+    row: Array, time: float, state: int, new: bool, frame_time: float,
+    stages: int, tracker: int, sensors: int, known: bool, true_tip: Array, true_force: Array,
+    positions: Array, command: Array, sent: Array, wrenches: Array, force: Array, moment: Array,
+    tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
+    u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
+    bias: int, bias_end: int, tips: int, tips_end: int,
+) -> None:  # fmt: skip
+    """One row in the order of `_channels`; a call of numpy for each part would take longer than the model."""
+    row[0], row[1], row[2], row[3] = time, state, new, frame_time
+    row[4], row[5], row[6], row[7] = loaded[-1], unloaded[-1], estimate[tips_end + 1], loaded[-3]
+    row[8], row[9], row[10], row[11] = stages, tracker, sensors, known
+    newest = tips + 3 * int(estimate[tips_end])
+    at = _put(row, 12, true_tip, 3)
+    at = _put(row, at, true_force, 3)
+    for part in (positions, command, sent):
+        at = _put(row, at, part, part.shape[0])
+    for i in range(wrenches.shape[0]):
+        at = _put(row, at, wrenches[i], 6)
+    for part in (force, moment, tip, loaded, unloaded):
+        at = _put(row, at, part, 3)
+    for k in range(3):
+        row[at + k] = origin[k] + setpoint[k]
+        row[at + 3 + k] = u_int[k]
+        row[at + 6 + k] = estimate[3 * VELOCITY + k] - u_int[k]
+    at = _put(row, at + 9, sigma, sigma.shape[0])
+    at = _put(row, at, at_bound, at_bound.shape[0])
+    for k in range(3):
+        row[at + k] = estimate[newest + k] + estimate[bias + k]
+    _put(row, at + 3, estimate, bias_end)
+
+
+@compiled
+def _put(row: Array, at: int, part: Array, count: int) -> int:
+    """Copy so many numbers; the place behind them."""
+    for k in range(count):
+        row[at + k] = part[k]
+    return at + count
 
 
 def _channels(robot: Robot) -> list[Channel]:

@@ -206,9 +206,10 @@ class Stream:
         self._state[BEGUN] = self._state[IN_LINE] = 0
         self._astray = None
 
-    def follow(self, datagram: bytes, now: float, limits: Array, row: Array) -> bool:
-        """Take the usual datagram in one compiled call (`follow`); where this is false, it is for `feed`."""
-        return follow(self._state, self._clock.state, datagram, now, limits, row)
+    @property
+    def state(self) -> tuple[Indices, Array]:
+        """Its numbers and its clock's, for `follow`."""
+        return self._state, self._clock.state
 
     def feed(self, datagram: bytes, now: float) -> list[Sample]:
         """Take a datagram that has arrived by `now` [s]; give the samples in it that are in line."""

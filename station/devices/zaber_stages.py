@@ -67,7 +67,6 @@ class ZaberStages:
         sent = [chain.sent[axis] for chain, axis in self._units.where]
         if sent != self._sent[0]:
             self._sent = sent, np.array(self._scale) * sent
-            self._sent[1].flags.writeable = False
         return JointReading(np.array(positions), self._sent[1])
 
     def command(self, velocities: Array, now: float) -> None:
