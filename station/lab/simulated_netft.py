@@ -142,7 +142,10 @@ class SimulatedNetft:
         """`netftapi2.xml`; None if the box is mute."""
         if self.faults.mute:
             return None
-        own, (_, _, status, *counts) = self.settings, RECORD.unpack(self._read(0, self._now, self._true, self._true, 1.0))
+        own, (_, _, status, *counts) = (
+            self.settings,
+            RECORD.unpack(self._read(0, self._now, self._true, self._true, 1.0)),
+        )
         ranges = [own.force_range] * 3 + [own.torque_range] * 3
         elements = {
             "runstat": f"0x{status:08X}",
