@@ -4,6 +4,7 @@ One JSON object a line in `audit.jsonl`, with the wall-clock time. When the file
 it becomes `audit.1.jsonl`, and the oldest of a few such files goes: the log never fills a disk.
 """
 
+import contextlib
 import json
 import threading
 from collections import deque
@@ -77,8 +78,8 @@ class Audit:
         return [entry for line in reversed(lines) if (entry := _entry(line)) is not None]
 
     def close(self) -> None:
-        """Let go of the file."""
-        with self._lock:
+        """Let go of the file; a line that the disk has not taken goes with it."""
+        with self._lock, contextlib.suppress(OSError):
             self._file.close()
 
     def _turn_over(self) -> None:

@@ -1,4 +1,4 @@
-"""What every test shares: the paper's robot, and the rule that a test leaves nothing running behind.
+"""What every test shares: robot, a short experiment, and the rule that a test leaves nothing running behind.
 
 A thread, a child process or a listening port that outlives its test fails that test. What was there
 before it (a server or a browser that a whole module shares, say) is not the test's, nor what that starts.
@@ -7,48 +7,42 @@ before it (a server or a browser that a whole module shares, say) is not the tes
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
 from pathlib import Path
+from typing import NamedTuple
 
 import psutil
 import pytest
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
 
 from core.robot import Joint, Robot, Section, Tube
-from tests.serving import Served, serving
-
-#: Real processes, real browsers and real time: on a busy computer they get a second try.
-REAL = (
-    *(f"browser/test_{name}.py" for name in (
-        "calibrate", "cut", "header", "keyboard", "page", "people", "pictures", "tabs",
-    )),
-    *(f"web/test_{name}.py" for name in ("access", "api", "calibration_api", "kills", "operator", "scene", "serve")),
-    "station/commands/test_soak.py", "station/test_client.py", "station/test_own_bench.py",
-    "station/calibration/test_live.py",
-    *(f"faults/test_{name}.py" for name in (
-        "bad_request", "browser_closed", "control_killed", "cross_site", "disk_full", "overrun",
-        "station_killed", "two_operators",
-    )),
-)  # fmt: skip
-
-#: Long ones, left out unless they are asked for: `pytest -m slow`, or `-m ""` for all.
-SLOW = (
-    "browser/test_tabs.py", "browser/test_pictures.py", "browser/test_calibrate.py", "station/commands/test_soak.py",
-    "web/test_kills.py",
-)  # fmt: skip
+from station.cli import main
+from station.config import PRESETS
+from station.robots import RobotFile, load_robot
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what depends on the computer's time, and what takes minutes of it."""
-    here = Path(__file__).parent
-    for item in items:
-        if any(item.path.is_relative_to(here / name) for name in SLOW):
-            item.add_marker(pytest.mark.slow)
-        if any(item.path.is_relative_to(here / name) for name in REAL):
-            item.add_marker(pytest.mark.real)
-        if item.get_closest_marker("real") or item.path.parent == here / "browser":
-            item.add_marker(pytest.mark.flaky(reruns=2))
+class FileByFile(LoadFileScheduling):
+    """Tests over all processors, a file to each; those of real processes one after the other on one of them."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "live" if nodeid.startswith("tests/live/") else super()._split_scope(nodeid)
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> FileByFile:
+    return FileByFile(config, log)
+
+
+#: One second at rest under no load, counted from the start.
+SHORT = """
+title = "short"
+start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
+duration = 1.0
+settling = 0.0
+[trajectory]
+kind = "hold"
+"""
 
 
 @pytest.fixture(scope="session")
@@ -65,18 +59,57 @@ def paper_robot() -> Robot:
     return Robot("paper", (inner, outer), joints)
 
 
-@pytest.fixture(scope="module")
-def running() -> Iterator[Served]:
-    """A station that a module shares."""
-    with serving() as served:
-        yield served
+@pytest.fixture(scope="session")
+def paper() -> RobotFile:
+    return load_robot("paper")
 
 
 @pytest.fixture
-def station(running: Served) -> Served:
-    """It, READY and without an operator."""
-    running.ready()
-    return running
+def robot_text() -> str:
+    """The paper's robot as a file, to be spoilt."""
+    return (PRESETS / "robots" / "paper.toml").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def short() -> str:
+    """A short experiment's file, to be changed."""
+    return SHORT
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[..., Path]:
+    """Write a TOML file and say where it is."""
+
+    def write(text: str, name: str = "own") -> Path:
+        path = tmp_path / f"{name}.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+class Done(NamedTuple):
+    """What a command has left."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Done]:
+    """The command line in this process, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+
+    def call(*arguments: str) -> Done:
+        try:
+            status = main(arguments)
+        except SystemExit as leaves:
+            status = int(leaves.code or 0)
+        return Done(status, *capsys.readouterr())
+
+    return call
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from typing import Any
 
 import httpx
 
-from tests.serving import Served, serving
+from tests.harness.serving import Served, serving
 
 JSON = {"content-type": "application/json"}
 #: What is sent where; requests that move something, and those that only set or ask.

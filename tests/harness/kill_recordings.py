@@ -1,0 +1,158 @@
+"""Kill -9 at random moments, and a look at what is left: `python -m tests.harness.kill_recordings VICTIM 20 [SEED]`.
+
+`recorder`: a telemetry ring is fed at 500 Hz, a real recorder process copies it and is killed; what is
+recovered is compared with what was fed, to the bit. `control`, `station` and `all`: a real station with a
+run on, of which one process is killed, or all of them at once. Every recording must open, and have every
+row that was older than 0.3 s at that moment.
+"""
+
+import os
+import random
+import signal
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import psutil
+from mcap.reader import make_reader
+
+from core.robot import Array
+from station.recording.label import Label
+from station.recording.read import open_case, read_case
+from station.recording.recorder import Recorder
+from station.recording.recover import recover
+from station.ring import Ring
+from station.robots import RobotFile, load_robot
+from station.telemetry import Channels
+from tests.harness.serving import serving
+
+PERIOD = 0.002
+POSE = np.array([0.0, np.pi / 2, -0.1])
+#: What a station starts; names as the system lists them.
+CHILDREN = ("ctr-control", "ctr-lab", "ctr-recorder")
+#: What may be missing [s].
+LOSS = 0.3
+
+
+class Feed:
+    """A ring with a writer that puts a row into it every 2 ms, as the control process does."""
+
+    def __init__(self, robot: RobotFile) -> None:
+        self.channels = Channels(robot.robot())
+        self.ring = Ring(len(self.channels))
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="feed")
+
+    def row(self, number: int) -> Array:
+        """Row `number`: its time, a robot that can be drawn, and numbers that no other row has."""
+        row = np.random.default_rng(number).normal(size=len(self.channels))
+        row[0], row[1] = number * PERIOD, 4.0
+        self.channels.of(row, "joints")[:] = POSE
+        self.channels.of(row, "force_filtered")[:] = (0.2, 0.0, 0.0)
+        return row
+
+    def _run(self) -> None:
+        start = time.monotonic()
+        while not self._stopping.wait(max(0.0, start + self.ring.written * PERIOD - time.monotonic())):
+            self.ring.write(self.row(self.ring.written))
+
+    def __enter__(self) -> "Feed":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stopping.set()
+        self._thread.join()
+        self.ring.close(remove=True)
+
+
+class Left(NamedTuple):
+    """What a kill left behind."""
+
+    lost: float  #: age of the newest row that was recovered, when the recorder was killed [s]
+    rows: int
+
+
+def kill_recorder(runs: Path, feed: Feed, robot: RobotFile, after: float) -> Left:
+    """Record for `after` [s], kill, recover, and check all that was recovered."""
+    recorder = Recorder(feed.ring, robot, runs)
+    try:
+        recorder.begin("killed", {"title": "to be killed"})
+        first = feed.ring.written
+        time.sleep(after)
+        written = feed.ring.written
+        os.kill(recorder.process.pid or 0, signal.SIGKILL)
+        recorder.process.join()
+        assert "signal 9" in recorder.trouble()
+    finally:
+        recorder.close()
+    (folder,) = recover(runs)
+    left = read_case(folder / "run.mcap")
+    assert left.label is Label.INTERRUPTED
+    start = round(left.rows[0, 0] / PERIOD)
+    assert start <= first, "rows at the beginning are missing"
+    expected = np.array([feed.row(start + number) for number in range(len(left.rows))])
+    assert (left.rows == expected).all(), "rows differ from what was written"
+    lost = (written - 1) * PERIOD - left.rows[-1, 0]
+    assert lost <= LOSS, f"{lost:.3f} s are missing"
+    return Left(lost, len(left.rows))
+
+
+def kill_station(data: Path, victim: str, after: float) -> Left:
+    """Serve, start a run, kill one process of the station or all of them, recover, and check."""
+    with serving("--data", str(data)) as station:
+        station.ready()
+        body = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 5.0}, "duration": 60.0}
+        assert station.post("/api/start", body).status_code == 202
+        time.sleep(after)
+        everybody = [psutil.Process(station.process.pid), *(station.child(name) for name in CHILDREN)]
+        victims = {"control": everybody[1:2], "station": everybody[:1], "all": everybody}[victim]
+        killed = time.time()
+        for process in victims:
+            process.kill()
+        if victim in ("station", "all"):
+            station.process.wait()
+            psutil.wait_procs(everybody, 20.0)
+    recover(data)
+    recordings = sorted(data.glob("*/run.mcap*"))
+    assert len(recordings) == 1, [str(path) for path in data.rglob("*")]
+    (folder,) = (path.parent for path in recordings)
+    with open_case(folder / "run.mcap") as left:
+        assert left.label is Label.INTERRUPTED
+        rows = np.concatenate(list(left.blocks()))
+    assert (np.diff(rows[:, 0]) > 0.0).all()
+    with (folder / "run.mcap").open("rb") as file:
+        statistics = make_reader(file).get_summary()
+    assert statistics is not None
+    assert statistics.statistics is not None
+    lost = killed - statistics.statistics.message_end_time / 1e9
+    assert lost <= LOSS, f"{lost:.3f} s are missing"
+    return Left(lost, len(rows))
+
+
+def main() -> None:
+    """Kill what the first argument names as often as the second says."""
+    victim = sys.argv[1] if len(sys.argv) > 1 else "recorder"
+    times = int(sys.argv[2]) if len(sys.argv) > 2 else 20
+    chance = random.Random(int(sys.argv[3]) if len(sys.argv) > 3 else 0)
+    robot = load_robot("paper")
+    worst = 0.0
+    with tempfile.TemporaryDirectory() as folder, Feed(robot) as feed:
+        for number in range(times):
+            place, after = Path(folder) / str(number), chance.uniform(0.3, 3.0)
+            if victim == "recorder":
+                left = kill_recorder(place, feed, robot, after)
+            else:
+                left = kill_station(place, victim, after)
+            worst = max(worst, left.lost)
+            sys.stdout.write(f"{number + 1}: {left.rows} rows, the last {1e3 * left.lost:.0f} ms of the run lost\n")
+            sys.stdout.flush()
+    sys.stdout.write(f"{times} kills of {victim}: every recording opens; at most {1e3 * worst:.0f} ms lost\n")
+
+
+if __name__ == "__main__":
+    main()

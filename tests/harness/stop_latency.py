@@ -1,0 +1,215 @@
+"""From a press on STOP to the stop bytes on the stages' line: `python -m tests.harness.stop_latency [PRESSES]`.
+
+A real page in Chromium is pressed while a run is on; five viewers watch (each with the scene's socket, the telemetry
+and the status, as a page has them, in processes of their own). The station drives the devices of `ctr-station lab`
+through a relay that notes when the bytes of a stop pass. What is counted: from the browser's own time of the press to
+the last byte of the last stop message of the three axes.
+"""
+
+import contextlib
+import json
+import math
+import multiprocessing
+import os
+import select
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+import numpy as np
+import viser
+from playwright.sync_api import sync_playwright
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+from station.commands.bench_loop import stolen
+from station.realtime import ask_for_fifo
+from tests.harness.chromium import CHROMIUM, FLAGS, bare_page
+from tests.harness.root import ROOT
+from tests.harness.serving import serving
+
+VIEWERS = 5
+STOP = 23  #: of the stages' binary protocol
+AXES = 3
+#: Of the simulated devices, where the system grants it; the control loop's is above.
+PRIORITY = 40
+RUN = {"experiment": "fig10", "case": "feedforward"}
+
+
+def relay(address: tuple[str, int], told: Connection) -> None:
+    """Pass bytes between the station and the simulated line; tell the port, then the epoch times [s] of stops."""
+    ask_for_fifo(PRIORITY)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        told.send(server.getsockname()[1])
+        while True:
+            host = server.accept()[0]
+            with closing(host), closing(socket.create_connection(address)) as line:
+                for end in (host, line):
+                    end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                _pass_on(host, line, told)
+
+
+def _pass_on(host: socket.socket, line: socket.socket, told: Connection) -> None:
+    pending = b""
+    while True:
+        for end in select.select([host, line], [], [])[0]:
+            data = end.recv(4096)
+            if not data:
+                return
+            (line if end is host else host).sendall(data)
+            if end is host:
+                pending += data
+                while len(pending) >= 6:
+                    if pending[1] == STOP:
+                        told.send(time.time())
+                    pending = pending[6:]
+
+
+@contextmanager
+def relayed(address: tuple[str, int]) -> Iterator[Connection]:
+    ours, theirs = multiprocessing.get_context("spawn").Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=relay, args=(address, theirs), daemon=True)
+    process.start()
+    try:
+        yield ours
+    finally:
+        process.terminate()
+        process.join()
+
+
+def heard(told: Connection) -> list[float]:
+    """Times of the stops since the last call."""
+    times = []
+    while told.poll():
+        times.append(told.recv())
+    return times
+
+
+@contextmanager
+def lab() -> Iterator[dict[str, Any]]:
+    process = subprocess.Popen([sys.executable, "-m", "station", "lab"], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    try:
+        assert process.stdout is not None
+        endpoints = json.loads(process.stdout.readline())
+        # Real devices have processors of their own.
+        with contextlib.suppress(OSError, AttributeError):
+            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        yield endpoints
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def watch(port: int) -> None:
+    """One viewer: everything that a page keeps open."""
+    protocol: Any = f"viser-v{viser.__version__}"
+
+    def drain(path: str, **more: Any) -> None:
+        with (
+            contextlib.suppress(OSError, WebSocketException),
+            connect(f"ws://127.0.0.1:{port}{path}", proxy=None, max_size=None, **more) as stream,
+        ):
+            for _ in stream:
+                pass
+
+    threading.Thread(target=drain, args=("/viser/",), kwargs={"subprotocols": [protocol]}, daemon=True).start()
+    threading.Thread(target=drain, args=("/api/telemetry?rate=20",), daemon=True).start()
+    with contextlib.suppress(httpx.HTTPError), httpx.Client(base_url=f"http://127.0.0.1:{port}") as client:
+        while True:
+            client.get("/api/status")
+            time.sleep(0.15)
+
+
+def measure(presses: int) -> np.ndarray:
+    """Latencies (presses,) [ms]."""
+    found: list[float] = []
+    with lab() as there, tempfile.TemporaryDirectory() as folder:
+        address = there["zaber"].removeprefix("socket://").split(":")
+        with relayed((address[0], int(address[1]))) as told:
+            config = Path(folder, "bench.toml")
+            config.write_text(_bench(there, told.recv()))
+            with serving("--config", str(config)) as station, sync_playwright() as playwright:
+                station.ready()
+                viewers = [
+                    multiprocessing.get_context("spawn").Process(target=watch, args=(station.port,), daemon=True)
+                    for _ in range(VIEWERS)
+                ]
+                for viewer in viewers:
+                    viewer.start()
+                time.sleep(5.0)
+                browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+                with bare_page(browser, station) as page:
+                    page.evaluate(
+                        "() => document.getElementById('stop').addEventListener('pointerdown',"
+                        " (event) => { window.pressed = performance.timeOrigin + event.timeStamp; }, true)"
+                    )
+                    while len(found) < presses:
+                        station.ready()
+                        assert station.post("/api/start", RUN).status_code == 202
+                        status = station.wait_for(lambda s: s["phase"] == "moving" or s["state"] != "RUNNING", 30.0)
+                        if status["state"] != "RUNNING":
+                            print(f"not counted, the run ended by itself: {status['cause']}")  # noqa: T201
+                            continue
+                        time.sleep(0.3)
+                        heard(told)
+                        page.locator("#stop").click()
+                        station.wait_for(lambda s: s["state"] == "STOPPED", 5.0)
+                        time.sleep(0.2)
+                        pressed = 1e-3 * float(page.evaluate("() => window.pressed"))
+                        stops = heard(told)
+                        found.append(1e3 * (stops[min(AXES, len(stops)) - 1] - pressed))
+                browser.close()
+                for viewer in viewers:
+                    viewer.terminate()
+                    viewer.join()
+    return np.array(found)
+
+
+def _bench(there: dict[str, Any], port: int) -> str:
+    boxes = []
+    for box in there["netft"]:
+        rdt, page = urlsplit(box["rdt"]), urlsplit(box["page"])
+        boxes.append(f"{box['tube']} = {{ host = '{rdt.hostname}', rdt_port = {rdt.port}, http_port = {page.port} }}")
+    return f"""
+[devices.stages]
+driver = "zaber"
+port = "socket://127.0.0.1:{port}"
+deadline = 0.5  # the relay and a busy machine take their time
+[devices.tracker]
+driver = "aurora"
+port = "{there["aurora"]}"
+mount = {{ position = [0.0, 0.0, -0.2], rotation_vector = [{math.pi}, 0.0, 0.0] }}
+[devices.sensors]
+driver = "netft"
+[devices.sensors.tubes]
+{chr(10).join(boxes)}
+"""
+
+
+def main() -> None:
+    """Measure, and say what else the machine did: on a busy one the figure is the machine's."""
+    presses = int(sys.argv[1]) if len(sys.argv) > 1 else 50
+    load, before, begun = os.getloadavg()[0], stolen(), time.monotonic()
+    latencies = measure(presses)
+    p50, p99 = np.percentile(latencies, [50, 99])
+    print(f"{len(latencies)} presses: median {p50:.0f} ms, p99 {p99:.0f} ms, max {latencies.max():.0f} ms")  # noqa: T201
+    print(  # noqa: T201
+        f"machine: {os.cpu_count()} processors, load {load:.2f} before and {os.getloadavg()[0]:.2f} after (this"
+        f" measurement and its browser included), {stolen() - before:.1f} s stolen in {time.monotonic() - begun:.0f} s"
+    )
+    if load > 0.5:
+        print("the machine was busy before the first press: repeat this on a quiet one")  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

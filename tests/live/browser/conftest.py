@@ -1,0 +1,73 @@
+"""A real Chromium on a real station. Without a Chromium these tests are deselected and the last line says so."""
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from tests.harness.chromium import CHROMIUM, FLAGS, SIZE
+from tests.harness.serving import Served
+
+HERE = Path(__file__).parent
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if CHROMIUM is not None:
+        return
+    if os.environ.get("CTR_STATION_BROWSER") == "required":
+        raise pytest.UsageError("no Chromium found, and CTR_STATION_BROWSER=required")
+    mine = [item for item in items if item.path.is_relative_to(HERE)]
+    config.hook.pytest_deselected(items=mine)
+    items[:] = [item for item in items if item not in mine]
+    config.stash[_DESELECTED] = len(mine)
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if count := config.stash.get(_DESELECTED, 0):
+        print(f"{count} browser tests were deselected: no Chromium found (install chromium to run them)")  # noqa: T201
+
+
+_DESELECTED = pytest.StashKey[int]()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def open_page(running: Served, browser: Browser) -> Iterator[Page]:
+    """The page with its scene drawn; opened once, software rendering is slow."""
+    page = browser.new_page(viewport=SIZE)
+    page.goto(running.url)
+    scene = page.frame_locator("#scene")
+    scene.get_by_text("desired tip").first.wait_for(timeout=60_000)
+    scene.locator("canvas").first.wait_for(timeout=60_000)
+    page.wait_for_timeout(4000)
+    for notice in scene.locator(".mantine-Notification-closeButton").all():
+        notice.click()  # that there is no graphics card, over a part of the picture
+    yield page
+    page.close()
+
+
+@pytest.fixture
+def page(station: Served, open_page: Page) -> Page:
+    open_page.locator("#state", has_text="READY").wait_for(timeout=10_000)
+    return open_page
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Callable[[Page, str], None]:
+    """Take a picture of the page; they stay where CTR_STATION_PICTURES says."""
+    folder = Path(os.environ.get("CTR_STATION_PICTURES", tmp_path))
+
+    def take(page: Page, name: str) -> None:
+        # Written here: the library would leave a thread of its own behind.
+        (folder / f"{name}.png").write_bytes(page.screenshot())
+
+    return take

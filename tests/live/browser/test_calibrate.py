@@ -1,0 +1,168 @@
+"""A person is guided through a calibration in the page, from the first card to the report."""
+
+import math
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page
+
+from station.calibration.files import Calibration
+from station.calibration.plan import Subject
+from station.calibration.still_lab import StillLab
+from station.config import PRESETS
+from station.lab.config import load_lab
+from station.robots import load_robot
+from tests.harness.chromium import bare_page
+from tests.harness.contrast import CONTRAST
+from tests.harness.serving import Served, serving
+
+Picture = Callable[[Page, str], None]
+SEED = 4
+START = np.array([0.0, math.pi / 2, -0.1])
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[Served]:
+    with serving("--lab", "uncalibrated", "--seed", str(SEED)) as served:
+        yield served
+
+
+@pytest.fixture(scope="module")
+def open_page(running: Served, browser: Browser) -> Iterator[Page]:
+    with bare_page(browser, running) as page:
+        yield page
+
+
+@pytest.fixture
+def calibrate(page: Page) -> Page:
+    page.locator("#tab-calibrate").click()
+    back = page.get_by_role("button", name="all procedures")
+    if back.count():
+        back.click()
+    page.locator("#calibrate .card", has_text="Axes").wait_for(timeout=10_000)
+    return page
+
+
+def begin(page: Page, card: str, picture: Picture | None = None) -> None:
+    """From its card to the start, past the question."""
+    page.locator("#calibrate .card", has_text=card).first.click()
+    if page.get_by_label("effort").count():
+        page.get_by_label("effort").select_option("0.5")
+    if page.get_by_label("known weights").count():
+        page.get_by_label("known weights").fill("0.5")
+    if picture is not None:
+        picture(page, "calibrate_offer")
+    page.get_by_role("button", name="Start: ").click()
+    dialog = page.get_by_role("dialog")
+    assert "Is the way clear" in dialog.inner_text()
+    assert dialog.get_by_role("button", name="Start", exact=True).is_disabled()
+    dialog.get_by_role("checkbox").check()
+    dialog.get_by_role("button", name="Start", exact=True).click()
+    page.locator("#course progress").wait_for(timeout=10_000)
+
+
+def test_the_force_sensors_are_calibrated_by_hand_and_eye(calibrate: Page, station: Served, picture: Picture) -> None:
+    page = calibrate
+    picture(page, "calibrate")
+    begin(page, "Force sensors", picture)
+    page.locator("#course .task:visible, #course .ended:visible").wait_for(timeout=400_000)
+    assert "Hang a weight of 0.5 N at the tip." in page.locator("#course").inner_text()
+    picture(page, "calibrate_ask")
+    # The button is where the keyboard is: a person's hands are at the tip.
+    page.get_by_role("button", name="Done, it hangs there").wait_for()
+    page.keyboard.press("Enter")
+    page.locator("#course", has_text="pose").wait_for(timeout=20_000)
+    assert "%" in page.locator("#course").inner_text()
+    picture(page, "calibrate_pose")
+    page.get_by_role("button", name="Done, it is off").click(timeout=400_000)
+    page.locator("#course .ended", has_text="done").wait_for(timeout=400_000)
+    page.get_by_role("button", name="What was found").click()
+    page.locator("#found").wait_for(timeout=10_000)
+    assert "The weight of 0.5 N was measured as" in page.locator("#calibrate").inner_text()
+    picture(page, "calibrate_found")
+    report = page.get_by_role("link", name="Report with figures").get_attribute("href")
+    assert station.rest.get(report).text.count("data:image/svg+xml") == 1
+
+    # What was found is what the lab hides.
+    (line,) = [text for text in page.locator("code").all_inner_texts() if text.startswith("calibration = ")]
+    robot = load_robot("paper")
+    known = Calibration.load(Path(tomllib.loads(line)["calibration"]), robot)
+    subject = Subject.of(robot, START)
+    hidden = StillLab(subject, load_lab("uncalibrated", robot), SEED).hidden
+    nothing = hidden.felt(np.zeros((2, 6)), START)
+    askew = np.array([hidden.felt(np.tile(np.eye(6)[k], (2, 1)), START) - nothing for k in range(3)])[:, 1, :3].T
+    left = known.corrections.sensors.mounting[1] @ askew
+    assert math.degrees(math.acos((np.trace(askew) - 1.0) / 2.0)) == pytest.approx(0.5, abs=0.01)
+    assert math.degrees(math.acos(min(1.0, (np.trace(left) - 1.0) / 2.0))) < 0.25
+
+
+def test_an_abort_leaves_nothing_and_says_so(calibrate: Page, station: Served, picture: Picture) -> None:
+    page = calibrate
+    before = station.rest.get("/api/calibration/results").json()
+    begin(page, "Axes")
+    station.wait_for(lambda status: status["state"] == "RUNNING", 60.0)
+    page.get_by_role("button", name="Abort").click()
+    page.locator("#course .ended", has_text="aborted by the operator").wait_for(timeout=10_000)
+    page.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+    picture(page, "calibrate_aborted")
+    page.get_by_role("button", name="All right").click()
+    assert page.locator("#course .ended").is_hidden()
+    assert station.rest.get("/api/calibration/results").json() == before
+    page.locator("#calibrate .card", has_text="Axes").click()
+    page.locator("#calibrate", has_text="not while STOPPED").wait_for(timeout=5000)
+    assert page.get_by_role("button", name="Start: ").is_disabled()
+    page.locator("#reset").click()
+    page.locator("#state", has_text="READY").wait_for(timeout=10_000)
+    page.wait_for_function("() => !document.querySelector('#calibrate button.main[type=submit]').disabled")
+
+
+def test_shift_space_ends_it(calibrate: Page, station: Served) -> None:
+    page = calibrate
+    begin(page, "Latency")
+    station.wait_for(lambda status: status["state"] == "RUNNING", 60.0)
+    page.keyboard.press("Shift+Space")
+    page.locator("#course .ended", has_text="STOPPED").wait_for(timeout=10_000)
+    page.get_by_role("button", name="All right").click()
+
+
+def test_other_tubes_give_a_checklist(calibrate: Page, picture: Picture) -> None:
+    page = calibrate
+    page.locator("#calibrate .card", has_text="Tube exchange").click()
+    page.get_by_label("robot with the new tubes").select_option("three_tubes")
+    page.locator(".todo li", has_text="EI, curvature").wait_for(timeout=5000)
+    assert "power off" in page.locator(".todo li").first.inner_text()
+    picture(page, "calibrate_exchange")
+    text = (PRESETS / "robots" / "paper.toml").read_text(encoding="utf-8")
+    page.get_by_label("robot's file").set_input_files(
+        {"name": "own.toml", "mimeType": "application/toml", "buffer": text.encode()}
+    )
+    page.locator(".todo li", has_text="coil was taken off").wait_for(timeout=5000)
+    page.locator(".todo").get_by_role("button", name="Tracker").click()
+    page.get_by_role("button", name="Start: Tracker").wait_for()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (820, 1180)])
+def test_nothing_is_cut_off_on_small_screens(calibrate: Page, width: int, height: int) -> None:
+    page = calibrate
+    page.set_viewport_size({"width": width, "height": height})
+    try:
+        panel = page.locator("#calibrate")
+        assert panel.evaluate("element => element.scrollWidth - element.clientWidth") <= 1
+        assert page.locator("#tabs").evaluate("element => element.scrollWidth - element.clientWidth") <= 1
+    finally:
+        page.set_viewport_size({"width": 1280, "height": 720})
+
+
+def test_it_can_be_read_in_the_light_and_in_the_dark(calibrate: Page, picture: Picture) -> None:
+    page = calibrate
+    try:
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            for name in (".card b", ".card span", "h3"):
+                assert page.locator(f"#calibrate {name}").first.evaluate(CONTRAST) >= 4.5, (scheme, name)
+        picture(page, "calibrate_dark")
+    finally:
+        page.emulate_media(color_scheme="light")

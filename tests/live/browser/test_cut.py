@@ -1,0 +1,52 @@
+"""The scene's websocket dropped while everything else lives."""
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Page, sync_playwright
+
+from tests.harness.chromium import CHROMIUM, FLAGS, SIZE
+from tests.harness.relay import Relay, relayed
+from tests.harness.serving import Served
+
+HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
+
+
+@pytest.fixture
+def wire(station: Served) -> Iterator[Relay]:
+    with relayed(station.port) as relay:
+        yield relay
+
+
+@pytest.fixture
+def cut_page(station: Served, wire: Relay) -> Iterator[Page]:
+    """The page in a browser that reaches the station over the wire."""
+    rule = f"--host-resolver-rules=MAP localhost:{station.port} 127.0.0.1:{wire.port}"
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS, rule])
+        page = browser.new_page(viewport=SIZE)
+        page.goto(f"http://localhost:{station.port}/")
+        page.frame_locator("#scene").get_by_text("desired tip").first.wait_for(timeout=60_000)
+        yield page
+        browser.close()
+
+
+def test_the_scene_says_that_it_is_cut_off_and_comes_back_by_itself_and_stop_works_all_along(
+    cut_page: Page, station: Served, wire: Relay
+) -> None:
+    page, said = cut_page, cut_page.locator("#scene-cut")
+    page.locator("#state", has_text="READY").wait_for(timeout=10_000)
+    assert wire.scenes == 1
+    assert said.is_hidden()
+    station.post("/api/start", HOLD)
+    page.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+    wire.cut()
+    said.wait_for(timeout=15_000)
+    assert "STOP" in said.inner_text()
+    page.locator("#stop").click()
+    page.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+    assert "stale" not in str(page.locator("body").get_attribute("class"))
+    wire.mend()
+    said.wait_for(state="hidden", timeout=40_000)
+    assert wire.scenes > 1
+    page.frame_locator("#scene").get_by_text("desired tip").first.wait_for(timeout=10_000)

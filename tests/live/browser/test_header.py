@@ -1,0 +1,74 @@
+"""The header without the scene: it must tell the truth and stop the robot whatever else fails."""
+
+import signal
+import time
+
+import pytest
+from playwright.sync_api import Browser
+
+from tests.harness.chromium import bare_page
+from tests.harness.serving import serving
+
+HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
+
+
+@pytest.fixture(scope="module")
+def running() -> None:
+    """Each of these tests ends its own station."""
+
+
+def test_stop_works_with_a_broken_scene(browser: Browser) -> None:
+    with serving() as station, bare_page(browser, station) as page:
+        station.post("/api/start", HOLD)
+        page.locator("#state", has_text="RUNNING").wait_for(timeout=3000)
+        page.locator("#stop").click()
+        page.locator("#state", has_text="STOPPED").wait_for(timeout=3000)
+        assert station.status()["state"] == "STOPPED"
+
+
+def test_a_dead_control_process_shows_as_fault_at_once_and_a_reset_revives_it(browser: Browser) -> None:
+    with serving() as station, bare_page(browser, station) as page:
+        page.evaluate(
+            """() => {
+              window.faultSeen = null;
+              const state = document.getElementById('state');
+              const look = () => { if (state.textContent === 'FAULT') window.faultSeen ??= Date.now(); };
+              new MutationObserver(look).observe(state, {childList: true, characterData: true, subtree: true});
+            }"""
+        )
+        killed = 1e3 * time.time()
+        station.control_process().kill()
+        page.locator("#state", has_text="FAULT").wait_for(timeout=3000)
+        assert page.evaluate("() => window.faultSeen") - killed < 2000  # the axes are stopped first
+        assert "signal 9" in page.locator("#says").inner_text()
+        page.locator("#reset").click()
+        page.locator("#state", has_text="READY").wait_for(timeout=30_000)
+
+
+def test_a_station_that_is_gone_shows_as_such(browser: Browser) -> None:
+    with serving() as station, bare_page(browser, station) as page:
+        station.end()
+        page.locator("#state", has_text="NO ANSWER").wait_for(timeout=3000)
+        assert "emergency stop" in page.locator("#next").inner_text()
+        assert "stale" in str(page.locator("body").get_attribute("class"))
+        page.locator("#stop").click()
+        page.locator("#alarm", has_text="Use the emergency stop").wait_for(timeout=5000)
+
+
+def test_a_station_that_hangs_looks_old_within_half_a_second(browser: Browser) -> None:
+    with serving() as station, bare_page(browser, station) as page:
+        page.evaluate(
+            """() => {
+              window.staleSeen = null;
+              const look = () => { if (document.body.classList.contains('stale')) window.staleSeen ??= Date.now(); };
+              new MutationObserver(look).observe(document.body, {attributes: true});
+            }"""
+        )
+        try:
+            station.process.send_signal(signal.SIGSTOP)
+            hung = 1e3 * time.time()
+            page.wait_for_function("() => window.staleSeen !== null", timeout=5000)
+            assert page.evaluate("() => window.staleSeen") - hung < 700  # a slow machine's 0.2 s on top
+        finally:
+            station.process.send_signal(signal.SIGCONT)
+        page.wait_for_function("() => !document.body.classList.contains('stale')", timeout=10_000)

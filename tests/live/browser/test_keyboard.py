@@ -1,0 +1,42 @@
+"""A run from the first to the last with nothing but a keyboard."""
+
+from playwright.sync_api import Browser, Page
+
+from tests.harness.chromium import bare_page
+from tests.harness.serving import Served
+
+#: No way through the page is longer.
+KEYS = 80
+
+
+def tab_to(page: Page, text: str) -> None:
+    """Press Tab until what has the focus is called `text`."""
+    name = """() => {
+      const here = document.activeElement;
+      return here === document.body ? '' : here.getAttribute('aria-label') ?? here.innerText;
+    }"""
+    for _ in range(KEYS):
+        page.keyboard.press("Tab")
+        if text in page.evaluate(name):
+            return
+    raise AssertionError(f"'{text}' is not reached with Tab")
+
+
+def test_a_run_is_chosen_set_started_stopped_and_reset(station: Served, browser: Browser) -> None:
+    with bare_page(browser, station) as page:
+        tab_to(page, "Keep the tip where it is")
+        page.keyboard.press("Enter")
+        page.locator("#start", has_text="Load on the simulated tip").wait_for(timeout=5000)
+        tab_to(page, "duration")
+        page.keyboard.press("Control+A")
+        page.keyboard.type("45")
+        tab_to(page, "Start motion")
+        page.keyboard.press("Enter")
+        status = station.wait_for(lambda s: s["state"] == "RUNNING", 10.0)
+        assert status["run"]["duration"] == 45.0
+        page.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+        page.keyboard.press("Shift+Space")
+        page.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+        tab_to(page, "Reset")
+        page.keyboard.press("Enter")
+        page.locator("#state", has_text="READY").wait_for(timeout=5000)

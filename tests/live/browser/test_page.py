@@ -1,0 +1,266 @@
+"""The page with its scene: what an operator sees, and drags in it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+from playwright.sync_api import FrameLocator, Page
+
+from tests.harness.serving import Served
+from web.gizmos import FORCE_SIZE, TARGET_SIZE
+from web.legend import FIELD, VIEWS
+from web.palette import CONTACT
+from web.scene import ARROW, UNIT
+
+Picture = Callable[[Page, str], None]
+
+#: The part of a 1280 x 720 page where the robot is: below the header, left of the tabs, right of the legend.
+VIEW = {"x": 280, "y": 90, "width": 540, "height": 560}
+CIRCLE = {
+    "trajectory": {"kind": "circle", "radius": 0.003, "period": 12.0, "normal": [0, 0, 1]},
+    "controller": {"strategy": "dual_layer", "feedforward": True},
+    "duration": 60.0,
+}
+HOLD = {
+    "trajectory": {"kind": "hold"},
+    "controller": {"strategy": "dual_layer", "inner": "type_2", "feedback": "observer", "feedforward": True},
+    "duration": 60.0,
+}
+
+
+def scene(page: Page) -> FrameLocator:
+    return page.frame_locator("#scene")
+
+
+def pixels(page: Page) -> np.ndarray:
+    return iio.imread(page.screenshot(clip=VIEW)).astype(float)[..., :3]
+
+
+def changed(before: np.ndarray, after: np.ndarray) -> int:
+    return int((np.abs(after - before).max(axis=-1) > 40).sum())
+
+
+def state(page: Page) -> str:
+    return page.locator("#state").inner_text()
+
+
+def test_the_page_says_the_state_and_every_device_answers(page: Page, picture: Picture) -> None:
+    assert state(page) == "READY"
+    assert page.locator("#says").inner_text() == "nothing moves"
+    lights = page.locator("#lights li")
+    assert lights.all_inner_texts() == ["stages", "tracker", "force sensors"]
+    assert [light.get_attribute("data-severity") for light in page.locator("#lights .light").all()] == ["0"] * 3
+    assert "nothing is wrong" in str(lights.first.get_attribute("title"))
+    assert "µs" in page.locator("#loop").inner_text()
+    picture(page, "panel")
+
+
+def test_the_scene_shows_units_and_a_legend(page: Page) -> None:
+    text = scene(page).locator("body").inner_text()
+    for name in ("desired tip", "measured tip", "estimated tip", "100 mm for 1 N"):
+        assert name in text
+
+
+def test_the_robot_moves_in_pixels_and_in_numbers(page: Page, station: Served, picture: Picture) -> None:
+    # What changes by itself: trackers are noisy, texts are refreshed. The quietest of three looks counts.
+    noise = []
+    for _ in range(3):
+        still = pixels(page)
+        page.wait_for_timeout(500)
+        noise.append(changed(still, pixels(page)))
+    assert station.post("/api/start", CIRCLE).status_code == 202
+    station.wait_for(lambda s: s["phase"] == "moving", 10.0)
+    before = np.array(station.status()["tip_true"])
+    first = pixels(page)
+    page.wait_for_timeout(5000)
+    after = np.array(station.status()["tip_true"])
+    assert 1e3 * np.linalg.norm(after - before) > 5.0
+    assert changed(first, pixels(page)) > 300 + 2 * min(noise)
+    assert state(page) == "RUNNING"
+    assert "left of 1:00" in page.locator("#run-left").inner_text()
+    picture(page, "running")
+
+
+def test_the_header_stops_the_robot_and_reset_makes_it_ready(page: Page, station: Served) -> None:
+    station.post("/api/start", CIRCLE)
+    station.rest.delete("/api/operator")
+    page.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+    page.locator("#stop").click()
+    page.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+    assert station.status()["state"] == "STOPPED"
+    assert "operator" in page.locator("#says").inner_text()
+    page.locator("#reset").click()
+    page.locator("#state", has_text="READY").wait_for(timeout=5000)
+
+
+def test_shift_space_stops_with_the_focus_on_the_page_and_in_the_scene(page: Page, station: Served) -> None:
+    for x, y in ((600, 30), (450, 600)):  # the header; the floor in the scene
+        station.ready()
+        station.post("/api/start", CIRCLE)
+        page.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+        page.mouse.click(x, y)
+        page.keyboard.press("Shift+Space")
+        page.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+
+
+def test_a_view_is_chosen(page: Page) -> None:
+    before = pixels(page)
+    scene(page).get_by_text("View", exact=True).click()
+    scene(page).get_by_role("button", name="Tip").click()
+    page.wait_for_timeout(2500)
+    assert changed(before, pixels(page)) > 5000
+    scene(page).get_by_role("button", name="Overview").click()
+    scene(page).get_by_text("Legend", exact=True).click()
+    page.wait_for_timeout(2500)
+
+
+def test_workspace_ghost_and_uncertainty_are_shown_on_demand(page: Page, station: Served, picture: Picture) -> None:
+    for name in ("workspace", "ghost", "uncertainty"):
+        before = pixels(page)
+        box = page.locator(f"#switches input[name={name}]")
+        with page.expect_response("**/api/scene"):
+            box.check()
+        assert station.rest.get("/api/scene").json()[name]
+        page.wait_for_timeout(2500)
+        if name == "workspace":
+            assert changed(before, pixels(page)) > 3000
+            picture(page, "workspace")
+        with page.expect_response("**/api/scene"):
+            box.uncheck()
+
+
+# ---- dragging, with the mouse
+
+
+def on_screen(page: Page, place: np.ndarray) -> np.ndarray:
+    """Where a place (3,) [m] is drawn by the camera that the scene begins with, in pixels of the page."""
+    box = page.locator("#scene").bounding_box()
+    assert box is not None
+    eye, centre = (np.array(point) for point in VIEWS["Overview"])
+    ahead = (centre - eye) / np.linalg.norm(centre - eye)
+    right = np.cross(ahead, (-1.0, 0.0, 0.0))
+    right /= np.linalg.norm(right)
+    seen = UNIT * place - eye
+    scale = 0.5 * box["height"] / (np.tan(0.5 * FIELD) * (seen @ ahead))
+    middle = np.array((box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]))
+    return middle + scale * np.array((seen @ right, -seen @ np.cross(right, ahead)))
+
+
+def drag(page: Page, handle: np.ndarray, size: float, axis: int, way: float) -> None:
+    """Take a handle at a place (3,) [m] by the arrow of one axis, `size` long [m], and pull it along [m]."""
+    arrow = np.zeros(3)
+    arrow[axis] = 1.0
+    grip = handle + 0.75 * size * arrow  # further in are the planes' handles
+    page.mouse.move(*on_screen(page, grip))
+    page.wait_for_timeout(500)  # software rendering: the arrow has to see the pointer
+    page.mouse.down()
+    for part in np.linspace(0.0, 1.0, 9)[1:]:
+        page.mouse.move(*on_screen(page, grip + part * way * arrow))
+        page.wait_for_timeout(60)
+    page.wait_for_timeout(300)
+    page.mouse.up()
+
+
+def target(station: Served) -> dict[str, Any]:
+    return station.rest.get("/api/scene/target").json()
+
+
+def test_a_target_is_dragged_judged_and_gone_to(page: Page, station: Served, picture: Picture) -> None:
+    box = page.locator("#switches input[name=target]")
+    with page.expect_response("**/api/scene"):
+        box.check()
+    try:
+        page.wait_for_timeout(1500)
+        tip = np.array(target(station)["position"])
+        drag(page, tip, TARGET_SIZE, 0, -0.13)
+        page.locator("#target-says", has_text="✗").wait_for(timeout=5000)
+        assert page.locator("#go").is_disabled()
+        far = np.array(target(station)["position"])
+        assert far[0] - tip[0] < -0.1
+        assert np.abs(far - tip)[1:].max() < 1e-6
+        drag(page, far, TARGET_SIZE, 0, tip[0] - far[0] + 0.008)
+        drag(page, np.array(target(station)["position"]), TARGET_SIZE, 2, -0.004)
+        page.locator("#target-says", has_text="✓").wait_for(timeout=5000)
+        goal = np.array(target(station)["position"])
+        assert goal[0] - tip[0] > 0.004
+        picture(page, "target")
+        page.locator("#go").click()
+        station.wait_for(lambda s: s["state"] == "RUNNING", 10.0)
+        station.wait_for(lambda s: s["state"] == "READY", 40.0)
+        assert 1e3 * np.linalg.norm(np.array(station.status()["tip_true"]) - goal) < 1.0
+    finally:
+        box.uncheck()
+
+
+def test_a_hand_pulls_at_the_tip_and_the_controller_answers(page: Page, station: Served, picture: Picture) -> None:
+    assert station.post("/api/start", HOLD).status_code == 202
+    station.wait_for(lambda s: s["phase"] == "moving", 10.0)
+    station.rest.delete("/api/operator")
+    box = page.locator("#switches input[name=force]")
+    with page.expect_response("**/api/scene"):
+        box.check()
+    try:
+        page.wait_for_timeout(1500)
+        before = station.status()
+        force = np.mean([station.status()["force"] for _ in range(40)], axis=0)  # the handle is at the mean's end
+        drag(page, np.array(before["tip_measured"]) + ARROW * force, FORCE_SIZE, 0, 0.02)
+        pulled = station.wait_for(lambda s: s["force"][0] > 0.1, 5.0)
+        picture(page, "hand")
+        # The tip is held although it is pulled at: by joints that have moved.
+        held = station.wait_for(
+            lambda s: 1e3 * np.linalg.norm(np.array(s["tip_true"]) - before["tip_true"]) < 1.0 and s["force"][0] > 0.1,
+            10.0,
+        )
+        assert pulled["state"] == held["state"] == "RUNNING"
+        moved = [abs(held["joints"][name] - before["joints"][name]) for name in before["joints"]]
+        assert max(moved) > 0.01
+    finally:
+        box.uncheck()
+    station.wait_for(lambda s: abs(s["force"][0]) < 0.1, 5.0)
+
+
+# ---- what touches the shaft, and the colours of the page
+
+
+def orange(page: Page) -> int:
+    """Pixels in the hue of a contact, whatever the shading."""
+    seen, hue = pixels(page), np.array(CONTACT) / max(CONTACT)
+    bright = seen.max(axis=-1, keepdims=True)
+    return int(((np.abs(seen / np.maximum(bright, 1.0) - hue).max(axis=-1) < 0.12) & (bright[..., 0] > 120)).sum())
+
+
+def test_a_touched_shaft_is_marked_and_told(page: Page, station: Served, picture: Picture) -> None:
+    before = orange(page)
+    load = {"kind": "contact", "magnitude": 0.3, "place": 0.1, "direction": [0.0, 1.0, 0.3]}
+    station.post("/api/pull", {"load": load})
+    try:
+        page.locator("#mind", has_text="load not at the tip").wait_for(timeout=10_000)
+        page.wait_for_timeout(1500)
+        picture(page, "contact")
+        assert orange(page) > before + 60
+        page.locator("#mind").click()
+        page.locator("#faults", has_text="the load does not act at the tip: contact at").wait_for(timeout=5000)
+    finally:
+        station.post("/api/pull", {"load": {"kind": "none"}})
+        page.locator("#tab-start").click()
+    page.locator("#mind", has_text="load not at the tip").wait_for(state="hidden", timeout=10_000)
+
+
+def test_the_scene_follows_the_page_into_the_dark_and_back(page: Page, picture: Picture) -> None:
+    def back() -> float:
+        return float(np.median(pixels(page)))
+
+    assert back() > 200
+    page.emulate_media(color_scheme="dark")
+    try:
+        scene(page).get_by_text("desired tip").first.wait_for(timeout=60_000)
+        scene(page).locator("canvas").first.wait_for(timeout=60_000)
+        page.wait_for_timeout(4000)
+        assert back() < 60
+        picture(page, "dark")
+    finally:
+        page.emulate_media(color_scheme="light")
+    scene(page).get_by_text("desired tip").first.wait_for(timeout=60_000)
+    page.wait_for_timeout(4000)
+    assert back() > 200

@@ -1,0 +1,195 @@
+"""Several people, some of them hostile: two operators, a viewer, a page of another site, a dropped socket."""
+
+import http.server
+import threading
+from collections.abc import Iterator
+
+import msgspec
+import pytest
+import viser
+from playwright.sync_api import Browser, Page
+from websockets.sync.client import connect
+
+from tests.harness.chromium import bare_page
+from tests.harness.serving import Served, serving
+
+HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
+
+
+def become_operator(page: Page, name: str, button: str) -> None:
+    page.get_by_role("button", name=button).click()
+    page.get_by_label("your name").fill(name)
+    page.get_by_role("dialog").get_by_role("button", name=button.removesuffix("…")).click()
+    page.locator("#operator", has_text="You are operator").wait_for(timeout=5000)
+
+
+def test_two_browsers_and_one_lease(station: Served, browser: Browser) -> None:
+    with bare_page(browser, station) as anna, bare_page(browser, station) as ben:
+        become_operator(anna, "Anna", "Take control")
+        ben.locator("#operator", has_text="Operator: Anna").wait_for(timeout=5000)
+        ben.locator(".card", has_text="Keep the tip where it is").click()
+        ben.locator("#start", has_text="'Anna' is operator").wait_for(timeout=5000)
+        assert ben.get_by_role("button", name="Start motion").is_disabled()
+        anna.locator(".card", has_text="Keep the tip where it is").click()
+        anna.get_by_role("button", name="Start motion").click()
+        ben.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+        # STOP is anybody's.
+        ben.locator("#stop").click()
+        anna.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+        assert ben.locator("#reset").is_disabled()
+        become_operator(ben, "Ben", "Take over…")
+        anna.locator("#operator", has_text="Operator: Ben").wait_for(timeout=5000)
+        ben.locator("#reset").click()
+        anna.locator("#state", has_text="READY").wait_for(timeout=5000)
+        ben.get_by_role("button", name="Release").click()
+        anna.locator("#operator", has_text="No operator").wait_for(timeout=5000)
+
+
+def test_a_page_that_has_gone_is_operator_no_longer(station: Served, browser: Browser) -> None:
+    with bare_page(browser, station) as anna:
+        become_operator(anna, "Anna", "Take control")
+    station.wait_for(lambda s: s["operator"]["name"] is None, 15.0)
+
+
+@pytest.fixture
+def hostile_site() -> Iterator[str]:
+    class Site(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("content-type", "text/html")
+            self.end_headers()
+            self.wfile.write(b"<!doctype html><title>evil</title><body>evil</body>")
+
+        def log_message(self, *_: object) -> None:
+            return
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Site)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+ATTACK = """async (station) => {
+  const tried = {};
+  const attempt = async (name, act) => {
+    try { tried[name] = await act(); } catch (error) { tried[name] = 'blocked'; }
+  };
+  const json = {method: 'POST', headers: {'content-type': 'application/json'}, body: '{}'};
+  await attempt('read', async () => (await fetch(station + '/api/status')).status);
+  await attempt('json', async () => (await fetch(station + '/api/start', json)).status);
+  await attempt('blind', async () => (await fetch(station + '/api/start', {method: 'POST', mode: 'no-cors'})).type);
+  await attempt('beacon', async () => navigator.sendBeacon(station + '/api/start', '{}') ? 'sent' : 'blocked');
+  const socket = (path) => new Promise((resolve) => {
+    const protocol = path.includes('viser') ? ['viser-v%s'] : undefined;
+    const ws = new WebSocket(station.replace('http', 'ws') + path, protocol);
+    ws.onopen = () => resolve('open');
+    ws.onerror = () => resolve('blocked');
+  });
+  await attempt('scene', () => socket('/viser/'));
+  await attempt('telemetry', () => socket('/api/telemetry'));
+  const frame = document.createElement('iframe');
+  frame.src = station + '/';
+  document.body.append(frame);
+  const form = document.createElement('form');
+  Object.assign(form, {method: 'POST', action: station + '/api/start', enctype: 'text/plain', target: 'elsewhere'});
+  const place = document.createElement('iframe');
+  place.name = 'elsewhere';
+  document.body.append(place, form);
+  form.submit();
+  await new Promise((resolve) => setTimeout(resolve, 1500));
+  return tried;
+}"""
+
+
+def test_a_page_of_another_site_reads_nothing_and_moves_nothing(
+    station: Served, browser: Browser, hostile_site: str
+) -> None:
+    page = browser.new_page()
+    try:
+        page.goto(hostile_site)
+        tried = page.evaluate(ATTACK.replace("%s", viser.__version__), station.url)
+        assert all(frame.locator("#stop").count() == 0 for frame in page.frames)
+    finally:
+        page.close()
+    assert {tried[name] for name in ("read", "json", "scene", "telemetry")} == {"blocked"}
+    status = station.status()
+    assert status["state"] == "READY"
+    assert status["operator"]["name"] is None
+    refused = [entry for entry in station.rest.get("/api/log?count=50").json() if hostile_site[:-1] in entry["outcome"]]
+    assert len(refused) >= 3
+
+
+def test_a_raw_client_with_forged_messages_changes_nothing_for_others(station: Served, browser: Browser) -> None:
+    context = browser.new_context()
+    try:
+        page = context.new_page()
+        page.goto(station.url)
+        scene = page.frame_locator("#scene")
+        scene.get_by_text("desired tip").first.wait_for(timeout=60_000)
+        address = f"ws://127.0.0.1:{station.port}/viser/"
+        with connect(address, subprotocols=[f"viser-v{viser.__version__}"], proxy=None, max_size=None) as socket:
+            for message in (
+                {"type": "RemoveSceneNodeMessage", "name": "/robot/inner", "owner": ""},
+                {"type": "ResetGuiMessage"},
+                {"type": "GuiRemoveMessage", "uuid": "x"},
+                {"type": "RunJavascriptMessage", "source": "document.title = 'hacked'"},
+                {"type": "ShareUrlRequest"},
+            ):
+                socket.send(msgspec.msgpack.encode(message))
+            page.wait_for_timeout(1500)
+        assert scene.get_by_text("desired tip").first.is_visible()
+        assert page.title() == "ctr-station"
+        assert station.status()["state"] == "READY"
+    finally:
+        context.close()
+
+
+# ---- beyond loopback
+
+RESET = """() => fetch('/api/reset', {method: 'POST', headers: {'content-type': 'application/json'}, body: '{}'})
+  .then((answer) => answer.status)"""
+
+
+@pytest.fixture(scope="module")
+def guarded() -> Iterator[Served]:
+    with serving("--host", "0.0.0.0") as served:
+        yield served
+
+
+def test_without_a_token_nobody_sees_anything(guarded: Served, browser: Browser) -> None:
+    page = browser.new_page()
+    try:
+        answer = page.goto(guarded.url)
+        assert answer is not None
+        assert answer.status == 401
+        assert page.locator("#stop").count() == 0
+    finally:
+        page.close()
+
+
+def test_a_viewer_looks_and_stops_and_starts_nothing(guarded: Served, browser: Browser) -> None:
+    viewer, _ = guarded.tokens
+    guarded.ready()
+    with bare_page(browser, guarded, f"?token={viewer}") as page:
+        assert "token" not in page.url
+        assert page.locator("#operator-act").is_hidden()
+        page.locator(".card", has_text="Keep the tip where it is").click()
+        page.locator("#start", has_text="viewers cannot start").wait_for(timeout=5000)
+        assert guarded.post("/api/start", HOLD).status_code == 202
+        page.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+        page.keyboard.press("Shift+Space")
+        guarded.wait_for(lambda s: s["state"] == "STOPPED", 5.0)
+        assert page.evaluate(RESET) == 403
+        assert "token" not in page.evaluate("document.cookie")
+
+
+def test_an_operators_token_commands(guarded: Served, browser: Browser) -> None:
+    _, operator = guarded.tokens
+    guarded.ready()
+    with bare_page(browser, guarded, f"?token={operator}") as page:
+        become_operator(page, "Anna", "Take control")

@@ -1,0 +1,55 @@
+"""Every tab beside the scene, as `web/README.md` shows them: the robot is seen, and the words are there."""
+
+from collections.abc import Callable
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from playwright.sync_api import Page
+
+from tests.harness.serving import Served
+
+Picture = Callable[[Page, str], None]
+
+DEMO = {"experiment": "demo"}  # from its start pose, wherever the robot is
+#: What each tab must say.
+SAYS = {
+    "start": "Free motions, from where the robot is",
+    "jog": "The robot moves while a button is held",
+    "devices": "Does every axis turn the right way?",
+    "plots": "drag over a chart to zoom",
+    "runs": "demo",
+    "faults": "Let a simulated device fail",
+}
+
+
+def robot(page: Page) -> int:
+    """Pixels as blue as the inner tube, whatever the shading, beside the legend."""
+    box = page.locator("#scene").bounding_box()
+    assert box is not None
+    seen = iio.imread(page.screenshot()).astype(float)[..., :3]
+    red, green, blue = np.moveaxis(seen[int(box["y"]) : int(box["y"] + box["height"]), 320 : int(box["width"])], -1, 0)
+    return int(((blue > red + 35) & (green > red + 10)).sum())
+
+
+@pytest.mark.parametrize("name", list(SAYS))
+def test_a_tab_beside_the_scene_during_a_run(page: Page, station: Served, name: str, picture: Picture) -> None:
+    assert station.post("/api/start", DEMO).status_code == 202
+    station.wait_for(lambda s: s["phase"] == "moving" and s["run"]["progress"] > 0.05, 60.0)
+    page.locator(f"#tab-{name}").click()
+    page.locator(f"#{name}", has_text=SAYS[name]).wait_for(timeout=10_000)
+    page.wait_for_timeout(1500)
+    picture(page, f"tab_{name}")
+    assert robot(page) > 100
+
+
+def test_the_header_in_hold_says_why_and_what_to_do(page: Page, station: Served, picture: Picture) -> None:
+    assert station.post("/api/start", DEMO).status_code == 202
+    station.wait_for(lambda s: s["phase"] == "moving", 30.0)
+    station.post("/api/faults", {"faults": [{"kind": "lose_tool", "device": "tracker", "duration": 3.0}]})
+    page.locator("#state", has_text="HOLD").wait_for(timeout=8000)
+    page.locator("#lights .light:not([data-severity='0'])").first.wait_for(timeout=5000)
+    assert page.locator("#says").inner_text() != ""
+    assert "Reset" in page.locator("#next").inner_text()
+    picture(page, "hold")
+    station.wait_for(lambda s: s["devices"]["tracker"]["severity"] == 0, 10.0)

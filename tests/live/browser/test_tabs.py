@@ -1,0 +1,345 @@
+"""The tabs under an operator's hands; the scene is left out, it takes a processor to draw."""
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page
+
+from tests.harness.chromium import bare_page
+from tests.harness.contrast import CONTRAST
+from tests.harness.serving import Served
+
+Picture = Callable[[Page, str], None]
+CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.003, "period": 4.0}, "duration": 2.0}
+
+
+@pytest.fixture(scope="module")
+def open_page(running: Served, browser: Browser) -> Iterator[Page]:
+    with bare_page(browser, running) as page:
+        yield page
+
+
+def tab(page: Page, name: str) -> None:
+    page.locator(f"#tab-{name}").click()
+    if name == "start" and page.get_by_role("button", name="all motions").count():
+        page.get_by_role("button", name="all motions").click()
+        page.locator(".card").first.wait_for(timeout=10_000)
+
+
+def joints(station: Served) -> list[float]:
+    return list(station.status()["joints"].values())
+
+
+def hold(page: Page, station: Served, button: str, moved: Callable[[dict[str, Any]], bool]) -> None:
+    """Press with the mouse and keep pressed until it has moved.
+
+    The page lets go by itself when the station's word is older than half a second, which happens on a busy machine.
+    """
+    for _ in range(10):
+        page.get_by_role("button", name=button).hover()
+        page.mouse.down()
+        until = time.monotonic() + 2.0
+        while time.monotonic() < until:
+            if moved(station.status()):
+                return
+        page.mouse.up()
+    raise AssertionError(f"'{button}' moves nothing")
+
+
+# ---- run
+
+
+def test_a_preset_is_started_after_the_way_to_its_start_pose_is_confirmed(
+    page: Page, station: Served, picture: Picture
+) -> None:
+    tab(page, "start")
+    page.locator(".card img").first.wait_for(timeout=60_000)
+    page.wait_for_function("() => document.querySelector('.card img').naturalWidth > 0")
+    picture(page, "run")
+    tab(page, "jog")
+    hold(page, station, "inner_rotation plus: hold to move", lambda s: s["joints"]["inner_rotation"] > 1.5708 + 0.03)
+    page.mouse.up()
+    tab(page, "start")
+    page.locator(".card", has_text="Fig. 10").click()
+    page.get_by_label("case").select_option("feedforward")
+    assert "inner rotation 90" in page.locator("#start").inner_text()
+    page.get_by_role("button", name="Start experiment").click()
+    question = page.get_by_role("dialog")
+    assert "start pose" in question.inner_text()
+    picture(page, "confirm")
+    question.get_by_role("button", name="Cancel").click()
+    assert station.status()["state"] == "READY"
+    page.get_by_role("button", name="Start experiment").click()
+    page.get_by_role("dialog").get_by_role("button", name="Start").click()
+    status = station.wait_for(lambda s: s["state"] == "RUNNING", 20.0)
+    assert status["run"]["title"] == "fig10, case feedforward"
+    page.locator("#run-left", has_text="left of 3:20").wait_for(timeout=15_000)
+    page.locator("#stop").click()
+    station.wait_for(lambda s: s["state"] == "STOPPED", 2.0)
+    page.get_by_role("button", name="all motions").click()
+
+
+def test_a_free_motion_has_units_and_bounds_and_runs_as_set(page: Page, station: Served, picture: Picture) -> None:
+    tab(page, "start")
+    page.locator(".card", has_text="Move the tip along a circle").click()
+    radius = page.locator("#start").get_by_label("radius")
+    assert page.locator("#start").get_by_text("mm 0 … 100").count() == 1
+    picture(page, "free_motion")
+    radius.fill("1000")
+    page.get_by_role("button", name="Start motion").click()
+    assert radius.evaluate("field => !field.validity.valid")
+    assert station.status()["state"] == "READY"
+    radius.fill("4")
+    page.locator("#start").get_by_label("duration").fill("30")
+    page.get_by_label("Load on the simulated tip").select_option("constant")
+    page.get_by_role("button", name="Start motion").click()
+    status = station.wait_for(lambda s: s["state"] == "RUNNING" and s["run"]["phase"] == "moving", 20.0)
+    assert status["run"]["duration"] == 30.0
+    assert page.get_by_role("button", name="Start motion").is_disabled()
+    station.wait_for(lambda s: s["force"][0] > 0.1, 5.0)
+    station.post("/api/stop")
+    page.get_by_role("button", name="all motions").click()
+
+
+def test_what_cannot_be_reached_is_refused_with_the_reason(page: Page, station: Served) -> None:
+    tab(page, "start")
+    page.locator(".card", has_text="Move the tip along a circle").click()
+    page.locator("#start").get_by_label("radius").fill("90")
+    page.get_by_role("button", name="Start motion").click()
+    page.locator(".note", has_text="cannot be followed").wait_for(timeout=5000)
+    assert station.status()["state"] == "READY"
+    page.get_by_role("button", name="all motions").click()
+
+
+# ---- jog
+
+
+@pytest.mark.parametrize("ending", ["release", "leave", "blur", "hide"])
+def test_a_jog_moves_while_held_and_no_longer(page: Page, station: Served, ending: str) -> None:
+    tab(page, "jog")
+    before = joints(station)
+    plus = "outer_rotation plus: hold to move"
+    hold(page, station, plus, lambda s: s["joints"]["outer_rotation"] > before[0] + 0.02)
+    match ending:
+        case "release":
+            page.mouse.up()
+        case "leave":
+            page.mouse.move(900, 30)
+        case "blur":
+            page.evaluate("() => window.dispatchEvent(new Event('blur'))")
+        case _:
+            page.evaluate(
+                """() => { Object.defineProperty(document, 'hidden', {value: true, configurable: true});
+                           document.dispatchEvent(new Event('visibilitychange')); delete document.hidden; }"""
+            )
+    page.wait_for_timeout(1500)
+    still = joints(station)
+    page.wait_for_timeout(500)
+    assert joints(station) == still
+    page.mouse.up()
+
+
+def test_a_jog_of_the_tip_by_keyboard(page: Page, station: Served, picture: Picture) -> None:
+    tab(page, "jog")
+    before = station.status()["tip_true"]
+    page.get_by_role("button", name="z minus: hold to move").focus()
+    page.keyboard.down("Space")
+    station.wait_for(lambda s: s["tip_true"][2] < before[2] - 0.002, 8.0)
+    picture(page, "jog")
+    page.keyboard.up("Space")
+    page.wait_for_timeout(1500)
+    after = station.status()["tip_true"]
+    assert abs(after[0] - before[0]) + abs(after[1] - before[1]) < abs(after[2] - before[2])
+
+
+def test_a_page_that_is_closed_while_it_jogs_stops_the_robot(station: Served, browser: Browser) -> None:
+    with bare_page(browser, station) as page:
+        tab(page, "jog")
+        before = joints(station)
+        minus = "outer_rotation minus: hold to move"
+        hold(page, station, minus, lambda s: s["joints"]["outer_rotation"] < before[0] - 0.02)
+    seen: list[list[float]] = []
+    station.wait_for(
+        lambda s: seen.append(list(s["joints"].values())) or (len(seen) > 50 and seen[-1] == seen[-40]), 8.0
+    )
+
+
+# ---- devices
+
+
+def test_devices_say_what_they_are_and_home_only_when_the_way_is_clear(
+    page: Page, station: Served, picture: Picture
+) -> None:
+    tab(page, "devices")
+    page.locator("#devices legend", has_text="tracker").wait_for(timeout=5000)
+    page.locator("#devices summary").first.click()
+    page.locator("#devices td", has_text="serial").first.wait_for(timeout=5000)
+    assert "wrench_raw.inner_fx [N]" in page.locator("#devices").inner_text()
+    picture(page, "devices")
+    page.get_by_role("button", name="Zero the force sensors").click()
+    page.locator(".note.good", has_text="read zero").first.wait_for(timeout=5000)
+    page.get_by_role("button", name="Home…").click()
+    dialog = page.get_by_role("dialog")
+    assert dialog.get_by_role("button", name="Home", exact=True).is_disabled()
+    picture(page, "home")
+    dialog.get_by_role("checkbox").check()
+    assert dialog.get_by_role("button", name="Home", exact=True).is_enabled()
+    dialog.get_by_role("button", name="Cancel").click()
+    assert station.status()["state"] == "READY"
+    page.get_by_role("button", name="Home…").click()
+    dialog.get_by_role("checkbox").check()
+    dialog.get_by_role("button", name="Home", exact=True).click()
+    page.locator("#state", has_text="HOMING").wait_for(timeout=5000)
+    assert page.get_by_role("button", name="Home…").is_disabled()
+    page.locator("#state", has_text="READY").wait_for(timeout=100_000)
+    assert abs(station.status()["joints"]["inner_translation"] + 0.1) > 0.02  # retracted, not where it was
+
+
+def test_an_axis_is_checked_against_the_model(page: Page, station: Served) -> None:
+    tab(page, "devices")
+    before = joints(station)
+    hold(page, station, "outer rotation +", lambda s: s["joints"]["outer_rotation"] > before[0] + 0.08)
+    page.mouse.up()
+    page.locator("#devices", has_text="✓ right way").wait_for(timeout=8000)
+
+
+# ---- plots
+
+
+def test_plots_are_chosen_paused_and_zoomed(page: Page, station: Served, picture: Picture) -> None:
+    tab(page, "plots")
+    assert page.locator(".chart").count() == 3
+    page.get_by_role("button", name="timing").click()
+    assert page.locator(".chart").count() == 4
+    page.get_by_role("button", name="deflection").click()
+    station.post("/api/start", CIRCLE | {"load": {"kind": "constant", "magnitude": 0.3}, "duration": 6.0})
+    station.wait_for(lambda s: s["state"] == "READY", 15.0)
+    picture(page, "plots")
+    page.get_by_role("button", name="Pause").click()
+    force = page.get_by_role("img", name="Force at the tip over time")
+    pixels = "canvas => canvas.toDataURL()"
+    still = force.evaluate(pixels)
+    page.wait_for_timeout(600)
+    assert force.evaluate(pixels) == still
+    box = force.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 150, box["y"] + 60)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 300, box["y"] + 60)
+    page.mouse.up()
+    assert force.evaluate(pixels) != still
+    page.get_by_role("button", name="Whole time").click()
+    page.get_by_role("button", name="Go on").click()
+    page.wait_for_timeout(500)
+    assert force.evaluate(pixels) != still
+
+
+# ---- runs
+
+
+def test_runs_are_listed_annotated_replayed_and_compared(page: Page, station: Served, picture: Picture) -> None:
+    for _ in range(2):
+        station.post("/api/start", CIRCLE)
+        station.wait_for(lambda s: s["state"] == "READY", 12.0)
+    tab(page, "runs")
+    cards = page.locator("#runs .card", has_text="circle, free motion")
+    cards.nth(1).wait_for(timeout=10_000)
+    picture(page, "runs")
+    cards.first.click()
+    page.get_by_label("notes").fill("a new coil")
+    page.get_by_role("button", name="Save notes").click()
+    page.locator(".note.good", has_text="saved").wait_for(timeout=5000)
+    with page.expect_download() as download:
+        page.get_by_role("link", name="run.mcap").click()
+    assert download.value.path().read_bytes().startswith(b"\x89MCAP0\r\n")
+    page.get_by_role("button", name="Replay").click()
+    page.locator("#cover", has_text="this is not live").wait_for(timeout=60_000)
+    page.frame_locator("#cover iframe").locator("canvas").first.wait_for(timeout=10_000)
+    picture(page, "replay")
+    page.get_by_role("button", name="live scene").click()
+    page.get_by_role("button", name="all runs").click()
+    page.locator("#runs .card", has_text="a new coil").wait_for(timeout=5000)
+    for box in page.locator("#runs input[type=checkbox]").all()[:2]:
+        box.check()
+    page.get_by_role("button", name="Compare two").click()
+    page.locator("#comparison tr").nth(3).wait_for(timeout=5000)
+    picture(page, "compare")
+    page.get_by_role("button", name="all runs").click()
+
+
+# ---- faults
+
+
+def test_a_fault_is_injected_seen_explained_and_reset(page: Page, station: Served, picture: Picture) -> None:
+    station.post("/api/start", CIRCLE | {"duration": 60.0})
+    station.wait_for(lambda s: s["run"]["phase"] == "moving", 8.0)
+    station.rest.delete("/api/operator")
+    tab(page, "faults")
+    page.get_by_label("fault", exact=True).select_option("lose_tool")
+    page.locator("#faults").get_by_label("duration [s]").fill("1.5")
+    page.get_by_role("button", name="Inject").click()
+    page.locator("#state", has_text="HOLD").wait_for(timeout=8000)
+    light = page.locator("#lights li", has_text="tracker").locator(".light")
+    assert "What to do" in page.locator("#faults").inner_text()
+    picture(page, "faults")
+    page.locator("#lights li[title*='tracker: answers']").wait_for(timeout=10_000)
+    assert light.get_attribute("data-severity") == "0"
+    page.locator("#faults").get_by_role("button", name="Reset").click()
+    page.locator("#state", has_text="READY").wait_for(timeout=5000)
+    page.locator("#faults td", has_text="lose_tool").first.wait_for(timeout=5000)
+
+
+# ---- hands without a mouse, eyes without colours, small screens
+
+
+def test_every_control_is_reached_by_keyboard(page: Page, station: Served) -> None:
+    page.locator("#tab-start").focus()
+    for name in ("jog", "devices", "plots", "runs", "calibrate", "faults", "start"):
+        page.keyboard.press("ArrowRight")
+        assert page.locator(f"#{name}").is_visible()
+        assert page.evaluate("document.activeElement.id") == f"tab-{name}"
+    page.locator("#stop").focus()
+    seen = set()
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        seen.add(page.evaluate("document.activeElement.id || document.activeElement.className"))
+    assert {"operator-act", "tab-start", "card", "loop"} <= seen
+    station.post("/api/start", CIRCLE | {"duration": 60.0})
+    page.locator("#stop").focus()
+    page.keyboard.press("Enter")
+    station.wait_for(lambda s: s["state"] == "STOPPED", 2.0)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (820, 1180)])
+def test_nothing_is_cut_off_on_small_screens(page: Page, width: int, height: int, picture: Picture) -> None:
+    page.set_viewport_size({"width": width, "height": height})
+    try:
+        for name in ("start", "jog", "devices", "plots", "runs", "faults"):
+            tab(page, name)
+            wide = page.evaluate(
+                f"document.getElementById('{name}').scrollWidth - document.getElementById('{name}').clientWidth"
+            )
+            assert wide <= 1, name
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        box = page.locator("#stop").bounding_box()
+        assert box is not None
+        assert box["x"] >= 0
+        assert box["y"] >= 0
+        picture(page, f"screen_{width}")
+    finally:
+        page.set_viewport_size({"width": 1280, "height": 720})
+
+
+def test_text_can_be_read_in_the_light_and_in_the_dark(page: Page, picture: Picture) -> None:
+    """WCAG AA: a contrast of 4.5 for every text of header and tab."""
+    try:
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            tab(page, "jog")
+            for name in ("#state", "#says", "#run-title", "#lights li", "#jog p", "#tab-jog", "#tab-runs", "#stop"):
+                assert page.locator(name).first.evaluate(CONTRAST) >= 4.5, (scheme, name)
+            picture(page, f"scheme_{scheme}")
+    finally:
+        page.emulate_media(color_scheme="light")

@@ -1,0 +1,23 @@
+"""Bad configuration: nothing is half-started."""
+
+import subprocess
+import sys
+
+import psutil
+
+
+def test_nothing_is_half_started(write) -> None:
+    path = write("[controller]\nstrategy = 'magic'\n")
+    command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--config", str(path), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        watched = psutil.Process(process.pid)
+        children = set()
+        while process.poll() is None:
+            children |= {child.pid for child in watched.children()} if watched.is_running() else set()
+        said = process.stdout.read()
+
+    assert process.returncode == 2
+    assert said.strip().count("\n") == 0
+    assert f"{path}: " in said
+    assert "magic" in said
+    assert children == set()

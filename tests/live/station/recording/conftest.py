@@ -1,0 +1,5 @@
+"""Rows of a robot at rest, and recordings of them."""
+
+from tests.harness.recordings import channels, make_rows
+
+__all__ = ["channels", "make_rows"]

@@ -1,0 +1,97 @@
+"""Folders that a killed process left behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from station.recording.label import Label
+from station.recording.read import read_case
+from station.recording.recover import recover
+from station.recording.writer import PARTIAL
+
+#: Records one whole case and begins a second one, then waits to be killed.
+RECORD = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from station.recording.case_recorder import CaseRecorder
+from station.recording.label import Label
+from station.recording.run_folder import RunFolder
+from station.recording.writer import CaseWriter
+from station.robots import load_robot
+from station.telemetry import Channels
+
+robot = load_robot("paper").robot()
+channels = Channels(robot)
+folder = RunFolder(Path(sys.argv[1]), "one")
+folder.add_source("title = 'kept'")
+for case in ("a", "b"):
+    writer = CaseWriter(folder.case(case), robot, channels.all, {"experiment": "own", "seed": 5, "title": "kept"})
+    recorder = CaseRecorder(writer, len(channels))
+    for number in range(750):
+        recorder.write(np.full(len(channels), 0.002 * number))
+    if case == "a":
+        recorder.close(Label.COMPLETE)
+print("written", flush=True)
+time.sleep(60.0)
+"""
+
+
+@pytest.fixture
+def killed(tmp_path, environment):
+    """A folder of runs whose only run was killed by a signal."""
+
+    def kill(number: int):
+        runs = tmp_path / "runs"
+        command = [sys.executable, "-c", RECORD, str(runs)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"written\n"
+            assert recover(runs) == []  # it is alive
+            os.kill(process.pid, number)
+        return runs
+
+    return kill
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_run_is_finished_labelled_and_named(killed, number):
+    runs = killed(number)
+    assert [path.name for path in runs.iterdir()] == [f"one{PARTIAL}"]
+
+    assert recover(runs) == [runs / "one"]
+    assert sorted(path.name for path in (runs / "one").iterdir()) == [
+        "a.mcap",
+        "b.mcap",
+        "experiment.toml",
+        "summary.json",
+    ]
+    whole, cut = read_case(runs / "one" / "a.mcap"), read_case(runs / "one" / "b.mcap")
+    assert (whole.label, len(whole.rows)) == (Label.COMPLETE, 750)
+    assert cut.label is Label.INTERRUPTED
+    assert len(cut.rows) >= 500  # a block that was full had reached the disk
+    assert (cut.rows == whole.rows[: len(cut.rows)]).all()
+    summary = json.loads((runs / "one" / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["experiment"], summary["seed"], summary["title"]) == ("own", 5, "kept")
+    assert (summary["label"], summary["completed"]) == ("interrupted", False)
+    assert summary["cases"]["a"]["completed"]
+    assert not summary["cases"]["b"]["completed"]
+    assert recover(runs) == []
+
+
+def test_recovering_again_changes_nothing_and_takes_no_name_that_is_in_use(killed):
+    runs = killed(signal.SIGKILL)
+    assert recover(runs) == [runs / "one"]
+    before = (runs / "one" / "b.mcap").read_bytes()
+    # As if the recovery had been killed before it gave the last file and the folder their names.
+    (runs / "one" / "b.mcap").rename(runs / "one" / f"b.mcap{PARTIAL}")
+    (runs / "one").rename(runs / f"one{PARTIAL}")
+    (runs / "one").mkdir()
+
+    assert recover(runs) == [runs / "one-2"]
+    assert (runs / "one-2" / "b.mcap").read_bytes() == before
+    assert list((runs / "one").iterdir()) == []

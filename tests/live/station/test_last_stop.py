@@ -1,0 +1,66 @@
+"""The last stop on simulated stages that really move, in a process of their own."""
+
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from station.devices.links import SerialLink
+from station.devices.zaber import BAUD, MESSAGE_TIME, Command, Message, encode
+from station.last_stop import stop_stages
+from tests.harness.watched_lab import WatchedLab
+
+
+@pytest.fixture(scope="module")
+def lab() -> Iterator[WatchedLab]:
+    with WatchedLab() as lab:
+        yield lab
+
+
+def set_going(lab: WatchedLab) -> SerialLink:
+    link = SerialLink(lab.endpoints["zaber"], BAUD)
+    for device in (1, 2, 3):
+        link.write(encode(Message(device, Command.MOVE_SPEED, -500)))
+        time.sleep(2 * MESSAGE_TIME)
+    time.sleep(0.05)
+    assert lab.notes()[-1].statuses == (22, 22, 22)
+    return link
+
+
+def test_every_unit_is_told_and_says_that_it_stops(lab: WatchedLab) -> None:
+    set_going(lab).close()
+    begin = time.monotonic()
+    said = stop_stages([lab.endpoints["zaber"]])
+
+    assert said.startswith(f"3 stages on {lab.endpoints['zaber']} stop, told ")
+    assert 0.0 < lab.told(begin) < 0.5
+
+
+def test_a_port_that_a_dying_process_still_has_is_tried_until_it_is_free(lab: WatchedLab) -> None:
+    link = set_going(lab)
+    release = threading.Timer(0.3, link.close)
+    release.start()
+    said = stop_stages([lab.endpoints["zaber"]])
+    release.join()
+
+    assert said.startswith("3 stages on")
+    assert not lab.notes()[-1].moving
+
+
+def test_half_a_message_before_it_does_not_swallow_the_stop(lab: WatchedLab) -> None:
+    link = set_going(lab)
+    link.write(b"\x02\x16\x00")
+    link.close()
+    assert stop_stages([lab.endpoints["zaber"]]).startswith("3 stages on")
+    assert not lab.notes()[-1].moving
+
+
+def test_of_what_cannot_be_stopped_a_person_is_told(lab: WatchedLab) -> None:
+    set_going(lab).close()
+    said = stop_stages(["/dev/not-there", lab.endpoints["zaber"]], patience=0.5)
+
+    assert "the stages on /dev/not-there cannot be told to stop" in said
+    assert "press the emergency stop" in said
+    assert "3 stages on" in said
+    assert stop_stages([]) == ""

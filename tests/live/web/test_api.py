@@ -1,0 +1,240 @@
+"""The REST interface of a station that really runs."""
+
+import itertools
+import json
+import math
+import time
+from xml.etree import ElementTree
+
+import httpx
+import numpy as np
+import pytest
+from websockets.sync.client import connect
+
+from tests.harness.serving import Served
+
+CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforward": True}
+
+
+def test_status_says_everything_with_one_call(station: Served) -> None:
+    status = station.status()
+    assert status["state"] == "READY"
+    assert status["cause"] == ""
+    assert set(status["joints"]) == {"outer_rotation", "inner_rotation", "inner_translation"}
+    assert all(math.isfinite(x) for x in (*status["tip_measured"], *status["tip_estimated"], *status["force"]))
+    assert set(status["devices"]) == {"stages", "tracker", "sensors"}
+    assert {device["condition"] for device in status["devices"].values()} == {"connected"}
+    assert {device["severity"] for device in status["devices"].values()} == {0}
+    assert (status["says"], status["next"]) == ("nothing moves", "choose a motion and press Start")
+    assert "simulated" in status["lab"]
+    assert status["loop"]["ticks"] > 0
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "travel_mm"),
+    [
+        ({"kind": "hold"}, 0.0),
+        ({"kind": "sinusoid", "direction": [0, 0, 1], "amplitude": 0.008, "frequency": 0.25}, 8.0),
+        ({"kind": "circle", "radius": 0.005, "period": 4.0, "normal": [0, 0, 1]}, 10.0),
+    ],
+)
+def test_a_script_runs_each_trajectory_to_its_end(station: Served, trajectory: dict, travel_mm: float) -> None:
+    answer = station.post("/api/start", {"trajectory": trajectory, "controller": CONTROLLER, "duration": 4.0})
+    assert answer.status_code == 202, answer.text
+    run = answer.json()["run_id"]
+    start = np.array(station.wait_for(lambda s: s["run"]["phase"] == "moving", 6.0)["tip_true"])
+    tips = []
+    while (status := station.status())["state"] == "RUNNING":
+        assert status["run"]["id"] == run
+        tips.append(1e3 * (np.array(status["tip_true"]) - start))
+        time.sleep(0.02)
+    assert status["state"] == "READY"
+    reached = np.linalg.norm(tips, axis=1).max()
+    assert abs(reached - travel_mm) < 1.5
+
+
+def test_a_load_at_the_tip_warns_of_nothing_and_a_touched_shaft_is_named_with_its_place(station: Served) -> None:
+    def warned(status: dict) -> bool:
+        return any("the load does not act at the tip" in warning for warning in status["warnings"])
+
+    # A run zeroes the sensors before it moves.
+    station.post("/api/start", {"trajectory": {"kind": "hold"}, "controller": CONTROLLER, "duration": 60.0})
+    station.wait_for(lambda s: s["phase"] == "moving", 10.0)
+    try:
+        station.post("/api/pull", {"load": {"kind": "constant", "magnitude": 0.3}})
+        station.wait_for(lambda s: s["force"][0] > 0.25, 5.0)
+        for _ in range(25):  # several looks
+            time.sleep(0.1)
+            status = station.status()
+            assert status["touch"] is None
+            assert not warned(status)
+        contact = {"kind": "contact", "magnitude": 0.3, "place": 0.1, "direction": [0.0, 1.0, 0.3]}
+        assert station.post("/api/pull", {"load": contact}).status_code == 200
+        status = station.wait_for(lambda s: s["touch"] is not None, 5.0)
+        assert abs(status["touch"]["place"] - 0.1) < 0.010
+        assert any(first <= 0.101 and last >= 0.099 for first, last in status["touch"]["intervals"])
+        assert abs(np.linalg.norm(status["touch"]["force"]) - 0.3) < 0.05
+        assert "the load does not act at the tip: contact at" in status["warnings"][-1]
+        assert status["state"] == "RUNNING"  # it is said, and nothing is stopped
+        beyond = station.post("/api/pull", {"load": contact | {"place": 0.9}})
+        assert beyond.status_code == 422
+        assert "contact at 900 mm is outside 0 ... 20" in beyond.json()["error"]  # about 203 mm
+    finally:
+        station.post("/api/pull", {"load": {"kind": "none"}})
+    station.wait_for(lambda s: s["touch"] is None and not warned(s), 5.0)
+
+
+def test_an_experiment_goes_to_its_start_pose_first(station: Served) -> None:
+    assert station.post("/api/start", {"experiment": "fig10", "case": "feedforward"}).status_code == 202
+    station.wait_for(lambda s: s["run"]["phase"] == "moving", 15.0)
+    joints = station.status()["joints"]
+    assert abs(joints["inner_translation"] + 0.100) < 1e-3
+    assert abs(joints["inner_rotation"] - math.pi / 2) < 0.02
+    assert "fig10" in station.status()["run"]["title"]
+
+
+def test_stop_is_always_accepted_and_latches_until_reset(station: Served) -> None:
+    assert station.post("/api/stop").status_code == 200
+    assert station.post("/api/stop").json() == {"state": "STOPPED", "note": ""}
+    refused = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 1.0})
+    assert refused.status_code == 409
+    assert "STOPPED" in refused.json()["error"]
+    assert station.post("/api/reset").json()["state"] == "READY"
+    assert station.post("/api/reset").status_code == 409
+
+
+def test_stop_brings_a_moving_robot_to_rest(station: Served) -> None:
+    body = {"trajectory": {"kind": "sinusoid", "amplitude": 0.01, "frequency": 0.3}, "duration": 30.0}
+    station.post("/api/start", body | {"controller": CONTROLLER})
+    station.wait_for(lambda s: s["run"]["phase"] == "moving", 6.0)
+    time.sleep(0.5)
+    station.post("/api/stop")
+    time.sleep(0.5)
+    before = station.status()["joints"]
+    time.sleep(0.3)
+    assert station.status()["joints"] == before
+    assert station.status()["state"] == "STOPPED"
+
+
+def test_a_second_start_is_refused_while_one_is_on(station: Served) -> None:
+    station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 20.0})
+    second = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 20.0})
+    assert second.status_code == 409
+    assert "RUNNING" in second.json()["error"]
+
+
+@pytest.mark.parametrize(
+    ("body", "named"),
+    [
+        ('{"duration": NaN}', "duration"),
+        ('{"duration": 1e999}', "duration"),
+        ('{"duration": -1}', "duration"),
+        ('{"duration": "10"}', "duration"),
+        ('{"nonsense": 1}', "nonsense"),
+        ('{"experiment": "nope"}', "nope"),
+        ('{"experiment": "fig10", "case": "nope"}', "nope"),
+        ('{"experiment": "fig10", "duration": 5}', "not both"),
+        ('{"case": "paper"}', "experiment"),
+        ('{"trajectory": {"kind": "spiral"}}', "spiral"),
+        ('{"trajectory": {"kind": "circle", "radius": NaN, "period": 10}}', "radius"),
+        ('{"trajectory": {"kind": "circle", "radius": 5, "period": 10}}', "radius"),
+        (
+            '{"trajectory": {"kind": "sinusoid", "direction": [0, 0, 0], "amplitude": 0.01, "frequency": 1}}',
+            "direction",
+        ),
+        ('{"controller": {"strategy": "magic"}}', "magic"),
+        ('{"controller": {"k1": 1000}}', "K1"),
+        ('{"load": {"kind": "constant", "magnitude": -1}}', "magnitude"),
+        ('{"load": {"kind": "constant", "magnitude": 20.1}}', "magnitude"),
+        ('{"load": {"kind": "ramps", "times": [0, 1], "magnitudes": [0, -21]}}', "magnitudes"),
+        ("[]", "body"),
+        ("not json", "JSON"),
+        ("[" * 60_000, "body"),
+        ('"\\ud800"', "body"),
+    ],
+)
+def test_a_wrong_body_is_refused_with_the_reason_and_nothing_moves(station: Served, body: str, named: str) -> None:
+    answer = station.rest.post("/api/start", content=body, headers={"content-type": "application/json"})
+    assert 400 <= answer.status_code < 500
+    assert named in answer.json()["error"]
+    assert station.status()["state"] == "READY"
+
+
+def test_an_oversized_body_is_refused(station: Served) -> None:
+    huge = b'{"duration": 1' + b" " * 200_000 + b"}"
+    answer = station.rest.post("/api/start", content=huge, headers={"content-type": "application/json"})
+    assert answer.status_code == 413
+
+    def chunks() -> object:
+        for _ in range(50):
+            yield b" " * 4096
+
+    answer = station.rest.post("/api/start", content=chunks(), headers={"content-type": "application/json"})
+    assert answer.status_code == 413
+    assert "65536" in answer.json()["error"]
+
+
+def test_trajectory_and_controller_can_be_set_and_read_back(station: Served) -> None:
+    circle = {"kind": "circle", "radius": 0.01, "period": 20.0, "normal": [1.0, 0.0, 0.0]}
+    assert station.rest.put("/api/trajectory", json=circle).json() == circle
+    assert station.rest.get("/api/trajectory").json() == circle
+    controller = station.rest.put("/api/controller", json={"strategy": "loaded_jacobian", "k1": 1.0}).json()
+    assert (controller["strategy"], controller["k1"], controller["k2"]) == ("loaded_jacobian", 1.0, 2.5)
+    assert station.rest.get("/api/controller").json() == controller
+    refused = station.rest.put("/api/controller", json={"k1": 51.0})
+    assert refused.status_code == 422
+    assert station.rest.get("/api/controller").json() == controller
+    station.rest.put("/api/controller", json=CONTROLLER)
+
+
+def test_experiments_are_listed_with_their_cases(station: Served) -> None:
+    listed = {experiment["name"]: experiment for experiment in station.rest.get("/api/experiments").json()}
+    assert {"fig3", "fig4", "fig6", "fig7", "fig8", "fig10"} <= set(listed)
+    assert [case["name"] for case in listed["fig3"]["cases"]] == ["a", "b", "c", "d", "d_feedforward"]
+
+
+def test_the_model_answers_with_the_exact_tip_to_its_accuracy(station: Served) -> None:
+    # tip of the exact rod at this pose and load, from an independent solver
+    body = {"joints": {"outer_rotation": 0.0, "inner_rotation": math.pi / 2, "inner_translation": -0.075}}
+    answer = station.post("/api/model/solve", body | {"force": [0.2, 0.0, 0.0]}).json()
+    assert np.linalg.norm(1e3 * np.array(answer["tip"]) - [36.25495, -48.13712, 215.17980]) < 0.08
+    assert answer["joints"] == ["outer_rotation", "inner_rotation", "inner_translation"]
+    refused = station.post("/api/model/solve", {"joints": {"outer_rotation": 0.0}})
+    assert refused.status_code == 422
+    assert "inner_rotation" in refused.json()["error"]
+    body["joints"]["inner_translation"] = 0.1
+    assert "100 mm" in station.post("/api/model/solve", body).json()["error"]
+
+
+def test_telemetry_streams_and_says_what_it_skipped(station: Served) -> None:
+    with connect(f"ws://127.0.0.1:{station.port}/api/telemetry?rate=50", proxy=None) as socket:
+        samples = [json.loads(socket.recv(timeout=2.0)) for _ in range(25)]
+    times = [sample["time"] for sample in samples]
+    assert all(later > earlier for earlier, later in itertools.pairwise(times))
+    # every tick is either sent or counted as skipped
+    for earlier, later in itertools.pairwise(samples):
+        assert round((later["time"] - earlier["time"]) / 0.002) == later["skipped"] + 1
+    assert samples[0]["state"] == "READY"
+    assert len(samples[0]["tip_measured"]) == 3
+    assert {"late_us", "tick_us"} <= set(samples[0])
+
+
+def test_paths_of_what_does_not_exist_are_absent(station: Served) -> None:
+    for path in ("/api/nothing", "/nowhere", "/static/nothing.js", "/api/experiments/nope/picture.svg"):
+        assert station.rest.get(path).status_code == 404
+
+
+def test_every_experiment_has_its_picture(station: Served) -> None:
+    for experiment in station.rest.get("/api/experiments").json():
+        answer = station.rest.get(f"/api/experiments/{experiment['name']}/picture.svg")
+        assert answer.headers["content-type"].startswith("image/svg+xml")
+        assert ElementTree.fromstring(answer.text).tag.endswith("svg")
+
+
+def test_the_api_describes_itself_without_the_internet(station: Served) -> None:
+    schema = station.rest.get("/api/openapi.json").json()
+    assert {"/api/status", "/api/start", "/api/stop", "/api/model/solve"} <= set(schema["paths"])
+    page = station.rest.get("/api/docs").text
+    assert "https://" not in page
+    script = page.split('<script src="')[1].split('"')[0]
+    assert httpx.get(station.url + script).status_code == 200

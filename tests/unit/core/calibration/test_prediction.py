@@ -1,0 +1,54 @@
+"""Residuals that vanish at the truth, and their derivatives against central differences."""
+
+import numpy as np
+import pytest
+
+from core.calibration.prediction import Frames, Prediction
+from core.calibration.quantities import quantities
+from tests.harness.visited import COIL, NOISE, TRACKER, poses, seen
+
+FORCE = np.array([0.3, -0.1, 0.05])
+
+
+@pytest.fixture
+def problem(paper_robot):
+    def make(directions: int) -> Prediction:
+        visits = seen(paper_robot, poses(4, 6), FORCE, directions=directions)
+        frames = Frames(TRACKER, COIL, np.zeros(3))
+        return Prediction(paper_robot, quantities(paper_robot), visits, np.tile(FORCE, (6, 1)), NOISE, frames)
+
+    return make
+
+
+@pytest.mark.parametrize("directions", [0, 1, 3])
+def test_at_the_truth_only_noise_is_left(problem, directions):
+    found = problem(directions)
+    residuals = found.residuals(np.zeros(len(found.parameters)))
+
+    assert residuals.size == 18 * (1 + directions)
+    assert np.sqrt(np.mean(residuals**2)) < 1.4
+    assert np.abs(found.errors(np.zeros(len(found.parameters)))).max() < 4.0 * NOISE.coil
+
+
+@pytest.mark.parametrize("directions", [0, 1, 3])
+def test_the_jacobian_is_the_derivative(problem, directions):
+    found = problem(directions)
+    sizes = np.array([parameter.size for parameter in found.parameters])
+    at = 0.05 * sizes * np.random.default_rng(1).standard_normal(sizes.size)
+
+    jacobian = found.jacobian(at)
+
+    for k, size in enumerate(sizes):
+        half = np.zeros_like(at)
+        half[k] = 1e-4 * size
+        expected = (found.residuals(at + half) - found.residuals(at - half)) / (2.0 * half[k])
+        np.testing.assert_allclose(jacobian[:, k], expected, rtol=0, atol=3e-5 * np.abs(expected).max())
+
+
+def test_a_force_that_is_not_well_known_counts_less_where_the_robot_is_soft(paper_robot):
+    visits = seen(paper_robot, np.array([[0.0, 1.5, -0.12], [0.0, 1.5, -0.02]]), FORCE)
+    frames = Frames(TRACKER, COIL, np.zeros(3))
+    found = Prediction(paper_robot, (), visits, np.tile(FORCE, (2, 1)), NOISE._replace(force=0.02), frames)
+    rows = found.jacobian(np.zeros(9))[:, 3:6].reshape(2, 3, 3)  # by the frame's position: the weights themselves
+
+    assert np.linalg.det(rows[0]) > 10.0 * np.linalg.det(rows[1])

@@ -1,0 +1,111 @@
+"""Frames found again from what a tracker would have seen on the exact rod."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from core.calibration.fit import Unobservable
+from core.calibration.registration import register
+from core.calibration.rigid import Rigid
+from tests.harness.visited import COIL, NOISE, TRACKER, altered, poses, seen
+
+
+def far(found: Rigid) -> float:
+    """Mean distance [m] at the corners of the workspace."""
+    corners = np.array([[x, y, z] for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (0.1, 0.25)])
+    return float(np.linalg.norm(found.apply(TRACKER.inverse().apply(corners)) - corners, axis=1).mean())
+
+
+@pytest.mark.parametrize("directions", [0, 1, 3])
+def test_frames_are_found_again_with_a_coil_of_three_five_and_six_degrees_of_freedom(paper_robot, directions):
+    visits = seen(paper_robot, poses(0, 24), directions=directions)
+
+    found = register(paper_robot, visits, np.zeros((24, 3)), NOISE)
+
+    assert far(found.frames.registration) < 0.04e-3
+    np.testing.assert_allclose(found.frames.coil, COIL, rtol=0, atol=0.1e-3)
+    assert 0.5 < found.fit.variance_factor < 1.6
+    assert found.rms < 0.06e-3
+    assert found.held_out.mean() < 0.08e-3
+
+
+def test_errors_stay_inside_what_the_covariance_says(paper_robot):
+    inside = 0
+    for seed in range(8):
+        visits = seen(paper_robot, poses(seed, 16), seed=seed)
+        found = register(paper_robot, visits, np.zeros((16, 3)), NOISE)
+        centre = np.array([0.0, 0.0, 0.2])
+        error = np.linalg.norm(found.frames.registration.apply(TRACKER.inverse().apply(centre)) - centre)
+        inside += error < 2.5 * found.error_at(centre[None, :])[0]
+    assert inside >= 7
+
+
+def test_a_load_is_taken_into_account(paper_robot):
+    force = np.array([0.4, 0.1, 0.0])
+    visits = seen(paper_robot, poses(1, 20), force)
+
+    assert (
+        far(register(paper_robot, visits, np.tile(force, (20, 1)), NOISE._replace(force=1e-6)).frames.registration)
+        < 0.05e-3
+    )
+
+
+def test_other_tubes_than_described_show_in_the_residuals_and_in_the_covariance(paper_robot):
+    visits = seen(altered(paper_robot), poses(2, 24))
+
+    found = register(paper_robot, visits, np.zeros((24, 3)), NOISE)
+
+    assert found.rms > 0.3e-3
+    assert found.fit.variance_factor > 50.0
+    assert found.held_out.mean() > 0.3e-3
+
+
+def test_a_robot_that_only_slides_cannot_be_registered_and_the_missing_turn_is_named(paper_robot, paper_limits):
+    joints = np.tile([0.0, 1.5, -0.1], (12, 1))
+    joints[:, 2] = np.linspace(-0.12, -0.02, 12)
+
+    with pytest.raises(
+        Unobservable,
+        match=r"cannot tell .*: turn (outer|inner)_rotation by \d+ deg either way \(it turned 0\.0 deg so far",
+    ):
+        register(paper_robot, seen(paper_robot, joints), np.zeros((12, 3)), NOISE, paper_limits)
+
+
+def test_the_named_motion_is_enough(paper_robot, paper_limits):
+    joints = np.tile([0.0, 1.5, -0.1], (12, 1))
+    joints[:, 2] = np.linspace(-0.12, -0.02, 12)
+    with pytest.raises(Unobservable) as refusal:
+        register(paper_robot, seen(paper_robot, joints), np.zeros((12, 3)), NOISE, paper_limits)
+    name, amount = str(refusal.value).split(": turn ")[1].split(" by ")
+    turn = np.radians(float(amount.split()[0]))
+    more = joints.copy()
+    more[:, ["outer_rotation", "inner_rotation"].index(name)] += np.tile([turn, -turn], 6)
+    every = np.vstack((joints, more))
+
+    found = register(paper_robot, seen(paper_robot, every), np.zeros((24, 3)), NOISE, paper_limits)
+
+    assert far(found.frames.registration) < 0.5e-3
+
+
+def test_too_few_visits_are_refused(paper_robot):
+    with pytest.raises(Unobservable, match="5 visits"):
+        register(paper_robot, seen(paper_robot, poses(0, 5)), np.zeros((5, 3)), NOISE)
+
+
+def test_a_turn_about_z_is_shared_with_the_zero_of_the_outermost_tube(paper_robot):
+    """All tubes turned by an angle are the same to the tracker as the tracker turned about z."""
+    turned = poses(3, 20) + np.array([0.2, 0.2, 0.0])
+    visits = [v._replace(joints=joints) for v, joints in zip(seen(paper_robot, turned), poses(3, 20), strict=True)]
+
+    found = register(paper_robot, visits, np.zeros((20, 3)), NOISE)
+
+    expected = Rotation.from_rotvec([0.0, 0.0, -0.2]).as_matrix() @ TRACKER.rotation
+    assert found.rms < 0.06e-3
+    np.testing.assert_allclose(found.frames.registration.rotation, expected, rtol=0, atol=1e-3)
+
+
+def test_where_no_single_joint_is_enough_the_best_is_named_first(paper_robot, paper_limits):
+    joints = np.tile([0.0, 1.5, -0.1], (12, 1))
+
+    with pytest.raises(Unobservable, match=r"\w+ by \d+ deg either way .*, and then the other joints"):
+        register(paper_robot, seen(paper_robot, joints), np.zeros((12, 3)), NOISE, paper_limits)

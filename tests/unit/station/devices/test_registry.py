@@ -1,0 +1,164 @@
+"""Drivers by name: the station's own, and an installed one, against a real server."""
+
+import socket
+import time
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.config import ConfigError
+from station.devices import registry
+from station.devices.config import BenchFile
+from station.devices.interfaces import Condition, Severity, TipReading
+from station.devices.open_devices import plan
+from station.devices.registry import find
+from tests.harness import example_tracker
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch) -> Callable[..., None]:
+    """Install a distribution whose entry points are drivers."""
+
+    def install(entries: str, name: str = "my-bench") -> None:
+        folder = tmp_path / f"{name.replace('-', '_')}-1.0.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", encoding="utf-8")
+        (folder / "entry_points.txt").write_text(f"[ctr_station.devices]\n{entries}\n", encoding="utf-8")
+        monkeypatch.syspath_prepend(str(tmp_path))
+
+    return install
+
+
+def test_a_tracker_of_ones_own_is_found_and_tracks(install, paper):
+    install("line-tracker = tests.harness.example_tracker:open_tracker")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        options = {"host": "127.0.0.1", "port": server.getsockname()[1], "latency": 0.024}
+        tracker = find("tracker", "line-tracker")(options, paper)()
+        try:
+            tracker.connect(0.0)
+            assert tracker.condition is Condition.CONNECTING
+            visitor, _ = server.accept()
+            visitor.sendall(b"1 10.0 -20.0 150.5\n2 10.5 -20.0 1")
+            reading = _until(tracker, 1.0)
+            assert (reading.frame, reading.time) == (1, pytest.approx(0.976))
+            assert reading.position == pytest.approx([0.010, -0.020, 0.1505])
+            assert tracker.condition is Condition.CONNECTED
+            visitor.sendall(b"51.0\nnonsense\n3 nan 0 0\n")  # the rest of frame 2 comes in pieces
+            assert _until(tracker, 1.1).position == pytest.approx([0.0105, -0.020, 0.151])
+            assert tracker.details()["malformed_lines"] == 1
+            assert tracker.trouble(1.2) is None
+            assert tracker.trouble(2.0).severity is Severity.HOLD
+            visitor.close()
+            assert _wait(lambda: tracker.poll(3.0) is None and tracker.condition is Condition.FAULT)
+            assert "is gone" in tracker.trouble(3.0).text
+
+            tracker.connect(4.0)
+            visitor, _ = server.accept()
+            visitor.sendall(b"1 0 0 100\n")
+            assert _until(tracker, 4.1).position == pytest.approx([0.0, 0.0, 0.1])
+            visitor.close()
+        finally:
+            tracker.close()
+
+
+def _until(tracker, now: float) -> TipReading:
+    found: list[TipReading] = []
+    assert _wait(lambda: (reading := tracker.poll(now)) is not None and not found.append(reading))
+    return found[0]
+
+
+def _wait(reached: Callable[[], bool]) -> bool:
+    give_up = time.monotonic() + 5.0
+    while time.monotonic() < give_up:
+        if reached():
+            return True
+        time.sleep(0.002)
+    return False
+
+
+def test_an_unknown_driver_is_refused_with_those_that_there_are(install):
+    install("line-tracker = tests.harness.example_tracker:open_tracker")
+    with pytest.raises(ConfigError, match=r"devices.tracker.driver = 'polaris' is not one of aurora, line-tracker;.*"):
+        find("tracker", "polaris")
+    with pytest.raises(
+        ConfigError, match=r"devices.sensors.driver = 'aurora' is not one of netft, nidaq, line-tracker"
+    ):
+        find("sensors", "aurora")
+
+
+@pytest.mark.parametrize(
+    ("target", "told"),
+    [
+        ("no_such_module:open", "cannot be loaded: ModuleNotFoundError"),
+        ("tests.harness.example_tracker:close", "cannot be loaded: AttributeError"),
+        ("math:pi", r"is no callable open\(options, robot\)"),
+    ],
+)
+def test_a_driver_that_cannot_be_loaded_is_told_with_its_distribution(install, target, told):
+    install(f"mine = {target}")
+    with pytest.raises(ConfigError, match=rf"devices.tracker.driver = 'mine' \({target} of my-bench\) {told}"):
+        find("tracker", "mine")
+
+
+def test_a_device_of_another_kind_is_refused_and_closed(install, paper):
+    install("line-tracker = tests.harness.example_tracker:open_tracker")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        options = {"host": "127.0.0.1", "port": server.getsockname()[1]}
+        with pytest.raises(
+            ConfigError, match=r"gave a LineTracker without command, home, ready, stop, which stages need"
+        ):
+            find("stages", "line-tracker")(options, paper)()
+        visitor, _ = server.accept()
+        with visitor:
+            assert visitor.recv(1) == b""
+
+
+def test_a_name_that_is_installed_twice_means_neither(install):
+    install("mine = math:sin")
+    install("mine = math:cos", "other-bench")
+    with pytest.raises(ConfigError, match=r"'mine' is installed more than once: .*math:cos of other-bench"):
+        find("tracker", "mine")
+
+
+def test_the_stations_own_driver_comes_first(install, paper):
+    install("aurora = no_such_module:open")
+    with pytest.raises(ConfigError, match="'port' is missing"):
+        find("tracker", "aurora")({}, paper)
+
+
+def test_what_an_installed_driver_is_given(install, paper):
+    install("echo = tests.unit.station.devices.test_registry:Given")
+    given = find("tracker", "echo")({"gain": 2.0}, paper)()
+    assert given.told == ({"gain": 2.0}, paper)
+
+
+class Given:
+    """A tracker that remembers how it was opened."""
+
+    condition = Condition.CLOSED
+
+    def __init__(self, *told: object) -> None:
+        self.told = told
+
+    def connect(self, now: float) -> None: ...
+    def trouble(self, now: float) -> None: ...
+    def details(self) -> dict[str, np.ndarray]: ...
+    def poll(self, now: float) -> None: ...
+    def close(self) -> None: ...
+
+
+README = Path(registry.__file__).with_name("README.md").read_text(encoding="utf-8")
+
+
+def test_the_readme_shows_the_driver_that_is_tried_here():
+    code = Path(example_tracker.__file__).read_text(encoding="utf-8").split("\n", 2)[2]
+    assert f"```python\n{code}```" in README
+
+
+def test_the_readmes_bench_can_be_had(paper):
+    text = next(part for part in README.split("```toml\n")[1:] if part.startswith("[devices.stages]")).split("```")[0]
+    bench = BenchFile(**tomllib.loads(text)["devices"])
+    assert set(plan(bench, paper)) == {"stages", "tracker", "sensors"}

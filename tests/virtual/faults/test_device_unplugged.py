@@ -1,0 +1,80 @@
+"""One device unplugged: stages FAULT, tracker or sensor HOLD; known again by who it is; nothing resumes by itself."""
+
+import pytest
+
+from station.devices.rediscover import UsbPort, find
+from station.lab.simulated_aurora_ports import PortHandles
+from station.states import State
+from station.task import Phase
+from tests.harness.virtual_station import VirtualStation
+
+
+@pytest.mark.parametrize(
+    ("device", "state", "named"),
+    [
+        ("stages", State.FAULT, "zaber is gone"),
+        ("tracker", State.HOLD, "tracker (aurora): lost"),
+        ("inner", State.HOLD, "force sensor 1 (netft 1)"),
+    ],
+)
+def test_it_ends_the_motion_and_coming_back_does_not_resume_it(
+    virtual: VirtualStation, device: str, state: State, named: str
+) -> None:
+    virtual.moving()
+    virtual.fail("disconnect", device)
+    took = virtual.becomes(state)
+    virtual.seconds(0.5)
+
+    assert took <= 0.25
+    assert named in virtual.loop.cause
+    if device != "stages":
+        assert virtual.rests()
+    virtual.mend()
+    virtual.seconds(3.0)
+    assert (virtual.state, virtual.loop.phase) == (state, Phase.NONE)
+    assert not virtual.of("velocity_commanded", virtual.rows[-1500:]).any()
+
+
+@pytest.mark.parametrize("device", ["tracker", "outer"])
+def test_a_reset_connects_it_again_and_nothing_moves_before_it_is_right(virtual: VirtualStation, device: str) -> None:
+    virtual.moving()
+    virtual.fail("disconnect", device)
+    virtual.becomes(State.HOLD)
+    virtual.seconds(0.5)
+    virtual.loop.reset(virtual.now)
+    virtual.seconds(1.0)
+    assert virtual.state is State.CONNECTING  # it is not there
+
+    virtual.mend()
+    virtual.becomes(State.READY)
+    assert virtual.rests()
+    virtual.moving()
+
+
+def test_another_coil_in_its_place_is_not_taken(virtual: VirtualStation) -> None:
+    virtual.moving()
+    virtual.fail("disconnect", "tracker")
+    virtual.becomes(State.HOLD)
+    virtual.lab.aurora.handles = PortHandles("OTHER123")
+    virtual.mend()
+    virtual.loop.reset(virtual.now)
+    virtual.seconds(5.0)
+
+    assert virtual.state is State.CONNECTING
+    trouble = virtual.devices.tracker.trouble(virtual.now)
+    assert trouble is not None
+    assert "3A5C1D00" in trouble.text
+
+
+def test_an_adapter_is_known_by_its_serial_number_or_else_by_its_socket() -> None:
+    numbered = UsbPort("/dev/ttyUSB0", 0x0403, 0x6001, "A900", "1-1:1.0")
+    nameless = UsbPort("/dev/ttyUSB1", 0x067B, 0x2303, "", "1-2:1.0")
+    now = [
+        UsbPort("/dev/ttyUSB4", 0x0403, 0x6001, "B777", "1-1:1.0"),  # another one in the old socket
+        UsbPort("/dev/ttyUSB5", 0x0403, 0x6001, "A900", "1-9:1.0"),  # the old one elsewhere
+        UsbPort("/dev/ttyUSB6", 0x067B, 0x2303, "", "1-3:1.0"),
+        UsbPort("/dev/ttyUSB7", 0x067B, 0x2303, "", "1-2:1.0"),
+    ]
+    assert find(numbered, now) == "/dev/ttyUSB5"
+    assert find(nameless, now) == "/dev/ttyUSB7"
+    assert find(numbered, now[:1]) is None

@@ -1,0 +1,84 @@
+"""Snapping: a design is judged at load; HOLD below a floor of stability; STOP when model and tracker part."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.stability import design_snap_number
+from station.config import ConfigError
+from station.lab.loads import ConstantLoad
+from station.margins import FRAMES, Margins, check_design
+from station.robots import TubeFile, load_robot
+from station.states import State
+from tests.harness.virtual_station import VirtualStation
+
+
+def test_a_design_that_snaps_is_named_and_refused_where_that_is_asked_for() -> None:
+    paper = load_robot("paper")
+
+    # the same tubes with twice the curvature
+    def bent(tube: TubeFile) -> TubeFile:
+        x = [section.curvature[0] for section in tube.sections]
+        sections = [s.model_copy(update={"curvature": (2.0 * c, 0.0)}) for s, c in zip(tube.sections, x, strict=True)]
+        return tube.model_copy(update={"sections": tuple(sections)})
+
+    snaps = paper.model_copy(update={"name": "bent", "tubes": tuple(bent(tube) for tube in paper.tubes)})
+
+    lower, upper = (np.array([getattr(joint, end) for joint in paper.joints]) for end in ("lower", "upper"))
+    number = design_snap_number(snaps.robot(), lower, upper)
+    assert number > 1.0
+    warning = check_design(snaps, Margins())
+    assert "robot 'bent'" in warning
+    assert f"{number:.2f} is not below 1" in warning
+    with pytest.raises(ConfigError, match=r"is not below 1.* margins.design = 'warn'"):
+        check_design(snaps, Margins(design="refuse"))
+    assert check_design(paper, Margins(design="refuse")) == ""
+
+
+def test_a_design_that_cannot_be_judged_is_taken_and_said_so() -> None:
+    paper = load_robot("paper")
+    inner = paper.tubes[0]
+    twisted = tuple(
+        section.model_copy(update={"curvature": (2.0, 3.0 * number)}) for number, section in enumerate(inner.sections)
+    )
+    helix = paper.model_copy(update={"tubes": (inner.model_copy(update={"sections": twisted}), *paper.tubes[1:])})
+
+    warning = check_design(helix, Margins())
+    assert f"tube '{inner.name}' is not curved in one plane" in warning
+    assert "mind its stability" in warning
+
+
+def test_a_load_that_brings_the_tubes_near_a_snap_holds_the_motion(case) -> None:
+    # the paper's tubes are far from it: the floor is raised to where a load of 0.3 N brings them
+    station = VirtualStation(case, Margins(stability=0.99)).ready()
+    at_rest = station.of("stability")[-1, 0]
+    station.moving()
+    assert at_rest > 0.99
+    station.lab.pull(ConstantLoad(magnitude=0.4, direction=(0.0, 0.0, -1.0)), station.now)
+    station.becomes(State.HOLD)
+
+    assert "the tubes are about to snap: stability 0.9" in station.loop.cause
+    assert "is below 0.99; take the load off" in station.loop.cause
+    station.seconds(0.4)
+    assert station.rests()
+
+
+def test_a_tip_that_is_suddenly_elsewhere_than_the_model_has_it_stops_everything(virtual: VirtualStation) -> None:
+    virtual.moving()
+    # what a snap looks like to the tracker; it takes ten agreeing frames to be believed
+    virtual.lab.aurora.faults = replace(virtual.lab.aurora.faults, jump=0.05)
+    virtual.becomes(State.STOPPED, 1.0)
+
+    assert "mm further apart than at the motion's start, more than 30 mm" in virtual.loop.cause
+    assert "look before you reset" in virtual.loop.cause
+    virtual.seconds(0.4)
+    assert virtual.rests()
+    assert FRAMES > 1
+
+
+def test_the_usual_model_error_is_no_snap(virtual: VirtualStation) -> None:
+    virtual.moving(since=8.0)
+
+    apart = virtual.of("tip_measured") - virtual.of("tip_estimated")
+    assert np.linalg.norm(apart[-4000:] - apart[-4000], axis=1).max() < 0.5 * Margins().apart

@@ -1,0 +1,134 @@
+"""Stages that are lost: what is stopped, what is said of the rest, and what is believed afterwards."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from station.devices.zaber import Message
+from station.devices.zaber_stages import Condition
+from station.lab.simulated_zaber import Faults
+from tests.harness.zaber_bench import LINEAR, Bench, connected, swing
+
+
+@pytest.fixture
+def bench(paper) -> Bench:
+    return connected(paper)
+
+
+class TestLosing:
+    """A stage in constant-speed motion has no watchdog: those that hear are stopped, the others are named."""
+
+    def test_a_cut_chain_stops_what_it_can_reach_and_says_how_far_the_rest_can_run(self, bench):
+        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
+        bench.chain.faults = Faults(cut=3)
+        cut = bench.now
+        bench.run(2.0, lambda now: [0.1, 0.1, 0.010], until=lambda: bench.stages.condition is Condition.FAULT)
+        assert bench.now - cut < 0.3
+        bench.run(0.5)
+
+        assert bench.moving == [False, False, True]
+        problem = bench.stages.problem
+        assert "inner_translation (device 3 on line 0) cannot be reached" in problem
+        assert "it can run on to -5.0 mm" in problem
+        assert "outer_rotation" not in problem
+        assert not bench.stages.ready
+        bench.run(15.0)
+        assert bench.truth[2] == pytest.approx(-0.005, abs=1e-6)  # it did
+
+    def test_a_lost_stage_that_hears_again_is_stopped(self, bench):
+        bench.run(1.0, lambda now: [0.0, 0.0, 0.010])
+        bench.chain.faults = Faults(cut=3)
+        bench.run(1.0)
+        assert bench.moving == [False, False, True]
+        bench.chain.faults = Faults()
+        bench.run(1.0)
+
+        assert bench.moving == [False, False, False]
+        assert bench.stages.condition is Condition.FAULT
+
+    @pytest.mark.parametrize("seed", range(4))
+    def test_on_a_line_that_loses_bytes_no_stage_runs_on(self, paper, seed):
+        bench = Bench(paper, seed=seed).connect()
+        bench.chain.faults = Faults(drop=2e-3)
+        bench.run(20.0, swing, until=lambda: bench.stages.condition is Condition.FAULT)
+        bench.stages.stop(bench.now)
+        bench.chain.faults = Faults()
+        bench.run(2.0)
+
+        assert bench.moving == [False, False, False]
+
+    def test_a_unit_that_was_reset_unnoticed_is_not_believed(self, bench):
+        bench.units[0].take(Message(1, 0, 0))
+        bench.units[0].deaf_until = 0.0  # it is back at once
+        bench.run(1.0, lambda now: [0.0, 0.0, 0.0])
+
+        assert bench.stages.condition is Condition.FAULT
+        assert "outer_rotation" in bench.stages.problem
+        assert "does not move as it was told" in bench.stages.problem
+        assert not bench.stages.homed[0]
+
+    def test_an_adapter_pulled_out_loses_all_its_stages_and_raises_nothing(self, paper):
+        bench = Bench(paper, apart=True).connect()
+        bench.run(1.0, lambda now: [0.1, -0.1, 0.010])
+        bench.near[1].close()
+        bench.run(0.5, lambda now: [0.1, -0.1, 0.010])
+
+        assert bench.stages.condition is Condition.FAULT
+        assert "inner_rotation (device 1 on line 1) cannot be reached" in bench.stages.problem
+        assert "it can run on to -360.0 deg" in bench.stages.problem
+        assert bench.moving == [False, True, False]
+        assert np.isfinite(bench.reading.positions).all()
+
+    def test_a_mute_unit_that_still_listens_is_stopped_too(self, bench):
+        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
+        bench.chain.faults = Faults(mute=frozenset({1}))
+        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
+
+        assert bench.stages.condition is Condition.FAULT
+        assert bench.moving == [False, False, False]
+
+    def test_after_a_loss_it_connects_to_the_same_units_on_another_port_and_wants_homing(self, bench):
+        bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
+        bench.near[0].close()
+        bench.run(0.1)
+        assert bench.stages.condition is Condition.FAULT
+        bench.run(20.0)  # they run to their limits
+
+        bench.stages.connect(bench.now, bench.plug())
+        bench.run(10.0, until=lambda: bench.stages.condition is not Condition.CONNECTING)
+        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
+        assert bench.stages.homed == [False, False, False]
+        bench.home()
+        assert bench.stages.ready, bench.stages.problem
+
+    def test_other_units_in_their_place_are_refused(self, bench):
+        bench.near[0].close()
+        bench.run(0.1)
+        bench.units[2].kind = replace(LINEAR, serial=5)
+        bench.stages.connect(bench.now, bench.plug())
+        bench.run(10.0, until=lambda: bench.stages.condition is not Condition.CONNECTING)
+
+        assert "serial number 5; 1001 is expected" in bench.stages.problem
+
+    def test_slow_replies_within_the_deadline_lose_nothing(self, bench):
+        bench.chain.faults = Faults(delay=0.025)
+        bench.run(3.0, swing)
+        assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
+
+    def test_a_unit_that_lost_its_power_is_noticed(self, bench):
+        bench.run(1.0, swing)
+        bench.chain.power_cycle(1)
+        bench.run(2.0, swing)
+
+        assert bench.stages.condition is Condition.FAULT
+        assert "outer_rotation" in bench.stages.problem
+
+    def test_a_stopped_connection_is_not_a_connection(self, paper):
+        bench = Bench(paper)
+        bench.stages.connect(0.0)
+        bench.run(0.2)
+        bench.stages.stop(bench.now)
+        bench.run(0.2)
+        assert bench.stages.condition is Condition.FAULT
+        assert "stopped" in bench.stages.problem

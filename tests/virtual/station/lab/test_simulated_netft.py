@@ -1,0 +1,185 @@
+"""The simulated Net F/T box: what it answers, when, to whom; its sensor's imperfections."""
+
+import struct
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from station.lab.config import BaseSensorConfig
+from tests.harness.netft_bench import STREAM, TICK, WRENCH, Bench
+
+
+def test_a_record_is_the_worked_one():
+    bench = Bench(first=0.0)
+    bench.box.advance(0.0, WRENCH)
+    bench.ask(STREAM)
+    bench.box.advance(0.0, WRENCH)
+    bench.box.advance(0.004, WRENCH)
+
+    (first, *_) = bench.host.receive()
+    # Sequence 1, healthy, the counts of 1 N, -2 N, 3 N, 0.01, -0.02, 0.03 N m; the counter has moved on by 14 in 2 ms.
+    assert first.hex(" ", 4) == "00000001 0000192f 00000000 000f4240 ffe17b80 002dc6c0 00002710 ffffb1e0 00007530"
+
+
+@pytest.mark.parametrize(("asked", "step"), [(500.0, 14), (1000.0, 7), (7000.0, 1), (3000.0, 2), (50.0, 140)])
+def test_the_rate_is_7000_over_a_whole_number(asked, step):
+    bench = Bench(rate=asked)
+    bench.ask(STREAM)
+    records = bench.run(1.0)
+
+    assert len(records) == pytest.approx(7000 / step, rel=0.01, abs=1)
+    assert [r[0] for r in records] == list(range(1, len(records) + 1))
+    assert {b[1] - a[1] for a, b in pairwise(records)} == {step}
+
+
+def test_the_internal_counter_goes_on_and_the_sequence_begins_anew_with_each_request():
+    bench = Bench()
+    bench.ask(STREAM)
+    first = bench.run(0.1)
+    bench.ask(STREAM)
+    second = bench.run(0.1)
+
+    assert second[0][0] == 1
+    assert second[0][1] > first[-1][1]
+
+
+def test_a_count_of_samples_is_kept_and_a_stop_obeyed():
+    bench = Bench()
+    bench.ask("1234000200000005")
+    assert [r[0] for r in bench.run(0.1)] == [1, 2, 3, 4, 5]
+    bench.ask(STREAM)
+    assert bench.run(0.1)
+    bench.ask("1234000000000000")
+    assert bench.run(0.1) == []
+
+
+def test_only_the_latest_that_asked_is_served():
+    bench = Bench()
+    other = bench.end.link("other")
+    bench.ask(STREAM)
+    assert bench.run(0.1)
+    bench.ask(STREAM, other)
+    assert bench.run(0.1) == []
+    assert other.receive()
+
+
+def test_a_long_request_names_the_host_to_serve():
+    bench = Bench()
+    elsewhere = bench.end.link("10.0.0.7")
+    bench.ask("1234 8002 00000000 0a000007 " + f"{elsewhere.address[1]:04x}")
+
+    assert bench.run(0.1) == []
+    assert len(elsewhere.receive()) > 40
+
+
+def test_buffered_records_come_several_a_datagram():
+    bench = Bench(buffer=10)
+    bench.ask("1234000300000019")  # 25 records
+    lengths = []
+    for _ in range(100):
+        bench.now += TICK
+        bench.box.advance(bench.now, WRENCH)
+        lengths += [len(datagram) / 36 for datagram in bench.host.receive()]
+
+    assert lengths == [10, 10, 5]
+
+
+def test_a_bias_makes_the_present_reading_zero_while_the_stream_goes_on():
+    bench = Bench()
+    bench.ask(STREAM)
+    bench.run(0.1)
+    bench.ask("1234004200000000")
+    records = bench.run(0.1)[1:]  # the first was on its way already
+
+    assert all(r[3:] == (0,) * 6 for r in records)
+    assert records[0][0] > 1
+    assert bench.run(0.01, 2.0 * WRENCH)[-1][3:] == (1_000_000, -2_000_000, 3_000_000, 10_000, -20_000, 30_000)
+    assert b"<setbias>1000000;-2000000;3000000;10000;-20000;30000</setbias>" in (bench.box.page() or b"")
+
+
+def test_the_threshold_latch_stays_until_it_is_reset():
+    bench = Bench()
+    bench.box.faults.status = 1 << 16
+    bench.ask(STREAM)
+    assert {r[2] for r in bench.run(0.05)} == {0x80010000}
+    bench.ask("1234004100000000")
+    assert {r[2] for r in bench.run(0.05)[1:]} == {0}  # the first was on its way already
+
+
+@pytest.mark.parametrize(
+    "request_", ["", "1234", "12340002000000", "123400020000000000", "4321000200000000", "12348002000000000a000007"]
+)
+def test_what_is_no_request_is_ignored(request_):
+    bench = Bench()
+    bench.ask(request_)
+
+    assert bench.run(0.1) == []
+
+
+def test_the_first_record_comes_when_it_is_due_and_all_are_late_by_the_latency():
+    bench = Bench(rate=7000.0, first=0.005, latency=0.010)
+    bench.ask(STREAM)
+    arrivals = []
+    for number in range(1, 1001):
+        bench.box.advance(number * 1e-4, WRENCH)
+        arrivals += [(number * 1e-4, struct.unpack(">I", d[4:8])[0] - 6433) for d in bench.host.receive()]
+
+    time, count = arrivals[0]
+    assert count == 35  # 5 ms
+    assert time == pytest.approx(0.015, abs=2e-4)
+    assert all(0.010 - 1e-9 <= t - c / 7000 <= 0.0102 for t, c in arrivals)
+
+
+def test_the_clock_of_the_box_may_be_off():
+    bench = Bench(clock_error=0.005)
+    bench.ask(STREAM)
+    records = bench.run(2.0)
+
+    assert (records[-1][1] - records[0][1]) == pytest.approx(7000 * 1.005 * 1.99, rel=0.005)
+
+
+def test_a_wrench_that_changes_is_sampled_on_the_way():
+    bench = Bench(rate=7000.0)
+    bench.ask(STREAM)
+    for number in range(1, 101):
+        bench.box.advance(number * 0.01, np.array([number * 0.01, 0, 0, 0, 0, 0]))
+    records = [struct.unpack(">IIIiiiiii", d) for d in bench.host.receive()]
+
+    assert [r[3] for r in records] == pytest.approx([(r[1] - 6433) / 7000 * 1e6 for r in records], abs=1.0)
+
+
+def test_noise_quantisation_offset_and_drift_are_the_configured_ones():
+    bench = Bench(BaseSensorConfig())
+    bench.ask(STREAM)
+    counts = np.array([r[3:] for r in bench.run(40.0, np.zeros(6))], dtype=float) * 1e-6
+
+    assert counts.std(axis=0) == pytest.approx([0.02] * 3 + [0.2e-3] * 3, rel=0.05)
+    assert (np.abs(counts.mean(axis=0)) <= [1.0] * 3 + [10e-3] * 3).all()
+    assert np.abs(counts.mean(axis=0)).min() > 0.0
+    steps = counts / ([1 / 256] * 3 + [0.05e-3] * 3)
+    assert np.abs(steps - np.round(steps)).max() < 0.011  # a wire count is coarser than that
+    drift = counts[-5000:].mean(axis=0) - counts[:5000].mean(axis=0)
+    assert np.abs(drift[:3]) == pytest.approx([30.0 * 5e-3 / 60.0] * 3, abs=1.5e-3)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
+    def sent(seed: int) -> list[tuple[int, ...]]:
+        bench = Bench(BaseSensorConfig(), seed)
+        bench.ask(STREAM)
+        return bench.run(0.5)
+
+    assert sent(3) == sent(3)
+    assert sent(3) != sent(4)
+
+
+@pytest.mark.parametrize(("axis", "value", "end"), [(0, 18.5, 18_000_000), (4, -0.3, -250_000)])
+def test_beyond_the_calibrations_range_the_sensor_saturates_and_says_so(axis, value, end):
+    bench, wrench = Bench(), np.zeros(6)
+    wrench[axis] = value
+    bench.ask(STREAM)
+    records = bench.run(0.1, wrench)
+
+    assert records[-1][2] == 0x80020000
+    assert records[-1][3 + axis] == end
+    assert bench.run(0.1, 0.5 * wrench)[-1][2] == 0
