@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy
 from core.controllers import inner_law, outer_law
 from core.errors import NotFinite
 from core.estimation import DEFLECTION_RATE, EXACT_RATE, LOAD_RATE, TIP_AHEAD, Estimate
@@ -74,14 +74,17 @@ def _follow(
     for i in range(3):
         aim[i] = wanted[i] + lead * velocity[i]
         here[i] = (vectors[TIP_AHEAD, i] if observes else tip[i]) - origin[i]
-    u_int[:] = outer_law(k1, k2, feedforward, aim, velocity, here)
+    copy(outer_law(k1, k2, feedforward, aim, velocity, here), u_int)
     jacobian, asked = np.empty((3, n)), np.empty(3)
     inner_law(
         number, u_int, loaded[12 : 12 + 6 * n].reshape(6, n), unloaded[12 : 12 + 6 * n].reshape(6, n),
         vectors[EXACT_RATE if exact_rate else DEFLECTION_RATE], vectors[LOAD_RATE], estimate[42:45], jacobian, asked,
     )  # fmt: skip
     lower, upper = velocity_bounds(joints, limits)
-    command[:], sigma[:], at_bound[:], _, finite = inverse_law(
+    found, values, held, _, finite = inverse_law(
         jacobian, asked, limits[2], lower, upper, np.empty((0, n)), np.empty(0), least_floor, hunting
     )
+    copy(found, command)
+    copy(values, sigma)
+    copy(held, at_bound)
     return finite

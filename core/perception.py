@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy
 from core.estimation import Estimate, Estimator, estimate
 from core.newton import CLOSE_ENOUGH, newton
 from core.robot import Array, unpack
@@ -51,7 +51,7 @@ def perceive(
     if not _perceive(
         packed, order, sublink, tubes, columns, estimator.settings,
         joints, wrenches, sent, sent if tip is None else tip, -1.0 if tip is None else age,
-        last.loaded.numbers, last.unloaded.numbers, last.numbers, load, loaded, unloaded, numbers,
+        last.loaded.numbers, last.unloaded.numbers, last.numbers, places.q, 1, load, loaded, unloaded, numbers,
     ):  # fmt: skip
         # A model needs more than the warm start.
         return _carefully(statics, estimator, last, joints, wrenches, sent, tip, age)
@@ -80,17 +80,20 @@ def _carefully(
 def _perceive(
     packed: Array, order: int, sublink: float, tubes: tuple[float, ...], columns: tuple[float, ...], settings: Array,
     joints: Array, wrenches: Array, sent: Array, frame: Array, age: float,
-    near_loaded: Array, near_unloaded: Array, last: Array, load: Array, loaded: Array, unloaded: Array, now: Array,
+    near_loaded: Array, near_unloaded: Array, last: Array, q: int, careful: int,
+    load: Array, loaded: Array, unloaded: Array, now: Array,
 ) -> bool:  # fmt: skip
-    """`perceive`, into the last four; False when a model was not solved, and nothing else counts then."""
-    load[:] = fused_at(unpack(packed), joints, wrenches)
-    wrench, nothing, close = np.zeros(6), np.zeros(6), CLOSE_ENOUGH
-    wrench[:3] = load[:3]
-    loaded[:] = newton(packed, order, sublink, joints, wrench, near_loaded, math.inf, 1, close, tubes, columns)
-    unloaded[:] = newton(packed, order, sublink, joints, nothing, near_unloaded, math.inf, 1, close, tubes, columns)
+    """`perceive`, into the last four; False when a model was not solved, and nothing else counts then.
+
+    `q` and `careful` are always the same, but a constant in here would have the compiler make a second Newton for it.
+    """
+    copy(fused_at(unpack(packed), joints, wrenches), load)
+    wrench, nothing, tip, close = np.zeros(6), np.zeros(6), math.inf, CLOSE_ENOUGH
+    copy(load[:3], wrench)
+    copy(newton(packed, order, sublink, joints, wrench, near_loaded, tip, careful, close, tubes, columns), loaded)
+    copy(newton(packed, order, sublink, joints, nothing, near_unloaded, tip, careful, close, tubes, columns), unloaded)
     if not (loaded[-1] > 0.0 and unloaded[-1] > 0.0):
         return False
-    now[:] = estimate(
-        settings, len(tubes), loaded, unloaded, near_loaded, near_unloaded, last, load[:3], sent, frame, age
-    )
+    numbers = estimate(settings, q, loaded, unloaded, near_loaded, near_unloaded, last, load[:3], sent, frame, age)
+    copy(numbers, now)
     return True

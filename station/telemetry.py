@@ -59,7 +59,7 @@ class Channels:
         frame: TipReading | None,
         tick: Tick,
         truth: Truth | None,
-        troubles: tuple[int, ...] = (0, 0, 0),
+        troubles: tuple[int, int, int] = (0, 0, 0),
     ) -> Array:
         """One tick as numbers, in the order of `all`.
 
@@ -69,11 +69,12 @@ class Channels:
         """
         memory, now = tick.memory, tick.memory.estimate
         where = now.places
-        known, new = truth is not None, frame is not None
-        true_tip, true_force = truth if truth is not None else _UNKNOWN
+        true_tip, true_force = truth or _UNKNOWN
+        new, frame_time = (False, 0.0) if frame is None else (True, frame.time)
+        stages, tracker, sensors = troubles
         row = np.empty(self._width)
         _fill(
-            row, time, int(state), new, frame.time if frame is not None else 0.0, *troubles, known, true_tip, true_force,
+            row, time, int(state), new, frame_time, stages, tracker, sensors, truth is not None, true_tip, true_force,
             joints.positions, tick.command, joints.sent, wrenches.wrenches, tick.load.force, tick.load.moment,
             memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
             tick.u_int, tick.sigma, tick.at_bound, now.numbers, where.vectors, where.state, where.sent, where.tips,
@@ -87,7 +88,7 @@ class Channels:
         state: State,
         joints: JointReading,
         wrenches: WrenchReading,
-        troubles: tuple[int, ...] = (0, 0, 0),
+        troubles: tuple[int, int, int] = (0, 0, 0),
     ) -> Array:
         """The last row with what was read since: the controller has nothing new to say."""
         row = last.copy()
@@ -120,32 +121,32 @@ def _fill(
     row[0], row[1], row[2], row[3] = time, state, new, frame_time
     row[4], row[5], row[6], row[7] = loaded[-1], unloaded[-1], estimate[tips_end + 1], loaded[-3]
     row[8], row[9], row[10], row[11] = stages, tracker, sensors, known
-    newest = tips + 3 * int(estimate[tips_end])
-    at = _put(row, 12, true_tip, 3)
-    at = _put(row, at, true_force, 3)
-    for part in (positions, command, sent):
-        at = _put(row, at, part, part.shape[0])
-    for i in range(wrenches.shape[0]):
-        at = _put(row, at, wrenches[i], 6)
-    for part in (force, moment, tip, loaded, unloaded):
-        at = _put(row, at, part, 3)
+    newest, at, n = tips + 3 * int(estimate[tips_end]), 12, positions.shape[0]
     for k in range(3):
-        row[at + k] = origin[k] + setpoint[k]
-        row[at + 3 + k] = u_int[k]
-        row[at + 6 + k] = estimate[3 * VELOCITY + k] - u_int[k]
-    at = _put(row, at + 9, sigma, sigma.shape[0])
-    at = _put(row, at, at_bound, at_bound.shape[0])
+        row[at + k], row[at + 3 + k] = true_tip[k], true_force[k]
+    at += 6
+    for j in range(n):
+        row[at + j], row[at + n + j], row[at + 2 * n + j] = positions[j], command[j], sent[j]
+    at += 3 * n
+    for i in range(wrenches.shape[0]):
+        for k in range(6):
+            row[at + 6 * i + k] = wrenches[i, k]
+    at += 6 * wrenches.shape[0]
+    for k in range(3):
+        row[at + k], row[at + 3 + k], row[at + 6 + k] = force[k], moment[k], tip[k]
+        row[at + 9 + k], row[at + 12 + k], row[at + 15 + k] = loaded[k], unloaded[k], origin[k] + setpoint[k]
+        row[at + 18 + k], row[at + 21 + k] = u_int[k], estimate[3 * VELOCITY + k] - u_int[k]
+    at += 24
+    for k in range(sigma.shape[0]):
+        row[at + k] = sigma[k]
+    at += sigma.shape[0]
+    for j in range(n):
+        row[at + j] = at_bound[j]
+    at += n
     for k in range(3):
         row[at + k] = estimate[newest + k] + estimate[bias + k]
-    _put(row, at + 3, estimate, bias_end)
-
-
-@compiled
-def _put(row: Array, at: int, part: Array, count: int) -> int:
-    """Copy so many numbers; the place behind them."""
-    for k in range(count):
-        row[at + k] = part[k]
-    return at + count
+    for k in range(bias_end):
+        row[at + 3 + k] = estimate[k]
 
 
 def _channels(robot: Robot) -> list[Channel]:

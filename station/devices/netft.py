@@ -148,8 +148,10 @@ def follow(stream: Indices, clock: Array, datagram: bytes, now: float, limits: A
     if not stream[BEGUN] or not step or len(datagram) != 36:
         return False
     rdt, ft, count = (stream[RDT] + 1) % WRAP, (stream[FT] + step) % WRAP, stream[COUNT] + step
-    if word(datagram, 0) != rdt or word(datagram, 4) != ft or word(datagram, 8) != HEALTHY:
-        return False
+    head = (rdt, ft, HEALTHY)
+    for k in range(3):
+        if word(datagram, 4 * k) != head[k]:
+            return False
     if count > latest(clock, now) + AHEAD:
         return False
     for k in range(6):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy
 from core.robot import Array, Indices
 
 #: Kept of each sensor: several ticks at the fastest rate.
@@ -51,7 +51,7 @@ def push(rows: Array, ends: Indices, row: Array, time: float) -> float:
     """`Ring.push`: the time of the newest sample."""
     ends[0], ends[1] = (ends[0] + 1) % DEPTH, min(ends[1] + 1, DEPTH)
     time = max(time, row[0])
-    rows[ends[0]] = row
+    copy(row, rows[ends[0]])
     rows[ends[0], 0] = time
     return time
 

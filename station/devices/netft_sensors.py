@@ -230,10 +230,10 @@ class NetftSensors:
     @property
     def is_usable(self) -> bool:
         """Whether control may use the last reading."""
-        for sensor in self._sensors:  # at every tick: a generator takes three times as long
-            if sensor.flags & ~(_LATCHED | _GAP):
-                return False
-        return True
+        flags = 0
+        for sensor in self._sensors:
+            flags |= sensor.flags
+        return not flags & ~(_LATCHED | _GAP)
 
     @property
     def pages(self) -> tuple[NetftPage, ...]:

@@ -97,10 +97,7 @@ class ZaberStages:
         """Connected, homed, and every position is known."""
         if self.condition is not Condition.CONNECTED or not all(self._units.homed):
             return False
-        for _, _, estimate in self._counted:  # at every tick, twice: a generator takes three times as long
-            if not estimate.known:
-                return False
-        return True
+        return all([estimate.known for _, _, estimate in self._counted])  # noqa: C419 - at every tick, twice
 
     @property
     def ports(self) -> tuple[Port, ...]:

@@ -268,6 +268,7 @@ def _sense(
     sequence: int, counter: int, status: int, record: Octets,
 ) -> None:  # fmt: skip
     """The record, as it goes out, of the wrench between two; `axes` as in the box."""
+    words = np.empty(9, np.int64)
     for k in range(6):
         value = before[k] + part * (after[k] - before[k]) + axes[0, k] + time * axes[1, k] + axes[2, k] * noise[row, k]
         if axes[3, k] > 0.0:
@@ -275,17 +276,11 @@ def _sense(
         reach = axes[4, k]
         if saturate or not -reach <= value <= reach:
             status, value = status | SATURATED, math.copysign(reach, value)
-        _put(record, 3 + k, np.int64(np.rint((value - axes[5, k]) * axes[6, k])))
-    _put(record, 0, sequence)
-    _put(record, 1, counter)
-    _put(record, 2, status | ERROR_SUMMARY if status else 0)
-
-
-@compiled
-def _put(record: Octets, word: int, value: int) -> None:
-    """Four bytes, the most significant one first."""
-    for k in range(4):
-        record[4 * word + k] = value >> (24 - 8 * k) & 255
+        words[3 + k] = np.int64(np.rint((value - axes[5, k]) * axes[6, k]))
+    words[0], words[1], words[2] = sequence, counter, status | ERROR_SUMMARY if status else 0
+    for i in range(9):
+        for k in range(4):
+            record[4 * i + k] = words[i] >> (24 - 8 * k) & 255  # the most significant byte first
 
 
 def _array(values: Iterable[int | str]) -> str:
