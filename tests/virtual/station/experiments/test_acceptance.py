@@ -6,15 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from station.experiments.experiment import Case
 from station.experiments.results import summarise
-from station.experiments.runner import Recording
+from tests.harness.cases import a_case, a_run
 
 # 200 s of a robot's life take a busy machine a minute.
 
 
 @pytest.fixture(scope="module")
-def summary(a_case: Callable[..., Case], a_run: Callable[..., Recording]) -> Callable[[str, str], dict[str, Any]]:
+def summary() -> Callable[[str, str], dict[str, Any]]:
     """What a whole case of a preset comes to, at seed 0."""
 
     def run(experiment: str, name: str) -> dict[str, Any]:
@@ -41,7 +40,7 @@ def test_fig3_the_dual_layer_with_feed_forward_follows_within_a_tenth_of_a_milli
     assert max(summary("fig3", "d_feedforward")["true_max_abs_error_mm"]) <= 0.1
 
 
-def test_fig4_what_the_load_does_directly_dominates_the_deflection(a_case, a_run):
+def test_fig4_what_the_load_does_directly_dominates_the_deflection():
     recording = a_run(a_case("fig4", "deflection"))
     total, delta_1, delta_2 = (
         recording.channels.of(recording.rows, group) for group in ("deflection", "delta_1", "delta_2")
