@@ -7,6 +7,7 @@ from typing import NamedTuple
 import pytest
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
 
 from core.robot import Joint, Robot, Section, Tube
 from station.cli import main
@@ -15,15 +16,30 @@ from station.robots import RobotFile, load_robot
 from tests.harness.leftovers import nothing_left_behind
 
 
-class FileByFile(LoadFileScheduling):
-    """Tests over all processors, a file to each; those of real processes one after the other on one of them."""
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The mathematics first, what needs little of it last."""
+    unit = Path(__file__).parent / "unit"
+    items.sort(key=lambda item: item.path.is_relative_to(unit) and not item.path.is_relative_to(unit / "core"))
+
+
+class FromBothEnds(LoadFileScheduling):
+    """A file to each processor: the first one from the first file on, the others from the last one back.
+
+    So the model is compiled by one while the others do what does not need it. What needs real processes is
+    done by one, one after the other.
+    """
 
     def _split_scope(self, nodeid: str) -> str:
         return "live" if nodeid.startswith("tests/live/") else super()._split_scope(nodeid)
 
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        if node is not self.nodes[0]:
+            self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
+        super()._assign_work_unit(node)
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> FileByFile:
-    return FileByFile(config, log)
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> FromBothEnds:
+    return FromBothEnds(config, log)
 
 
 #: One second at rest under no load, counted from the start.
