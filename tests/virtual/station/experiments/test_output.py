@@ -7,21 +7,22 @@ import time
 import pytest
 from rich.console import Console
 
-from station.experiments.experiment import Experiment, load_experiment
+from station.experiments.experiment import Experiment, offered
 from station.experiments.output import ResultFolder, result_table
 from station.experiments.results import summarise
 from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
 from station.robots import RobotFile
+from tests.harness.cases import a_case, a_run
 
 
 @pytest.fixture(scope="module")
 def experiment() -> Experiment:
-    return load_experiment("fig7")
+    return offered("fig7")
 
 
 @pytest.fixture(scope="module")
-def recording(a_case, a_run):
+def recording():
     return a_run(a_case("fig7", "regulation", duration=0.5, settling=0.0))
 
 
@@ -191,13 +192,13 @@ def test_text_from_a_file_is_shown_as_it_is(experiment):
 
 def test_fig6_shows_model_errors_and_fig4_the_parts_of_the_deflection():
     turn = {"completed": True, "cause": "", "model_error_mm": {"loaded": 2.5, "unloaded": 11.0}}
-    lines = shown(load_experiment("fig6"), {"cases": {"turn": turn}})
+    lines = shown(offered("fig6"), {"cases": {"turn": turn}})
     loaded = next(line for line in lines if "tip - loaded model" in line)
     assert "2.500" in loaded
     assert "1.4" in loaded
 
     parts = {"deflection": [6.0, 1.0, 2.0], "delta_1": [7.0, 1.5, 2.5], "delta_2": [0.5, 0.25, 0.125]}
     case = {"completed": True, "cause": "", "deflection_max_mm": parts}
-    lines = shown(load_experiment("fig4"), {"cases": {"deflection": case}})
+    lines = shown(offered("fig4"), {"cases": {"deflection": case}})
     for name, value in (("Delta_total", "6.000"), ("Delta_1", "7.000"), ("Delta_2", "0.500")):
         assert any(name in line and value in line for line in lines)
