@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from station.experiments.experiment import Experiment, offered
-from station.experiments.output import ResultFolder, result_table
+from station.experiments.output import ResultFolder, result_table, run_recorded
 from station.experiments.results import summarise
 from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
@@ -28,10 +28,9 @@ def recording():
 
 def record(folder: ResultFolder, recording, label: Label = Label.COMPLETE, cause: str = "") -> None:
     """Row by row, as a run does it."""
-    recorder = folder.record(recording.case)
-    for row in recording.rows:
-        recorder.write(row)
-    recorder.close(label, cause)
+    writer = folder.assignment(recording.case).writer()
+    writer.write(recording.rows)
+    writer.close(label, cause)
 
 
 def shown(experiment: Experiment, summary: dict, width: int = 110) -> list[str]:
@@ -107,24 +106,40 @@ def test_an_abandoned_folder_keeps_what_was_recorded(tmp_path, experiment, recor
     assert (summary["label"], summary["completed"], summary["experiment"]) == ("interrupted", False, "fig7")
 
 
-def test_a_case_that_was_not_closed_is_kept_as_interrupted(tmp_path, experiment, recording):
+def test_a_case_that_breaks_off_is_kept_as_interrupted(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 0)
-    recorder = folder.record(recording.case)
-    for row in recording.rows:
-        recorder.write(row)
+    assignment = folder.assignment(recording.case)
+
+    def fails(part: float) -> None:
+        if part > 0.0:
+            raise MemoryError
+
+    with pytest.raises(MemoryError):
+        run_recorded(assignment, fails)
     folder.abandon()
+    read = read_case(folder.path / "regulation.mcap")
 
-    assert read_case(folder.path / "regulation.mcap").label is Label.INTERRUPTED
+    assert read.label is Label.INTERRUPTED
+    assert (read.rows == recording.rows[: len(read.rows)]).all()
+    assert len(read.rows) > 0
 
 
-def test_a_summary_is_made_of_the_rows_that_were_recorded(tmp_path, experiment, recording):
+def test_a_recorded_case_has_the_rows_and_the_numbers_of_the_same_case_alone(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 0)
-    assert folder.recorded(recording) is recording  # nothing is there yet
-    record(folder, recording)
-    empty = recording._replace(rows=recording.rows[:0])
+    done = run_recorded(folder.assignment(recording.case), lambda _: None)
+    folder.finish({"completed": True}, [done.label])
 
-    assert summarise(folder.recorded(empty)) == summarise(recording)
-    folder.finish({})
+    assert (read_case(folder.path / "regulation.mcap").rows == recording.rows).all()
+    assert {**done.numbers, "wall_s": 0.0} == {**summarise(recording), "wall_s": 0.0}
+    assert (done.name, done.completed, done.label) == ("regulation", True, Label.COMPLETE)
+
+
+def test_a_recording_that_the_disk_has_ended_makes_the_run_incomplete(tmp_path, experiment, recording):
+    folder = ResultFolder(tmp_path, experiment, 0)
+    record(folder, recording)
+    folder.finish({"completed": True}, [Label.COMPLETE, Label.INCOMPLETE])
+
+    assert json.loads((folder.path / "summary.json").read_text(encoding="utf-8"))["label"] == "incomplete"
 
 
 def test_folders_made_in_the_same_second_do_not_meet(tmp_path, experiment):
