@@ -8,8 +8,9 @@ import pytest
 from rich.console import Console
 
 from station.experiments.experiment import Experiment, offered
-from station.experiments.output import ResultFolder, result_table
+from station.experiments.output import ResultFolder, result_table, run_recorded
 from station.experiments.results import summarise
+from station.recording.case_recorder import CaseRecorder
 from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
 from station.robots import RobotFile
@@ -28,7 +29,8 @@ def recording():
 
 def record(folder: ResultFolder, recording, label: Label = Label.COMPLETE, cause: str = "") -> None:
     """Row by row, as a run does it."""
-    recorder = folder.record(recording.case)
+    writer = folder.assignment(recording.case).writer()
+    recorder = CaseRecorder(writer, len(writer.channels))
     for row in recording.rows:
         recorder.write(row)
     recorder.close(label, cause)
@@ -107,24 +109,28 @@ def test_an_abandoned_folder_keeps_what_was_recorded(tmp_path, experiment, recor
     assert (summary["label"], summary["completed"], summary["experiment"]) == ("interrupted", False, "fig7")
 
 
-def test_a_case_that_was_not_closed_is_kept_as_interrupted(tmp_path, experiment, recording):
+def test_a_case_that_was_given_up_is_kept_as_interrupted(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 0)
-    recorder = folder.record(recording.case)
-    for row in recording.rows:
-        recorder.write(row)
+
+    def give_up(done: float) -> None:
+        if done > 0.0:
+            raise MemoryError
+
+    with pytest.raises(MemoryError):
+        run_recorded(folder.assignment(a_case("fig7", "regulation", duration=3.0)), give_up)
     folder.abandon()
 
     assert read_case(folder.path / "regulation.mcap").label is Label.INTERRUPTED
 
 
-def test_a_summary_is_made_of_the_rows_that_were_recorded(tmp_path, experiment, recording):
+def test_a_case_carried_out_and_recorded_is_summed_up_from_its_rows(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 0)
-    assert folder.recorded(recording) is recording  # nothing is there yet
-    record(folder, recording)
-    empty = recording._replace(rows=recording.rows[:0])
+    done = run_recorded(folder.assignment(recording.case), lambda _: None)
+    folder.finish({}, [done.label])
 
-    assert summarise(folder.recorded(empty)) == summarise(recording)
-    folder.finish({})
+    assert (done.name, done.completed, done.label) == ("regulation", True, Label.COMPLETE)
+    assert (read_case(folder.path / "regulation.mcap").rows == recording.rows).all()
+    assert {**done.numbers, "wall_s": 0.0} == {**summarise(recording), "wall_s": 0.0}
 
 
 def test_folders_made_in_the_same_second_do_not_meet(tmp_path, experiment):
