@@ -1,5 +1,6 @@
 """What every test shares: robot, a short experiment, the command line, and that it leaves nothing behind."""
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -17,16 +18,15 @@ from tests.harness.leftovers import nothing_left_behind
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The mathematics first, what needs little of it last."""
-    unit = Path(__file__).parent / "unit"
-    items.sort(key=lambda item: item.path.is_relative_to(unit) and not item.path.is_relative_to(unit / "core"))
+    """The mathematics first, what needs none of it last."""
+    items.sort(key=lambda item: bool(re.match(r"tests/\w+/station/(devices|lab)/", item.nodeid)))
 
 
 class FromBothEnds(LoadFileScheduling):
     """A file to each processor: the first one from the first file on, the others from the last one back.
 
-    So the model is compiled by one while the others do what does not need it. What needs real processes is
-    done by one, one after the other.
+    So in a fresh clone the model is compiled by one, and the lab by another. What needs real processes is done
+    by one, one after the other.
     """
 
     def _split_scope(self, nodeid: str) -> str:

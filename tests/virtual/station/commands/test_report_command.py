@@ -12,7 +12,7 @@ def runs(monkeypatch, write, short, tmp_path) -> Path:
     """A folder with one short run under `runs`."""
     monkeypatch.chdir(tmp_path)
     path = write(short.replace("duration = 1.0", "duration = 0.3"))
-    assert main(("run", str(path), "--json")) == 0
+    assert main(("run", str(path), "--jobs", "1", "--json")) == 0
     return tmp_path / "runs"
 
 
