@@ -1,16 +1,12 @@
 """Jobs in processes: the same results as one after the other, how far they are, and what a lost process leaves."""
 
-import json
 import os
 import signal
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
-from station.cli import main
 from station.experiments.side_by_side import Processes, ProcessLost, one_after_the_other
-from station.recording.read import read_case
 
 
 def square(number: int, progress: Callable[[float], None]) -> int:
@@ -55,16 +51,3 @@ def test_here_the_same_is_told_and_done():
 def test_a_process_that_is_killed_is_told_in_words():
     with pytest.raises(ProcessLost, match="was it killed"), Processes(1) as started:
         started.carry_out(die, [1], lambda _: None)
-
-
-def test_cases_side_by_side_have_the_rows_of_cases_one_after_the_other(write, short, tmp_path, capsys):
-    own = str(write(short + "[cases.one]\n[cases.two.controller]\nfeedforward = true\n[cases.three]\nduration = 0.5\n"))
-    folders = []
-    for jobs in ("1", "2"):
-        assert main(["run", own, "--json", "--jobs", jobs, "--out", str(tmp_path / jobs)]) == 0
-        folders.append(Path(json.loads(capsys.readouterr().out)["recording"]))
-
-    for case in ("one", "two", "three"):
-        alone, beside = (read_case(folder / f"{case}.mcap").rows for folder in folders)
-        assert len(alone) in (250, 500)
-        assert (alone == beside).all()
