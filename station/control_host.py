@@ -52,7 +52,8 @@ class ControlHost:
             devices: where the devices are; may wait, and raise LabError.
             hear, ended: called in a thread of their own with what it says, and when it has ended unasked.
         """
-        self._fifo, self._devices, self._hear, self._ended = bench.fifo, devices, hear, ended
+        self._fifo, self._clock = bench.fifo, bench.clock
+        self._devices, self._hear, self._ended = devices, hear, ended
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._answered = threading.Condition(self._lock)
@@ -97,7 +98,7 @@ class ControlHost:
             except OSError:
                 raise RefusedError("the control process is gone; reset to start it anew") from None
             with self._answered:
-                if not self._answered.wait_for(lambda: command.number in self._replies, ANSWER_TIME):
+                if not self._answered.wait_for(lambda: command.number in self._replies, self._clock.real(ANSWER_TIME)):
                     raise RefusedError(f"the control process did not answer '{what}' within {ANSWER_TIME:g} s")
                 refused = self._replies.pop(command.number)
         finally:
@@ -113,7 +114,7 @@ class ControlHost:
 
     def stop_stages(self) -> str:
         """Stop them without the control process, which is no more: what came of it, in words."""
-        return stop_stages(self._stage_ports)
+        return stop_stages(self._stage_ports, self._clock)
 
     def kill(self) -> None:
         """End it at once; the stages are stopped then."""
@@ -124,11 +125,11 @@ class ControlHost:
         self._closing = True
         with contextlib.suppress(OSError):  # it may be gone already
             self._pipe.send(None)
-        self._process.join(timeout=3.0)
+        self._process.join(timeout=self._clock.real(3.0))
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        self._watcher.join(timeout=5.0)
+        self._watcher.join(timeout=self._clock.real(5.0))
         self._pipe.close()
 
     def _watch(self) -> None:

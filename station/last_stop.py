@@ -4,9 +4,9 @@ A port may be a dying process's for some milliseconds more, and half a message m
 it is opened until it opens, and the units are told, and asked what they do, until they say that they stop.
 """
 
-import time
 from collections.abc import Sequence
 
+from station.clock import REAL_TIME, StationClock
 from station.devices.links import LinkError, SerialLink
 from station.devices.zaber import BAUD, GAP, MESSAGE_TIME, Command, Message, Parser, Status, encode
 from station.devices.zaber_shifts import IGNORED
@@ -26,17 +26,17 @@ AT_REST = (Status.IDLE, Status.STOPPING)
 STATUSES = frozenset(int(status) for status in Status)
 
 
-def stop_stages(ports: Sequence[str], patience: float = PATIENCE) -> str:
+def stop_stages(ports: Sequence[str], clock: StationClock = REAL_TIME, patience: float = PATIENCE) -> str:
     """Tell every unit on these ports to stop: what came of it, in words, and how long it took.
 
     Every port is tried, whatever becomes of the others.
     """
-    begin = time.monotonic()
+    begin = clock.now()
     stopping = [_Port(name, begin) for name in ports]
-    while any(not port.done for port in stopping) and time.monotonic() - begin < patience:
+    while any(not port.done for port in stopping) and clock.now() - begin < patience:
         for port in stopping:
-            port.go_on(time.monotonic())
-        time.sleep(0.002)
+            port.go_on(clock.now())
+        clock.sleep(0.002)
     for port in stopping:
         port.close()
     return "; ".join(port.said() for port in stopping)
@@ -62,7 +62,7 @@ class _Port:
                 self._link = SerialLink(self._name, BAUD)
                 self._link.write(STOP)
                 self._parser = Parser(_plausible, GAP)
-                self._told = self._told or time.monotonic() - self._begin
+                self._told = self._told or now - self._begin
                 self._opened = self._heard = now
                 self._next = now + AGAIN
                 return
