@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
 from pathlib import Path
+from typing import NamedTuple
 
 import psutil
 import pytest
@@ -17,6 +18,7 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 
 from core.robot import Joint, Robot, Section, Tube
+from station.cli import main
 from station.config import PRESETS
 from station.robots import RobotFile, load_robot
 
@@ -84,6 +86,30 @@ def write(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
+
+
+class Done(NamedTuple):
+    """What a command has left."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Done]:
+    """The command line in this process, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+
+    def call(*arguments: str) -> Done:
+        try:
+            status = main(arguments)
+        except SystemExit as leaves:
+            status = int(leaves.code or 0)
+        return Done(status, *capsys.readouterr())
+
+    return call
 
 
 @pytest.fixture

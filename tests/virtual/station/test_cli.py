@@ -2,40 +2,15 @@
 
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from station.cli import main
 from station.recording.read import read_case
 
 GOOD = b'{"joints": {"outer_rotation": 0, "inner_rotation": 1.57, "inner_translation": -0.1}, "force": [0.2, 0, 0]}\n'
 TWO_CASES = "[cases.one]\n[cases.two.controller]\nfeedforward = true\n[paper.one]\nmax_abs_error_mm = { x = 7.9 }\n"
-
-
-class Done(NamedTuple):
-    status: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Done]:
-    """The command line in this process, in a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
-
-    def call(*arguments: str) -> Done:
-        try:
-            status = main(arguments)
-        except SystemExit as leaves:
-            status = int(leaves.code or 0)
-        return Done(status, *capsys.readouterr())
-
-    return call
 
 
 def folders(out: Path) -> list[str]:
