@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy
 from core.controllers import inner_law, outer_law
 from core.errors import NotFinite
 from core.estimation import DEFLECTION_RATE, EXACT_RATE, LOAD_RATE, TIP_AHEAD, Estimate
@@ -49,12 +49,14 @@ def follow(
 
     """
     k1, k2, feedforward, number = laws
-    velocity, u_int, sigma, at_bound, finite = _follow(
+    n = joints.size
+    velocity, u_int, sigma, at_bound = np.empty(n), np.empty(3), np.empty(min(3, n)), np.empty(n)
+    if not _follow(
         k1, k2, feedforward, number, lead, exact_rate, tip is None, limits.packed, joints,
         now.loaded.numbers, now.unloaded.numbers, now.numbers,
         setpoint.position, setpoint.velocity, origin if tip is None else tip, origin, SIGMA_FLOOR, HUNTING,
-    )  # fmt: skip
-    if not finite:
+        velocity, u_int, sigma, at_bound,
+    ):  # fmt: skip
         raise NotFinite(f"wanted tip velocity {u_int.tolist()} m/s or the Jacobian is not finite")
     return Commanded(velocity, u_int, sigma, at_bound)
 
@@ -64,20 +66,25 @@ def _follow(
     k1: float, k2: float, feedforward: float, number: int, lead: float, exact_rate: bool, observes: bool,
     limits: Array, joints: Array, loaded: Array, unloaded: Array, estimate: Array,
     wanted: Array, velocity: Array, tip: Array, origin: Array, least_floor: float, hunting: float,
-) -> tuple[Array, Array, Array, Array, bool]:  # fmt: skip
+    command: Array, u_int: Array, sigma: Array, at_bound: Array,
+) -> bool:  # fmt: skip
+    """`follow`, into the last four; False when what was wanted is not finite."""
     n, vectors = joints.shape[0], estimate[:39].reshape(13, 3)
     aim, here = np.empty(3), np.empty(3)
     for i in range(3):
         aim[i] = wanted[i] + lead * velocity[i]
         here[i] = (vectors[TIP_AHEAD, i] if observes else tip[i]) - origin[i]
-    u_int = outer_law(k1, k2, feedforward, aim, velocity, here)
+    copy(outer_law(k1, k2, feedforward, aim, velocity, here), u_int)
     jacobian, asked = np.empty((3, n)), np.empty(3)
     inner_law(
         number, u_int, loaded[12 : 12 + 6 * n].reshape(6, n), unloaded[12 : 12 + 6 * n].reshape(6, n),
         vectors[EXACT_RATE if exact_rate else DEFLECTION_RATE], vectors[LOAD_RATE], estimate[42:45], jacobian, asked,
     )  # fmt: skip
     lower, upper = velocity_bounds(joints, limits)
-    command, sigma, at_bound, _, finite = inverse_law(
+    found, values, held, _, finite = inverse_law(
         jacobian, asked, limits[2], lower, upper, np.empty((0, n)), np.empty(0), least_floor, hunting
     )
-    return command, u_int, sigma, at_bound, finite
+    copy(found, command)
+    copy(values, sigma)
+    copy(held, at_bound)
+    return finite

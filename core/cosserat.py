@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy
 from core.errors import NoSolution, NotFinite
 from core.robot import Array, Layout, Robot, positive
 
@@ -290,14 +290,16 @@ def shoot(
         if fresh:
             matrix = np.empty((size, size))
             for k in range(size):
-                trial[:] = unknowns
+                copy(unknowns, trial)
                 trial[k] += 1e-6
                 _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved)
                 for i in range(size):
                     matrix[i, k] = (moved[i] - ends[i]) / 1e-6
-            if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-30:
+            if not 1e-30 <= abs(_determinant(matrix.copy())) < np.inf:
                 return unknowns, inverse, *_to_world(layout, y), iterations, np.inf
-            inverse[:] = np.linalg.inv(matrix)
+            renewed = np.linalg.inv(matrix)
+            for k in range(size):
+                copy(renewed[k], inverse[k])
         _times(inverse, ends, correction)
         fraction = 1.0
         while True:
@@ -311,8 +313,8 @@ def shoot(
             fraction *= 0.5
         if after < residual:
             fresh = after > 0.1 * residual
-            unknowns[:] = trial
-            ends[:] = moved
+            copy(trial, unknowns)
+            copy(moved, ends)
             residual = after
         elif fresh:
             break
@@ -322,6 +324,27 @@ def shoot(
     for i in range(size):
         unknowns[i] -= correction[i]
     return unknowns, inverse, *_to_world(layout, y), iterations, residual
+
+
+@compiled
+def _determinant(matrix: Array) -> float:
+    """By elimination, which spoils the matrix; NaN where the matrix holds one."""
+    size, determinant = matrix.shape[0], 1.0
+    for k in range(size):
+        pivot = k
+        for i in range(k + 1, size):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        if matrix[pivot, k] == 0.0:
+            return 0.0
+        for j in range(k, size):
+            matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+        determinant *= matrix[k, k] if pivot == k else -matrix[k, k]
+        for i in range(k + 1, size):
+            factor = matrix[i, k] / matrix[k, k]
+            for j in range(k + 1, size):
+                matrix[i, j] -= factor * matrix[k, j]
+    return determinant
 
 
 @compiled

@@ -269,4 +269,8 @@ def _singular_values(matrix: Array) -> Array:
         for j in range(n):
             square += rows[i, j] * rows[i, j]
         sigma[i] = np.sqrt(square)
-    return np.sort(sigma)[::-1][: min(3, n)].copy()
+    for i in range(2):  # three numbers: a library's sort takes a second to compile
+        for k in range(2 - i):
+            if sigma[k] < sigma[k + 1]:
+                sigma[k], sigma[k + 1] = sigma[k + 1], sigma[k]
+    return sigma[: min(3, n)].copy()

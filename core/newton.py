@@ -10,7 +10,7 @@ their slopes; then one pass is enough.
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy
 from core.propagation import FIXED_ROWS, FRAME_ROWS, Scheme, propagate
 from core.robot import Array, tube_poses, unpack
 from core.solution import Places, places
@@ -104,8 +104,8 @@ def newton(
                 return out
             _finish(layout.base, state, table, q, n, out)
             _bend_of_the_way(near, contact, n, where, out)
-            out[where.sensitivity : where.joints] = joints
-            out[where.joints : where.wrench] = wrench
+            copy(joints, out[where.sensitivity : where.joints])
+            copy(wrench, out[where.joints : where.wrench])
             out[-4], out[-3], out[-2], out[-1] = contact, determinant, min(residual, LEFT * way * way), iterations
             return out
     return out

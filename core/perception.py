@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy
 from core.estimation import Estimate, Estimator, estimate
 from core.newton import CLOSE_ENOUGH, newton
 from core.robot import Array, unpack
@@ -46,14 +46,15 @@ def perceive(
 
     """
     packed, order, sublink, tubes, columns = statics.compiled_arguments
-    load, loaded, unloaded, numbers, solved = _perceive(
+    places, numbers = last.loaded.places, np.empty(last.places.total)
+    load, loaded, unloaded = np.empty(6), np.empty(places.total), np.empty(places.total)
+    if not _perceive(
         packed, order, sublink, tubes, columns, estimator.settings,
         joints, wrenches, sent, sent if tip is None else tip, -1.0 if tip is None else age,
-        last.loaded.numbers, last.unloaded.numbers, last.numbers,
-    )  # fmt: skip
-    if not solved:  # a model needs more than the warm start
+        last.loaded.numbers, last.unloaded.numbers, last.numbers, places.q, 1, load, loaded, unloaded, numbers,
+    ):  # fmt: skip
+        # A model needs more than the warm start.
         return _carefully(statics, estimator, last, joints, wrenches, sent, tip, age)
-    places = last.loaded.places
     now = Estimate(Solution(loaded, places), Solution(unloaded, places), numbers, last.places)
     return Perceived(Fused(load[:3], load[3:]), now)
 
@@ -79,15 +80,20 @@ def _carefully(
 def _perceive(
     packed: Array, order: int, sublink: float, tubes: tuple[float, ...], columns: tuple[float, ...], settings: Array,
     joints: Array, wrenches: Array, sent: Array, frame: Array, age: float,
-    near_loaded: Array, near_unloaded: Array, last: Array,
-) -> tuple[Array, Array, Array, Array, bool]:  # fmt: skip
-    """`perceive`; False when a model was not solved, and nothing else counts then."""
-    load = fused_at(unpack(packed), joints, wrenches)
-    wrench, nothing = np.zeros(6), np.zeros(6)
-    wrench[:3] = load[:3]
-    loaded = newton(packed, order, sublink, joints, wrench, near_loaded, math.inf, 1, CLOSE_ENOUGH, tubes, columns)
-    unloaded = newton(packed, order, sublink, joints, nothing, near_unloaded, math.inf, 1, CLOSE_ENOUGH, tubes, columns)
+    near_loaded: Array, near_unloaded: Array, last: Array, q: int, careful: int,
+    load: Array, loaded: Array, unloaded: Array, now: Array,
+) -> bool:  # fmt: skip
+    """`perceive`, into the last four; False when a model was not solved, and nothing else counts then.
+
+    `q` and `careful` are always the same, but a constant in here would have the compiler make a second Newton for it.
+    """
+    copy(fused_at(unpack(packed), joints, wrenches), load)
+    wrench, nothing, tip, close = np.zeros(6), np.zeros(6), math.inf, CLOSE_ENOUGH
+    copy(load[:3], wrench)
+    copy(newton(packed, order, sublink, joints, wrench, near_loaded, tip, careful, close, tubes, columns), loaded)
+    copy(newton(packed, order, sublink, joints, nothing, near_unloaded, tip, careful, close, tubes, columns), unloaded)
     if not (loaded[-1] > 0.0 and unloaded[-1] > 0.0):
-        return load, loaded, unloaded, last, False
-    now = estimate(settings, len(tubes), loaded, unloaded, near_loaded, near_unloaded, last, load[:3], sent, frame, age)
-    return load, loaded, unloaded, now, True
+        return False
+    numbers = estimate(settings, q, loaded, unloaded, near_loaded, near_unloaded, last, load[:3], sent, frame, age)
+    copy(numbers, now)
+    return True

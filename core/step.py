@@ -137,7 +137,8 @@ def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint
 
     """
     statics, limits, last = controller.statics, controller.limits, memory.estimate
-    sample = _corrected(controller, sample, last.loaded.rotation)
+    if controller.corrections is not None:
+        sample = _corrected(controller, sample, last.loaded.rotation)
     load, now = perceive(
         statics, controller.estimator, last,
         sample.joints, sample.wrenches, sample.sent, sample.tip, sample.tip_age,
@@ -169,8 +170,8 @@ def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint
         asked = np.zeros(sample.joints.size) if order is None else order.velocity
         command = np.minimum(np.maximum(asked, lower), upper)
         sigma, at_bound = np.zeros(min(3, asked.size)), np.sign(asked - command)
-    finite = sample.tip is None or math.isfinite(tip @ tip)  # an older one has been looked at
-    if not (finite and math.isfinite(command @ command)):
+    finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # an older one has been looked at
+    if not (finite and all(map(math.isfinite, command.tolist()))):
         raise NotFinite(f"joint velocities {command.tolist()} at measured tip {tip.tolist()} m are not finite")
     return Tick(command, load, u_int, setpoint, sigma, at_bound, at_row, Memory(now, tip, memory.origin))
 

@@ -13,8 +13,15 @@ from rich.console import Console
 
 from core.errors import CtrError
 from core.statics import PAPER_SUBLINK
-from station.commands import calibrate_command, export_command, report_command, soak_command, sweep_command
-from station.commands.options import between, progress_bar, seed
+from station.commands import (
+    calibrate_command,
+    export_command,
+    report_command,
+    run_command,
+    soak_command,
+    sweep_command,
+)
+from station.commands.options import between, progress_bar
 from station.config import preset_names
 
 
@@ -35,16 +42,7 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     )
     commands = top.add_subparsers(title="commands", metavar="COMMAND")
 
-    run = commands.add_parser("run", help="carry out an experiment with simulated devices and print how well it went")
-    run.add_argument("experiment", metavar="EXPERIMENT", help="name of a preset or a .toml file")
-    run.add_argument("--seed", type=seed, default=0, metavar="N", help="of everything random in the lab (0)")
-    run.add_argument("--out", type=Path, default=Path("runs"), metavar="DIR", help="where results go (runs)")
-    run.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")
-    run.add_argument("--calibration", type=Path, metavar="DIR", help="use what 'calibrate' found")
-    run.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
-    run.add_argument("--realtime", action="store_true", help="at the pace of the clock instead of as fast as it goes")
-    run.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
-    run.set_defaults(command=_run)
+    run_command.add(commands)
 
     solve = commands.add_parser("solve", help="the loaded model: JSON lines in, JSON lines out")
     solve.add_argument("--robot", default="paper", metavar="FILE", help="preset or .toml file (paper)")
@@ -115,73 +113,6 @@ def execute(top: argparse.ArgumentParser, arguments: Sequence[str] | None) -> in
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `python -m station`."""
     return execute(parser()[0], arguments)
-
-
-def _run(parsed: argparse.Namespace) -> int:
-    from station.clock import RealClock, VirtualClock
-    from station.config import use_experiments
-    from station.experiments.experiment import load_experiment
-    from station.experiments.output import ResultFolder, label_of, result_table
-    from station.experiments.results import summarise
-    from station.experiments.runner import run_case
-    from station.margins import Margins, check_design
-
-    if parsed.experiments is not None:
-        use_experiments(parsed.experiments)
-    given = {"lab": parsed.lab, "calibration": parsed.calibration}
-    changes = {key: _from_here(value) for key, value in given.items() if value is not None}
-    experiment = load_experiment(parsed.experiment, changes)
-    for robot in {case.robot.name: case.robot for case in experiment.cases}.values():
-        if warning := check_design(robot, Margins()):
-            sys.stderr.write(f"ctr-station: {warning}\n")
-    folder = ResultFolder(parsed.out, experiment, parsed.seed)
-    cases = {}
-    try:
-        with progress_bar() as bar:
-            for case in experiment.cases:
-                task = bar.add_task(f"{experiment.name} {case.name}", total=1.0)
-                clock = RealClock() if parsed.realtime else VirtualClock()
-                recorder = folder.record(case)
-                recording = run_case(
-                    case, parsed.seed, clock, lambda done, task=task: bar.update(task, completed=done), recorder.write
-                )
-                recorder.close(label_of(completed=recording.completed, cause=recording.cause), recording.cause)
-                cases[case.name] = summarise(folder.recorded(recording))
-                bar.update(task, completed=1.0 if recording.completed else None)
-                if not recording.completed:
-                    break
-        completed = len(cases) == len(experiment.cases) and all(case["completed"] for case in cases.values())
-        summary = {
-            "experiment": experiment.name,
-            "seed": parsed.seed,
-            "lab": experiment.cases[0].lab.title,
-            "completed": completed,
-            "simulated_s": round(sum(case["simulated_s"] for case in cases.values()), 3),
-            "wall_s": round(sum(case["wall_s"] for case in cases.values()), 3),
-            "recording": str(folder.path),
-            "cases": cases,
-        }
-        folder.finish(summary)
-    except BaseException:
-        folder.abandon()
-        raise
-    if parsed.json:
-        print(json.dumps(summary))  # noqa: T201
-    else:
-        out = Console(highlight=False, markup=False)
-        out.print(result_table(experiment, summary))
-        speed = summary["simulated_s"] / max(summary["wall_s"], 1e-3)
-        out.print(
-            f"{summary['simulated_s']:.0f} s simulated in {summary['wall_s']:.1f} s ({speed:.0f} times real time),"
-            f" seed {parsed.seed}\n{folder.path}",
-            soft_wrap=True,
-        )
-    return 0 if completed else 1
-
-
-def _from_here(value: Path | str) -> str:
-    """A file or folder given on the command line, which an experiment would look for beside itself."""
-    return str(Path(value).absolute()) if isinstance(value, Path) or value.endswith(".toml") else value
 
 
 def _solve(parsed: argparse.Namespace) -> int:

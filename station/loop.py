@@ -28,7 +28,7 @@ from station.stall import Stall
 from station.states import Event, RefusedError, State, after
 from station.task import Phase, Progress, Task
 from station.telemetry import Channels
-from station.troubles import EVENTS, NONE, holds, not_finite, troubles, worst
+from station.troubles import EVENTS, NONE, holds, not_finite, severities, troubles, worst
 
 #: A tracker whose port is not there is looked for so often, once a person has asked for it [s].
 RETRY = 1.0
@@ -237,7 +237,7 @@ class ControlLoop:
         if trouble is None:
             self._troubles = NONE
             return None
-        self._troubles = tuple(0 if one is None else int(one.severity) for one in found)
+        self._troubles = severities(found)
         if not holds(trouble):
             return None
         if self.state in (State.READY, State.RUNNING) or (

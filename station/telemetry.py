@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from core.compiled import compiled
+from core.estimation import VELOCITY
 from core.robot import Array, Robot
 from core.step import Tick
 from station.devices.interfaces import JointReading, TipReading, Truth, WrenchReading
@@ -30,7 +32,7 @@ class Channels:
     def __init__(self, robot: Robot) -> None:
         self.all: tuple[Channel, ...] = tuple(_channels(robot))
         self._at: dict[str, slice] = {}
-        self._scalars, self._true = np.zeros(12), np.zeros(6)  # of the row that is being made
+        self._width = len(self.all)
         names = [channel.name for channel in self.all]
         groups = [name.rsplit(".", 1)[0] for name in names]
         for group in dict.fromkeys(groups):
@@ -57,7 +59,7 @@ class Channels:
         frame: TipReading | None,
         tick: Tick,
         truth: Truth | None,
-        troubles: tuple[int, ...] = (0, 0, 0),
+        troubles: tuple[int, int, int] = (0, 0, 0),
     ) -> Array:
         """One tick as numbers, in the order of `all`.
 
@@ -66,24 +68,18 @@ class Channels:
         the severities of what is wrong with stages, tracker and force sensors, 0 where nothing is.
         """
         memory, now = tick.memory, tick.memory.estimate
-        scalars, true, numbers, where = self._scalars, self._true, now.numbers, now.places
-        new, frame_time = (0.0, 0.0) if frame is None else (1.0, frame.time)
-        scalars[:] = (
-            time, state, new, frame_time, now.loaded.numbers[-1], now.unloaded.numbers[-1],
-            numbers[where.place], now.loaded.numbers[-3], *troubles, truth is not None,
+        where = now.places
+        true_tip, true_force = truth or _UNKNOWN
+        new, frame_time = (False, 0.0) if frame is None else (True, frame.time)
+        stages, tracker, sensors = troubles
+        row = np.empty(self._width)
+        _fill(
+            row, time, int(state), new, frame_time, stages, tracker, sensors, truth is not None, true_tip, true_force,
+            joints.positions, tick.command, joints.sent, wrenches.wrenches, tick.load.force, tick.load.moment,
+            memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
+            tick.u_int, tick.sigma, tick.at_bound, now.numbers, where.vectors, where.state, where.sent, where.tips,
         )  # fmt: skip
-        if truth is None:
-            true[:] = 0.0
-        else:
-            true[:3], true[3:] = truth.tip, truth.force
-        # One call for all: an assignment for each would take longer than the model.
-        return np.concatenate((
-            scalars, true,
-            joints.positions, tick.command, joints.sent, wrenches.wrenches.ravel(),
-            tick.load.force, tick.load.moment,
-            memory.tip, now.loaded.numbers[:3], now.unloaded.numbers[:3], memory.origin + tick.setpoint.position,
-            tick.u_int, tick.delta, tick.sigma, tick.at_bound, now.tip, numbers[: where.state],
-        ))  # fmt: skip
+        return row
 
     def held(
         self,
@@ -92,7 +88,7 @@ class Channels:
         state: State,
         joints: JointReading,
         wrenches: WrenchReading,
-        troubles: tuple[int, ...] = (0, 0, 0),
+        troubles: tuple[int, int, int] = (0, 0, 0),
     ) -> Array:
         """The last row with what was read since: the controller has nothing new to say."""
         row = last.copy()
@@ -107,6 +103,50 @@ class Channels:
         self.of(row, "tip_new")[:] = 0.0
         self.of(row, "trouble")[:] = troubles
         return row
+
+
+_UNKNOWN = Truth(np.zeros(3), np.zeros(3))
+
+
+@compiled
+def _fill(
+    row: Array, time: float, state: int, new: bool, frame_time: float,
+    stages: int, tracker: int, sensors: int, known: bool, true_tip: Array, true_force: Array,
+    positions: Array, command: Array, sent: Array, wrenches: Array, force: Array, moment: Array,
+    tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
+    u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
+    bias: int, bias_end: int, tips: int, tips_end: int,
+) -> None:  # fmt: skip
+    """One row in the order of `_channels`; a call of numpy for each part would take longer than the model."""
+    row[0], row[1], row[2], row[3] = time, state, new, frame_time
+    row[4], row[5], row[6], row[7] = loaded[-1], unloaded[-1], estimate[tips_end + 1], loaded[-3]
+    row[8], row[9], row[10], row[11] = stages, tracker, sensors, known
+    newest, at, n = tips + 3 * int(estimate[tips_end]), 12, positions.shape[0]
+    for k in range(3):
+        row[at + k], row[at + 3 + k] = true_tip[k], true_force[k]
+    at += 6
+    for j in range(n):
+        row[at + j], row[at + n + j], row[at + 2 * n + j] = positions[j], command[j], sent[j]
+    at += 3 * n
+    for i in range(wrenches.shape[0]):
+        for k in range(6):
+            row[at + 6 * i + k] = wrenches[i, k]
+    at += 6 * wrenches.shape[0]
+    for k in range(3):
+        row[at + k], row[at + 3 + k], row[at + 6 + k] = force[k], moment[k], tip[k]
+        row[at + 9 + k], row[at + 12 + k], row[at + 15 + k] = loaded[k], unloaded[k], origin[k] + setpoint[k]
+        row[at + 18 + k], row[at + 21 + k] = u_int[k], estimate[3 * VELOCITY + k] - u_int[k]
+    at += 24
+    for k in range(sigma.shape[0]):
+        row[at + k] = sigma[k]
+    at += sigma.shape[0]
+    for j in range(n):
+        row[at + j] = at_bound[j]
+    at += n
+    for k in range(3):
+        row[at + k] = estimate[newest + k] + estimate[bias + k]
+    for k in range(bias_end):
+        row[at + 3 + k] = estimate[k]
 
 
 def _channels(robot: Robot) -> list[Channel]:

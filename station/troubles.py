@@ -9,7 +9,7 @@ from station.states import Event
 
 Troubles = tuple[Trouble | None, Trouble | None, Trouble | None]  # of stages, tracker, force sensors
 #: Severities when nothing is wrong.
-NONE: tuple[int, ...] = (0, 0, 0)
+NONE = (0, 0, 0)
 #: What a trouble makes of the state.
 EVENTS = MappingProxyType({Severity.HOLD: Event.HOLD, Severity.STOP: Event.STOP, Severity.FAULT: Event.FAULT})
 
@@ -26,6 +26,12 @@ def worst(found: Troubles) -> Trouble | None:
         if trouble is not None and (result is None or trouble.severity > result.severity):
             result = trouble
     return result
+
+
+def severities(found: Troubles) -> tuple[int, int, int]:
+    """Of what is wrong with stages, tracker and force sensors; 0 where nothing is."""
+    stages, tracker, sensors = (0 if one is None else int(one.severity) for one in found)
+    return stages, tracker, sensors
 
 
 def holds(trouble: Trouble | None) -> bool:

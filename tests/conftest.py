@@ -1,48 +1,46 @@
-"""What every test shares: robot, a short experiment, and the rule that a test leaves nothing running behind.
+"""What every test shares: robot, a short experiment, the command line, and that it leaves nothing behind."""
 
-A thread, a child process or a listening port that outlives its test fails that test. What was there
-before it (a server or a browser that a whole module shares, say) is not the test's, nor what that starts.
-"""
-
-import socket
-import threading
-import time
+import re
 from collections.abc import Callable, Iterator
-from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import NamedTuple
 
-import psutil
 import pytest
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
 
 from core.robot import Joint, Robot, Section, Tube
 from station.cli import main
 from station.config import PRESETS
 from station.robots import RobotFile, load_robot
+from tests.harness.cases import SHORT
+from tests.harness.leftovers import nothing_left_behind
 
 
-class FileByFile(LoadFileScheduling):
-    """Tests over all processors, a file to each; those of real processes one after the other on one of them."""
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The mathematics first, what needs none of it last."""
+    items.sort(key=lambda item: bool(re.match(r"tests/\w+/station/(devices|lab)/", item.nodeid)))
+
+
+class FromBothEnds(LoadFileScheduling):
+    """A file to each processor: the first one from the first file on, the others from the last one back.
+
+    So in a fresh clone the model is compiled by one, and the lab by another. What needs real processes is done
+    by one, one after the other.
+    """
 
     def _split_scope(self, nodeid: str) -> str:
         return "live" if nodeid.startswith("tests/live/") else super()._split_scope(nodeid)
 
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        if node is not self.nodes[0]:
+            self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
+        super()._assign_work_unit(node)
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> FileByFile:
-    return FileByFile(config, log)
 
-
-#: One second at rest under no load, counted from the start.
-SHORT = """
-title = "short"
-start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
-duration = 1.0
-settling = 0.0
-[trajectory]
-kind = "hold"
-"""
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> FromBothEnds:
+    return FromBothEnds(config, log)
 
 
 @pytest.fixture(scope="session")
@@ -114,52 +112,12 @@ def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tm
 
 @pytest.fixture
 def grace() -> float:
-    """Seconds in which what a test has stopped may still be going; a module may override it."""
-    return 2.0
+    """Seconds in which what a test has stopped may still be going; only a test that fails takes them."""
+    return 30.0
 
 
 @pytest.fixture(autouse=True)
 def nothing_is_left_behind(grace: float) -> Iterator[None]:
-    """Fail a test that leaves a thread, a child process or a listening port."""
-    shared = {child.pid for child in psutil.Process().children()}
-    before = what_runs(shared)
-    yield
-    left = what_runs(shared) - before
-    give_up = time.monotonic() + grace
-    while left and time.monotonic() < give_up:
-        time.sleep(0.02)
-        left = what_runs(shared) - before
-    if left:
-        pytest.fail("left behind: " + ", ".join(sorted(f"{kind} {name}" for kind, _, name in left)), pytrace=False)
-
-
-def what_runs(shared: set[int]) -> set[tuple[str, int, str]]:
-    """Threads, child processes and ports open to others, each as kind, identity and name.
-
-    Children in `shared` are left out with all that they have started.
-    """
-    found = {("thread", thread.ident or 0, thread.name) for thread in threading.enumerate()}
-    # The interpreter's own tracker of shared memory stays until the interpreter ends.
-    tracker = getattr(resource_tracker._resource_tracker, "_pid", None)
-    myself = psutil.Process()
-    mine = [child for child in myself.children() if child.pid not in shared and child.pid != tracker]
-    for process in (myself, *mine, *(grandchild for child in mine for grandchild in descendants(child))):
-        try:
-            if process != myself:
-                found.add(("process", process.pid, f"{process.pid} ({process.name()})"))
-            for connection in process.net_connections():
-                serves = connection.status == psutil.CONN_LISTEN
-                receives = connection.type == socket.SOCK_DGRAM and connection.laddr and not connection.raddr
-                if serves or receives:
-                    found.add(("port", connection.laddr.port, str(connection.laddr.port)))
-        except psutil.NoSuchProcess:
-            continue  # ended while it was looked at
-    return found
-
-
-def descendants(process: psutil.Process) -> list[psutil.Process]:
-    """Children of children; none when the process has just ended."""
-    try:
-        return process.children(recursive=True)
-    except psutil.NoSuchProcess:
-        return []
+    """No thread, child process or listening port outlives its test."""
+    with nothing_left_behind(grace):
+        yield

@@ -2,13 +2,13 @@
 
 import argparse
 import json
-import os
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
 from station.commands.options import count, progress_bar
+from station.experiments.side_by_side import processors
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
@@ -22,7 +22,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     )  # fmt: skip
     sweep.add_argument("--case", metavar="NAME", help="only this case of the experiment")
     sweep.add_argument(
-        "--jobs", type=count(1024), default=os.cpu_count() or 1, metavar="N", help="processes (one a processor)"
+        "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (one a processor)"
     )
     sweep.add_argument("--out", type=Path, default=Path("runs"), metavar="DIR", help="where results go (runs)")
     sweep.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")

@@ -148,8 +148,10 @@ def follow(stream: Indices, clock: Array, datagram: bytes, now: float, limits: A
     if not stream[BEGUN] or not step or len(datagram) != 36:
         return False
     rdt, ft, count = (stream[RDT] + 1) % WRAP, (stream[FT] + step) % WRAP, stream[COUNT] + step
-    if word(datagram, 0) != rdt or word(datagram, 4) != ft or word(datagram, 8) != HEALTHY:
-        return False
+    head = (rdt, ft, HEALTHY)
+    for k in range(3):
+        if word(datagram, 4 * k) != head[k]:
+            return False
     if count > latest(clock, now) + AHEAD:
         return False
     for k in range(6):
@@ -206,9 +208,10 @@ class Stream:
         self._state[BEGUN] = self._state[IN_LINE] = 0
         self._astray = None
 
-    def follow(self, datagram: bytes, now: float, limits: Array, row: Array) -> bool:
-        """Take the usual datagram in one compiled call (`follow`); where this is false, it is for `feed`."""
-        return follow(self._state, self._clock.state, datagram, now, limits, row)
+    @property
+    def state(self) -> tuple[Indices, Array]:
+        """Its numbers and its clock's, for `follow`."""
+        return self._state, self._clock.state
 
     def feed(self, datagram: bytes, now: float) -> list[Sample]:
         """Take a datagram that has arrived by `now` [s]; give the samples in it that are in line."""

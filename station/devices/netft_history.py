@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy
 from core.robot import Array, Indices
 
 #: Kept of each sensor: several ticks at the fastest rate.
@@ -35,22 +35,23 @@ class Ring:
     def __init__(self, rows: Array, ends: Indices) -> None:
         self.row = np.zeros(7)  #: for the next sample: time [s] and six counts
         self.time = -math.inf  #: of the newest sample; infinite: there is none [s]
-        self._rows, self._ends = rows, ends
+        self.rows, self.ends = rows, ends
 
     def push(self) -> None:
         """Take what has been put into `row`; a less delayed record may have set the clock back."""
-        self.time = _push(self._rows, self._ends, self.row, self.time)
+        self.time = push(self.rows, self.ends, self.row, self.time)
 
     def clear(self) -> None:
         """Forget them."""
-        self._ends[1], self.time = 0, -math.inf
+        self.ends[1], self.time = 0, -math.inf
 
 
 @compiled
-def _push(rows: Array, ends: Indices, row: Array, time: float) -> float:
+def push(rows: Array, ends: Indices, row: Array, time: float) -> float:
+    """`Ring.push`: the time of the newest sample."""
     ends[0], ends[1] = (ends[0] + 1) % DEPTH, min(ends[1] + 1, DEPTH)
     time = max(time, row[0])
-    rows[ends[0]] = row
+    copy(row, rows[ends[0]])
     rows[ends[0], 0] = time
     return time
 

@@ -14,7 +14,9 @@ from typing import Any, NamedTuple, Protocol
 import httpx
 import numpy as np
 
+from core.compiled import compiled
 from core.errors import CtrError
+from core.robot import Array, Indices
 from station.devices.interfaces import Condition, Severity, Trouble, WrenchReading
 from station.devices.links import DatagramLink, LinkError
 from station.devices.netft import (
@@ -27,11 +29,12 @@ from station.devices.netft import (
     Sample,
     Stream,
     describe,
+    follow,
     is_usable,
     request,
 )
 from station.devices.netft_clock import SampleClock
-from station.devices.netft_history import History, Ring
+from station.devices.netft_history import History, Ring, push
 from station.devices.netft_page import LARGEST_PAGE, NetftPage, read_page
 
 
@@ -112,7 +115,7 @@ class _Sensor:
     def warm_up(self) -> None:
         """Have loaded what is compiled: the first call takes longer than a tick."""
         SampleClock().observe(0, SampleClock().latest(0.0))
-        self.stream.follow(b"", 0.0, self._limits, self.good.row)
+        self._follow(b"", 0.0)
         self.good.push()
         self.good.clear()
 
@@ -139,8 +142,7 @@ class _Sensor:
         lost, resets, news, newest = stream.lost, stream.resets, False, 0
         try:
             for datagram in self.link.receive():
-                if stream.follow(datagram, now, self._limits, good.row):
-                    good.push()
+                if self._follow(datagram, now):
                     self.status, self._fresh, news = 0, now, True
                     continue
                 for sample in stream.feed(datagram, now):
@@ -165,6 +167,14 @@ class _Sensor:
         self.flags = flags
         return news
 
+    def _follow(self, datagram: bytes, now: float) -> bool:
+        """Keep the usual datagram in one compiled call; False: it is for `Stream.feed`."""
+        good = self.good
+        taken, good.time = _kept(
+            *self.stream.state, datagram, now, self._limits, good.row, good.rows, good.ends, good.time
+        )
+        return taken
+
     def _take(self, sample: Sample, now: float) -> int:
         """Keep a sample that can be used; what is wrong with it."""
         self.status = sample.status
@@ -181,6 +191,17 @@ class _Sensor:
     def _ask(self) -> None:
         self.requests += 1
         self.send(Command.STREAM)
+
+
+@compiled
+def _kept(
+    stream: Indices, clock: Array, datagram: bytes, now: float, limits: Array,
+    row: Array, rows: Array, ends: Indices, time: float,
+) -> tuple[bool, float]:  # fmt: skip
+    """`follow`, and then `push`: whether it was taken, and the time of the ring's newest sample."""
+    if not follow(stream, clock, datagram, now, limits, row):
+        return False, time
+    return True, push(rows, ends, row, time)
 
 
 class NetftSensors:
@@ -209,7 +230,10 @@ class NetftSensors:
     @property
     def is_usable(self) -> bool:
         """Whether control may use the last reading."""
-        return not any(sensor.flags & ~(_LATCHED | _GAP) for sensor in self._sensors)
+        flags = 0
+        for sensor in self._sensors:
+            flags |= sensor.flags
+        return not flags & ~(_LATCHED | _GAP)
 
     @property
     def pages(self) -> tuple[NetftPage, ...]:

@@ -67,7 +67,6 @@ class ZaberStages:
         sent = [chain.sent[axis] for chain, axis in self._units.where]
         if sent != self._sent[0]:
             self._sent = sent, np.array(self._scale) * sent
-            self._sent[1].flags.writeable = False
         return JointReading(np.array(positions), self._sent[1])
 
     def command(self, velocities: Array, now: float) -> None:
@@ -98,7 +97,7 @@ class ZaberStages:
         """Connected, homed, and every position is known."""
         if self.condition is not Condition.CONNECTED or not all(self._units.homed):
             return False
-        return all(estimate.known for _, _, estimate in self._counted)
+        return all([estimate.known for _, _, estimate in self._counted])  # noqa: C419 - at every tick, twice
 
     @property
     def ports(self) -> tuple[Port, ...]:

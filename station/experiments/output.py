@@ -1,16 +1,18 @@
 """Results on disk and on the screen."""
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.table import Table
 from rich.text import Text
 
+from station.clock import Clock, VirtualClock
 from station.experiments.experiment import Case, Experiment, PaperNumbers
-from station.experiments.runner import Recording
+from station.experiments.results import summarise
+from station.experiments.runner import run_case
 from station.recording.case_recorder import CaseRecorder
 from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
@@ -21,6 +23,57 @@ from station.telemetry import Channels
 
 #: Rows that a summary is made of: all of a run of up to half an hour, every n-th of a longer one.
 MOST = 1_000_000
+
+
+class Assignment(NamedTuple):
+    """A case to carry out and to record, here or in another process."""
+
+    case: Case
+    seed: int
+    path: Path  #: of its recording
+    metadata: Mapping[str, Any]
+
+    def writer(self) -> CaseWriter:
+        """Makes the file.
+
+        Raises:
+            RecordingError: it cannot be made.
+        """
+        robot = self.case.robot.robot()
+        return CaseWriter(self.path, robot, Channels(robot).all, self.metadata)
+
+
+class Recorded(NamedTuple):
+    """What came of it."""
+
+    name: str
+    numbers: Mapping[str, Any]  #: those of `summarise`
+    label: Label | None  #: of the recording
+
+    @property
+    def completed(self) -> bool:
+        """Whether the case came to its end."""
+        return bool(self.numbers["completed"])
+
+
+def run_recorded(assignment: Assignment, progress: Callable[[float], None], clock: Clock | None = None) -> Recorded:
+    """Carry out a case, record it and sum it up; in virtual time unless told otherwise.
+
+    Raises:
+        RecordingError: the file cannot be made, finished or read back.
+    """
+    writer = assignment.writer()
+    recorder = CaseRecorder(writer, len(writer.channels))
+    try:
+        run = run_case(assignment.case, assignment.seed, clock or VirtualClock(), progress, recorder.write)
+    except BaseException:
+        with contextlib.suppress(RecordingError):  # the recovery tries once more
+            recorder.close(Label.INTERRUPTED, "the run was given up")
+        raise
+    recorder.close(label_of(completed=run.completed, cause=run.cause), run.cause)
+    if assignment.path.exists():  # not, when the disk has ended it
+        run = run._replace(rows=read_case(assignment.path, MOST).rows)
+    return Recorded(assignment.case.name, summarise(run), writer.label)
 
 
 class ResultFolder:
@@ -35,7 +88,6 @@ class ResultFolder:
         self._out, self._experiment, self._seed = out, experiment, seed
         self._folder = RunFolder(out, f"{experiment.name}-seed{seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}")
         self._folder.add_source(experiment.source)
-        self._writers: list[CaseWriter] = []
         self.recovered = recover(out)  #: folders of earlier runs that were killed
 
     @property
@@ -43,26 +95,13 @@ class ResultFolder:
         """Where the folder will be."""
         return self._folder.path
 
-    def record(self, case: Case) -> CaseRecorder:
-        """A recorder for the rows of a case as they come; close it.
+    def assignment(self, case: Case) -> Assignment:
+        """What a process has to know to carry out a case and to record it here."""
+        metadata = case_metadata(self._experiment, case, self._seed)
+        return Assignment(case, self._seed, self._folder.case(case.name), metadata)
 
-        Raises:
-            RecordingError: the file cannot be made.
-        """
-        channels = Channels(case.robot.robot())
-        return CaseRecorder(self._writer(case, channels), len(channels))
-
-    def recorded(self, recording: Recording) -> Recording:
-        """What was run, with the rows that its recorder wrote; of a very long one only some, evenly.
-
-        Raises:
-            RecordingError: they cannot be read.
-        """
-        path = self._folder.case(recording.case.name)
-        return recording._replace(rows=read_case(path, MOST).rows) if path.exists() else recording
-
-    def finish(self, summary: Mapping[str, Any]) -> None:
-        """Add the summary; then the folder gets its name.
+    def finish(self, summary: Mapping[str, Any], labels: Iterable[Label | None] = ()) -> None:
+        """Add the summary; then the folder gets its name. `labels` are those of its recordings.
 
         Raises:
             RecordingError: the disk takes no more; what is there is kept for the next recovery.
@@ -70,25 +109,15 @@ class ResultFolder:
         cases = summary.get("cases", {}).values()
         cause = next((case["cause"] for case in cases if case.get("cause")), "")
         label = label_of(completed=bool(summary.get("completed")), cause=cause)
-        if any(writer.label is Label.INCOMPLETE for writer in self._writers):
+        if Label.INCOMPLETE in labels:
             label = Label.INCOMPLETE
         ended = {"label": label, "cause": cause}
         self._folder.finish({"title": self._experiment.title, "started": self._folder.started, **summary, **ended})
 
     def abandon(self) -> None:
         """Something went wrong: keep what was recorded, as a run that was interrupted; nothing if there is nothing."""
-        for writer in self._writers:
-            with contextlib.suppress(RecordingError):  # the recovery tries once more
-                writer.close(Label.INTERRUPTED, "the run was given up")
         self._folder.let_go()
         recover(self._out)
-
-    def _writer(self, case: Case, channels: Channels) -> CaseWriter:
-        metadata = case_metadata(self._experiment, case, self._seed)
-        robot = case.robot.robot()
-        writer = CaseWriter(self._folder.case(case.name), robot, channels.all, metadata)
-        self._writers.append(writer)
-        return writer
 
 
 def case_metadata(experiment: Experiment, case: Case, seed: int) -> dict[str, Any]:

@@ -4,34 +4,18 @@ Every run is a case in virtual time in a process of its own, bit for bit what `r
 """
 
 import itertools
-import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing import active_children, get_context, parent_process
-from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from core.errors import CtrError
 from station.clock import VirtualClock
 from station.config import ConfigError
 from station.experiments.experiment import Case, Experiment, load_experiment
 from station.experiments.results import summarise
 from station.experiments.runner import run_case
+from station.experiments.side_by_side import Processes
 from station.experiments.sweep_settings import Setting, nested
-from station.interrupt import interrupts
-
-#: Threads that libraries start by themselves would only fight over the processors.
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-
-
-class SweepFailed(CtrError):
-    """A sweep that lost one of its processes."""
 
 
 class Job(NamedTuple):
@@ -79,48 +63,21 @@ def jobs(experiment: str, chosen: Sequence[Setting], seeds: Sequence[int], only:
     return listed
 
 
-def run_job(job: Job) -> Outcome:
+def run_job(job: Job, progress: Callable[[float], None]) -> Outcome:
     """One run."""
-    return Outcome(job, summarise(run_case(job.case, job.seed, VirtualClock(), lambda _: None)))
+    return Outcome(job, summarise(run_case(job.case, job.seed, VirtualClock(), progress)))
 
 
-def sweep(listed: Sequence[Job], processes: int, told: Callable[[int], None]) -> list[Outcome]:
-    """Carry out all of `listed`, `processes` at a time; `told` how many are done.
+def sweep(listed: Sequence[Job], processes: int, told: Callable[[float], None]) -> list[Outcome]:
+    """Carry out all of `listed`, `processes` at a time; `told` how many are done, parts of runs included.
 
     Ctrl-C ends the runs that are on, leaves out the others, and what is done comes back.
 
     Raises:
-        SweepFailed: a process was killed.
+        ProcessLost: a process was killed.
     """
-    before = set(active_children())
-    context = get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context, initializer=_end_with_parent) as pool:
-        with _one_thread_each(), _deaf_to_interrupts():
-            futures = [pool.submit(run_job, job) for job in listed]
-        _wait(futures, before, told)
-    try:
-        return [future.result() for future in futures if not future.cancelled()]
-    except BrokenProcessPool:
-        raise SweepFailed(
-            "a process of the sweep ended by itself; was it killed, or is there too little memory?"
-        ) from None
-
-
-def _wait(futures: Sequence[Future[Outcome]], others: set[BaseProcess], told: Callable[[int], None]) -> None:
-    """Until all are done or Ctrl-C was pressed; `others` are processes that are not the pool's."""
-    with interrupts() as interrupted:
-        waiting = set(futures)
-        while waiting:
-            done, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
-            if done:
-                told(len(futures) - len(waiting))
-            if interrupted():
-                waiting = {future for future in waiting if not future.cancel()}
-                for child in set(active_children()) - others:
-                    # A run takes it as a question and ends; between runs it is ignored, and a run that was
-                    # next in the line may begin yet: asked again until none is left.
-                    if child.pid is not None:
-                        os.kill(child.pid, signal.SIGINT)
+    with Processes(processes) as started:
+        return started.carry_out(run_job, listed, lambda parts: told(sum(parts)))
 
 
 def spreads(outcomes: Sequence[Outcome]) -> dict[str, Spread]:
@@ -174,46 +131,6 @@ def sweep_summary(
             for outcome in outcomes
         ],
     }
-
-
-def _end_with_parent() -> None:
-    """In each new process: watch whether the one that started it is still there."""
-    parent = parent_process()
-
-    def watch() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """New processes ignore Ctrl-C from their first moment on; only a run listens to it."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals go to the main thread
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """New processes start with this environment."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:

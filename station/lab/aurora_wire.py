@@ -1,7 +1,5 @@
 """The line of a simulated Aurora: a pipe in memory with a rate and a break, and a pump for any link."""
 
-from typing import Protocol, runtime_checkable
-
 from station.devices.aurora import POWER_UP_BAUD
 from station.devices.links import Link, LinkError
 from station.devices.memory_pipe import Cable
@@ -92,16 +90,6 @@ class DeviceEnd:
         return _emptied(self._to_host)
 
 
-@runtime_checkable
-class Rated(Protocol):
-    """A link that knows at which rate the host talks."""
-
-    @property
-    def host_baud(self) -> int | None:
-        """The host's rate [bit/s]."""
-        ...
-
-
 def _emptied(buffer: bytearray) -> bytes:
     if not buffer:
         return b""
@@ -115,7 +103,6 @@ def pump(link: Link, unit: SimulatedAurora, now: float) -> None:
 
     Only a line in memory carries a break. `now` [s] is virtual or real, the same time that `advance` counts.
     """
-    host_baud = link.host_baud if isinstance(link, Rated) else None
     if isinstance(link, DeviceEnd) and link.broken:
         link.broken = False
         unit.restart(now)
@@ -124,6 +111,7 @@ def pump(link: Link, unit: SimulatedAurora, now: float) -> None:
         if not data and unit.due > now:
             unit.looked = now
             return
+        host_baud: int | None = getattr(link, "host_baud", None)  # most links do not know it
         unit.receive(data, now, host_baud)
         data = unit.transmit(now, host_baud)
         if data:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy
 from core.cosserat import ExactRod, Rod, shoot
 from core.robot import Array, Robot, tube_poses, unpack
 from station.devices.interfaces import Truth
@@ -145,7 +145,7 @@ def _advance(
         memory.tubes_at[j] = min(max(memory.tubes_at[j], positions[j] - half), positions[j] + half)
     alpha, beta, _ = tube_poses(layout, memory.tubes_at)
     wrench, guess = np.zeros(6), np.empty(q + 2)
-    wrench[:3] = force
+    copy(force, wrench)
     # Along a steady motion the line through the last two solutions ends next to this one.
     for i in range(q + 2):
         guess[i] = 2.0 * memory.unknowns[0, i] - memory.unknowns[1, i]
@@ -154,9 +154,13 @@ def _advance(
     )
     if not residual <= tolerance:
         return False
-    memory.unknowns[1] = memory.unknowns[0]
-    memory.unknowns[0] = unknowns
-    memory.chord[:], memory.tip[:], memory.rotation[:] = chord, tip, rotation
+    copy(memory.unknowns[0], memory.unknowns[1])
+    copy(unknowns, memory.unknowns[0])
+    copy(tip, memory.tip)
+    for i in range(q + 2):
+        copy(chord[i], memory.chord[i])
+    for i in range(3):
+        copy(rotation[i], memory.rotation[i])
     _feel(robot, packed, force, contact)
     return True
 
@@ -179,7 +183,9 @@ def _feel(robot: Array, packed: Array, load: Array, contact: float) -> None:
     memory = _unpack(packed, q, n)
     friction, most, poses, world = memory.friction, memory.most, memory.poses, memory.wrenches
     now = np.empty((2, q))
-    now[0], now[1], _ = tube_poses(layout, memory.tubes_at)
+    alphas, betas, _ = tube_poses(layout, memory.tubes_at)
+    copy(alphas, now[0])
+    copy(betas, now[1])
     # The sensors stand on the plate: load and tip as seen from there.
     force, tip = np.zeros(3), np.zeros(3)
     for i in range(3):
@@ -222,4 +228,5 @@ def _feel(robot: Array, packed: Array, load: Array, contact: float) -> None:
         mx, my = world[i, 3] + beta * fy, world[i, 4] - beta * fx
         world[i, 0], world[i, 1] = cos * fx + sin * fy, cos * fy - sin * fx
         world[i, 3], world[i, 4] = cos * mx + sin * my, cos * my - sin * mx
-    poses[:] = now
+    for k in range(2):
+        copy(now[k], poses[k])

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.compiled import compiled
 from core.robot import Array
@@ -18,6 +19,7 @@ from station.devices.netft import ERROR_SUMMARY, HEADER, LATENCY, RECORD, REQUES
 from station.lab.config import BaseSensorConfig
 from station.lab.netft_wire import Address, DeviceEnd
 
+Octets = NDArray[np.uint8]
 #: The internal counter of a perfect box [1/s].
 RATE = 7000.0
 #: A request that names the host to be served: bit 15 of the command, and an IPv4 address and a port at the end.
@@ -98,6 +100,7 @@ class SimulatedNetft:
             ]
         )
         self._noise, self._drawn = np.empty((BLOCK, 6)), BLOCK
+        self._bytes = np.zeros(RECORD.size, np.uint8)
         self._true = np.zeros(6)
         self._now = 0.0
         self._divisor = own.divisor
@@ -139,7 +142,10 @@ class SimulatedNetft:
         """`netftapi2.xml`; None if the box is mute."""
         if self.faults.mute:
             return None
-        own, (counts, status) = self.settings, self._read(self._now, self._true, self._true, 1.0)
+        own, (_, _, status, *counts) = (
+            self.settings,
+            RECORD.unpack(self._read(0, self._now, self._true, self._true, 1.0)),
+        )
         ranges = [own.force_range] * 3 + [own.torque_range] * 3
         elements = {
             "runstat": f"0x{status:08X}",
@@ -172,7 +178,7 @@ class SimulatedNetft:
         self._sequence = 0
         self._batch = 1
         self._buffered = b""
-        self._latest: tuple[int, ...] | None = None  # counter, status, six counts
+        self._record: bytes | None = None  # the newest
 
     def _hear(self, datagram: bytes, sender: Address) -> None:
         """One request; whatever is not one is ignored, as the box does."""
@@ -197,32 +203,39 @@ class SimulatedNetft:
             self._on_the_way.clear()
             self._client, self._buffered = None, b""
         elif command == Command.BIAS:
-            counts, _ = self._read(self._now, self._true, self._true, 1.0)
+            counts = RECORD.unpack(self._read(0, self._now, self._true, self._true, 1.0))[3:]
             self._axes[5] += np.array(counts) / self._axes[6]
         elif command == Command.RESET_LATCH:
             self.faults.status &= ~(1 << 16)
 
-    def _read(self, time: float, before: Array, after: Array, part: float) -> tuple[tuple[int, ...], int]:
-        """What the box makes of the wrench between two (6,): counts, and its status."""
+    def _read(self, sequence: int, time: float, before: Array, after: Array, part: float) -> bytes:
+        """A record of what the box makes of the wrench between two (6,)."""
         if self._drawn == BLOCK:
             self._noise, self._drawn = self._rng.standard_normal((BLOCK, 6)), 0
-        sensed = _sense(self._axes, self._noise, self._drawn, time, before, after, part, self.faults.saturate)
+        counter = (self._first_count + self._next * self._divisor) % WRAP
+        faults, record = self.faults, self._bytes
+        _sense(
+            self._axes, self._noise, self._drawn, time, before, after, part, faults.saturate,
+            sequence, counter, faults.status, record,
+        )  # fmt: skip
         self._drawn += 1
-        status = self.faults.status | (SATURATED if sensed[6] else 0)
-        return sensed[:6], status | ERROR_SUMMARY if status else 0
+        return record.tobytes()
 
     def _measure(self, time: float, before: Array, after: Array, part: float) -> None:
         """One record of the stream."""
-        if not self.faults.freeze or self._latest is None:
-            counts, status = self._read(time, before, after, part)
-            self._latest = ((self._first_count + self._next * self._divisor) % WRAP, status, *counts)
-        self._sequence = (self._sequence + 1) % WRAP
-        self._buffered += RECORD.pack(self._sequence, *self._latest)
-        last = self._left == 1
-        if last or len(self._buffered) >= self._batch * RECORD.size:
-            self._send(time, self._buffered)
-            self._buffered = b""
-        if last:
+        sequence = self._sequence = (self._sequence + 1) % WRAP
+        if not self.faults.freeze or self._record is None:
+            self._record = self._read(sequence, time, before, after, part)
+        else:
+            self._record = sequence.to_bytes(4, "big") + self._record[4:]
+        if self._batch == 1:
+            self._send(time, self._record)
+        else:
+            self._buffered += self._record
+            if self._left == 1 or len(self._buffered) >= self._batch * RECORD.size:
+                self._send(time, self._buffered)
+                self._buffered = b""
+        if self._left == 1:
             self._client = None
         if self._left:
             self._left -= 1
@@ -251,19 +264,23 @@ class SimulatedNetft:
 
 @compiled
 def _sense(
-    axes: Array, noise: Array, row: int, time: float, before: Array, after: Array, part: float, saturate: bool
-) -> tuple[int, ...]:
-    """Six counts of the wrench between two, and whether the transducer is at its end; `axes` as in the box."""
-    counts, saturated = np.empty(6, np.int64), 0
+    axes: Array, noise: Array, row: int, time: float, before: Array, after: Array, part: float, saturate: bool,
+    sequence: int, counter: int, status: int, record: Octets,
+) -> None:  # fmt: skip
+    """The record, as it goes out, of the wrench between two; `axes` as in the box."""
+    words = np.empty(9, np.int64)
     for k in range(6):
         value = before[k] + part * (after[k] - before[k]) + axes[0, k] + time * axes[1, k] + axes[2, k] * noise[row, k]
         if axes[3, k] > 0.0:
             value = np.rint(value / axes[3, k]) * axes[3, k]
         reach = axes[4, k]
         if saturate or not -reach <= value <= reach:
-            saturated, value = 1, math.copysign(reach, value)
-        counts[k] = np.int64(np.rint((value - axes[5, k]) * axes[6, k]))
-    return counts[0], counts[1], counts[2], counts[3], counts[4], counts[5], saturated
+            status, value = status | SATURATED, math.copysign(reach, value)
+        words[3 + k] = np.int64(np.rint((value - axes[5, k]) * axes[6, k]))
+    words[0], words[1], words[2] = sequence, counter, status | ERROR_SUMMARY if status else 0
+    for i in range(9):
+        for k in range(4):
+            record[4 * i + k] = words[i] >> (24 - 8 * k) & 255  # the most significant byte first
 
 
 def _array(values: Iterable[int | str]) -> str:

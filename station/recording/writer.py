@@ -58,6 +58,7 @@ class CaseWriter:
             RecordingError: it cannot be made.
         """
         self.path = path
+        self.channels = channels
         self.label: Label | None = None  #: how it ended, once it has
         self.started = time.time()  #: [s] since 1970
         self._epoch: int | None = None  #: of the rows' own time, which may count from anywhere [ns] since 1970

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from core.robot import Array
-from station.experiments.experiment import PERIOD, Case, load_experiment
+from station.experiments.experiment import PERIOD, Case
 from station.lab.faults import LabFault
 from station.lab.virtual_bench import virtual_bench
 from station.lab.wire_lab import WireLab
@@ -15,6 +15,7 @@ from station.margins import Margins
 from station.motions import CircleMotion, Orders
 from station.states import State
 from station.task import Phase, Task
+from tests.harness.cases import a_case
 
 CIRCLE = CircleMotion(radius=0.010, period=8.0)
 AXES = ("outer_rotation", "inner_rotation", "inner_translation")
@@ -22,7 +23,7 @@ AXES = ("outer_rotation", "inner_rotation", "inner_translation")
 
 def usual_case() -> Case:
     """Fig. 10 with feed-forward and observer on the default virtual lab."""
-    return next(case for case in load_experiment("fig10").cases if case.name == "feedforward")
+    return a_case("fig10", "feedforward")
 
 
 class VirtualStation:

@@ -1,85 +1,94 @@
-"""The rule of conftest.py at work: each test file below is run by a pytest of its own."""
+"""What a test leaves behind fails it by name; what was there before does not."""
 
-from pathlib import Path
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 
 import pytest
 
-pytest_plugins = ["pytester"]
+from tests.harness.leftovers import nothing_left_behind
 
-CONFTEST = Path(__file__).parents[1].joinpath("conftest.py").read_text(encoding="utf-8")
-
-PRELUDE = """
-import socket, subprocess, sys, threading, time
-import pytest
-
-KEPT = []  # what is dropped closes itself, with a warning that pytest reports anyway
-
-@pytest.fixture
-def grace():
-    return 0.3
-"""
-
-THREAD = "KEPT.append(threading.Thread(target=time.sleep, args=(1.5,), name='lost')); KEPT[0].start()"
-CHILD = "KEPT.append(subprocess.Popen([sys.executable, '-S', '-c', 'import time; time.sleep(1.5)']))"
-TCP = "KEPT.append(socket.create_server(('127.0.0.1', 0)))"
-UDP = "KEPT.append(socket.socket(type=socket.SOCK_DGRAM)); KEPT[0].bind(('127.0.0.1', 0))"
-CHILDS_PORT = """
-    code = "import socket, time; s = socket.create_server(('127.0.0.1', 0)); print(flush=True); time.sleep(1.5)"
-    KEPT.append(subprocess.Popen([sys.executable, '-S', '-c', code], stdout=subprocess.PIPE))
-    KEPT[0].stdout.readline()
-"""
+#: Both end with their input; the second one serves meanwhile.
+CHILD = "import sys; print(flush=True); sys.stdin.read()"
+SERVER = f"import socket; kept = socket.create_server(('127.0.0.1', 0)); {CHILD}"
 
 
 @pytest.fixture
-def run(pytester: pytest.Pytester):
-    """Run test code under the project's conftest.py in a process of its own."""
+def kept() -> Iterator[ExitStack]:
+    """What leaks in a test ends here."""
+    with ExitStack() as stack:
+        yield stack
 
-    def run(body: str) -> pytest.RunResult:
-        pytester.makeconftest(CONFTEST)
-        pytester.makepyfile(PRELUDE + body)
-        return pytester.runpytest_subprocess("-p", "no:cacheprovider")
 
-    return run
+def thread(kept: ExitStack) -> None:
+    over = threading.Event()
+    lost = threading.Thread(target=over.wait, name="lost")
+    lost.start()
+    kept.callback(lost.join)
+    kept.callback(over.set)
+
+
+def child(kept: ExitStack, code: str = CHILD) -> None:
+    pipe = subprocess.PIPE
+    process = kept.enter_context(subprocess.Popen([sys.executable, "-S", "-c", code], stdin=pipe, stdout=pipe))
+    assert process.stdout is not None
+    process.stdout.readline()
+
+
+def port_of_a_child(kept: ExitStack) -> None:
+    child(kept, SERVER)
+
+
+def tcp(kept: ExitStack) -> None:
+    kept.enter_context(socket.create_server(("127.0.0.1", 0)))
+
+
+def udp(kept: ExitStack) -> None:
+    kept.enter_context(socket.socket(type=socket.SOCK_DGRAM)).bind(("127.0.0.1", 0))
 
 
 @pytest.mark.parametrize(
     ("leak", "named"),
     [
-        (THREAD, "thread lost"),
-        (CHILD, r"process \d+ \(python"),
-        (TCP, r"port \d+"),
-        (UDP, r"port \d+"),
-        (CHILDS_PORT, r"port \d+, process \d+"),
+        (thread, "^left behind: thread lost$"),
+        (child, r"^left behind: process \d+ \(python[\d.]*\)$"),
+        (tcp, r"^left behind: port \d+$"),
+        (udp, r"^left behind: port \d+$"),
+        (port_of_a_child, r"^left behind: port \d+, process \d+ \(python[\d.]*\)$"),
     ],
-    ids=["thread", "child", "tcp", "udp", "port of a child"],
 )
-def test_what_a_test_leaves_behind_fails_it_by_name_and_the_next_test_is_not_blamed(run, leak, named):
-    result = run(f"def test_leaks():\n    {leak.strip()}\n\ndef test_next():\n    pass\n")
+def test_what_is_left_behind_fails_by_name_and_who_comes_next_is_not_blamed(
+    kept: ExitStack, leak: Callable[[ExitStack], None], named: str
+) -> None:
+    with pytest.raises(pytest.fail.Exception, match=named), nothing_left_behind(0.0):
+        leak(kept)
+    with nothing_left_behind(0.0):
+        pass
 
-    result.assert_outcomes(passed=2, errors=1)
-    result.stdout.re_match_lines([r".*ERROR at teardown of test_leaks.*", rf".*left behind: .*{named}"])
+
+def test_the_tidy_and_what_ends_within_the_grace_pass(kept: ExitStack) -> None:
+    with nothing_left_behind(0.0), ExitStack() as tidy:
+        for leak in (thread, child, tcp, udp, port_of_a_child):
+            leak(tidy)
+    with nothing_left_behind(600.0):
+        thread(kept)
+        threading.Timer(0.05, kept.close).start()
 
 
-def test_a_tidy_test_and_one_whose_thread_ends_within_the_grace_pass(run):
-    result = run(
-        "def test_tidy():\n"
-        "    with socket.create_server(('127.0.0.1', 0)):\n"
-        "        subprocess.run([sys.executable, '-S', '-c', ''], check=True)\n\n"
-        "def test_ends_soon():\n"
-        "    threading.Thread(target=time.sleep, args=(0.1,)).start()\n"
+def test_what_was_there_before_may_start_more(kept: ExitStack) -> None:
+    code = (
+        "import socket, sys; print(flush=True); sys.stdin.readline();"
+        " kept = socket.create_server(('127.0.0.1', 0)); print(flush=True); sys.stdin.read()"
     )
-
-    result.assert_outcomes(passed=2)
-
-
-def test_what_a_module_shares_is_not_the_tests(run):
-    result = run(
-        "@pytest.fixture(scope='module')\n"
-        "def server():\n"
-        "    with socket.create_server(('127.0.0.1', 0)) as server:\n"
-        "        yield server\n\n"
-        "def test_first(server):\n    pass\n\n"
-        "def test_second(server):\n    pass\n"
-    )
-
-    result.assert_outcomes(passed=2)
+    pipe = subprocess.PIPE
+    before = kept.enter_context(subprocess.Popen([sys.executable, "-S", "-c", code], stdin=pipe, stdout=pipe))
+    assert before.stdin is not None
+    assert before.stdout is not None
+    before.stdout.readline()
+    with nothing_left_behind(0.0):
+        before.stdin.write(b"\n")
+        before.stdin.flush()
+        before.stdout.readline()

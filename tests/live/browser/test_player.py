@@ -31,7 +31,7 @@ feedforward = true
 def player(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     place = tmp_path_factory.mktemp("player")
     (place / "own.toml").write_text(RUN, encoding="utf-8")
-    assert main(("run", str(place / "own.toml"), "--out", str(place / "runs"), "--json")) == 0
+    assert main(("run", str(place / "own.toml"), "--jobs", "1", "--out", str(place / "runs"), "--json")) == 0
     assert main(("replay", str(next((place / "runs").iterdir())), "--out", str(place / "own.html"))) == 0
     page = browser.new_page(viewport={"width": 1280, "height": 720}, reduced_motion="reduce")
     asked: list[str] = []

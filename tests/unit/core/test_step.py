@@ -42,6 +42,7 @@ class Plant:
     def __init__(self, robot, joints=POSE) -> None:
         self.rod, self.robot, self.joints = ExactRod(robot), robot, joints.copy()
         self.sent, self.force = np.zeros(3), np.zeros(3)
+        self.seen = np.zeros(3)  #: the tip at the last sample
 
     def tip(self) -> np.ndarray:
         return self.rod.solve(self.joints, np.r_[self.force, np.zeros(3)]).tip
@@ -49,6 +50,7 @@ class Plant:
     def sample(self, frame: bool = True) -> Sample:
         """The whole load at the outer tube's base, turned into its axes."""
         tip, angle = self.tip(), self.joints[0]
+        self.seen = tip
         turn = np.array([[math.cos(angle), math.sin(angle), 0], [-math.sin(angle), math.cos(angle), 0], [0, 0, 1.0]])
         wrenches = np.zeros((2, 6))
         wrenches[1] = np.r_[turn @ self.force, turn @ np.cross(tip, self.force)]
@@ -69,7 +71,7 @@ def run(controller, plant, seconds, order=lambda _: HERE, force=lambda _: np.zer
         tick = step(controller, memory, plant.sample(number % 13 == 0), order(number * PERIOD))
         memory = tick.memory
         ticks.append(tick)
-        tips.append(plant.tip() - start)
+        tips.append(plant.seen - start)
         plant.obey(tick.command)
     return ticks, np.array(tips)
 
@@ -78,11 +80,24 @@ def pull(time: float) -> np.ndarray:
     return np.array([0.15 * (1.0 - math.cos(0.8 * time)), 0.0, 0.0])
 
 
-@pytest.mark.parametrize("inner", ["type_1", "type_1_exact", "type_2"])
-@pytest.mark.parametrize("observes", [False, True])
-def test_the_tip_stays_under_a_varying_load(paper_robot, inner, observes):
+@pytest.fixture(scope="module")
+def pulled(paper_robot):
+    """Ticks and tips of the usual controller under the varying load."""
+    return run(controller(paper_robot), Plant(paper_robot), 4.0, force=pull)
+
+
+def test_the_tip_stays_under_a_varying_load(pulled):
     """9 mm of deflection; what is left is what the rate filter lags behind."""
-    _, tips = run(controller(paper_robot, inner=inner, observes=observes), Plant(paper_robot), 4.0, force=pull)
+    assert np.abs(pulled[1]).max() < 2.5e-4
+
+
+@pytest.mark.parametrize(
+    ("inner", "observes"),
+    [("type_1", False), ("type_1", True), ("type_1_exact", False), ("type_1_exact", True), ("type_2", False)],
+)
+def test_so_it_does_with_every_other_inner_loop(paper_robot, inner, observes):
+    """The load rises fastest after 2 s; these are the 5 mm until half a second later."""
+    _, tips = run(controller(paper_robot, inner=inner, observes=observes), Plant(paper_robot), 2.5, force=pull)
 
     assert np.abs(tips).max() < 2.5e-4
 
@@ -132,10 +147,9 @@ def test_delta_1_and_delta_2_add_up_to_the_whole_deflection(paper_robot):
     np.testing.assert_array_equal(now.difference, now.loaded.tip - now.unloaded.tip)
 
 
-def test_both_rates_of_the_deflection_are_its_derivative(paper_robot):
-    ticks, _ = run(controller(paper_robot), Plant(paper_robot), 3.0, force=pull)
-    estimates = [tick.memory.estimate for tick in ticks]
-    middle = len(ticks) - 30
+def test_both_rates_of_the_deflection_are_its_derivative(pulled):
+    estimates = [tick.memory.estimate for tick in pulled[0]]
+    middle = 1470
     true = (estimates[middle + 20].difference - estimates[middle - 20].difference) / (40 * PERIOD)
 
     np.testing.assert_allclose(estimates[middle].difference_rate, true, rtol=0, atol=2e-5)
@@ -144,8 +158,8 @@ def test_both_rates_of_the_deflection_are_its_derivative(paper_robot):
     np.testing.assert_allclose(estimates[middle].deflection_rate_exact, true, rtol=0, atol=2e-4)
 
 
-def test_the_observed_velocity_is_that_of_the_tip_and_delta_is_what_u_int_did_not_ask_for(paper_robot):
-    ticks, tips = run(controller(paper_robot), Plant(paper_robot), 3.0, force=pull)
+def test_the_observed_velocity_is_that_of_the_tip_and_delta_is_what_u_int_did_not_ask_for(pulled):
+    ticks, tips = (part[:1500] for part in pulled)
     true = (tips[-1] - tips[-41]) / (40 * PERIOD)
 
     np.testing.assert_allclose(ticks[-20].memory.estimate.velocity, true, rtol=0, atol=1e-4)

@@ -12,8 +12,8 @@ from tests.harness.virtual_station import AXES, VirtualStation
 NOTICED = 0.5
 
 
-def reset_and_home(station: VirtualStation) -> None:
-    """What a person does afterwards."""
+def reset_wants_homing(station: VirtualStation) -> None:
+    """What a person does afterwards, and what is asked of him."""
     station.mend()
     station.seconds(0.5)
     station.loop.reset(station.now)
@@ -22,8 +22,6 @@ def reset_and_home(station: VirtualStation) -> None:
     assert station.state is State.CONNECTED, "not READY by itself: where the stage is now nobody knows"
     with pytest.raises(RefusedError, match="it needs READY"):
         station.loop.start(Task(station.case.controller, station.case.orders, 1.0))
-    station.loop.home(station.now)
-    station.becomes(State.READY, 120.0)
 
 
 def test_a_cut_cable_stops_the_others_and_says_which_axis_runs_on_and_how_far(virtual: VirtualStation) -> None:
@@ -45,10 +43,12 @@ def test_a_cut_cable_stops_the_others_and_says_which_axis_runs_on_and_how_far(vi
     assert virtual.rests((0, 1))
     # and the cut one does run on, as the text says
     assert not virtual.rests((2,))
-    virtual.seconds(40.0)
+    virtual.until(lambda: virtual.rests((2,)), 40.0)
     assert virtual.places[2] * 1e3 == pytest.approx(end, abs=0.1)
     assert virtual.state is State.FAULT
-    reset_and_home(virtual)
+    reset_wants_homing(virtual)
+    virtual.loop.home(virtual.now)
+    virtual.becomes(State.READY, 120.0)
 
 
 def test_units_that_do_not_answer_any_more_are_stopped_all_the_same(virtual: VirtualStation) -> None:
@@ -75,7 +75,7 @@ def test_a_port_that_is_gone_is_a_fault_in_the_next_tick(virtual: VirtualStation
     sent = len(virtual.rows)
     virtual.seconds(0.5)
     assert not virtual.of("velocity_commanded", virtual.rows[sent:]).any()
-    reset_and_home(virtual)
+    reset_wants_homing(virtual)
 
 
 def test_a_line_that_loses_bytes_is_no_lost_line(virtual: VirtualStation) -> None:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from station.devices.interfaces import Severity
-from station.experiments.experiment import PERIOD, load_experiment
+from station.experiments.experiment import PERIOD
 from station.states import State
 from station.task import FREEZE
+from tests.harness.cases import a_case
 from tests.harness.virtual_station import VirtualStation
 
 
@@ -51,7 +52,7 @@ def test_after_a_quarter_of_a_second_the_motion_is_held(virtual: VirtualStation)
 
 
 def test_the_papers_outer_loop_keeps_its_last_correction_while_no_frame_comes() -> None:
-    case = next(case for case in load_experiment("fig10").cases if case.name == "paper")
+    case = a_case("fig10", "paper")
     station = VirtualStation(case)
     motion = case.file.trajectory
     station.moving(motion, since=3.0)

@@ -17,17 +17,18 @@ def folders(out: Path) -> list[str]:
     return sorted(path.name for path in out.iterdir()) if out.exists() else []
 
 
-def test_the_same_seed_gives_the_same_rows_and_another_seed_others(call, write, short, tmp_path):
-    for seed in ("1", "1", "2"):
-        assert call("run", str(write(short)), "--seed", seed, "--out", "out").status == 0
-    first, again, other = (read_case(path).rows for path in sorted((tmp_path / "out").glob("*/own.mcap")))
-
-    assert (first == again).all()
-    assert not (first == other).all()
+def test_the_same_seed_gives_the_same_rows_side_by_side_and_another_seed_others(call, write, short, tmp_path):
+    path = str(write(short + TWO_CASES))
+    for seed, jobs in (("1", "1"), ("1", "2"), ("2", "1")):
+        assert call("run", path, "--jobs", jobs, "--seed", seed, "--out", "out").status == 0
+    for case in ("one", "two"):
+        first, again, other = (read_case(path).rows for path in sorted((tmp_path / "out").glob(f"*/{case}.mcap")))
+        assert (first == again).all()
+        assert not (first == other).all()
 
 
 def test_the_table_has_units_and_the_papers_number_beside_ours(call, write, short):
-    done = call("run", str(write(short + TWO_CASES)))
+    done = call("run", str(write(short + TWO_CASES)), "--jobs", "1")
 
     assert done.status == 0
     measured = [line for line in done.out.splitlines() if "max |E| measured [mm]" in line]
@@ -55,7 +56,7 @@ def test_the_table_has_units_and_the_papers_number_beside_ours(call, write, shor
 def test_a_bad_file_gets_one_line_and_leaves_nothing(call, write, short, robot_text, tmp_path, old, new, said):
     write(robot_text.replace("bending_stiffness = 0.048", "bending_stiffness = -0.048"), "soft")
     assert short.strip().count(old) == 1
-    done = call("run", str(write(short.strip().replace(old, new))), "--out", "out", "--json")
+    done = call("run", str(write(short.strip().replace(old, new))), "--jobs", "1", "--out", "out", "--json")
 
     assert done.status == 2
     assert done.out == ""
@@ -104,7 +105,7 @@ def test_a_run_that_cannot_go_on_says_why_and_is_kept_as_incomplete(call, write,
     # Without feedback a load that cannot be held is no reason to refuse the motion beforehand.
     load = '[load]\nkind = "constant"\nmagnitude = 20.0\n[controller]\nstrategy = "unloaded_jacobian"\n'
     path = write(short + load + "[cases.one]\n[cases.two]\n")
-    done = call("run", str(path), "--out", "out", "--json")
+    done = call("run", str(path), "--jobs", "1", "--out", "out", "--json")
     summary = json.loads(done.out)
 
     assert done.status == 1
@@ -113,7 +114,7 @@ def test_a_run_that_cannot_go_on_says_why_and_is_kept_as_incomplete(call, write,
     assert "saturated" in summary["cases"]["one"]["cause"]
     assert folders(tmp_path / summary["recording"]) == ["experiment.toml", "one.mcap", "summary.json"]
 
-    shown = call("run", str(path), "--out", "out")
+    shown = call("run", str(path), "--jobs", "1", "--out", "out")
     assert shown.status == 1
     assert "one (not completed)" in shown.out
 

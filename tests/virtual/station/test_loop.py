@@ -9,11 +9,12 @@ import pytest
 from core.robot import Array
 from station.devices.interfaces import Condition, Devices, TipReading, WrenchReading
 from station.devices.zaber import Command
-from station.experiments.experiment import PERIOD, Case, load_experiment
+from station.experiments.experiment import PERIOD, Case
 from station.lab.loads import ConstantLoad
 from station.loop import ControlLoop, Phase, Task
 from station.motions import CircleMotion, HoldMotion, JointSweepMotion, Orders
 from station.states import RefusedError, State
+from tests.harness.cases import a_case
 from tests.harness.watched_bench import Bench
 
 #: Rest before a motion: what settles, and what is averaged [s].
@@ -23,13 +24,13 @@ SETTLE, AVERAGE = 0.5, 1.5
 @pytest.fixture(scope="module")
 def case() -> Case:
     """Fig. 10 with feed-forward on the default virtual lab."""
-    return next(case for case in load_experiment("fig10").cases if case.name == "feedforward")
+    return a_case("fig10", "feedforward")
 
 
 @pytest.fixture(scope="module")
 def ideal() -> Case:
     """The same kind of controller on the ideal lab."""
-    return next(case for case in load_experiment("fig3").cases if case.name == "d_feedforward")
+    return a_case("fig3", "d_feedforward")
 
 
 def task(case: Case, motion: Any, duration: float, start: Array | None = None) -> Task:

@@ -11,6 +11,7 @@ from core.trajectories import JointMotion, Setpoint
 from station.config import OWN_EXPERIMENTS, ConfigError, preset_names
 from station.experiments.experiment import Case, load_experiment, offered
 from station.lab.config import LabConfig
+from tests.harness.cases import a_case
 
 #: name: duration [s], settling [s], cases
 AGREED = {
@@ -21,10 +22,6 @@ AGREED = {
     "fig8": (60.0, 2.0, ["regulation", "lift_and_drop", "type_1", "type_1_exact", "type_2", "regulation_distorted"]),
     "fig10": (200.0, 20.0, ["paper", "feedforward", "paper_distorted"]),
 }
-
-
-def a_case(experiment: str, name: str) -> Case:
-    return next(case for case in load_experiment(experiment).cases if case.name == name)
 
 
 def desired(case: Case, time: float) -> np.ndarray:
@@ -39,7 +36,7 @@ def test_every_agreed_experiment_is_a_preset():
 
 @pytest.mark.parametrize("name", preset_names("experiments"))
 def test_every_preset_can_be_run_from_the_agreed_pose(name):
-    experiment = load_experiment(name)
+    experiment = offered(name)
 
     assert experiment.name == name
     assert experiment.title
@@ -51,7 +48,7 @@ def test_every_preset_can_be_run_from_the_agreed_pose(name):
 @pytest.mark.parametrize("name", AGREED)
 def test_a_preset_has_its_cases_and_lasts_as_long_as_agreed(name):
     duration, settling, cases = AGREED[name]
-    experiment = load_experiment(name)
+    experiment = offered(name)
 
     assert [case.name for case in experiment.cases] == cases
     assert (experiment.cases[0].file.duration, experiment.cases[0].file.settling) == (duration, settling)
@@ -61,14 +58,14 @@ def test_a_preset_has_its_cases_and_lasts_as_long_as_agreed(name):
     ("name", "amplitude"), [("fig3", 0.015), ("fig4", 0.015), ("fig10", 0.010)]
 )  # all along z at 0.05 Hz
 def test_the_tracking_experiments_follow_a_sinusoid_along_z(name, amplitude):
-    for case in load_experiment(name).cases:
+    for case in offered(name).cases:
         for time, z in {0.0: 0.0, 5.0: amplitude, 10.0: 0.0, 15.0: -amplitude, 25.0: amplitude}.items():
             assert desired(case, time) == pytest.approx([0.0, 0.0, z], abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["fig7", "fig8"])
 def test_the_regulation_experiments_stay(name):
-    for case in load_experiment(name).cases:
+    for case in offered(name).cases:
         assert not desired(case, 0.0).any()
         assert not desired(case, 17.0).any()
 
@@ -111,7 +108,7 @@ def test_lift_and_drop_takes_half_a_newton_up_and_down_within_2_5_seconds_each()
 
 def test_the_simulations_of_the_paper_use_the_nominal_rod_and_ideal_devices_and_say_so():
     for name in ("fig3", "fig4"):
-        for case in load_experiment(name).cases:
+        for case in offered(name).cases:
             plant = case.lab.plant
             assert "ideal" in case.lab.title
             assert (dict(plant.tubes), dict(plant.play), plant.vary) == ({}, {}, 0.0)
@@ -124,7 +121,7 @@ def test_the_experiments_of_the_paper_use_the_default_lab_but_for_the_tracker_ne
     default = LabConfig()
     bent = default.tracker.model_copy(update={"distortion": 0.48e-3})
     for name in ("fig6", "fig7", "fig8", "fig10"):
-        for case in load_experiment(name).cases:
+        for case in offered(name).cases:
             distorted = case.name.endswith("_distorted")
             assert case.lab.plant == default.plant
             assert case.lab.sensors == default.sensors
@@ -169,10 +166,10 @@ def test_a_case_has_the_strategy_it_is_named_for(experiment, case, outer, inner)
 
 
 def test_the_papers_own_numbers_stand_beside():
-    assert load_experiment("fig3").paper["a"].max_abs_error_mm == {"x": 7.9}
-    assert load_experiment("fig7").paper["regulation"].max_abs_error_mm == {"x": 15.5, "y": 2.3, "z": 1.1}
-    assert load_experiment("fig10").paper["paper"].max_abs_error_mm == {"x": 1.0, "z": 1.7}
-    assert load_experiment("fig6").paper["turn"].model_error_mm["loaded"] == 1.4
+    assert offered("fig3").paper["a"].max_abs_error_mm == {"x": 7.9}
+    assert offered("fig7").paper["regulation"].max_abs_error_mm == {"x": 15.5, "y": 2.3, "z": 1.1}
+    assert offered("fig10").paper["paper"].max_abs_error_mm == {"x": 1.0, "z": 1.7}
+    assert offered("fig6").paper["turn"].model_error_mm["loaded"] == 1.4
 
 
 def test_a_case_changes_what_it_names_and_keeps_the_rest(write, short):

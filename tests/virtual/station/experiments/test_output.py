@@ -7,27 +7,30 @@ import time
 import pytest
 from rich.console import Console
 
-from station.experiments.experiment import Experiment, load_experiment
-from station.experiments.output import ResultFolder, result_table
+from station.experiments.experiment import Experiment, offered
+from station.experiments.output import ResultFolder, result_table, run_recorded
 from station.experiments.results import summarise
+from station.recording.case_recorder import CaseRecorder
 from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
 from station.robots import RobotFile
+from tests.harness.cases import a_case, a_run
 
 
 @pytest.fixture(scope="module")
 def experiment() -> Experiment:
-    return load_experiment("fig7")
+    return offered("fig7")
 
 
 @pytest.fixture(scope="module")
-def recording(a_case, a_run):
+def recording():
     return a_run(a_case("fig7", "regulation", duration=0.5, settling=0.0))
 
 
 def record(folder: ResultFolder, recording, label: Label = Label.COMPLETE, cause: str = "") -> None:
     """Row by row, as a run does it."""
-    recorder = folder.record(recording.case)
+    writer = folder.assignment(recording.case).writer()
+    recorder = CaseRecorder(writer, len(writer.channels))
     for row in recording.rows:
         recorder.write(row)
     recorder.close(label, cause)
@@ -106,24 +109,28 @@ def test_an_abandoned_folder_keeps_what_was_recorded(tmp_path, experiment, recor
     assert (summary["label"], summary["completed"], summary["experiment"]) == ("interrupted", False, "fig7")
 
 
-def test_a_case_that_was_not_closed_is_kept_as_interrupted(tmp_path, experiment, recording):
+def test_a_case_that_was_given_up_is_kept_as_interrupted(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 0)
-    recorder = folder.record(recording.case)
-    for row in recording.rows:
-        recorder.write(row)
+
+    def give_up(done: float) -> None:
+        if done > 0.0:
+            raise MemoryError
+
+    with pytest.raises(MemoryError):
+        run_recorded(folder.assignment(a_case("fig7", "regulation", duration=3.0)), give_up)
     folder.abandon()
 
     assert read_case(folder.path / "regulation.mcap").label is Label.INTERRUPTED
 
 
-def test_a_summary_is_made_of_the_rows_that_were_recorded(tmp_path, experiment, recording):
+def test_a_case_carried_out_and_recorded_is_summed_up_from_its_rows(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 0)
-    assert folder.recorded(recording) is recording  # nothing is there yet
-    record(folder, recording)
-    empty = recording._replace(rows=recording.rows[:0])
+    done = run_recorded(folder.assignment(recording.case), lambda _: None)
+    folder.finish({}, [done.label])
 
-    assert summarise(folder.recorded(empty)) == summarise(recording)
-    folder.finish({})
+    assert (done.name, done.completed, done.label) == ("regulation", True, Label.COMPLETE)
+    assert (read_case(folder.path / "regulation.mcap").rows == recording.rows).all()
+    assert {**done.numbers, "wall_s": 0.0} == {**summarise(recording), "wall_s": 0.0}
 
 
 def test_folders_made_in_the_same_second_do_not_meet(tmp_path, experiment):
@@ -191,13 +198,13 @@ def test_text_from_a_file_is_shown_as_it_is(experiment):
 
 def test_fig6_shows_model_errors_and_fig4_the_parts_of_the_deflection():
     turn = {"completed": True, "cause": "", "model_error_mm": {"loaded": 2.5, "unloaded": 11.0}}
-    lines = shown(load_experiment("fig6"), {"cases": {"turn": turn}})
+    lines = shown(offered("fig6"), {"cases": {"turn": turn}})
     loaded = next(line for line in lines if "tip - loaded model" in line)
     assert "2.500" in loaded
     assert "1.4" in loaded
 
     parts = {"deflection": [6.0, 1.0, 2.0], "delta_1": [7.0, 1.5, 2.5], "delta_2": [0.5, 0.25, 0.125]}
     case = {"completed": True, "cause": "", "deflection_max_mm": parts}
-    lines = shown(load_experiment("fig4"), {"cases": {"deflection": case}})
+    lines = shown(offered("fig4"), {"cases": {"deflection": case}})
     for name, value in (("Delta_total", "6.000"), ("Delta_1", "7.000"), ("Delta_2", "0.500")):
         assert any(name in line and value in line for line in lines)

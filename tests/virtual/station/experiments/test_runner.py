@@ -3,40 +3,65 @@
 import math
 import os
 import signal
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from station.clock import VirtualClock
-from station.experiments.runner import run_case
+from station.experiments import runner
+from station.experiments.runner import Recording, run_case
 from station.lab.config import LabConfig, PlantConfig, TrackerConfig
 from station.lab.loads import ConstantLoad, RaisedCosineLoad
 from station.states import State
+from tests.harness.cases import a_case, a_run
+
+SEED = 3
 
 
-def test_the_same_seed_twice_gives_the_same_rows_bit_for_bit(a_case, a_run):
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """A second of a motion, kept in memory."""
+    return a_run(a_case("fig10", "feedforward", duration=1.0), SEED)
+
+
+class Told(NamedTuple):
+    """The same second once more, told as it went on."""
+
+    recording: Recording
+    rows: list[np.ndarray]
+    progress: list[float]
+
+
+@pytest.fixture(scope="module")
+def told() -> Told:
+    rows: list[np.ndarray] = []
+    progress: list[float] = []
     case = a_case("fig10", "feedforward", duration=1.0)
-    first, again = a_run(case, 3), a_run(case, 3)
-
-    assert first.completed
-    assert first.rows.tobytes() == again.rows.tobytes()
+    run = run_case(case, SEED, VirtualClock(), progress.append, lambda row: rows.append(row.copy()))
+    return Told(run, rows, progress)
 
 
-def test_another_seed_gives_other_rows(a_case, a_run):
-    case = a_case("fig10", "feedforward", duration=0.2)
-    rows = [a_run(case, seed).rows for seed in (3, 4)]
+def test_the_same_seed_twice_gives_the_same_rows_bit_for_bit_kept_or_recorded_as_they_come(recording, told):
+    assert recording.completed
+    assert recording.rows.tobytes() == np.array(told.rows).tobytes()
+    assert told.recording.rows.shape == (0, len(told.recording.channels))
+    assert told.recording.completed
+    assert told.recording.rates == recording.rates
 
-    assert rows[0].shape == rows[1].shape
-    assert not np.array_equal(rows[0], rows[1])
+
+def test_another_seed_gives_other_rows(recording):
+    other = a_run(a_case("fig10", "feedforward", duration=0.2), SEED + 1)
+
+    assert len(other.rows) == 100
+    assert not np.array_equal(recording.rows[:100], other.rows)
 
 
-def test_there_is_a_row_for_every_tick_of_the_motion_with_time_from_its_start(a_case, a_run):
-    recording = a_run(a_case("fig10", "paper", duration=0.7))
+def test_there_is_a_row_for_every_tick_of_the_motion_with_time_from_its_start(recording):
     time = recording.channels.of(recording.rows, "time")[:, 0]
 
-    assert recording.completed
     assert recording.cause == ""
-    assert time == pytest.approx(np.arange(350) * 0.002, abs=1e-9)
+    assert time == pytest.approx(np.arange(500) * 0.002, abs=1e-9)
     assert (recording.channels.of(recording.rows, "state") == State.RUNNING).all()
     assert np.isfinite(recording.rows).all()
     # connecting and 2 s at rest before
@@ -44,18 +69,23 @@ def test_there_is_a_row_for_every_tick_of_the_motion_with_time_from_its_start(a_
     assert recording.wall_s > 0.0
 
 
-def test_frames_keep_their_own_time(a_case, a_run):
-    recording = a_run(a_case("fig10", "paper", duration=0.5))
+def test_frames_keep_their_own_time(recording):
     new = recording.channels.of(recording.rows, "tip_new")[:, 0] > 0.0
     late = (recording.channels.of(recording.rows, "time") - recording.channels.of(recording.rows, "tip_time"))[new, 0]
 
-    assert new.sum() == 20
+    assert new.sum() == 40
     assert (late >= 0.024 - 1e-9).all()
     # asked for up to 5 ms after it was there, and the reply has to come in and be looked at
     assert (late < 0.034).all()
 
 
-def test_the_loads_time_counts_from_the_start_of_the_motion(a_case, a_run):
+def test_progress_rises_to_the_end(told):
+    assert told.progress == sorted(told.progress)
+    assert told.progress[0] == 0.0
+    assert 0.4 < told.progress[-1] <= 1.0
+
+
+def test_the_loads_time_counts_from_the_start_of_the_motion():
     load = RaisedCosineLoad(peak=0.5, period=2.0)
     recording = a_run(a_case("fig8", "regulation", duration=1.5, load=load))
     time, force = (recording.channels.of(recording.rows, group) for group in ("time", "force_true"))
@@ -65,27 +95,7 @@ def test_the_loads_time_counts_from_the_start_of_the_motion(a_case, a_run):
     assert not force[:, 1:].any()
 
 
-def test_progress_rises_to_the_end(a_case):
-    told: list[float] = []
-    run_case(a_case("fig10", "paper", duration=3.0), 0, VirtualClock(), told.append)
-
-    assert told == sorted(told)
-    assert told[0] == 0.0
-    assert 0.8 < told[-1] <= 1.0
-
-
-def test_rows_that_are_recorded_as_they_come_are_those_that_are_kept_otherwise(a_case, a_run):
-    case = a_case("fig10", "paper", duration=0.5)
-    recorded: list[np.ndarray] = []
-    run = run_case(case, 3, VirtualClock(), lambda _: None, lambda row: recorded.append(row.copy()))
-
-    assert (np.array(recorded) == a_run(case, 3).rows).all()
-    assert run.rows.shape == (0, len(run.channels))
-    assert run.completed
-    assert run.rates == a_run(case, 3).rates
-
-
-def test_an_interrupt_ends_the_run_and_keeps_what_was_recorded(a_case):
+def test_an_interrupt_ends_the_run_and_keeps_what_was_recorded():
     def interrupt(done: float) -> None:
         if 0.4 < done < 0.6:
             os.kill(os.getpid(), signal.SIGINT)
@@ -97,7 +107,7 @@ def test_an_interrupt_ends_the_run_and_keeps_what_was_recorded(a_case):
     assert np.isfinite(recording.rows).all()
 
 
-def test_an_interrupt_before_the_motion_leaves_no_rows_but_all_channels(a_case):
+def test_an_interrupt_before_the_motion_leaves_no_rows_but_all_channels():
     def interrupt(_: float) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -107,7 +117,7 @@ def test_an_interrupt_before_the_motion_leaves_no_rows_but_all_channels(a_case):
     assert recording.rows.shape == (0, len(recording.channels))
 
 
-def test_a_load_beyond_the_robots_reach_ends_the_run_with_a_cause(a_case, a_run):
+def test_a_load_beyond_the_robots_reach_ends_the_run_with_a_cause():
     recording = a_run(a_case("fig8", "regulation", duration=2.0, load=ConstantLoad.model_construct(magnitude=1e6)))
 
     assert not recording.completed
@@ -115,7 +125,8 @@ def test_a_load_beyond_the_robots_reach_ends_the_run_with_a_cause(a_case, a_run)
     assert "\n" not in recording.cause
 
 
-def test_a_lab_whose_tracker_never_answers_ends_the_run_with_a_cause(a_case, a_run):
+def test_a_lab_whose_tracker_never_answers_ends_the_run_with_a_cause(monkeypatch):
+    monkeypatch.setattr(runner, "BRING_UP", 8.0)
     case = a_case("fig10", "paper")._replace(lab=LabConfig(tracker=TrackerConfig(latency=1e6)))
     recording = a_run(case)
 
@@ -124,7 +135,7 @@ def test_a_lab_whose_tracker_never_answers_ends_the_run_with_a_cause(a_case, a_r
     assert "tracker" in recording.cause
 
 
-def test_tubes_drawn_from_the_seed_are_another_robot(a_case, a_run):
+def test_tubes_drawn_from_the_seed_are_another_robot():
     case = a_case("fig8", "regulation", duration=0.1)._replace(lab=LabConfig(plant=PlantConfig(vary=0.08)))
     tips = [a_run(case, seed) for seed in (1, 2)]
 

@@ -6,15 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from station.clock import VirtualClock
-from station.experiments.experiment import load_experiment
-from station.experiments.runner import run_case
 from station.experiments.starts import PEAK, Outcome, Start, draw, prepared, reference_error, summary
+from tests.harness.cases import a_case, a_run
 
 
 @pytest.fixture(scope="module")
 def case():
-    return load_experiment("fig8").cases[0]
+    return a_case("fig8", "regulation", duration=20.0)
 
 
 def test_a_seed_draws_the_same_start_again_from_the_whole_travel():
@@ -33,7 +31,7 @@ def test_a_seed_draws_the_same_start_again_from_the_whole_travel():
 )
 def test_from_a_singular_pose_the_tip_is_held_or_the_run_ends_in_hold_but_no_joint_spins(case, apart, direction):
     start = Start(np.array([0.3, 0.3 + apart, -0.06]), direction)
-    recording = run_case(prepared(case, start), 3, VirtualClock(), lambda _: None)
+    recording = a_run(prepared(case, start), 3)
     channels, rows = recording.channels, recording.rows
     away = np.linalg.norm(channels.of(rows, "tip_true") - channels.of(rows, "tip_desired"), axis=1)
     moved = np.abs(np.diff(channels.of(rows, "joints"), axis=0)).sum(axis=0)

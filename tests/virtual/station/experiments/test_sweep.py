@@ -10,6 +10,7 @@ from station.experiments.experiment import load_experiment
 from station.experiments.results import summarise
 from station.experiments.sweep import Job, Outcome, jobs, spreads, sweep, sweep_summary
 from station.experiments.sweep_settings import settings
+from tests.harness.cases import a_run
 
 
 @pytest.fixture
@@ -50,7 +51,7 @@ def without_clock(numbers):
     return {key: value for key, value in numbers.items() if key != "wall_s"}
 
 
-def test_runs_of_a_sweep_are_bit_for_bit_those_of_single_runs(own, a_run):
+def test_runs_of_a_sweep_are_bit_for_bit_those_of_single_runs(own):
     listed = jobs(own, settings(["duration=0.4"]), [3, 4], "two")
     told: list[int] = []
     before = {name: value for name, value in os.environ.items() if "THREADS" in name}

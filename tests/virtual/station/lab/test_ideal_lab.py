@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from station.experiments.experiment import load_experiment
+from station.experiments.experiment import offered
 from station.lab.config import LabConfig, PlantConfig
 from station.lab.ideal_lab import IdealLab
 from station.lab.loads import ConstantLoad
@@ -76,8 +76,6 @@ def test_the_bases_feel_the_load_and_nothing_else(lab):
 
 
 def test_the_paper_s_simulations_use_it_and_the_benches_do_not():
-    labs = {
-        name: {case.lab.devices for case in load_experiment(name).cases} for name in ("fig3", "fig4", "fig7", "fig8")
-    }
+    labs = {name: {case.lab.devices for case in offered(name).cases} for name in ("fig3", "fig4", "fig7", "fig8")}
 
     assert labs == {"fig3": {"ideal"}, "fig4": {"ideal"}, "fig7": {"wire"}, "fig8": {"wire"}}

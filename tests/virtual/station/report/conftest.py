@@ -43,7 +43,9 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         if name not in made:
             place = tmp_path_factory.mktemp(name)
             (place / f"{name}.toml").write_text(text, encoding="utf-8")
-            assert main(("run", str(place / f"{name}.toml"), "--out", str(place / "runs"), "--json")) == 0
+            assert (
+                main(("run", str(place / f"{name}.toml"), "--jobs", "1", "--out", str(place / "runs"), "--json")) == 0
+            )
             made[name] = next((place / "runs").iterdir())
         return made[name]
 

@@ -8,6 +8,7 @@ import pytest
 from station.experiments.results import summarise
 from station.experiments.runner import Recording
 from station.telemetry import Channels
+from tests.harness.cases import a_case
 
 #: 4 s at 10 Hz, a frame at every other row, 50 ms old.
 TIMES = np.arange(40) * 0.1
@@ -16,7 +17,7 @@ AGE = 0.05
 
 
 @pytest.fixture
-def recording(a_case, paper_robot):
+def recording(paper_robot):
     """A recording in which everything is zero but for the groups given, (40,) or (40, n) each."""
 
     def make(settling: float = 2.0, experiment: str = "fig10", name: str = "paper", **groups: np.ndarray) -> Recording:

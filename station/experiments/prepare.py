@@ -1,0 +1,34 @@
+"""What a run needs beyond the model that its experiment is tried on: loaded, or compiled for the first time.
+
+A fresh installation compiles for many seconds, a kilobyte of machine code after the other. A second process takes
+over the lab, the drivers and the control law, while the first one compiles the model to try the motions on.
+"""
+
+import math
+
+import numpy as np
+
+from core.command import follow
+from core.solution import at_rest
+from core.trajectories import Setpoint
+from station.experiments.experiment import ControllerFile
+from station.lab.config import LabConfig
+from station.lab.virtual_bench import virtual_bench
+from station.robots import load_robot
+
+
+def prepare() -> None:
+    """Call everything once, on the paper's robot: what is compiled serves any robot with as many joints."""
+    robot = load_robot("paper")
+    joints = np.array([0.0, 0.5 * math.pi, -0.1])
+    controller = ControllerFile().controller(robot)
+    rest, laws = at_rest(joints, math.inf, len(robot.tubes)), controller.strategy.laws
+    estimate = controller.estimator.start(rest, rest, np.zeros(3), np.zeros(3))
+    bench = virtual_bench(robot, LabConfig(), 0, joints)
+    bench.lab.advance(0.0)
+    bench.devices.sensors.connect(0.0)
+    bench.lab.advance(0.01)
+    bench.devices.sensors.poll(0.01)
+    if laws is not None:
+        still = Setpoint(np.zeros(3), np.zeros(3))
+        follow(laws, 0.0, False, controller.limits, joints, estimate, still, None, np.zeros(3))
