@@ -9,10 +9,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from station.control_process import Bench, run_control
-from station.devices.built_in import stage_ports
 from station.devices.config import BenchFile
 from station.lab.lab_host import LabError
-from station.last_stop import stop_stages
+from station.last_stop import Units, stage_units, stop_stages
 from station.messages import Command, DeviceReport, Notice, Refused, Reply
 from station.realtime import ask_for_fifo
 from station.ring import HEARTBEAT, Ring
@@ -59,7 +58,8 @@ class ControlHost:
         self._answered = threading.Condition(self._lock)
         self._waiting: set[int] = set()
         self._replies: dict[int, str] = {}
-        self._stage_ports: tuple[str, ...] = ()
+        self._joints = len(bench.robot.joints)
+        self._units: Units = {}
         self._closing = False
         context: Any = multiprocessing.get_context("spawn")
         self._pipe, child = context.Pipe()
@@ -114,7 +114,7 @@ class ControlHost:
 
     def stop_stages(self) -> str:
         """Stop them without the control process, which is no more: what came of it, in words."""
-        return stop_stages(self._stage_ports, self._clock)
+        return stop_stages(self._units, self._clock)
 
     def kill(self) -> None:
         """End it at once; the stages are stopped then."""
@@ -139,7 +139,7 @@ class ControlHost:
             ask_for_fifo(WATCHER_PRIORITY)  # what is left of a run must not wait for a page to be drawn
         try:
             told = self._devices()
-            self._stage_ports = stage_ports(told.stages)
+            self._units = stage_units(told.stages, self._joints)
             with self._lock:
                 self._pipe.send(told)
             while True:
