@@ -1,7 +1,6 @@
 """What stands behind the devices, a virtual lab's process or a bench of one's own, and what a run brings onto it."""
 
 import threading
-import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -61,7 +60,7 @@ class BenchSide:
 
     def pull(self, load: Load) -> None:
         """Put a load on the tip, now."""
-        self._host.pull(load, time.monotonic())
+        self._host.pull(load, self._bench.clock.now())
 
     def inject(self, faults: Sequence[LabFault]) -> None:
         """Let these faults happen from now on; none: mend all.
@@ -70,7 +69,7 @@ class BenchSide:
             ConfigError: a bench of one's own has faults of its own.
         """
         self.check(faults)
-        self._host.inject(faults, time.monotonic())
+        self._host.inject(faults, self._bench.clock.now())
 
     def check(self, faults: Sequence[LabFault]) -> None:
         """Whether faults can be asked for here.
@@ -88,7 +87,7 @@ class BenchSide:
         return before
 
     def motion(self, start: float | None) -> bool:
-        """A motion has begun at `start` by `time.monotonic` [s], or none is on any more; False if that was known."""
+        """A motion has begun at `start` by the station's clock [s], or none is on any more; False if that was known."""
         with self._lock:
             if start == self._motion_start:
                 return False
@@ -108,5 +107,5 @@ class BenchSide:
         bench = self._bench
         if bench.devices is not None:
             return OwnBench(bench.devices)
-        lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals)
+        lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals, bench.clock)
         return LabHost(lab, self._ring.name, ring_width(bench.robot))

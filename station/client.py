@@ -198,7 +198,9 @@ class Station:
         return path
 
     def telemetry(self, rate: float = 30.0) -> Iterator[dict[str, Any]]:
-        """Samples as they come, `rate` a second at most; each says how many ticks were `skipped` before it.
+        """Samples as they come, `rate` a second at most.
+
+        Each says how many ticks of the loop were `skipped` since the one before it, and how many the loop `missed`.
 
         Raises:
             StationError: the station has gone.

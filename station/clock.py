@@ -1,6 +1,10 @@
-"""Time as a parameter: virtual time runs as fast as the machine, real time keeps absolute deadlines."""
+"""Time as a parameter: virtual time runs as fast as the machine, real time keeps absolute deadlines.
+
+A live station has a time of its own, one for all its processes, which may be slower than real time.
+"""
 
 import time
+from dataclasses import dataclass
 from typing import Protocol
 
 
@@ -32,3 +36,25 @@ class RealClock:
         left = self._start + due - time.perf_counter()
         if left > 0.0:
             time.sleep(left)
+
+
+@dataclass(frozen=True)
+class StationClock:
+    """The time of a live station: the same in every process of a computer."""
+
+    rate: float = 1.0  #: seconds of the station in a second
+
+    def now(self) -> float:
+        """Since a moment that all processes share [s]; never goes back."""
+        return self.rate * time.monotonic()
+
+    def real(self, seconds: float) -> float:
+        """How long so many seconds of the station last [s]."""
+        return seconds / self.rate
+
+    def sleep(self, seconds: float) -> None:
+        """Wait for so many seconds of the station."""
+        time.sleep(seconds / self.rate)
+
+
+REAL_TIME = StationClock()

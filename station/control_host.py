@@ -9,10 +9,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from station.control_process import Bench, run_control
-from station.devices.built_in import stage_ports
 from station.devices.config import BenchFile
 from station.lab.lab_host import LabError
-from station.last_stop import stop_stages
+from station.last_stop import Units, stage_units, stop_stages
 from station.messages import Command, DeviceReport, Notice, Refused, Reply
 from station.realtime import ask_for_fifo
 from station.ring import HEARTBEAT, Ring
@@ -52,13 +51,15 @@ class ControlHost:
             devices: where the devices are; may wait, and raise LabError.
             hear, ended: called in a thread of their own with what it says, and when it has ended unasked.
         """
-        self._fifo, self._devices, self._hear, self._ended = bench.fifo, devices, hear, ended
+        self._fifo, self._clock = bench.fifo, bench.clock
+        self._devices, self._hear, self._ended = devices, hear, ended
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._answered = threading.Condition(self._lock)
         self._waiting: set[int] = set()
         self._replies: dict[int, str] = {}
-        self._stage_ports: tuple[str, ...] = ()
+        self._joints = len(bench.robot.joints)
+        self._units: Units = {}
         self._closing = False
         context: Any = multiprocessing.get_context("spawn")
         self._pipe, child = context.Pipe()
@@ -97,7 +98,7 @@ class ControlHost:
             except OSError:
                 raise RefusedError("the control process is gone; reset to start it anew") from None
             with self._answered:
-                if not self._answered.wait_for(lambda: command.number in self._replies, ANSWER_TIME):
+                if not self._answered.wait_for(lambda: command.number in self._replies, self._clock.real(ANSWER_TIME)):
                     raise RefusedError(f"the control process did not answer '{what}' within {ANSWER_TIME:g} s")
                 refused = self._replies.pop(command.number)
         finally:
@@ -113,7 +114,7 @@ class ControlHost:
 
     def stop_stages(self) -> str:
         """Stop them without the control process, which is no more: what came of it, in words."""
-        return stop_stages(self._stage_ports)
+        return stop_stages(self._units, self._clock)
 
     def kill(self) -> None:
         """End it at once; the stages are stopped then."""
@@ -124,11 +125,11 @@ class ControlHost:
         self._closing = True
         with contextlib.suppress(OSError):  # it may be gone already
             self._pipe.send(None)
-        self._process.join(timeout=3.0)
+        self._process.join(timeout=self._clock.real(3.0))
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        self._watcher.join(timeout=5.0)
+        self._watcher.join(timeout=self._clock.real(5.0))
         self._pipe.close()
 
     def _watch(self) -> None:
@@ -138,7 +139,7 @@ class ControlHost:
             ask_for_fifo(WATCHER_PRIORITY)  # what is left of a run must not wait for a page to be drawn
         try:
             told = self._devices()
-            self._stage_ports = stage_ports(told.stages)
+            self._units = stage_units(told.stages, self._joints)
             with self._lock:
                 self._pipe.send(told)
             while True:

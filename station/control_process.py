@@ -7,7 +7,6 @@ shared memory. When the station process is gone the axes are stopped and this pr
 import contextlib
 import os
 import signal
-import time
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -19,6 +18,7 @@ from core.errors import CtrError
 from core.step import Controller, Sample, begin, step
 from core.trajectories import JointMotion, Setpoint
 from station.calibration.files import Calibration
+from station.clock import REAL_TIME, StationClock
 from station.devices.config import BenchFile
 from station.devices.interfaces import Devices, Severity
 from station.devices.open_devices import open_devices
@@ -66,6 +66,7 @@ class Bench:
     warnings: tuple[str, ...] = ()  #: what a person should know before anything moves
     calibration: Calibration | None = None  #: None: everything is taken to be as described
     terminals: Path | None = None  #: folder for the virtual lab's pseudo-terminals; None: TCP
+    clock: StationClock = REAL_TIME  #: of every process of this station
 
     def controlled(self, file: ControllerFile) -> Controller:
         """A controller that knows what a calibration has found.
@@ -132,6 +133,7 @@ class _LiveLoop:
 
     def __init__(self, loop: ControlLoop, bench: Bench, ring: Ring, pipe: Connection, parent: int) -> None:
         self._loop, self._ring, self._pipe, self._parent = loop, ring, pipe, parent
+        self._clock = bench.clock
         self._overruns = Overruns(bench.overruns, PERIOD)
         self._begun = 0.0
         self._run = 0
@@ -139,7 +141,7 @@ class _LiveLoop:
 
     def run(self) -> None:
         """Tick until the station process closes the pipe or is gone."""
-        self._begun = time.monotonic()
+        self._begun = self._clock.now()
         self._loop.connect(0.0)
         try:
             self._ticks()
@@ -148,13 +150,13 @@ class _LiveLoop:
             self._wind_down()
 
     def _ticks(self) -> None:
-        tick = 0
+        tick, clock = 0, self._clock
         while True:
             due = self._begun + tick * PERIOD
-            left = due - time.monotonic()
+            left = due - clock.now()
             if left > 0.0:
-                time.sleep(left)
-            start = time.monotonic()
+                clock.sleep(left)
+            start = clock.now()
             # Too late by a period or more: skip whole periods, never catch up in a burst.
             skipped = int((start - due) / PERIOD)
             self._ring.time_late(start - due, skipped)
@@ -163,7 +165,7 @@ class _LiveLoop:
             if not self._listen(tick * PERIOD):
                 return
             self._tick(tick)
-            self._ring.time_work(time.monotonic() - start)
+            self._ring.time_work(clock.now() - start)
             tick += 1
 
     def _bear(self, now: float, skipped: int) -> None:
@@ -184,7 +186,7 @@ class _LiveLoop:
             ring.write(row)
         self._report(now)
         self._notice()
-        silent = time.monotonic() - float(ring.numbers[STATION_HEARTBEAT])
+        silent = self._clock.now() - float(ring.numbers[STATION_HEARTBEAT])
         if silent < STATION_SILENT:
             if tick % REPORT_TICKS == 0:
                 self._pipe.send(DeviceReport(_statuses(loop.devices, now)))
@@ -194,7 +196,7 @@ class _LiveLoop:
     def _report(self, now: float) -> None:
         loop, ring = self._loop, self._ring
         ring.counters[STATE], ring.counters[PHASE], ring.counters[RUN] = loop.state, loop.phase, self._run
-        ring.numbers[PROGRESS], ring.numbers[HEARTBEAT] = loop.part_done(now), time.monotonic()
+        ring.numbers[PROGRESS], ring.numbers[HEARTBEAT] = loop.part_done(now), self._clock.now()
 
     def _notice(self) -> None:
         """Tell what has changed."""
@@ -211,7 +213,7 @@ class _LiveLoop:
         """Carry out what has arrived; False when nobody is there any more."""
         if os.getppid() != self._parent:
             return False
-        silent = time.monotonic() - float(self._ring.numbers[STATION_HEARTBEAT])
+        silent = self._clock.now() - float(self._ring.numbers[STATION_HEARTBEAT])
         if STATION_DOUBTED < silent < STATION_SILENT and is_dying(self._parent):
             return False
         try:
@@ -257,11 +259,11 @@ class _LiveLoop:
 
     def _wind_down(self) -> None:
         """Stop every axis and give the lines the time to carry the stops."""
-        begin = time.monotonic()
+        begin = self._clock.now()
         self._loop.stop(begin - self._begun, cause="the station process is gone")
-        while time.monotonic() - begin < LAST_WORDS:
-            time.sleep(PERIOD)
-            self._loop.devices.stages.poll(time.monotonic() - self._begun)
+        while self._clock.now() - begin < LAST_WORDS:
+            self._clock.sleep(PERIOD)
+            self._loop.devices.stages.poll(self._clock.now() - self._begun)
 
 
 def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:

@@ -5,6 +5,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from station.clock import StationClock
 from station.recording.events import ERROR, INFO, Event
 from station.recording.label import Label, RecordingError
 from station.recording.recorder import Recorder
@@ -18,12 +19,12 @@ from station.states import State
 class LiveRecording:
     """One recorder; any thread may ask. What was left behind by a station that was killed is recovered first."""
 
-    def __init__(self, ring: Ring, robot: RobotFile, runs: Path) -> None:
+    def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock) -> None:
         self.runs = runs
         self.recovered = recover(runs)  #: folders of runs that were left behind
         self._ring = ring
         self._numbers: dict[str, float] = {}
-        self._recorder = Recorder(ring, robot, runs)
+        self._recorder = Recorder(ring, robot, runs, clock)
         # One thread: the recorder answers one question at a time.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
         self._looking: Future[None] | None = None

@@ -34,7 +34,7 @@ class Notice(NamedTuple):
     state: State
     cause: str
     run: int  #: the run it is about
-    motion_start: float | None = None  #: of the run's motion, by `time.monotonic` [s]; None: none is on
+    motion_start: float | None = None  #: of the run's motion, by the station's clock [s]; None: none is on
 
 
 class Refused(NamedTuple):

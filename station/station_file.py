@@ -9,6 +9,7 @@ from pydantic import Field, PrivateAttr
 
 from core.errors import CtrError
 from station.calibration.files import Calibration
+from station.clock import StationClock
 from station.config import ConfigError, Strict, check, on_line, read_toml, use_experiments
 from station.control_process import Bench
 from station.devices.config import DevicesFile
@@ -25,6 +26,33 @@ class ExperimentsFile(Strict):
 
     folder: str | None = None
     """where they are, beside this file; found by name like those that come with the station"""
+
+
+class ClockFile(Strict):
+    """The station's own time."""
+
+    rate: Annotated[float, Field(ge=0.05, le=1.0)] = 1.0
+    """seconds of the station in a second: below 1 loop, lab, watchdogs, deadlines, leases and recorder are slower
+    together, on the virtual lab only; for tests, and for computers that are too slow for real time"""
+
+    def bears(self, devices: DevicesFile) -> StationClock:
+        """The clock of a station with these devices.
+
+        Raises:
+            ConfigError: real devices cannot be made slower.
+        """
+        if self.rate != 1.0 and devices != "virtual":
+            raise ConfigError(
+                f"clock.rate = {self.rate:g}: expected 1 with devices of one's own, which keep real time;"
+                " leave it out, or take the virtual lab"
+            )
+        return StationClock(self.rate)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a person should know."""
+        slow = f"not in real time: this station's clock goes at {self.rate:g} of it (clock.rate)"
+        return (slow,) if self.rate != 1.0 else ()
 
 
 class StationFile(Strict):
@@ -55,6 +83,7 @@ class StationFile(Strict):
     calibration: str | None = None
     """folder with what `calibrate` found, beside this file"""
     experiments: ExperimentsFile = ExperimentsFile()
+    clock: ClockFile = ClockFile()
     _source: str = PrivateAttr("the default station")
     _folder: Path = PrivateAttr(default_factory=Path)
     _table: Mapping[str, Any] = PrivateAttr(default_factory=dict)
@@ -79,11 +108,13 @@ class StationFile(Strict):
             if bench is not None:
                 plan(bench, robot)
             snaps = check_design(believed, self.margins)
+            clock = self.clock.bears(self.devices)
         except CtrError as error:
             raise ConfigError(f"{self._source}: {error}{on_line(self._table, str(error))}") from None
         return Bench(
             robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns, bench,
-            self.margins, alone=self.alone, warnings=(snaps,) if snaps else (), calibration=calibration,
+            self.margins, alone=self.alone, warnings=(*self.clock.warnings, *((snaps,) if snaps else ())),
+            calibration=calibration, clock=clock,
         )  # fmt: skip
 
 

@@ -8,7 +8,6 @@ import contextlib
 import itertools
 import os
 import threading
-import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -50,7 +49,7 @@ class Supervisor:
 
     def __init__(self, bench: Bench, runs: Path | None = None, audit: Audit | None = None) -> None:
         """Start everything; every run is recorded in the folder `runs`, every change of state in `audit`, if given."""
-        self.bench = bench
+        self.bench, self._clock = bench, bench.clock
         self.robot = bench.robot.robot()
         self.channels = Channels(self.robot)
         self.statics = Statics(self.robot)
@@ -66,7 +65,7 @@ class Supervisor:
         self._devices: tuple[DeviceStatus, ...] = ()
         self._closing = threading.Event()
         one_thread_each()
-        self.recording = None if runs is None else LiveRecording(self.ring, bench.robot, runs)
+        self.recording = None if runs is None else LiveRecording(self.ring, bench.robot, runs, bench.clock)
         self._chronicle = Chronicle(self.ring, self.channels, audit, runs, self._session)
         self._entered: Counter[State] = Counter()
         self._refused: tuple[str, ...] = ()  # by the system, to the control process
@@ -83,16 +82,16 @@ class Supervisor:
         Raises:
             CtrError: it does not, in `timeout` [s].
         """
-        deadline = time.monotonic() + timeout
+        deadline = self._clock.now() + timeout
         while self._state is not State.CONNECTED and (
             self.ring.written <= since or int(self.ring.counters[STATE]) == State.HOMED
         ):
             if self._state is State.FAULT:
                 raise CtrError(f"the station did not come up: {self._cause}")
-            if time.monotonic() > deadline:
+            if self._clock.now() > deadline:
                 trouble = "; ".join(device.text for device in self._devices if device.text) or self._state.name
                 raise CtrError(f"the station did not come up within {timeout:g} s: {trouble}")
-            time.sleep(0.02)
+            self._clock.sleep(0.02)
 
     def status(self) -> Status:
         """The present state, timing and newest telemetry."""
@@ -105,7 +104,7 @@ class Supervisor:
             return Status(
                 state, self._cause if state in (State.HOLD, State.STOPPED, State.FAULT) else "", self._run_id(),
                 self._title, Phase(int(counters[PHASE])) if int(counters[RUN]) == self._run else Phase.NONE,
-                float(numbers[PROGRESS]), time.monotonic() - float(numbers[HEARTBEAT]), self.ring.timing(), groups,
+                float(numbers[PROGRESS]), self._clock.now() - float(numbers[HEARTBEAT]), self.ring.timing(), groups,
                 self._devices, self._warnings(), self._reserved,
             )  # fmt: skip
 
@@ -158,10 +157,11 @@ class Supervisor:
         number = next(self._runs)
         if self.recording is not None:
             name = f"{self._session}-{number}"
-            lab = self.bench.lab.model_dump(mode="json")
-            self.recording.begin(
-                name, task.duration, {"run": name, "title": title, "seed": self.bench.seed, "lab": lab, **about}
-            )
+            known = {
+                "run": name, "title": title, "seed": self.bench.seed, "clock_rate": self._clock.rate,
+                "lab": self.bench.lab.model_dump(mode="json"),
+            }  # fmt: skip
+            self.recording.begin(name, task.duration, {**known, **about})
             self._recorded = number
         self._settling = about.get("settings", {}).get("settling", settling_time(task.duration))
         try:
@@ -288,7 +288,7 @@ class Supervisor:
         self._closing.set()
         self._control.close()
         self._lab.close()
-        self._watchdog.join(timeout=3.0)
+        self._watchdog.join(timeout=self._clock.real(3.0))
         if self.recording is not None:
             self.recording.close()
         self._chronicle.close()
@@ -353,7 +353,7 @@ class Supervisor:
             self._end_recording(message.state, message.cause)
         begun = self._lab.motion(message.motion_start)
         if begun and message.motion_start is not None and self.recording is not None:
-            start = self._time() + message.motion_start - time.monotonic()
+            start = self._time() + message.motion_start - self._clock.now()
             self.recording.moving(start, self._settling)
 
     def _end_recording(self, state: State, cause: str, *, interrupted: bool = False) -> None:
@@ -374,13 +374,13 @@ class Supervisor:
         """Show the control process that this one lives; end it when it hangs."""
         if self.bench.fifo:
             ask_for_fifo(WATCHER_PRIORITY)
-        while not self._closing.wait(LOOK):
+        while not self._closing.wait(self._clock.real(LOOK)):
             numbers = self.ring.numbers
-            numbers[STATION_HEARTBEAT] = time.monotonic()
+            numbers[STATION_HEARTBEAT] = self._clock.now()
             ticked = float(numbers[HEARTBEAT])
             # The first ticks of a new installation compile what they meet.
             patience = HUNG if self._entered[State.READY] else FIRST_TICKS
-            if ticked > 0.0 and time.monotonic() - ticked > patience and self._control.alive:
+            if ticked > 0.0 and self._clock.now() - ticked > patience and self._control.alive:
                 with self._lock:
                     self._state, self._cause = State.FAULT, f"the control loop has not ticked for {patience:g} s"
                 self._control.kill()

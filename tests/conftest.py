@@ -14,6 +14,7 @@ from core.robot import Joint, Robot, Section, Tube
 from station.cli import main
 from station.config import PRESETS
 from station.robots import RobotFile, load_robot
+from tests.harness.cases import SHORT
 from tests.harness.leftovers import nothing_left_behind
 
 
@@ -40,17 +41,6 @@ class FromBothEnds(LoadFileScheduling):
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> FromBothEnds:
     return FromBothEnds(config, log)
-
-
-#: One second at rest under no load, counted from the start.
-SHORT = """
-title = "short"
-start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
-duration = 1.0
-settling = 0.0
-[trajectory]
-kind = "hold"
-"""
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,6 @@
 """Notices when nobody commands any more: the operator's page was closed, or has said nothing for too long."""
 
 import asyncio
-import time
 
 from station.supervisor import Supervisor
 from web.commands import aside
@@ -16,7 +15,7 @@ async def tell_when_alone(lease: Lease, supervisor: Supervisor) -> None:
     held = False
     while True:
         await asyncio.sleep(LOOK)
-        holds = lease.holder(time.monotonic()) is not None
+        holds = lease.holder() is not None
         if held and not holds:
             await aside(supervisor.operator_gone)
         held = holds

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response, WebSocket, Web
 from core.robot import Array
 from station.config import preset_names
 from station.desk import Desk
-from station.experiments.experiment import ControllerFile, Experiment, offered, start_pose
+from station.experiments.experiment import PERIOD, ControllerFile, Experiment, offered, start_pose
 from station.solve import model_answer
 from station.states import State
 from web.commands import Commands, aside
@@ -129,12 +129,13 @@ def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor, felt: Cal
         listening = asyncio.create_task(_until_closed(socket))
         timing = RecentTiming(supervisor.ring)
         try:
-            since = supervisor.ring.written
+            since, before = supervisor.ring.written, None
             while not listening.done():
                 await asyncio.wait([listening], timeout=1.0 / rate)
-                rows, since, missed = supervisor.ring.read(since)
+                rows, since, overwritten = supervisor.ring.read(since)
                 if len(rows):
-                    sample = sample_out(desk, rows[-1], len(rows) - 1 + missed)
+                    sample = sample_out(desk, rows[-1], len(rows) - 1 + overwritten, before)
+                    before = sample["time"]
                     await socket.send_json(sample | timing.look())
         except (WebSocketDisconnect, RuntimeError):
             return  # the other side has gone
@@ -164,14 +165,16 @@ def experiment_out(experiment: Experiment) -> ExperimentOut:
     )
 
 
-def sample_out(desk: Desk, row: Array, skipped: int) -> dict[str, Any]:
-    """One row of telemetry for a websocket client."""
+def sample_out(desk: Desk, row: Array, skipped: int, before: float | None) -> dict[str, Any]:
+    """One row of telemetry for a websocket client, with what lies between it and the one sent `before` it [s]."""
     channels = desk.supervisor.channels
     values: dict[str, Any] = {}
     for group in STREAMED:
         numbers = channels.of(row, group).tolist()
         values[group] = numbers[0] if group in ("time", "state") else numbers
-    return {"skipped": skipped, **values, "state": State(int(values["state"])).name}
+    # Not every period has a row: those that a late loop left out are in no count of rows.
+    missed = 0 if before is None else max(0, round((values["time"] - before) / PERIOD) - 1 - skipped)
+    return {"skipped": skipped, "missed": missed, **values, "state": State(int(values["state"])).name}
 
 
 async def _until_closed(socket: WebSocket) -> None:

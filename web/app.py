@@ -77,7 +77,7 @@ def build_app(
         openapi_url="/api/openapi.json",
         lifespan=lifespan,
     )
-    of = commands(Lease())
+    of = commands(Lease(desk.supervisor.bench.clock.now))
     routes, app.state.scene = viser_routes(view.door, of.lease, audit)
     app.include_router(api_routes(desk, of, stopping, view.felt))
     app.include_router(operator_routes(of))

@@ -1,7 +1,6 @@
 """The way of a command: from an operator, who holds the lease or takes it because nobody does."""
 
 import asyncio
-import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, NamedTuple, TypeVar
 
@@ -30,20 +29,20 @@ def commands(lease: Lease) -> Commands:
     """For routes: `Depends(commands.heard)` on all of them, `Depends(commands.needed)` on those that command."""
 
     async def heard(connection: HTTPConnection) -> None:
-        lease.renew(who_of(connection).client, time.monotonic())
+        lease.renew(who_of(connection).client)
 
     async def needed(request: Request) -> AsyncIterator[Who]:
-        who, now = who_of(request), time.monotonic()
-        was_free = lease.holder(now) is None
-        taken = lease.take(who.client, who.name, now)
+        who = who_of(request)
+        was_free = lease.holder() is None
+        taken = lease.take(who.client, who.name)
         try:
             yield who
         except RefusedError:
             raise  # the state forbids it: a command all the same
         except (RequestValidationError, CtrError):
             # What makes no sense makes nobody operator.
-            if was_free and lease.holder(time.monotonic()) == taken:
-                lease.release(who.client, time.monotonic())
+            if was_free and lease.holder() == taken:
+                lease.release(who.client)
             raise
 
     return Commands(lease, heard, needed)
@@ -51,12 +50,11 @@ def commands(lease: Lease) -> Commands:
 
 def operator_out(lease: Lease, who: Who) -> OperatorOut:
     """Who is operator, as `who` may see it."""
-    now = time.monotonic()
-    holder = lease.holder(now)
+    holder = lease.holder()
     if holder is None:
         return OperatorOut(name=None, you=False, role=who.role, lapses_s=None)
     return OperatorOut(
-        name=holder.name, you=holder.client == who.client, role=who.role, lapses_s=round(holder.until - now, 1)
+        name=holder.name, you=holder.client == who.client, role=who.role, lapses_s=round(lease.left(), 1)
     )
 
 
@@ -73,13 +71,13 @@ def operator_routes(of: Commands) -> APIRouter:
     async def post(request: Request, wish: OperatorIn) -> OperatorOut:
         who = who_of(request)
         name = clean_name(wish.name or "") or who.name
-        lease.take(who.client, name, time.monotonic(), over=wish.take_over)
+        lease.take(who.client, name, over=wish.take_over)
         return operator_out(lease, who)
 
     @router.delete("", summary="Be operator no longer")
     async def delete(request: Request) -> OperatorOut:
         who = who_of(request)
-        lease.release(who.client, time.monotonic())
+        lease.release(who.client)
         return operator_out(lease, who)
 
     return router

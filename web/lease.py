@@ -4,6 +4,8 @@ Everything that the holder sends renews it. Whoever comes second is told who hol
 it over on purpose. STOP needs no lease.
 """
 
+import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 from station.states import RefusedError
@@ -25,44 +27,48 @@ class HeldError(RefusedError):
 
 
 class Lease:
-    """The station's one lease; `now` [s] comes from the caller's clock. Not for several threads."""
+    """The station's one lease, by a clock that tells seconds. Not for several threads."""
 
-    def __init__(self, length: float = LENGTH) -> None:
-        self._length = length
+    def __init__(self, clock: Callable[[], float] = time.monotonic, length: float = LENGTH) -> None:
+        self._clock, self._length = clock, length
         self._holder: Holder | None = None
 
-    def holder(self, now: float) -> Holder | None:
-        """Who holds it at `now`."""
-        if self._holder is not None and now >= self._holder.until:
+    def holder(self) -> Holder | None:
+        """Who holds it."""
+        if self._holder is not None and self._clock() >= self._holder.until:
             self._holder = None
         return self._holder
 
-    def holds(self, client: str, now: float) -> bool:
+    def left(self) -> float:
+        """Until it lapses [s]; 0 when nobody holds it."""
+        return 0.0 if self._holder is None else max(0.0, self._holder.until - self._clock())
+
+    def holds(self, client: str) -> bool:
         """Whether it is this client."""
-        holder = self.holder(now)
+        holder = self.holder()
         return holder is not None and holder.client == client
 
-    def take(self, client: str, name: str, now: float, *, over: bool = False) -> Holder:
+    def take(self, client: str, name: str, *, over: bool = False) -> Holder:
         """Take or keep the lease; with `over` also from somebody else.
 
         Raises:
             HeldError: somebody else holds it.
         """
-        holder = self.holder(now)
+        holder = self.holder()
         if holder is not None and holder.client != client and not over:
             raise HeldError(
                 f"'{holder.name}' is operator; ask them, or take over on purpose (POST /api/operator with take_over)"
             )
-        self._holder = Holder(client, name, now + self._length)
+        self._holder = Holder(client, name, self._clock() + self._length)
         return self._holder
 
-    def renew(self, client: str, now: float) -> None:
+    def renew(self, client: str) -> None:
         """A word from `client`; nothing happens when it does not hold the lease."""
-        holder = self.holder(now)
+        holder = self.holder()
         if holder is not None and holder.client == client:
-            self._holder = holder._replace(until=now + self._length)
+            self._holder = holder._replace(until=self._clock() + self._length)
 
-    def release(self, client: str, now: float) -> None:
+    def release(self, client: str) -> None:
         """Give it back; nothing happens when `client` does not hold it."""
-        if self.holds(client, now):
+        if self.holds(client):
             self._holder = None

@@ -113,10 +113,10 @@ class Gate:
             message = _decoder.decode(data)
         except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError):
             return self._drop("no message that is known here")
-        refused = self._refusal(message, now)
+        refused = self._refusal(message)
         return _encoder.encode(message) if refused is None else self._drop(refused)
 
-    def _refusal(self, message: Any, now: float) -> str | None:
+    def _refusal(self, message: Any) -> str | None:
         match message:
             case _Camera():
                 numbers = (*message.wxyz, *message.position, *message.look_at, *message.up_direction)
@@ -128,13 +128,13 @@ class Gate:
                 good = list(message.updates) == ["value"] and message.updates["value"] in options
                 return None if good else "a button that is not there"
             case _:
-                return self._refused_drag(message, now)
+                return self._refused_drag(message)
 
-    def _refused_drag(self, message: _Move | _MoveStart | _MoveEnd, now: float) -> str | None:
+    def _refused_drag(self, message: _Move | _MoveStart | _MoveEnd) -> str | None:
         box = self.handles.gizmos.get(message.name)
         if box is None or message.owner:
             return "a drag of what cannot be dragged"
-        if self.who.role is not Role.OPERATOR or not self.lease.holds(self.who.client, now):
+        if self.who.role is not Role.OPERATOR or not self.lease.holds(self.who.client):
             return "a drag by somebody who is not operator"
         if not isinstance(message, _Move):
             return None

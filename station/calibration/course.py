@@ -62,10 +62,10 @@ class Course:
     """A procedure under way. Other threads may look at `report`, say `done` and `abort`."""
 
     def __init__(self, supervisor: Supervisor, job: Job) -> None:
-        self._supervisor, self._job = supervisor, job
+        self._supervisor, self._job, self._clock = supervisor, job, supervisor.bench.clock
         self._controller = supervisor.bench.controlled(supervisor.bench.controller)
         self._answered, self._abort = threading.Event(), ""
-        self._began, self._ended = time.monotonic(), 0.0
+        self._began, self._ended = self._clock.now(), 0.0
         self._expected = OFFERS[job.what].expected(job.effort, len(job.weights))
         self._zero: float | None = None  # telemetry's time at the first visit [s]
         self._hung = 0.0  # at the tip, on a person's word [N]
@@ -75,7 +75,7 @@ class Course:
     @property
     def report(self) -> Report:
         """How it is getting on."""
-        now, elapsed = self._now, (self._ended or time.monotonic()) - self._began
+        now, elapsed = self._now, (self._ended or self._clock.now()) - self._began
         if not now.on:
             return now._replace(elapsed=elapsed)
         # Not by the pace so far: it has persons' time in it.
@@ -129,7 +129,7 @@ class Course:
         if hangs := max(self._now.hangs, self._hung):
             self._supervisor.pull(NoLoad())  # in a virtual lab; from a real tip a person has to take it
             why = f"{why}; a weight of {hangs:g} N may hang at the tip: take it off"
-        self._ended = time.monotonic()
+        self._ended = self._clock.now()
         self._now = self._now._replace(stage=ending, says=why, asked="", hangs=0.0, left=0.0)
 
     # Steps
@@ -168,8 +168,8 @@ class Course:
         # The virtual lab's part of a person's work; at a real bench nothing happens here.
         self._supervisor.pull(ConstantLoad(magnitude=step.weight) if step.weight > 0.0 else NoLoad())
         self._show(Stage.MOVING, step.done, "the weight comes to rest")
-        end = time.monotonic() + SWINGING
-        while time.monotonic() < end:
+        end = self._clock.now() + SWINGING
+        while self._clock.now() < end:
             self._look()
             time.sleep(LOOK)
 

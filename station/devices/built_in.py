@@ -65,14 +65,6 @@ def zaber(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], ZaberSta
     return opener
 
 
-def stage_ports(options: Mapping[str, Any]) -> tuple[str, ...]:
-    """The ports of `[devices.stages]` that a stop can be sent to past its driver; none of another driver's."""
-    if options["driver"] != "zaber":
-        return ()
-    own = [stage.get("port") for stage in options.get("joints", {}).values()]
-    return tuple(dict.fromkeys(port or options["port"] for port in own or [None]))
-
-
 def _reopened(ports: Sequence[Port]) -> list[Port]:
     return [Port(reopen(port.link), port.stages) for port in ports]
 

@@ -54,7 +54,7 @@ class LabHost:
         return lab_bench(opened.endpoints, self._config)
 
     def pull(self, load: Load, start: float) -> None:
-        """Put a load on the tip whose time is 0 at `start` by `time.monotonic` [s]; a lab that is gone has no tip."""
+        """Put a load on the tip; its time is 0 at `start` by the station's clock [s]. A lab that is gone has no tip."""
         with contextlib.suppress(OSError):
             self._pipe.send(Pull(load, start))
 

@@ -7,7 +7,6 @@ either to arrive. What it hears besides the bytes on its wires comes through a p
 import contextlib
 import os
 import signal
-import time
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from core.errors import CtrError
+from station.clock import REAL_TIME, StationClock
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.loads import Load
@@ -34,14 +34,14 @@ class Pull(NamedTuple):
     """Station process -> lab: put a load on the tip."""
 
     load: Load
-    start: float  #: by `time.monotonic` when its time is 0 [s]
+    start: float  #: by the station's clock when its time is 0 [s]
 
 
 class Inject(NamedTuple):
     """Station process -> lab: these faults, instead of those that are on or to come."""
 
     faults: tuple[LabFault, ...]
-    start: float  #: by `time.monotonic` when their time is 0 [s]
+    start: float  #: by the station's clock when their time is 0 [s]
 
 
 class Opened(NamedTuple):
@@ -60,6 +60,7 @@ class LabBench(NamedTuple):
     park: tuple[float, ...]  #: joints at power-up [rad or m]
     fifo: bool = True  #: ask for real-time scheduling
     terminals: Path | None = None  #: folder for pseudo-terminals instead of TCP
+    clock: StationClock = REAL_TIME
 
 
 def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, parent: int) -> None:
@@ -71,11 +72,13 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
         # No pseudo-terminals unless asked for: the kernel carries their bytes in a thread of normal priority, behind
         # whose locks the control loop would wait for milliseconds on a busy computer.
         pty, park = bench.terminals is not None, np.array(bench.park)
-        lab = OpenLab(bench.robot, bench.config, bench.seed, park, pty, homed=True, folder=bench.terminals)
+        lab = OpenLab(
+            bench.robot, bench.config, bench.seed, park, pty, homed=True, folder=bench.terminals, clock=bench.clock
+        )
     except CtrError as error:
         pipe.send(Opened({}, str(error)))
         return
-    lab.lab.advance(time.monotonic() - lab.begun)  # what is loaded or compiled for it keeps nobody else waiting
+    lab.lab.advance(bench.clock.now() - lab.begun)  # what is loaded or compiled for it keeps nobody else waiting
     # Real devices have processors of their own: a busy computer must not make the simulated ones late.
     if bench.fifo:
         ask_for_fifo(PRIORITY)
@@ -96,8 +99,8 @@ class _Visitor:
         """True when the lab is to end."""
         self._ring.tell_truth(self._lab.lab.truth, bool(self._lab.lab.trouble))
         if self._alone_since or os.getppid() != self._parent:
-            self._alone_since = self._alone_since or time.monotonic()
-            return time.monotonic() - self._alone_since > OUTLIVES
+            self._alone_since = self._alone_since or self._lab.clock.now()
+            return self._lab.clock.now() - self._alone_since > OUTLIVES
         with contextlib.suppress(EOFError, OSError):
             while self._pipe.poll():
                 message: Pull | Inject | None = self._pipe.recv()
@@ -109,5 +112,5 @@ class _Visitor:
                 else:
                     self._lab.lab.inject(message.faults, start)
             return False
-        self._alone_since = time.monotonic()
+        self._alone_since = self._lab.clock.now()
         return False

@@ -11,12 +11,12 @@ import select
 import signal
 import socket
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self
 
 from core.robot import Array
+from station.clock import REAL_TIME, StationClock
 from station.lab.config import LabConfig
 from station.lab.loads import Load
 from station.lab.netft_wire import AddressTaken, PageServer, UdpEnd
@@ -163,11 +163,12 @@ class OpenLab:
         netft_port: int = 0,
         homed: bool = False,
         folder: Path | None = None,
+        clock: StationClock = REAL_TIME,
     ) -> None:
         """`pty`: terminals instead of TCP; `netft_port`: UDP port of the first box, the others follow; 0: any.
 
         `homed`: the stages have been left on since they were homed. `folder`: terminals are told by links
-        in there, which stay when a terminal comes back as another one.
+        in there, which stay when a terminal comes back as another one. `clock`: whose time the devices keep.
 
         Raises:
             AddressTaken: a given port is another program's.
@@ -191,7 +192,8 @@ class OpenLab:
                 self._pages.append(PageServer(HOST, 0, box.page))
                 opened.callback(self._pages[-1].close)
             self._opened = opened.pop_all()
-        self.begun = time.monotonic()  #: when the lab's time was 0
+        self.clock = clock
+        self.begun = clock.now()  #: when the lab's time was 0
         #: Where everything is: what `ctr-station lab` prints.
         self.endpoints: dict[str, Any] = {
             "zaber": self._lines[0].name,
@@ -217,15 +219,15 @@ class OpenLab:
         self._opened.close()
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Keep real time until `stopped`, which is asked at every look.
+        """Keep the clock's time until `stopped`, which is asked at every look.
 
         A robot that cannot follow its stages is reported on stderr.
         """
-        start, due, trouble = self.begun, 0.0, ""
+        clock, start, due, trouble = self.clock, self.begun, 0.0, ""
         while not stopped():
             files = [file for line in self._lines for file in line.files]
-            select.select(files, [], [], max(0.0, start + due - time.monotonic()))
-            now = time.monotonic() - start
+            select.select(files, [], [], clock.real(max(0.0, start + due - clock.now())))
+            now = clock.now() - start
             self.lab.advance(now)
             if self.lab.trouble and not trouble:
                 sys.stderr.write(f"the robot stays where it is: {' '.join(self.lab.trouble.split())}\n")

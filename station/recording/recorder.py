@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from station.clock import REAL_TIME, StationClock
 from station.realtime import show_as
 from station.recording.drawing import Drawing
 from station.recording.events import WARNING, Event
@@ -73,20 +74,24 @@ class Trouble(NamedTuple):
 class Recorder:
     """The parent's side. One thread may use it at a time."""
 
-    def __init__(self, ring: Ring, robot: RobotFile, runs: Path) -> None:
+    def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock = REAL_TIME) -> None:
         """Start the process.
 
         Args:
             ring: telemetry to record, owned by the caller.
             robot: whose telemetry it is.
             runs: folder of runs.
+            clock: of the station that it belongs to.
         """
-        self._ring = ring
+        self._ring, self._clock = ring, clock
         self._trouble = ""
         context = multiprocessing.get_context("spawn")
         self.pipe, child = context.Pipe()  #: has something to read when `trouble` has something new
         self.process = context.Process(
-            target=run_recorder, args=(ring.name, robot, runs, child, os.getpid()), name="recorder", daemon=True
+            target=run_recorder,
+            args=(ring.name, robot, runs, clock, child, os.getpid()),
+            name="recorder",
+            daemon=True,
         )
         self.process.start()
         child.close()
@@ -129,17 +134,17 @@ class Recorder:
         """End the process; a recording that is on is finished as interrupted."""
         with contextlib.suppress(OSError):
             self.pipe.send(None)
-        self.process.join(ANSWER_TIME)
+        self.process.join(self._clock.real(ANSWER_TIME))
         if self.process.is_alive():
             self.process.kill()
             self.process.join()
         self.pipe.close()
 
     def _ask(self, question: Begin | End, patience: float) -> Path:
-        deadline = time.monotonic() + patience
+        deadline = self._clock.now() + patience
         try:
             self.pipe.send(question)
-            while self.pipe.poll(max(0.0, deadline - time.monotonic())):
+            while self.pipe.poll(self._clock.real(max(0.0, deadline - self._clock.now()))):
                 message = self.pipe.recv()
                 if isinstance(message, Answer):
                     if message.path is None:
@@ -157,13 +162,15 @@ class Recorder:
             self._trouble = message.text
 
     def _gone(self) -> str:
-        self.process.join(1.0)
+        self.process.join(self._clock.real(1.0))
         code = self.process.exitcode
         how = f"by signal {-code}" if code is not None and code < 0 else f"with status {code}"
         return f"the recorder ended {how}; what it had written is recovered at the next start"
 
 
-def run_recorder(ring_name: str, robot: RobotFile, runs: Path, pipe: Connection, parent: int) -> None:
+def run_recorder(
+    ring_name: str, robot: RobotFile, runs: Path, clock: StationClock, pipe: Connection, parent: int
+) -> None:
     """Main function of the recorder's process."""
     show_as("ctr-recorder")
     # Ctrl-C in a terminal reaches the whole group: the parent decides when we end.
@@ -177,10 +184,10 @@ def run_recorder(ring_name: str, robot: RobotFile, runs: Path, pipe: Connection,
     # `Connection.poll` makes a selector for every call: a tenth of all the work there is.
     asks = select.poll()
     asks.register(pipe.fileno(), select.POLLIN)
-    due = time.monotonic() + FLUSH
+    due = clock.now() + FLUSH
     try:
         while not asked and os.getppid() == parent:
-            if asks.poll(max(0.0, 1e3 * (due - time.monotonic()))):
+            if asks.poll(max(0.0, 1e3 * clock.real(due - clock.now()))):
                 message: Begin | End | Event | None = pipe.recv()
                 if message is None:
                     break
@@ -195,7 +202,7 @@ def run_recorder(ring_name: str, robot: RobotFile, runs: Path, pipe: Connection,
                     recording.writer.event(message)
                 continue
             # A machine that was asleep does not make up for what it missed.
-            due = max(due + FLUSH, time.monotonic())
+            due = max(due + FLUSH, clock.now())
             if recording is not None:
                 try:
                     recording.copy()
@@ -259,7 +266,9 @@ class _Recording:
 
     def _summary(self, label: Label, cause: str, numbers: Mapping[str, Any]) -> dict[str, Any]:
         told = {
-            key: self._begin.metadata[key] for key in ("experiment", "title", "seed") if key in self._begin.metadata
+            key: self._begin.metadata[key]
+            for key in ("experiment", "title", "seed", "clock_rate")
+            if key in self._begin.metadata
         }
         done = label is Label.COMPLETE
         return {

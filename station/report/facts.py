@@ -33,6 +33,8 @@ def head(run: Run) -> Iterator[str]:
             " The paper's numbers come from a real bench (those of its Figs. 3 and 4 from a simulation of its own).",
             "note",
         )
+    if (rate := run.summary.get("clock_rate", 1.0)) != 1.0:
+        yield document.paragraph(f"Not in real time: the station's clock went at {rate:g} of it.", "note")
     for name, numbers in run.summary.get("cases", {}).items():
         if not numbers.get("completed", True):
             yield document.paragraph(f"Case '{name}' did not complete: {numbers.get('cause')}", "note")

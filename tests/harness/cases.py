@@ -6,6 +6,16 @@ from station.clock import VirtualClock
 from station.experiments.experiment import Case, offered
 from station.experiments.runner import Recording, run_case
 
+#: One second at rest under no load, counted from the start.
+SHORT = """
+title = "short"
+start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
+duration = 1.0
+settling = 0.0
+[trajectory]
+kind = "hold"
+"""
+
 
 def a_case(experiment: str, name: str, **changes: Any) -> Case:
     """A case of a preset with parts of its file changed."""

@@ -96,7 +96,8 @@ def test_the_tip_stays_under_a_varying_load(pulled):
     [("type_1", False), ("type_1", True), ("type_1_exact", False), ("type_1_exact", True), ("type_2", False)],
 )
 def test_so_it_does_with_every_other_inner_loop(paper_robot, inner, observes):
-    _, tips = run(controller(paper_robot, inner=inner, observes=observes), Plant(paper_robot), 4.0, force=pull)
+    """The load rises fastest after 2 s; these are the 5 mm until half a second later."""
+    _, tips = run(controller(paper_robot, inner=inner, observes=observes), Plant(paper_robot), 2.5, force=pull)
 
     assert np.abs(tips).max() < 2.5e-4
 

@@ -1,10 +1,10 @@
-"""Virtual time never waits; real time keeps absolute deadlines."""
+"""Virtual time never waits; real time keeps absolute deadlines; a station's time may be slower."""
 
 import time
 
 import pytest
 
-from station.clock import RealClock, VirtualClock
+from station.clock import REAL_TIME, RealClock, StationClock, VirtualClock
 
 
 class WallTime:
@@ -14,7 +14,7 @@ class WallTime:
         self.now = 1000.0
         self.slept: list[float] = []
 
-    def perf_counter(self) -> float:
+    def tells(self) -> float:
         return self.now
 
     def sleep(self, seconds: float) -> None:
@@ -25,7 +25,8 @@ class WallTime:
 @pytest.fixture
 def wall(monkeypatch) -> WallTime:
     wall = WallTime()
-    monkeypatch.setattr(time, "perf_counter", wall.perf_counter)
+    for name in ("perf_counter", "monotonic"):
+        monkeypatch.setattr(time, name, wall.tells)
     monkeypatch.setattr(time, "sleep", wall.sleep)
     return wall
 
@@ -66,3 +67,20 @@ def test_the_first_wait_sets_the_start_whatever_time_it_is_for(wall):
     clock.wait_until(5.002)
 
     assert wall.slept == pytest.approx([0.002])
+
+
+def test_a_slow_stations_seconds_are_longer(wall):
+    clock = StationClock(0.2)
+    begin = clock.now()
+    clock.sleep(1.0)
+
+    assert wall.slept == [5.0]
+    assert clock.now() - begin == pytest.approx(1.0)
+    assert clock.real(1.0) == 5.0
+
+
+@pytest.mark.parametrize("reading", [0.1, 12345.678901234567, 9.87654321e8])
+def test_a_station_in_real_time_has_the_computers_own_clock_to_the_last_bit(wall, reading):
+    wall.now = reading
+    assert REAL_TIME.now() == reading
+    assert REAL_TIME.real(reading) == reading

@@ -2,6 +2,7 @@
 
 import pytest
 
+from station.clock import REAL_TIME, StationClock
 from station.config import OWN_EXPERIMENTS, ConfigError, preset_names
 from station.devices.config import BenchFile
 from station.station_file import load_station
@@ -45,6 +46,30 @@ def test_with_devices_it_is_a_bench_and_says_so(write):
 def test_what_cannot_be_is_refused_with_the_file(write, old, new, told):
     with pytest.raises(ConfigError, match=told):
         load_station(write(DEVICES.replace(old, new))).bench()
+
+
+def test_a_station_keeps_real_time_unless_its_file_says_otherwise(write):
+    bench = load_station(write("")).bench()
+    assert bench.clock == REAL_TIME
+    assert not any("real time" in warning for warning in bench.warnings)
+
+
+def test_a_slow_clock_is_a_warning(write):
+    bench = load_station(write("[clock]\nrate = 0.25\n")).bench()
+    assert bench.clock == StationClock(0.25)
+    assert "not in real time: this station's clock goes at 0.25 of it (clock.rate)" in bench.warnings
+
+
+def test_real_devices_cannot_be_made_slower(write):
+    with pytest.raises(ConfigError, match=r"own.toml: clock.rate = 0.5: expected 1 with devices of one's own"):
+        load_station(write(DEVICES + "[clock]\nrate = 0.5\n")).bench()
+    assert load_station(write(DEVICES + "[clock]\nrate = 1.0\n")).bench().clock == REAL_TIME
+
+
+@pytest.mark.parametrize("rate", ["0.01", "1.5", "nan", "0"])
+def test_a_clock_that_is_too_slow_or_too_fast_is_refused(write, rate):
+    with pytest.raises(ConfigError, match=r"own.toml.*clock.rate"):
+        load_station(write(f"[clock]\nrate = {rate}\n"))
 
 
 def test_a_folder_of_experiments_is_beside_the_file(monkeypatch, write, tmp_path):

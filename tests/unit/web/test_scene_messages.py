@@ -33,9 +33,9 @@ class Bench:
     def __init__(self, role: Role = Role.OPERATOR, *, holds: bool = True) -> None:
         self.now = 0.0
         self.reported: list[str] = []
-        self.lease = Lease()
+        self.lease = Lease(lambda: self.now)
         if holds:
-            self.lease.take("me-myself", "Me", 0.0)
+            self.lease.take("me-myself", "Me")
         who = Who(role, "me-myself", "Me", "127.0.0.1")
         self.gate = Gate(HANDLES, self.lease, who, lambda: self.now, self.reported.append)
 

@@ -5,38 +5,44 @@ from pathlib import Path
 import pytest
 
 from station.cli import main
+from tests.harness.cases import SHORT
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    """A folder with one short run under `runs`."""
+    place = tmp_path_factory.mktemp("place")
+    path = place / "own.toml"
+    path.write_text(SHORT.replace("duration = 1.0", "duration = 0.3"), encoding="utf-8")
+    assert main(("run", str(path), "--jobs", "1", "--json", "--out", str(place / "runs"))) == 0
+    return place
 
 
 @pytest.fixture
-def runs(monkeypatch, write, short, tmp_path) -> Path:
-    """A folder with one short run under `runs`."""
-    monkeypatch.chdir(tmp_path)
-    path = write(short.replace("duration = 1.0", "duration = 0.3"))
-    assert main(("run", str(path), "--jobs", "1", "--json")) == 0
-    return tmp_path / "runs"
-
-
-def test_report_and_replay_of_the_latest_of_a_name_and_of_a_folder(runs, capsys):
+def run(place, monkeypatch, capsys) -> Path:
+    """The one run."""
+    monkeypatch.chdir(place)
     capsys.readouterr()
-    (run,) = runs.iterdir()
-    for which in ("latest", run.name, str(run)):
-        assert main(("report", which)) == 0
-        assert Path(capsys.readouterr().out.strip()).resolve() == run / "report.html"
-    assert main(("replay", "latest")) == 0
-    assert Path(capsys.readouterr().out.strip()).resolve() == run / "replay.html"
-    for name in ("report.html", "replay.html"):
-        assert (run / name).stat().st_size > 20_000
+    (run,) = (place / "runs").iterdir()
+    return run
 
 
-def test_out_is_where_everything_goes(runs, capsys, tmp_path):
-    capsys.readouterr()
+def test_they_take_the_latest_a_name_or_a_folder(run, capsys):
+    for command, which in (("report", "latest"), ("replay", run.name), ("report", str(run)), ("replay", "latest")):
+        assert main((command, which)) == 0
+        made = run / f"{command}.html"
+        assert Path(capsys.readouterr().out.strip()).resolve() == made
+        assert made.stat().st_size > 20_000
+        made.unlink()
+
+
+def test_out_is_where_everything_goes(run, capsys, place):
     assert main(("report", "latest", "--out", "made")) == 0
     assert main(("replay", "latest", "--out", "made/own.html")) == 0
     assert capsys.readouterr().out.split() == ["made/report.html", "made/own.html"]
-    names = {path.name for path in (tmp_path / "made").iterdir()}
+    names = {path.name for path in (place / "made").iterdir()}
 
     assert {"report.html", "own.html", "path_own.png", "path_own.pdf"} <= names
-    (run,) = runs.iterdir()
     assert not (run / "report.html").exists()
 
 

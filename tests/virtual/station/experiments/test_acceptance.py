@@ -52,7 +52,7 @@ def test_fig4_what_the_load_does_directly_dominates_the_deflection():
 
 
 def test_fig7_the_unloaded_jacobian_alone_lets_the_weight_take_the_tip_away(summary):
-    x, _, _ = summary("fig7", "regulation")["true_max_abs_error_mm"]
+    x, _, _ = summary("fig7", "regulation", duration=20.0)["true_max_abs_error_mm"]  # the load comes and goes once
 
     assert 14.0 <= x <= 16.0  # the paper: 15.5
 

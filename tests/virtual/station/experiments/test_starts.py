@@ -12,7 +12,7 @@ from tests.harness.cases import a_case, a_run
 
 @pytest.fixture(scope="module")
 def case():
-    return a_case("fig8", "regulation")
+    return a_case("fig8", "regulation", duration=20.0)
 
 
 def test_a_seed_draws_the_same_start_again_from_the_whole_travel():

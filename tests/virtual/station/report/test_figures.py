@@ -25,7 +25,7 @@ RUNS = {
         ["fig8", "fig8_type_1", "fig8_regulation_distorted", "rates"],
     ),
     "fig10": (1.5, 0.5, ("feedforward",), ["fig10", "fig10_paper_distorted", "fig9", "rates"]),
-    "step_response": (24.0, 0.0, ("k1_x", "k1_y", "k1_z", "k2_5_y", "k2_5_z", "k5_x", "k5_y", "k5_z"), ["steps"]),
+    "step_response": (12.0, 0.0, ("k1_x", "k1_y", "k1_z", "k2_5_y", "k2_5_z", "k5_x", "k5_y", "k5_z"), ["steps"]),
 }  # fmt: skip
 
 

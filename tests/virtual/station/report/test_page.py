@@ -76,6 +76,12 @@ def test_the_file_needs_nothing_else(report, page):
         assert len(picture["alt"]) > 40
 
 
+def test_it_is_written_beside_the_recordings(report):
+    assert report.name == "report.html"
+    assert (report.parent / "one.mcap").exists()
+    assert not list(report.parent.glob("*.partial"))
+
+
 def test_it_says_what_was_simulated(page, short_run):
     title = json.loads((short_run / "summary.json").read_text(encoding="utf-8"))["lab"]
 
@@ -128,8 +134,9 @@ def test_text_from_files_is_text(page):
     assert "b" not in page.tags[: page.tags.index("figure")]
 
 
-def test_figures_are_written_as_png_and_pdf(preset_run, tmp_path):
-    path = write_report(preset_run("fig7", 1.5, 0.5), tmp_path)
+def test_figures_are_written_as_png_and_pdf_and_the_same_run_gives_the_same_report(preset_run, tmp_path):
+    run = preset_run("fig7", 1.5, 0.5)
+    path = write_report(run, tmp_path)
 
     assert path == tmp_path / "report.html"
     assert sorted(each.name for each in tmp_path.iterdir()) == ["fig7.pdf", "fig7.png", "report.html"]
@@ -137,15 +144,7 @@ def test_figures_are_written_as_png_and_pdf(preset_run, tmp_path):
     assert picture.shape[1] == 1400
     assert picture.std() > 5.0
     assert (tmp_path / "fig7.pdf").read_bytes().startswith(b"%PDF-")
-
-
-def test_the_same_run_gives_the_same_report(report, short_run, tmp_path):
-    folder = tmp_path / short_run.name
-    shutil.copytree(short_run, folder)
-
-    assert report.name == "report.html"
-    assert write_report(folder).read_bytes() == report.read_bytes()
-    assert not list(folder.glob("*.partial"))
+    assert write_report(run, tmp_path / "again").read_bytes() == path.read_bytes()
 
 
 def test_a_case_that_did_not_complete_says_why(folder_of):
