@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -13,6 +13,7 @@ from core.statics import Solution, Statics
 from station.clock import VirtualClock
 from station.experiments.experiment import load_experiment
 from station.experiments.runner import run_case
+from station.experiments.side_by_side import Processes, processors
 from station.robots import load_robot
 
 
@@ -95,18 +96,26 @@ def _passes(statics: Statics) -> tuple[float, float, int]:
     return durations[0], durations[1], statics.shape(solution).shape[0] - 1
 
 
-def headless() -> dict[str, Any]:
-    """The feed-forward case of `fig10` in virtual time, after a short warm-up."""
+def headless(seconds: float = 20.0) -> dict[str, Any]:
+    """The feed-forward case of `fig10` in virtual time, after a short warm-up: alone, then one on each processor."""
+    _headless(2.0, lambda _: None)
+    alone = sorted(_headless(seconds, lambda _: None) for _ in range(3))
+    count = processors()
+    with Processes(count) as started:
+        for duration in (2.0, seconds):
+            beside = started.carry_out(_headless, [duration] * count, lambda _: None)
+    return {
+        "times_real_time": round(alone[1], 2), "min": round(alone[0], 2), "max": round(alone[2], 2),
+        "side_by_side": {"processes": count, "times_real_time": round(sum(beside), 2)},
+    }  # fmt: skip
+
+
+def _headless(duration: float, _: Callable[[float], None]) -> float:
+    """How many times real time the case runs with a motion of that duration [s]."""
     case = next(case for case in load_experiment("fig10").cases if case.name == "feedforward")
-
-    def shortened(duration: float) -> float:
-        file = case.file.model_copy(update={"duration": duration})
-        run = run_case(case._replace(file=file), 0, VirtualClock(), lambda _: None)
-        return run.simulated_s / run.wall_s
-
-    shortened(2.0)
-    ratios = sorted(shortened(20.0) for _ in range(3))
-    return {"times_real_time": round(ratios[1], 2), "min": round(ratios[0], 2), "max": round(ratios[2], 2)}
+    file = case.file.model_copy(update={"duration": duration})
+    run = run_case(case._replace(file=file), 0, VirtualClock(), lambda _: None)
+    return run.simulated_s / run.wall_s
 
 
 def table(title: str, result: Mapping[str, Any]) -> Table:
