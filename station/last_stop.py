@@ -34,8 +34,8 @@ def stage_units(options: Mapping[str, Any], joints: int) -> Units:
     if options["driver"] != "zaber":
         return {}
     found: dict[str, set[int]] = {}
-    usual = {number: {"device": number} for number in range(1, joints + 1)}
-    stages: Mapping[Any, Any] = options.get("joints") or usual
+    usual = {str(number): {"device": number} for number in range(1, joints + 1)}
+    stages: Mapping[str, Mapping[str, Any]] = options.get("joints") or usual
     for stage in stages.values():
         found.setdefault(stage.get("port") or options["port"], set()).add(stage["device"])
     return found
