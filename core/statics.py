@@ -210,4 +210,4 @@ class Statics:
     def _widths(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Numbers of tubes and of derivative columns (in whole vector registers), for the compiler."""
         q, n = len(self.robot.tubes), len(self.robot.joints)
-        return (0.0,) * q, (0.0,) * (-(-(q + 3 + n + 3) // 8) * 8)
+        return (0.0,) * q, (0.0,) * (-(-(q + 3 + n + 3) // 4) * 4)

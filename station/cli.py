@@ -65,7 +65,9 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     lab.set_defaults(command=_lab)
 
     bench = commands.add_parser("bench", help="measure this machine")
-    bench.add_argument("what", choices=("model", "accuracy", "cost", "tick", "wire", "loop", "headless", "recorder"))
+    bench.add_argument(
+        "what", choices=("model", "accuracy", "cost", "tick", "wire", "loop", "headless", "cold", "recorder")
+    )
     bench.add_argument(
         "--seconds", type=between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of loop, recorder (60)"
     )
@@ -161,10 +163,13 @@ def _bench(parsed: argparse.Namespace) -> int:
             result = accuracy(lambda done: bar.update(task, completed=done))
     else:
         from station.commands.bench_accuracy import cost
+        from station.commands.bench_cold import cold
         from station.commands.bench_tick import tick
         from station.commands.bench_wire import wire
 
-        measures = {"model": bench.model, "cost": cost, "tick": tick, "wire": wire, "headless": bench.headless}
+        measures = {
+            "model": bench.model, "cost": cost, "tick": tick, "wire": wire, "headless": bench.headless, "cold": cold,
+        }  # fmt: skip
         result = measures[parsed.what]()
     if parsed.json:
         print(json.dumps(result))  # noqa: T201

@@ -210,7 +210,7 @@ class Stream:
 
     @property
     def state(self) -> tuple[Indices, Array]:
-        """Its numbers and its clock's, for `follow`."""
+        """Its numbers and its clock's, for `follow`; another clock after a reset."""
         return self._state, self._clock.state
 
     def feed(self, datagram: bytes, now: float) -> list[Sample]:

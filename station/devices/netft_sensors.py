@@ -115,7 +115,8 @@ class _Sensor:
     def warm_up(self) -> None:
         """Have loaded what is compiled: the first call takes longer than a tick."""
         SampleClock().observe(0, SampleClock().latest(0.0))
-        self._follow(b"", 0.0)
+        good = self.good
+        _kept(*self.stream.state, b"", 0.0, self._limits, good.row, good.rows, good.ends, good.time)
         self.good.push()
         self.good.clear()
 
@@ -142,7 +143,11 @@ class _Sensor:
         lost, resets, news, newest = stream.lost, stream.resets, False, 0
         try:
             for datagram in self.link.receive():
-                if self._follow(datagram, now):
+                numbers, clock = stream.state
+                taken, good.time = _kept(
+                    numbers, clock, datagram, now, self._limits, good.row, good.rows, good.ends, good.time
+                )
+                if taken:
                     self.status, self._fresh, news = 0, now, True
                     continue
                 for sample in stream.feed(datagram, now):
@@ -167,14 +172,6 @@ class _Sensor:
         self.flags = flags
         return news
 
-    def _follow(self, datagram: bytes, now: float) -> bool:
-        """Keep the usual datagram in one compiled call; False: it is for `Stream.feed`."""
-        good = self.good
-        taken, good.time = _kept(
-            *self.stream.state, datagram, now, self._limits, good.row, good.rows, good.ends, good.time
-        )
-        return taken
-
     def _take(self, sample: Sample, now: float) -> int:
         """Keep a sample that can be used; what is wrong with it."""
         self.status = sample.status
@@ -198,7 +195,7 @@ def _kept(
     stream: Indices, clock: Array, datagram: bytes, now: float, limits: Array,
     row: Array, rows: Array, ends: Indices, time: float,
 ) -> tuple[bool, float]:  # fmt: skip
-    """`follow`, and then `push`: whether it was taken, and the time of the ring's newest sample."""
+    """Keep the usual datagram: whether it was one (else it is for `Stream.feed`), and the newest sample's time."""
     if not follow(stream, clock, datagram, now, limits, row):
         return False, time
     return True, push(rows, ends, row, time)

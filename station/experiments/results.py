@@ -3,8 +3,6 @@
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.signal import savgol_filter
 
 from core.robot import Array
 from station.experiments.experiment import PERIOD
@@ -75,6 +73,8 @@ def summarise(recording: Recording) -> dict[str, Any]:
 
 def averaged_model(tips: Array, ticks: int = AVERAGED) -> Array:
     """Tips of a model (ticks, 3) [m] as they are compared with a tracker: means over `ticks` around each tick."""
+    from scipy.ndimage import uniform_filter1d  # here and below: half of what a command takes to start
+
     return uniform_filter1d(tips, ticks, axis=0, mode="nearest")
 
 
@@ -99,6 +99,8 @@ def hindsight_rate(deflection: Array) -> Array | None:
     """
     if len(deflection) <= HINDSIGHT:
         return None
+    from scipy.signal import savgol_filter
+
     smoothed = savgol_filter(deflection, HINDSIGHT, 3, deriv=1, delta=PERIOD, axis=0)
     return np.asarray(smoothed, dtype=np.float64)
 

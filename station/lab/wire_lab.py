@@ -154,8 +154,8 @@ class WireLab:
             self.trouble = str(error)
         self.aurora.advance(self.time, now, before, self._coil_at)
         aurora_wire.pump(self._wires.aurora, self.aurora, now)
-        for box, wrench in zip(self.boxes, self._wrenches, strict=True):
-            box.advance(now, wrench)
+        for number, box in enumerate(self.boxes):
+            box.advance(now, self._wrenches[number])
         self.time = now
         return self.truth
 

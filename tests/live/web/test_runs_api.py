@@ -32,10 +32,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for seed, completed in ((0, True), (1, False)):
         result = ResultFolder(folder, experiment, seed)
         one = recording._replace(completed=completed, cause="" if completed else "the line was cut")
-        recorder = result.record(case)
-        for row in one.rows:
-            recorder.write(row)
-        recorder.close(label_of(completed=completed, cause=one.cause), one.cause)
+        writer = result.assignment(case).writer()
+        writer.write(one.rows)
+        writer.close(label_of(completed=completed, cause=one.cause), one.cause)
         result.finish({
             "experiment": "fig7", "seed": seed, "completed": completed, "cases": {"regulation": summarise(one)},
         })  # fmt: skip

@@ -7,7 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from station.devices.netft import LATENCY, Command, Counters, SampleClock, Stream, describe, is_usable, records, request
+from station.devices.netft import (
+    LATENCY,
+    Command,
+    Counters,
+    SampleClock,
+    Stream,
+    describe,
+    follow,
+    is_usable,
+    records,
+    request,
+)
 from tests.fuzz.netft import fuzz
 
 #: The worked record: sequence 1, sample 6433, healthy, 1 N, -2 N, 3 N, 0.01, -0.02, 0.03 N m at 1e6 counts a unit.
@@ -68,7 +79,7 @@ def test_the_compiled_way_takes_exactly_what_the_plain_one_takes(fates):
         elif fate == "noise":
             datagram = bytes(range(36))
         expected = [(sample.time, *sample.counts) for sample in plain.feed(datagram, now)]
-        if both.follow(datagram, now, limits, row):
+        if follow(*both.state, datagram, now, limits, row):
             assert fate not in ("large", "sick", "two", "noise")
             found = [tuple(row.tolist())]
         else:

@@ -10,7 +10,6 @@ from rich.console import Console
 from station.experiments.experiment import Experiment, offered
 from station.experiments.output import ResultFolder, result_table, run_recorded
 from station.experiments.results import summarise
-from station.recording.case_recorder import CaseRecorder
 from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
 from station.robots import RobotFile
@@ -30,10 +29,8 @@ def recording():
 def record(folder: ResultFolder, recording, label: Label = Label.COMPLETE, cause: str = "") -> None:
     """Row by row, as a run does it."""
     writer = folder.assignment(recording.case).writer()
-    recorder = CaseRecorder(writer, len(writer.channels))
-    for row in recording.rows:
-        recorder.write(row)
-    recorder.close(label, cause)
+    writer.write(recording.rows)
+    writer.close(label, cause)
 
 
 def shown(experiment: Experiment, summary: dict, width: int = 110) -> list[str]:
@@ -109,28 +106,40 @@ def test_an_abandoned_folder_keeps_what_was_recorded(tmp_path, experiment, recor
     assert (summary["label"], summary["completed"], summary["experiment"]) == ("interrupted", False, "fig7")
 
 
-def test_a_case_that_was_given_up_is_kept_as_interrupted(tmp_path, experiment, recording):
+def test_a_case_that_breaks_off_is_kept_as_interrupted(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 0)
+    assignment = folder.assignment(recording.case)
 
-    def give_up(done: float) -> None:
-        if done > 0.0:
+    def fails(part: float) -> None:
+        if part > 0.0:
             raise MemoryError
 
     with pytest.raises(MemoryError):
-        run_recorded(folder.assignment(a_case("fig7", "regulation", duration=3.0)), give_up)
+        run_recorded(assignment, fails)
     folder.abandon()
+    read = read_case(folder.path / "regulation.mcap")
 
-    assert read_case(folder.path / "regulation.mcap").label is Label.INTERRUPTED
+    assert read.label is Label.INTERRUPTED
+    assert (read.rows == recording.rows[: len(read.rows)]).all()
+    assert len(read.rows) > 0
 
 
-def test_a_case_carried_out_and_recorded_is_summed_up_from_its_rows(tmp_path, experiment, recording):
+def test_a_recorded_case_has_the_rows_and_the_numbers_of_the_same_case_alone(tmp_path, experiment, recording):
     folder = ResultFolder(tmp_path, experiment, 0)
     done = run_recorded(folder.assignment(recording.case), lambda _: None)
-    folder.finish({}, [done.label])
+    folder.finish({"completed": True}, [done.label])
 
-    assert (done.name, done.completed, done.label) == ("regulation", True, Label.COMPLETE)
     assert (read_case(folder.path / "regulation.mcap").rows == recording.rows).all()
     assert {**done.numbers, "wall_s": 0.0} == {**summarise(recording), "wall_s": 0.0}
+    assert (done.name, done.completed, done.label) == ("regulation", True, Label.COMPLETE)
+
+
+def test_a_recording_that_the_disk_has_ended_makes_the_run_incomplete(tmp_path, experiment, recording):
+    folder = ResultFolder(tmp_path, experiment, 0)
+    record(folder, recording)
+    folder.finish({"completed": True}, [Label.COMPLETE, Label.INCOMPLETE])
+
+    assert json.loads((folder.path / "summary.json").read_text(encoding="utf-8"))["label"] == "incomplete"
 
 
 def test_folders_made_in_the_same_second_do_not_meet(tmp_path, experiment):
