@@ -34,8 +34,7 @@ def stage_units(options: Mapping[str, Any], joints: int) -> Units:
     if options["driver"] != "zaber":
         return {}
     found: dict[str, set[int]] = {}
-    usual = {number: {"device": number} for number in range(1, joints + 1)}
-    stages: Mapping[Any, Any] = options.get("joints") or usual
+    stages: Any = options.get("joints") or {number: {"device": number} for number in range(1, joints + 1)}
     for stage in stages.values():
         found.setdefault(stage.get("port") or options["port"], set()).add(stage["device"])
     return found

@@ -92,7 +92,7 @@ class RestFuzz:
         self.station.rest.post("/api/pull", json={"load": {"kind": "none"}})
         self.station.rest.delete("/api/faults")
         self.station.ready()
-        return self.station.wait_for(lambda status: status["joints"] == self._joints_of(), 10.0)["joints"]
+        return self.station.wait_for(lambda status: status["joints"] == self._joints_of())["joints"]
 
     def _joints_of(self) -> dict[str, float]:
         return self.station.status()["joints"]

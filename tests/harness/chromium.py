@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from playwright.sync_api import Browser, Page
 
 from tests.harness.serving import Served
+from tests.harness.waiting import NET
 
 CHROMIUM = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
@@ -15,6 +16,8 @@ FLAGS = [
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 ]  # fmt: skip
+#: For what a page waits for [ms].
+PATIENCE = 1e3 * NET
 SIZE = {"width": 1280, "height": 720}
 
 
@@ -22,11 +25,12 @@ SIZE = {"width": 1280, "height": 720}
 def bare_page(browser: Browser, station: Served, query: str = "") -> Iterator[Page]:
     """The page of a person of its own, without the scene: it takes a processor to draw."""
     context = browser.new_context(viewport=SIZE)
+    context.set_default_timeout(PATIENCE)
     page = context.new_page()
     page.route("**/viser/**", lambda route: route.abort())
     page.goto(f"{station.url}/{query}")
-    page.locator("#state", has_text="READY").wait_for(timeout=20_000)
-    page.locator(".card").first.wait_for(timeout=60_000)
+    page.locator("#state", has_text="READY").wait_for()
+    page.locator(".card").first.wait_for()
     try:
         yield page
     finally:

@@ -10,38 +10,37 @@ import signal
 import statistics
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 from station.realtime import ask_for_fifo
 from tests.harness.lone_station import LoneStation, lone_station
+from tests.harness.waiting import until
 from tests.harness.watched_lab import WatchedLab
 
 WHOM = ("control", "station", "recorder")
 
 
-def until_moving(station: LoneStation) -> None:
-    """Start a run and wait until it moves; a busy machine may hold it on its way."""
-    deadline = time.monotonic() + 60.0
-    while (status := station.ask("status"))["phase"] != "MOVING":
-        assert time.monotonic() < deadline, status
-        if status["state"] != "RUNNING":
-            back(station)
-            station.ask("start")
-        time.sleep(0.05)
+def until_moving(station: LoneStation, lab: WatchedLab | None = None) -> None:
+    """Start a run and wait until it moves, and until the stages of a watched lab do."""
+    assert station.ask("start")["refused"] == ""
+
+    def moving() -> bool:
+        status = station.ask("status")
+        assert status["state"] == "RUNNING", status
+        return status["phase"] == "MOVING" and (lab is None or lab.moving())
+
+    until(moving)
 
 
 def kill(station: LoneStation, lab: WatchedLab, whom: str, after: float) -> float:
     """Kill one of its processes `after` [s] of motion: the time until the last stage was told to stop [s]."""
-    while True:
-        until_moving(station)
-        pid = station.process.pid if whom == "station" else station.child(whom).pid
-        time.sleep(after)
-        if lab.notes()[-1].moving:
-            break  # a busy machine may have held it meanwhile
+    until_moving(station, lab)
+    pid = station.process.pid if whom == "station" else station.child(whom).pid
+    lab.clock.sleep(after)
+    until(lab.moving)
     # Between the two lines nobody may take our turn.
     ask_for_fifo(60)
-    begin = time.monotonic()
+    begin = lab.clock.now()
     os.kill(pid, signal.SIGKILL)
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     return lab.told(begin)
@@ -49,12 +48,14 @@ def kill(station: LoneStation, lab: WatchedLab, whom: str, after: float) -> floa
 
 def back(station: LoneStation) -> None:
     """READY again, after whatever it was."""
-    deadline = time.monotonic() + 60.0
-    while (status := station.ask("status"))["state"] != "READY":
-        assert time.monotonic() < deadline, status
+
+    def ready() -> bool:
+        status = station.ask("status")
         if status["state"] in ("HOLD", "STOPPED", "FAULT"):
             station.ask("reset")
-        time.sleep(0.1)
+        return status["state"] == "READY"
+
+    until(ready)
 
 
 def main() -> None:
@@ -65,7 +66,7 @@ def main() -> None:
         for whom in sys.argv[3:] or WHOM:
             took: list[float] = []
             while len(took) < times:
-                with tempfile.TemporaryDirectory() as folder, lone_station(Path(folder), lab.endpoints) as station:
+                with tempfile.TemporaryDirectory() as folder, lone_station(Path(folder), lab) as station:
                     while len(took) < times:
                         took.append(kill(station, lab, whom, chance.uniform(0.1, 2.0)))
                         if whom != "control":

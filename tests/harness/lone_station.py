@@ -1,4 +1,4 @@
-"""A station without a web server, as a process for tests: `python -m tests.harness.lone_station FOLDER [ENDPOINTS]`.
+"""A station without a web server, as a process for tests: `python -m tests.harness.lone_station FOLDER RATE ENDPOINTS`.
 
 It answers each line of its input with a line of JSON: `start`, `stop`, `home`, `reset` and
 `status`; it ends with its input.
@@ -17,11 +17,15 @@ from typing import Any
 import psutil
 
 from core.errors import CtrError
+from station.clock import StationClock
 from station.desk import Desk
 from station.lab.live_bench import lab_bench
 from station.station_file import load_station
 from station.supervisor import Supervisor
+from tests.harness.calm import CLOCK, SETTINGS
 from tests.harness.root import ROOT
+from tests.harness.waiting import NET
+from tests.harness.watched_lab import WatchedLab
 
 
 class LoneStation:
@@ -47,17 +51,16 @@ class LoneStation:
         """Close its input; it ends by itself."""
         if self.process.stdin is not None:
             self.process.stdin.close()
-        self.process.wait(20.0)
+        self.process.wait(NET)
         if self.process.stdout is not None:
             self.process.stdout.close()
 
 
 @contextmanager
-def lone_station(folder: Path, endpoints: Any = None) -> Iterator[LoneStation]:
-    """One that is READY: on the devices at `endpoints`, or on a virtual lab of its own."""
-    command = [sys.executable, "-m", "tests.harness.lone_station", str(folder)]
-    if endpoints is not None:
-        command.append(json.dumps(endpoints))
+def lone_station(folder: Path, lab: WatchedLab | None = None, clock: StationClock = CLOCK) -> Iterator[LoneStation]:
+    """One that is READY: on a lab that somebody watches, in its time, or on a virtual lab of its own."""
+    rate, endpoints = (clock.rate, None) if lab is None else (lab.clock.rate, lab.endpoints)
+    command = [sys.executable, "-m", "tests.harness.lone_station", str(folder), str(rate), json.dumps(endpoints)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     station = LoneStation(process)
     try:
@@ -69,10 +72,14 @@ def lone_station(folder: Path, endpoints: Any = None) -> Iterator[LoneStation]:
 
 def main() -> None:
     """The station's side."""
-    bench = load_station(None).bench()
-    if len(sys.argv) > 2:
-        bench = replace(bench, devices=lab_bench(json.loads(sys.argv[2]), bench.lab))
-    supervisor = Supervisor(bench, Path(sys.argv[1]))
+    folder, rate, endpoints = sys.argv[1], float(sys.argv[2]), json.loads(sys.argv[3])
+    # A fifth of the periods in 10 s: less than other programs take, and little enough to be brought about.
+    calm = {"overruns": {**SETTINGS["overruns"], "hold_share": 0.2}}
+    bench = load_station(None, calm if rate < 1.0 else {}).bench()
+    bench = replace(bench, clock=StationClock(rate))
+    if endpoints is not None:
+        bench = replace(bench, devices=lab_bench(endpoints, bench.lab))
+    supervisor = Supervisor(bench, Path(folder))
     try:
         supervisor.wait_ready(120.0)
         _settled(supervisor)

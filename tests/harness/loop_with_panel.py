@@ -10,8 +10,9 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from playwright.sync_api import sync_playwright
 
@@ -32,10 +33,10 @@ DRAWN, MOVING = 10.0, 5.0
 
 
 @contextmanager
-def _served(arguments: Sequence[str]) -> Iterator[tuple[Served, str]]:
+def _served(settings: str) -> Iterator[tuple[Served, str]]:
     """A station and the name of its shared memory."""
     others = shared_memory()
-    with serving(*arguments) as station:
+    with serving(settings=settings, calm="") as station:
         yield station, (shared_memory() - others).pop()
 
 
@@ -46,8 +47,8 @@ def main() -> None:
     parser.add_argument("--config", help="station file of the paper's robot")
     parsed = parser.parse_args()
     core = max(os.sched_getaffinity(0))
-    arguments = ("--config", parsed.config) if parsed.config else ()
-    with Witness(core) as witness, sync_playwright() as playwright, _served(arguments) as (station, ring_name):
+    settings = Path(parsed.config).read_text(encoding="utf-8") if parsed.config else ""
+    with Witness(core) as witness, sync_playwright() as playwright, _served(settings) as (station, ring_name):
         station.ready()
         ring = Ring(ring_width(load_robot("paper")), ring_name)
         page = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS).new_page(viewport=SIZE)

@@ -14,7 +14,9 @@ from typing import Any
 import httpx
 import psutil
 
+from tests.harness.calm import SETTINGS
 from tests.harness.root import ROOT
+from tests.harness.waiting import NET, until
 
 
 class Served:
@@ -26,7 +28,7 @@ class Served:
         self.url = f"http://127.0.0.1:{port}"
         self.tokens = tokens  #: the viewers', then the operators'; none on loopback
         headers = {"authorization": f"Bearer {tokens[-1]}"} if tokens else {}
-        self.rest = httpx.Client(base_url=self.url, timeout=10.0, headers=headers)
+        self.rest = httpx.Client(base_url=self.url, timeout=NET, headers=headers)
 
     def status(self) -> dict[str, Any]:
         answer = self.rest.get("/api/status")
@@ -36,15 +38,17 @@ class Served:
     def post(self, path: str, body: Any = None) -> httpx.Response:
         return self.rest.post(path, json={} if body is None else body)
 
-    def wait_for(self, what: Any, timeout: float) -> dict[str, Any]:
+    def wait_for(self, what: Any) -> dict[str, Any]:
         """The first status for which `what(status)` holds."""
-        deadline = time.monotonic() + timeout
-        while True:
-            status = self.status()
-            if what(status):
-                return status
-            assert time.monotonic() < deadline, f"not within {timeout} s: {status}"
-            time.sleep(0.02)
+        status: dict[str, Any] = {}
+
+        def holds() -> bool:
+            status.clear()
+            status.update(self.status())
+            return what(status)
+
+        until(holds, status)
+        return status
 
     def ready(self) -> None:
         """READY and without an operator, whatever came before."""
@@ -53,10 +57,10 @@ class Served:
             self.post("/api/stop")
         if self.status()["state"] in ("STOPPED", "HOLD", "FAULT"):
             self.post("/api/reset")
-        status = self.wait_for(lambda status: status["state"] in ("READY", "CONNECTED") and not status["stale"], 20.0)
+        status = self.wait_for(lambda status: status["state"] in ("READY", "CONNECTED") and not status["stale"])
         if status["state"] == "CONNECTED":
             self.post("/api/home", {"way_is_clear": True})
-        status = self.wait_for(lambda status: status["state"] == "READY" and not status["stale"], 100.0)
+        status = self.wait_for(lambda status: status["state"] == "READY" and not status["stale"])
         if abs(status["joints"]["inner_translation"] + 0.1) > 0.02:
             self._go_to_the_usual_pose()
         self.rest.delete("/api/operator")
@@ -64,10 +68,10 @@ class Served:
     def _go_to_the_usual_pose(self) -> None:
         """By the way to an experiment's start, for instance after homing."""
         assert self.post("/api/start", {"experiment": "fig7"}).status_code == 202
-        self.wait_for(lambda status: status["phase"] in ("settling", "moving"), 40.0)
+        self.wait_for(lambda status: status["phase"] in ("settling", "moving"))
         self.post("/api/stop")
         self.post("/api/reset")
-        self.wait_for(lambda status: status["state"] == "READY", 10.0)
+        self.wait_for(lambda status: status["state"] == "READY")
 
     def child(self, name: str) -> psutil.Process:
         """Its child that is listed under that name: ctr-control, ctr-lab, ctr-recorder."""
@@ -85,7 +89,7 @@ class Served:
         self.rest.close()
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        return self.process.wait(15.0)
+        return self.process.wait(NET)
 
 
 def free_port() -> int:
@@ -99,23 +103,23 @@ def shared_memory() -> set[str]:
     return {path.name for path in folder.glob("psm_*")}
 
 
-#: Other tests' browsers take the time of a computer that a bench would have for itself.
-PATIENT = "[overruns]\nhold_in_a_row = 1000\nhold_share = 1.0\nfault_in_a_row = 5000\n"
+#: As a station's file has it.
+CALM = "".join(
+    f"[{table}]\n" + "".join(f"{key} = {value}\n" for key, value in keys.items()) for table, keys in SETTINGS.items()
+)
 
 
 @contextmanager
-def serving(*arguments: str) -> Iterator[Served]:
-    """A station that bears a busy computer, unless it is given a configuration."""
+def serving(*arguments: str, settings: str = "", calm: str = CALM) -> Iterator[Served]:
+    """A station with these settings of its file, which bears a busy computer."""
     port = free_port()
     command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", str(port)]
     with tempfile.TemporaryDirectory() as data, Path(data, "said.txt").open("w+", encoding="utf-8") as said:
-        if "--config" not in arguments:
-            config = Path(data, "patient.toml")
-            config.write_text(PATIENT, encoding="utf-8")
-            arguments = ("--config", str(config), *arguments)
+        config = Path(data, "station.toml")
+        config.write_text(settings + calm, encoding="utf-8")
         # Into a file: a pipe that nobody empties would stop a station that has much to say.
         process = subprocess.Popen(
-            [*command, "--data", data, *arguments],
+            [*command, "--config", str(config), "--data", data, *arguments],
             stdout=said,
             stderr=subprocess.STDOUT,
             cwd=ROOT,
@@ -147,11 +151,10 @@ def _until_started(process: "subprocess.Popen[bytes]", said: Path) -> str:
 
 
 def _until_answering(served: Served) -> None:
-    deadline = time.monotonic() + 10.0
-    while True:
+    def answers() -> bool:
         try:
-            served.status()
-            break
+            return bool(served.status())
         except httpx.TransportError:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+            return False
+
+    until(answers)

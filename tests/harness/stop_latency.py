@@ -15,13 +15,11 @@ import select
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -133,45 +131,46 @@ def watch(port: int) -> None:
 def measure(presses: int) -> np.ndarray:
     """Latencies (presses,) [ms]."""
     found: list[float] = []
-    with lab() as there, tempfile.TemporaryDirectory() as folder:
+    with lab() as there:
         address = there["zaber"].removeprefix("socket://").split(":")
-        with relayed((address[0], int(address[1]))) as told:
-            config = Path(folder, "bench.toml")
-            config.write_text(_bench(there, told.recv()))
-            with serving("--config", str(config)) as station, sync_playwright() as playwright:
-                station.ready()
-                viewers = [
-                    multiprocessing.get_context("spawn").Process(target=watch, args=(station.port,), daemon=True)
-                    for _ in range(VIEWERS)
-                ]
-                for viewer in viewers:
-                    viewer.start()
-                time.sleep(5.0)
-                browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-                with bare_page(browser, station) as page:
-                    page.evaluate(
-                        "() => document.getElementById('stop').addEventListener('pointerdown',"
-                        " (event) => { window.pressed = performance.timeOrigin + event.timeStamp; }, true)"
-                    )
-                    while len(found) < presses:
-                        station.ready()
-                        assert station.post("/api/start", RUN).status_code == 202
-                        status = station.wait_for(lambda s: s["phase"] == "moving" or s["state"] != "RUNNING", 30.0)
-                        if status["state"] != "RUNNING":
-                            print(f"not counted, the run ended by itself: {status['cause']}")  # noqa: T201
-                            continue
-                        time.sleep(0.3)
-                        heard(told)
-                        page.locator("#stop").click()
-                        station.wait_for(lambda s: s["state"] == "STOPPED", 5.0)
-                        time.sleep(0.2)
-                        pressed = 1e-3 * float(page.evaluate("() => window.pressed"))
-                        stops = heard(told)
-                        found.append(1e3 * (stops[min(AXES, len(stops)) - 1] - pressed))
-                browser.close()
-                for viewer in viewers:
-                    viewer.terminate()
-                    viewer.join()
+        with (
+            relayed((address[0], int(address[1]))) as told,
+            serving(settings=_bench(there, told.recv()), calm="") as station,
+            sync_playwright() as playwright,
+        ):
+            station.ready()
+            viewers = [
+                multiprocessing.get_context("spawn").Process(target=watch, args=(station.port,), daemon=True)
+                for _ in range(VIEWERS)
+            ]
+            for viewer in viewers:
+                viewer.start()
+            time.sleep(5.0)
+            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+            with bare_page(browser, station) as page:
+                page.evaluate(
+                    "() => document.getElementById('stop').addEventListener('pointerdown',"
+                    " (event) => { window.pressed = performance.timeOrigin + event.timeStamp; }, true)"
+                )
+                while len(found) < presses:
+                    station.ready()
+                    assert station.post("/api/start", RUN).status_code == 202
+                    status = station.wait_for(lambda s: s["phase"] == "moving" or s["state"] != "RUNNING")
+                    if status["state"] != "RUNNING":
+                        print(f"not counted, the run ended by itself: {status['cause']}")  # noqa: T201
+                        continue
+                    time.sleep(0.3)
+                    heard(told)
+                    page.locator("#stop").click()
+                    station.wait_for(lambda s: s["state"] == "STOPPED")
+                    time.sleep(0.2)
+                    pressed = 1e-3 * float(page.evaluate("() => window.pressed"))
+                    stops = heard(told)
+                    found.append(1e3 * (stops[min(AXES, len(stops)) - 1] - pressed))
+            browser.close()
+            for viewer in viewers:
+                viewer.terminate()
+                viewer.join()
     return np.array(found)
 
 

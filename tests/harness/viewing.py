@@ -1,24 +1,19 @@
 """A view on a live station."""
 
 import logging
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-import numpy as np
 import viser
 
-from station.control_process import Bench
 from station.desk import Desk
-from station.experiments.experiment import ControllerFile
-from station.lab.config import LabConfig
-from station.robots import load_robot
 from station.states import State
+from station.station_file import load_station
 from station.supervisor import Supervisor
+from tests.harness.calm import SETTINGS
+from tests.harness.waiting import NET, until
 from web.view import View
-
-READY_TIME = 60.0  # [s]
 
 
 class Viewed(NamedTuple):
@@ -37,20 +32,20 @@ class Viewed(NamedTuple):
             self.supervisor.stop()
         if self.supervisor.status().state not in (State.READY, State.CONNECTED):
             self.supervisor.reset()
-            wait_for(lambda: self.supervisor.status().state in (State.READY, State.CONNECTED))
+            until(lambda: self.supervisor.status().state in (State.READY, State.CONNECTED))
         if self.supervisor.status().state is State.CONNECTED:
             self.supervisor.home()
-        wait_for(lambda: self.supervisor.status().state is State.READY, 60.0)
+        until(lambda: self.supervisor.status().state is State.READY)
 
 
 @contextmanager
 def viewing() -> Iterator[Viewed]:
-    bench = Bench(load_robot("paper"), LabConfig(), 0, (0.0, np.pi / 2, -0.1), ControllerFile())
+    bench = load_station(None, SETTINGS).bench()
     supervisor = Supervisor(bench)
     failures = _Failures(logging.ERROR)
     logging.getLogger("web.view").addHandler(failures)
     try:
-        supervisor.wait_ready(READY_TIME)
+        supervisor.wait_ready(NET)
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
             desk = Desk(supervisor)
@@ -76,10 +71,3 @@ class _Failures(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self.texts.append(self.format(record))
-
-
-def wait_for(condition: Callable[[], object], timeout: float = 20.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.02)

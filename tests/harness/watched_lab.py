@@ -1,21 +1,22 @@
 """The virtual lab in a process of its own that no station owns, and that notes what its stages were told and when.
 
-Times are by `time.monotonic`, which all processes of a machine share: what a stage was told counts from when
+Times are by a station's clock, which all processes of a machine share: what a stage was told counts from when
 the last byte of the message had gone over its line.
 """
 
 import multiprocessing
-import time
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from station.clock import REAL_TIME, StationClock
 from station.devices.zaber import Status
 from station.lab.open_lab import OpenLab
 from station.realtime import ask_for_fifo
 from station.station_file import load_station
+from tests.harness.waiting import NET, until
 
 
 class Note(NamedTuple):
@@ -33,10 +34,12 @@ class Note(NamedTuple):
 class WatchedLab:
     """Use it as a context."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: StationClock = REAL_TIME) -> None:
+        """`clock`: of the station that will drive it."""
+        self.clock = clock
         context = multiprocessing.get_context("spawn")
         self._pipe, child = context.Pipe()
-        self._process = context.Process(target=_run, args=(child,), name="watched lab")
+        self._process = context.Process(target=_run, args=(child, clock), name="watched lab")
         self._process.start()
         child.close()
         self.endpoints: Mapping[str, Any] = self._pipe.recv()
@@ -46,27 +49,34 @@ class WatchedLab:
         self._pipe.send("notes")
         return self._pipe.recv()
 
+    def moving(self) -> bool:
+        """Whether a stage moves now."""
+        notes = self.notes()
+        return bool(notes) and notes[-1].moving
+
     def told(self, since: float) -> float:
-        """How long after `since` [s] the last stage was told to stop; 0 when none was moving then. Waits for it."""
-        deadline = time.monotonic() + 5.0
-        while True:
-            notes = self.notes()
-            before = [note for note in notes if note.time <= since][-1:]
-            after = [note for note in notes if note.time > since]
-            if not before or not before[-1].moving:
-                return 0.0
-            if after and not after[-1].moving and time.monotonic() - after[-1].time > 0.3:
-                last = max((i for i, note in enumerate(after) if note.moving), default=-1)
-                return after[last + 1].time - since
-            assert time.monotonic() < deadline, f"the stages go on: {after[-5:]}"
-            time.sleep(0.05)
+        """How long after `since` [s], when one was moving, the last stage was told to stop [s]. Waits for it."""
+        before = [note for note in self.notes() if note.time <= since]
+        assert before, "nothing is known of that time"
+        assert before[-1].moving, "no stage was moving then"
+
+        def stopped() -> float | None:
+            after = [note for note in self.notes() if note.time > since]
+            if not after or after[-1].moving or self.clock.now() - after[-1].time < 0.3:
+                return None
+            last = max((i for i, note in enumerate(after) if note.moving), default=-1)
+            return after[last + 1].time - since
+
+        found = until(stopped, "a stop of every stage")
+        assert found is not None
+        return found
 
     def __enter__(self) -> "WatchedLab":
         return self
 
     def __exit__(self, *_: object) -> None:
         self._pipe.send(None)
-        self._process.join(5.0)
+        self._process.join(NET)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
@@ -74,10 +84,10 @@ class WatchedLab:
         self._pipe.close()
 
 
-def _run(pipe: Connection) -> None:
+def _run(pipe: Connection, clock: StationClock) -> None:
     bench = load_station(None).bench()
     notes: list[Note] = []
-    with OpenLab(bench.robot, bench.lab, 0, np.array(bench.park), homed=True) as lab:
+    with OpenLab(bench.robot, bench.lab, 0, np.array(bench.park), homed=True, clock=clock) as lab:
         ask_for_fifo(40)
         pipe.send(lab.endpoints)
 

@@ -12,9 +12,9 @@ from tests.harness.root import ROOT
 from tests.harness.serving import Served, serving
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def running() -> Iterator[Served]:
-    """A station that a module shares."""
+    """The station that all share who leave it READY."""
     with serving() as served:
         yield served
 

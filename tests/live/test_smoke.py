@@ -5,22 +5,21 @@ from pathlib import Path
 from station.client import Station
 from station.recording.label import Label
 from station.recording.read import read_case
-from tests.harness.serving import serving
+from tests.harness.serving import Served
 
 CIRCLE = {"kind": "circle", "radius": 0.005, "period": 8.0}
 
 
-def test_a_circle_is_started_stopped_and_read_back(tmp_path: Path) -> None:
-    with serving() as served:
-        served.ready()
-        with Station(served.url) as station:
-            run = station.start(trajectory=CIRCLE, duration=3600.0)
-            moving = served.wait_for(lambda status: status["phase"] == "moving", 120.0)
-            assert moving["state"] == "RUNNING"
-            station.stop()
-            assert station.status()["state"] == "STOPPED"
-            station.reset()  # its recording is finished by then
-            read = read_case(station.download(run, tmp_path / "circle.mcap"))
+def test_a_circle_is_started_stopped_and_read_back(running: Served, tmp_path: Path) -> None:
+    running.ready()
+    with Station(running.url) as station:
+        run = station.start(trajectory=CIRCLE, duration=3600.0)
+        moving = running.wait_for(lambda status: status["phase"] == "moving")
+        assert moving["state"] == "RUNNING"
+        station.stop()
+        assert station.status()["state"] == "STOPPED"
+        station.reset()  # its recording is finished by then
+        read = read_case(station.download(run, tmp_path / "circle.mcap"))
 
     assert read.label is Label.STOPPED
     assert len(read.rows) > 0

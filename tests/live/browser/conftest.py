@@ -46,8 +46,8 @@ def open_page(running: Served, browser: Browser) -> Iterator[Page]:
     page = browser.new_page(viewport=SIZE)
     page.goto(running.url)
     scene = page.frame_locator("#scene")
-    scene.get_by_text("desired tip").first.wait_for(timeout=60_000)
-    scene.locator("canvas").first.wait_for(timeout=60_000)
+    scene.get_by_text("desired tip").first.wait_for()
+    scene.locator("canvas").first.wait_for()
     page.wait_for_timeout(4000)
     for notice in scene.locator(".mantine-Notification-closeButton").all():
         notice.click()  # that there is no graphics card, over a part of the picture
@@ -57,7 +57,7 @@ def open_page(running: Served, browser: Browser) -> Iterator[Page]:
 
 @pytest.fixture
 def page(station: Served, open_page: Page) -> Page:
-    open_page.locator("#state", has_text="READY").wait_for(timeout=10_000)
+    open_page.locator("#state", has_text="READY").wait_for()
     return open_page
 
 

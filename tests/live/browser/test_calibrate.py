@@ -42,7 +42,7 @@ def calibrate(page: Page) -> Page:
     back = page.get_by_role("button", name="all procedures")
     if back.count():
         back.click()
-    page.locator("#calibrate .card", has_text="Axes").wait_for(timeout=10_000)
+    page.locator("#calibrate .card", has_text="Axes").wait_for()
     return page
 
 
@@ -61,26 +61,26 @@ def begin(page: Page, card: str, picture: Picture | None = None) -> None:
     assert dialog.get_by_role("button", name="Start", exact=True).is_disabled()
     dialog.get_by_role("checkbox").check()
     dialog.get_by_role("button", name="Start", exact=True).click()
-    page.locator("#course progress").wait_for(timeout=10_000)
+    page.locator("#course progress").wait_for()
 
 
 def test_the_force_sensors_are_calibrated_by_hand_and_eye(calibrate: Page, station: Served, picture: Picture) -> None:
     page = calibrate
     picture(page, "calibrate")
     begin(page, "Force sensors", picture)
-    page.locator("#course .task:visible, #course .ended:visible").wait_for(timeout=400_000)
+    page.locator("#course .task:visible, #course .ended:visible").wait_for()
     assert "Hang a weight of 0.5 N at the tip." in page.locator("#course").inner_text()
     picture(page, "calibrate_ask")
     # The button is where the keyboard is: a person's hands are at the tip.
     page.get_by_role("button", name="Done, it hangs there").wait_for()
     page.keyboard.press("Enter")
-    page.locator("#course", has_text="pose").wait_for(timeout=20_000)
+    page.locator("#course", has_text="pose").wait_for()
     assert "%" in page.locator("#course").inner_text()
     picture(page, "calibrate_pose")
-    page.get_by_role("button", name="Done, it is off").click(timeout=400_000)
-    page.locator("#course .ended", has_text="done").wait_for(timeout=400_000)
+    page.get_by_role("button", name="Done, it is off").click()
+    page.locator("#course .ended", has_text="done").wait_for()
     page.get_by_role("button", name="What was found").click()
-    page.locator("#found").wait_for(timeout=10_000)
+    page.locator("#found").wait_for()
     assert "The weight of 0.5 N was measured as" in page.locator("#calibrate").inner_text()
     picture(page, "calibrate_found")
     report = page.get_by_role("link", name="Report with figures").get_attribute("href")
@@ -103,28 +103,28 @@ def test_an_abort_leaves_nothing_and_says_so(calibrate: Page, station: Served, p
     page = calibrate
     before = station.rest.get("/api/calibration/results").json()
     begin(page, "Axes")
-    station.wait_for(lambda status: status["state"] == "RUNNING", 60.0)
+    station.wait_for(lambda status: status["state"] == "RUNNING")
     page.get_by_role("button", name="Abort").click()
-    page.locator("#course .ended", has_text="aborted by the operator").wait_for(timeout=10_000)
-    page.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+    page.locator("#course .ended", has_text="aborted by the operator").wait_for()
+    page.locator("#state", has_text="STOPPED").wait_for()
     picture(page, "calibrate_aborted")
     page.get_by_role("button", name="All right").click()
     assert page.locator("#course .ended").is_hidden()
     assert station.rest.get("/api/calibration/results").json() == before
     page.locator("#calibrate .card", has_text="Axes").click()
-    page.locator("#calibrate", has_text="not while STOPPED").wait_for(timeout=5000)
+    page.locator("#calibrate", has_text="not while STOPPED").wait_for()
     assert page.get_by_role("button", name="Start: ").is_disabled()
     page.locator("#reset").click()
-    page.locator("#state", has_text="READY").wait_for(timeout=10_000)
+    page.locator("#state", has_text="READY").wait_for()
     page.wait_for_function("() => !document.querySelector('#calibrate button.main[type=submit]').disabled")
 
 
 def test_shift_space_ends_it(calibrate: Page, station: Served) -> None:
     page = calibrate
     begin(page, "Latency")
-    station.wait_for(lambda status: status["state"] == "RUNNING", 60.0)
+    station.wait_for(lambda status: status["state"] == "RUNNING")
     page.keyboard.press("Shift+Space")
-    page.locator("#course .ended", has_text="STOPPED").wait_for(timeout=10_000)
+    page.locator("#course .ended", has_text="STOPPED").wait_for()
     page.get_by_role("button", name="All right").click()
 
 
@@ -132,14 +132,14 @@ def test_other_tubes_give_a_checklist(calibrate: Page, picture: Picture) -> None
     page = calibrate
     page.locator("#calibrate .card", has_text="Tube exchange").click()
     page.get_by_label("robot with the new tubes").select_option("three_tubes")
-    page.locator(".todo li", has_text="EI, curvature").wait_for(timeout=5000)
+    page.locator(".todo li", has_text="EI, curvature").wait_for()
     assert "power off" in page.locator(".todo li").first.inner_text()
     picture(page, "calibrate_exchange")
     text = (PRESETS / "robots" / "paper.toml").read_text(encoding="utf-8")
     page.get_by_label("robot's file").set_input_files(
         {"name": "own.toml", "mimeType": "application/toml", "buffer": text.encode()}
     )
-    page.locator(".todo li", has_text="coil was taken off").wait_for(timeout=5000)
+    page.locator(".todo li", has_text="coil was taken off").wait_for()
     page.locator(".todo").get_by_role("button", name="Tracker").click()
     page.get_by_role("button", name="Start: Tracker").wait_for()
 

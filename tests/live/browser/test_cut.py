@@ -26,7 +26,7 @@ def cut_page(station: Served, wire: Relay) -> Iterator[Page]:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS, rule])
         page = browser.new_page(viewport=SIZE)
         page.goto(f"http://localhost:{station.port}/")
-        page.frame_locator("#scene").get_by_text("desired tip").first.wait_for(timeout=60_000)
+        page.frame_locator("#scene").get_by_text("desired tip").first.wait_for()
         yield page
         browser.close()
 
@@ -35,18 +35,18 @@ def test_the_scene_says_that_it_is_cut_off_and_comes_back_by_itself_and_stop_wor
     cut_page: Page, station: Served, wire: Relay
 ) -> None:
     page, said = cut_page, cut_page.locator("#scene-cut")
-    page.locator("#state", has_text="READY").wait_for(timeout=10_000)
+    page.locator("#state", has_text="READY").wait_for()
     assert wire.scenes == 1
     assert said.is_hidden()
     station.post("/api/start", HOLD)
-    page.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+    page.locator("#state", has_text="RUNNING").wait_for()
     wire.cut()
-    said.wait_for(timeout=15_000)
+    said.wait_for()
     assert "STOP" in said.inner_text()
     page.locator("#stop").click()
-    page.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+    page.locator("#state", has_text="STOPPED").wait_for()
     assert "stale" not in str(page.locator("body").get_attribute("class"))
     wire.mend()
-    said.wait_for(state="hidden", timeout=40_000)
+    said.wait_for(state="hidden")
     assert wire.scenes > 1
-    page.frame_locator("#scene").get_by_text("desired tip").first.wait_for(timeout=10_000)
+    page.frame_locator("#scene").get_by_text("desired tip").first.wait_for()

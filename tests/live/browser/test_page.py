@@ -70,7 +70,7 @@ def test_the_robot_moves_in_pixels_and_in_numbers(page: Page, station: Served, p
         page.wait_for_timeout(500)
         noise.append(changed(still, pixels(page)))
     assert station.post("/api/start", CIRCLE).status_code == 202
-    station.wait_for(lambda s: s["phase"] == "moving", 10.0)
+    station.wait_for(lambda s: s["phase"] == "moving")
     before = np.array(station.status()["tip_true"])
     first = pixels(page)
     page.wait_for_timeout(5000)
@@ -85,23 +85,23 @@ def test_the_robot_moves_in_pixels_and_in_numbers(page: Page, station: Served, p
 def test_the_header_stops_the_robot_and_reset_makes_it_ready(page: Page, station: Served) -> None:
     station.post("/api/start", CIRCLE)
     station.rest.delete("/api/operator")
-    page.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+    page.locator("#state", has_text="RUNNING").wait_for()
     page.locator("#stop").click()
-    page.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+    page.locator("#state", has_text="STOPPED").wait_for()
     assert station.status()["state"] == "STOPPED"
     assert "operator" in page.locator("#says").inner_text()
     page.locator("#reset").click()
-    page.locator("#state", has_text="READY").wait_for(timeout=5000)
+    page.locator("#state", has_text="READY").wait_for()
 
 
 def test_shift_space_stops_with_the_focus_on_the_page_and_in_the_scene(page: Page, station: Served) -> None:
     for x, y in ((600, 30), (450, 600)):  # the header; the floor in the scene
         station.ready()
         station.post("/api/start", CIRCLE)
-        page.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+        page.locator("#state", has_text="RUNNING").wait_for()
         page.mouse.click(x, y)
         page.keyboard.press("Shift+Space")
-        page.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+        page.locator("#state", has_text="STOPPED").wait_for()
 
 
 def test_a_view_is_chosen(page: Page) -> None:
@@ -174,20 +174,20 @@ def test_a_target_is_dragged_judged_and_gone_to(page: Page, station: Served, pic
         page.wait_for_timeout(1500)
         tip = np.array(target(station)["position"])
         drag(page, tip, TARGET_SIZE, 0, -0.13)
-        page.locator("#target-says", has_text="✗").wait_for(timeout=5000)
+        page.locator("#target-says", has_text="✗").wait_for()
         assert page.locator("#go").is_disabled()
         far = np.array(target(station)["position"])
         assert far[0] - tip[0] < -0.1
         assert np.abs(far - tip)[1:].max() < 1e-6
         drag(page, far, TARGET_SIZE, 0, tip[0] - far[0] + 0.008)
         drag(page, np.array(target(station)["position"]), TARGET_SIZE, 2, -0.004)
-        page.locator("#target-says", has_text="✓").wait_for(timeout=5000)
+        page.locator("#target-says", has_text="✓").wait_for()
         goal = np.array(target(station)["position"])
         assert goal[0] - tip[0] > 0.004
         picture(page, "target")
         page.locator("#go").click()
-        station.wait_for(lambda s: s["state"] == "RUNNING", 10.0)
-        station.wait_for(lambda s: s["state"] == "READY", 40.0)
+        station.wait_for(lambda s: s["state"] == "RUNNING")
+        station.wait_for(lambda s: s["state"] == "READY")
         assert 1e3 * np.linalg.norm(np.array(station.status()["tip_true"]) - goal) < 1.0
     finally:
         box.uncheck()
@@ -195,7 +195,7 @@ def test_a_target_is_dragged_judged_and_gone_to(page: Page, station: Served, pic
 
 def test_a_hand_pulls_at_the_tip_and_the_controller_answers(page: Page, station: Served, picture: Picture) -> None:
     assert station.post("/api/start", HOLD).status_code == 202
-    station.wait_for(lambda s: s["phase"] == "moving", 10.0)
+    station.wait_for(lambda s: s["phase"] == "moving")
     station.rest.delete("/api/operator")
     box = page.locator("#switches input[name=force]")
     with page.expect_response("**/api/scene"):
@@ -205,7 +205,7 @@ def test_a_hand_pulls_at_the_tip_and_the_controller_answers(page: Page, station:
         before = station.status()
         force = np.mean([station.status()["force"] for _ in range(40)], axis=0)  # the handle is at the mean's end
         drag(page, np.array(before["tip_measured"]) + ARROW * force, FORCE_SIZE, 0, 0.02)
-        pulled = station.wait_for(lambda s: s["force"][0] > 0.1, 5.0)
+        pulled = station.wait_for(lambda s: s["force"][0] > 0.1)
         picture(page, "hand")
         # The tip is held although it is pulled at: by joints that have moved.
         held = station.wait_for(
@@ -217,7 +217,7 @@ def test_a_hand_pulls_at_the_tip_and_the_controller_answers(page: Page, station:
         assert max(moved) > 0.01
     finally:
         box.uncheck()
-    station.wait_for(lambda s: abs(s["force"][0]) < 0.1, 5.0)
+    station.wait_for(lambda s: abs(s["force"][0]) < 0.1)
 
 
 # ---- what touches the shaft, and the colours of the page
@@ -235,16 +235,16 @@ def test_a_touched_shaft_is_marked_and_told(page: Page, station: Served, picture
     load = {"kind": "contact", "magnitude": 0.3, "place": 0.1, "direction": [0.0, 1.0, 0.3]}
     station.post("/api/pull", {"load": load})
     try:
-        page.locator("#mind", has_text="load not at the tip").wait_for(timeout=10_000)
+        page.locator("#mind", has_text="load not at the tip").wait_for()
         page.wait_for_timeout(1500)
         picture(page, "contact")
         assert orange(page) > before + 60
         page.locator("#mind").click()
-        page.locator("#faults", has_text="the load does not act at the tip: contact at").wait_for(timeout=5000)
+        page.locator("#faults", has_text="the load does not act at the tip: contact at").wait_for()
     finally:
         station.post("/api/pull", {"load": {"kind": "none"}})
         page.locator("#tab-start").click()
-    page.locator("#mind", has_text="load not at the tip").wait_for(state="hidden", timeout=10_000)
+    page.locator("#mind", has_text="load not at the tip").wait_for(state="hidden")
 
 
 def test_the_scene_follows_the_page_into_the_dark_and_back(page: Page, picture: Picture) -> None:
@@ -254,13 +254,13 @@ def test_the_scene_follows_the_page_into_the_dark_and_back(page: Page, picture: 
     assert back() > 200
     page.emulate_media(color_scheme="dark")
     try:
-        scene(page).get_by_text("desired tip").first.wait_for(timeout=60_000)
-        scene(page).locator("canvas").first.wait_for(timeout=60_000)
+        scene(page).get_by_text("desired tip").first.wait_for()
+        scene(page).locator("canvas").first.wait_for()
         page.wait_for_timeout(4000)
         assert back() < 60
         picture(page, "dark")
     finally:
         page.emulate_media(color_scheme="light")
-    scene(page).get_by_text("desired tip").first.wait_for(timeout=60_000)
+    scene(page).get_by_text("desired tip").first.wait_for()
     page.wait_for_timeout(4000)
     assert back() > 200

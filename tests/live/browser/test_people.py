@@ -20,35 +20,35 @@ def become_operator(page: Page, name: str, button: str) -> None:
     page.get_by_role("button", name=button).click()
     page.get_by_label("your name").fill(name)
     page.get_by_role("dialog").get_by_role("button", name=button.removesuffix("…")).click()
-    page.locator("#operator", has_text="You are operator").wait_for(timeout=5000)
+    page.locator("#operator", has_text="You are operator").wait_for()
 
 
 def test_two_browsers_and_one_lease(station: Served, browser: Browser) -> None:
     with bare_page(browser, station) as anna, bare_page(browser, station) as ben:
         become_operator(anna, "Anna", "Take control")
-        ben.locator("#operator", has_text="Operator: Anna").wait_for(timeout=5000)
+        ben.locator("#operator", has_text="Operator: Anna").wait_for()
         ben.locator(".card", has_text="Keep the tip where it is").click()
-        ben.locator("#start", has_text="'Anna' is operator").wait_for(timeout=5000)
+        ben.locator("#start", has_text="'Anna' is operator").wait_for()
         assert ben.get_by_role("button", name="Start motion").is_disabled()
         anna.locator(".card", has_text="Keep the tip where it is").click()
         anna.get_by_role("button", name="Start motion").click()
-        ben.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+        ben.locator("#state", has_text="RUNNING").wait_for()
         # STOP is anybody's.
         ben.locator("#stop").click()
-        anna.locator("#state", has_text="STOPPED").wait_for(timeout=5000)
+        anna.locator("#state", has_text="STOPPED").wait_for()
         assert ben.locator("#reset").is_disabled()
         become_operator(ben, "Ben", "Take over…")
-        anna.locator("#operator", has_text="Operator: Ben").wait_for(timeout=5000)
+        anna.locator("#operator", has_text="Operator: Ben").wait_for()
         ben.locator("#reset").click()
-        anna.locator("#state", has_text="READY").wait_for(timeout=5000)
+        anna.locator("#state", has_text="READY").wait_for()
         ben.get_by_role("button", name="Release").click()
-        anna.locator("#operator", has_text="No operator").wait_for(timeout=5000)
+        anna.locator("#operator", has_text="No operator").wait_for()
 
 
 def test_a_page_that_has_gone_is_operator_no_longer(station: Served, browser: Browser) -> None:
     with bare_page(browser, station) as anna:
         become_operator(anna, "Anna", "Take control")
-    station.wait_for(lambda s: s["operator"]["name"] is None, 15.0)
+    station.wait_for(lambda s: s["operator"]["name"] is None)
 
 
 @pytest.fixture
@@ -130,7 +130,7 @@ def test_a_raw_client_with_forged_messages_changes_nothing_for_others(station: S
         page = context.new_page()
         page.goto(station.url)
         scene = page.frame_locator("#scene")
-        scene.get_by_text("desired tip").first.wait_for(timeout=60_000)
+        scene.get_by_text("desired tip").first.wait_for()
         address = f"ws://127.0.0.1:{station.port}/viser/"
         with connect(address, subprotocols=[f"viser-v{viser.__version__}"], proxy=None, max_size=None) as socket:
             for message in (
@@ -179,11 +179,11 @@ def test_a_viewer_looks_and_stops_and_starts_nothing(guarded: Served, browser: B
         assert "token" not in page.url
         assert page.locator("#operator-act").is_hidden()
         page.locator(".card", has_text="Keep the tip where it is").click()
-        page.locator("#start", has_text="viewers cannot start").wait_for(timeout=5000)
+        page.locator("#start", has_text="viewers cannot start").wait_for()
         assert guarded.post("/api/start", HOLD).status_code == 202
-        page.locator("#state", has_text="RUNNING").wait_for(timeout=5000)
+        page.locator("#state", has_text="RUNNING").wait_for()
         page.keyboard.press("Shift+Space")
-        guarded.wait_for(lambda s: s["state"] == "STOPPED", 5.0)
+        guarded.wait_for(lambda s: s["state"] == "STOPPED")
         assert page.evaluate(RESET) == 403
         assert "token" not in page.evaluate("document.cookie")
 

@@ -35,9 +35,9 @@ def robot(page: Page) -> int:
 @pytest.mark.parametrize("name", list(SAYS))
 def test_a_tab_beside_the_scene_during_a_run(page: Page, station: Served, name: str, picture: Picture) -> None:
     assert station.post("/api/start", DEMO).status_code == 202
-    station.wait_for(lambda s: s["phase"] == "moving" and s["run"]["progress"] > 0.05, 60.0)
+    station.wait_for(lambda s: s["phase"] == "moving" and s["run"]["progress"] > 0.05)
     page.locator(f"#tab-{name}").click()
-    page.locator(f"#{name}", has_text=SAYS[name]).wait_for(timeout=10_000)
+    page.locator(f"#{name}", has_text=SAYS[name]).wait_for()
     page.wait_for_timeout(1500)
     picture(page, f"tab_{name}")
     assert robot(page) > 100
@@ -45,11 +45,11 @@ def test_a_tab_beside_the_scene_during_a_run(page: Page, station: Served, name: 
 
 def test_the_header_in_hold_says_why_and_what_to_do(page: Page, station: Served, picture: Picture) -> None:
     assert station.post("/api/start", DEMO).status_code == 202
-    station.wait_for(lambda s: s["phase"] == "moving", 30.0)
+    station.wait_for(lambda s: s["phase"] == "moving")
     station.post("/api/faults", {"faults": [{"kind": "lose_tool", "device": "tracker", "duration": 3.0}]})
-    page.locator("#state", has_text="HOLD").wait_for(timeout=8000)
-    page.locator("#lights .light:not([data-severity='0'])").first.wait_for(timeout=5000)
+    page.locator("#state", has_text="HOLD").wait_for()
+    page.locator("#lights .light:not([data-severity='0'])").first.wait_for()
     assert page.locator("#says").inner_text() != ""
     assert "Reset" in page.locator("#next").inner_text()
     picture(page, "hold")
-    station.wait_for(lambda s: s["devices"]["tracker"]["severity"] == 0, 10.0)
+    station.wait_for(lambda s: s["devices"]["tracker"]["severity"] == 0)

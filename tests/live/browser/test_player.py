@@ -104,7 +104,7 @@ def test_space_plays_to_the_end_and_stops_there(at_start: Page) -> None:
     page.locator("#scene").focus()
     page.keyboard.press("Space")
     assert page.locator("#play").inner_text() == "Pause"
-    page.locator("#play", has_text="Play").wait_for(timeout=20_000)
+    page.locator("#play", has_text="Play").wait_for()
     assert clock(page) > 1.9
     page.locator("#play").click()  # from the beginning again
     page.keyboard.press("Space")

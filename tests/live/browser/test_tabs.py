@@ -25,7 +25,7 @@ def tab(page: Page, name: str) -> None:
     page.locator(f"#tab-{name}").click()
     if name == "start" and page.get_by_role("button", name="all motions").count():
         page.get_by_role("button", name="all motions").click()
-        page.locator(".card").first.wait_for(timeout=10_000)
+        page.locator(".card").first.wait_for()
 
 
 def joints(station: Served) -> list[float]:
@@ -55,7 +55,7 @@ def test_a_preset_is_started_after_the_way_to_its_start_pose_is_confirmed(
     page: Page, station: Served, picture: Picture
 ) -> None:
     tab(page, "start")
-    page.locator(".card img").first.wait_for(timeout=60_000)
+    page.locator(".card img").first.wait_for()
     page.wait_for_function("() => document.querySelector('.card img').naturalWidth > 0")
     picture(page, "run")
     tab(page, "jog")
@@ -73,11 +73,11 @@ def test_a_preset_is_started_after_the_way_to_its_start_pose_is_confirmed(
     assert station.status()["state"] == "READY"
     page.get_by_role("button", name="Start experiment").click()
     page.get_by_role("dialog").get_by_role("button", name="Start").click()
-    status = station.wait_for(lambda s: s["state"] == "RUNNING", 20.0)
+    status = station.wait_for(lambda s: s["state"] == "RUNNING")
     assert status["run"]["title"] == "fig10, case feedforward"
-    page.locator("#run-left", has_text="left of 3:20").wait_for(timeout=15_000)
+    page.locator("#run-left", has_text="left of 3:20").wait_for()
     page.locator("#stop").click()
-    station.wait_for(lambda s: s["state"] == "STOPPED", 2.0)
+    station.wait_for(lambda s: s["state"] == "STOPPED")
     page.get_by_role("button", name="all motions").click()
 
 
@@ -95,10 +95,10 @@ def test_a_free_motion_has_units_and_bounds_and_runs_as_set(page: Page, station:
     page.locator("#start").get_by_label("duration").fill("30")
     page.get_by_label("Load on the simulated tip").select_option("constant")
     page.get_by_role("button", name="Start motion").click()
-    status = station.wait_for(lambda s: s["state"] == "RUNNING" and s["run"]["phase"] == "moving", 20.0)
+    status = station.wait_for(lambda s: s["state"] == "RUNNING" and s["run"]["phase"] == "moving")
     assert status["run"]["duration"] == 30.0
     assert page.get_by_role("button", name="Start motion").is_disabled()
-    station.wait_for(lambda s: s["force"][0] > 0.1, 5.0)
+    station.wait_for(lambda s: s["force"][0] > 0.1)
     station.post("/api/stop")
     page.get_by_role("button", name="all motions").click()
 
@@ -108,7 +108,7 @@ def test_what_cannot_be_reached_is_refused_with_the_reason(page: Page, station: 
     page.locator(".card", has_text="Move the tip along a circle").click()
     page.locator("#start").get_by_label("radius").fill("90")
     page.get_by_role("button", name="Start motion").click()
-    page.locator(".note", has_text="cannot be followed").wait_for(timeout=5000)
+    page.locator(".note", has_text="cannot be followed").wait_for()
     assert station.status()["state"] == "READY"
     page.get_by_role("button", name="all motions").click()
 
@@ -146,7 +146,7 @@ def test_a_jog_of_the_tip_by_keyboard(page: Page, station: Served, picture: Pict
     before = station.status()["tip_true"]
     page.get_by_role("button", name="z minus: hold to move").focus()
     page.keyboard.down("Space")
-    station.wait_for(lambda s: s["tip_true"][2] < before[2] - 0.002, 8.0)
+    station.wait_for(lambda s: s["tip_true"][2] < before[2] - 0.002)
     picture(page, "jog")
     page.keyboard.up("Space")
     page.wait_for_timeout(1500)
@@ -161,9 +161,7 @@ def test_a_page_that_is_closed_while_it_jogs_stops_the_robot(station: Served, br
         minus = "outer_rotation minus: hold to move"
         hold(page, station, minus, lambda s: s["joints"]["outer_rotation"] < before[0] - 0.02)
     seen: list[list[float]] = []
-    station.wait_for(
-        lambda s: seen.append(list(s["joints"].values())) or (len(seen) > 50 and seen[-1] == seen[-40]), 8.0
-    )
+    station.wait_for(lambda s: seen.append(list(s["joints"].values())) or (len(seen) > 50 and seen[-1] == seen[-40]))
 
 
 # ---- devices
@@ -173,13 +171,13 @@ def test_devices_say_what_they_are_and_home_only_when_the_way_is_clear(
     page: Page, station: Served, picture: Picture
 ) -> None:
     tab(page, "devices")
-    page.locator("#devices legend", has_text="tracker").wait_for(timeout=5000)
+    page.locator("#devices legend", has_text="tracker").wait_for()
     page.locator("#devices summary").first.click()
-    page.locator("#devices td", has_text="serial").first.wait_for(timeout=5000)
+    page.locator("#devices td", has_text="serial").first.wait_for()
     assert "wrench_raw.inner_fx [N]" in page.locator("#devices").inner_text()
     picture(page, "devices")
     page.get_by_role("button", name="Zero the force sensors").click()
-    page.locator(".note.good", has_text="read zero").first.wait_for(timeout=5000)
+    page.locator(".note.good", has_text="read zero").first.wait_for()
     page.get_by_role("button", name="Home…").click()
     dialog = page.get_by_role("dialog")
     assert dialog.get_by_role("button", name="Home", exact=True).is_disabled()
@@ -191,9 +189,9 @@ def test_devices_say_what_they_are_and_home_only_when_the_way_is_clear(
     page.get_by_role("button", name="Home…").click()
     dialog.get_by_role("checkbox").check()
     dialog.get_by_role("button", name="Home", exact=True).click()
-    page.locator("#state", has_text="HOMING").wait_for(timeout=5000)
+    page.locator("#state", has_text="HOMING").wait_for()
     assert page.get_by_role("button", name="Home…").is_disabled()
-    page.locator("#state", has_text="READY").wait_for(timeout=100_000)
+    page.locator("#state", has_text="READY").wait_for()
     assert abs(station.status()["joints"]["inner_translation"] + 0.1) > 0.02  # retracted, not where it was
 
 
@@ -202,7 +200,7 @@ def test_an_axis_is_checked_against_the_model(page: Page, station: Served) -> No
     before = joints(station)
     hold(page, station, "outer rotation +", lambda s: s["joints"]["outer_rotation"] > before[0] + 0.08)
     page.mouse.up()
-    page.locator("#devices", has_text="✓ right way").wait_for(timeout=8000)
+    page.locator("#devices", has_text="✓ right way").wait_for()
 
 
 # ---- plots
@@ -215,7 +213,7 @@ def test_plots_are_chosen_paused_and_zoomed(page: Page, station: Served, picture
     assert page.locator(".chart").count() == 4
     page.get_by_role("button", name="deflection").click()
     station.post("/api/start", CIRCLE | {"load": {"kind": "constant", "magnitude": 0.3}, "duration": 6.0})
-    station.wait_for(lambda s: s["state"] == "READY", 15.0)
+    station.wait_for(lambda s: s["state"] == "READY")
     picture(page, "plots")
     page.get_by_role("button", name="Pause").click()
     force = page.get_by_role("img", name="Force at the tip over time")
@@ -242,29 +240,29 @@ def test_plots_are_chosen_paused_and_zoomed(page: Page, station: Served, picture
 def test_runs_are_listed_annotated_replayed_and_compared(page: Page, station: Served, picture: Picture) -> None:
     for _ in range(2):
         station.post("/api/start", CIRCLE)
-        station.wait_for(lambda s: s["state"] == "READY", 12.0)
+        station.wait_for(lambda s: s["state"] == "READY")
     tab(page, "runs")
     cards = page.locator("#runs .card", has_text="circle, free motion")
-    cards.nth(1).wait_for(timeout=10_000)
+    cards.nth(1).wait_for()
     picture(page, "runs")
     cards.first.click()
     page.get_by_label("notes").fill("a new coil")
     page.get_by_role("button", name="Save notes").click()
-    page.locator(".note.good", has_text="saved").wait_for(timeout=5000)
+    page.locator(".note.good", has_text="saved").wait_for()
     with page.expect_download() as download:
         page.get_by_role("link", name="run.mcap").click()
     assert download.value.path().read_bytes().startswith(b"\x89MCAP0\r\n")
     page.get_by_role("button", name="Replay").click()
-    page.locator("#cover", has_text="this is not live").wait_for(timeout=60_000)
-    page.frame_locator("#cover iframe").locator("canvas").first.wait_for(timeout=10_000)
+    page.locator("#cover", has_text="this is not live").wait_for()
+    page.frame_locator("#cover iframe").locator("canvas").first.wait_for()
     picture(page, "replay")
     page.get_by_role("button", name="live scene").click()
     page.get_by_role("button", name="all runs").click()
-    page.locator("#runs .card", has_text="a new coil").wait_for(timeout=5000)
+    page.locator("#runs .card", has_text="a new coil").wait_for()
     for box in page.locator("#runs input[type=checkbox]").all()[:2]:
         box.check()
     page.get_by_role("button", name="Compare two").click()
-    page.locator("#comparison tr").nth(3).wait_for(timeout=5000)
+    page.locator("#comparison tr").nth(3).wait_for()
     picture(page, "compare")
     page.get_by_role("button", name="all runs").click()
 
@@ -274,21 +272,21 @@ def test_runs_are_listed_annotated_replayed_and_compared(page: Page, station: Se
 
 def test_a_fault_is_injected_seen_explained_and_reset(page: Page, station: Served, picture: Picture) -> None:
     station.post("/api/start", CIRCLE | {"duration": 60.0})
-    station.wait_for(lambda s: s["run"]["phase"] == "moving", 8.0)
+    station.wait_for(lambda s: s["run"]["phase"] == "moving")
     station.rest.delete("/api/operator")
     tab(page, "faults")
     page.get_by_label("fault", exact=True).select_option("lose_tool")
     page.locator("#faults").get_by_label("duration [s]").fill("1.5")
     page.get_by_role("button", name="Inject").click()
-    page.locator("#state", has_text="HOLD").wait_for(timeout=8000)
+    page.locator("#state", has_text="HOLD").wait_for()
     light = page.locator("#lights li", has_text="tracker").locator(".light")
     assert "What to do" in page.locator("#faults").inner_text()
     picture(page, "faults")
-    page.locator("#lights li[title*='tracker: answers']").wait_for(timeout=10_000)
+    page.locator("#lights li[title*='tracker: answers']").wait_for()
     assert light.get_attribute("data-severity") == "0"
     page.locator("#faults").get_by_role("button", name="Reset").click()
-    page.locator("#state", has_text="READY").wait_for(timeout=5000)
-    page.locator("#faults td", has_text="lose_tool").first.wait_for(timeout=5000)
+    page.locator("#state", has_text="READY").wait_for()
+    page.locator("#faults td", has_text="lose_tool").first.wait_for()
 
 
 # ---- hands without a mouse, eyes without colours, small screens
@@ -309,7 +307,7 @@ def test_every_control_is_reached_by_keyboard(page: Page, station: Served) -> No
     station.post("/api/start", CIRCLE | {"duration": 60.0})
     page.locator("#stop").focus()
     page.keyboard.press("Enter")
-    station.wait_for(lambda s: s["state"] == "STOPPED", 2.0)
+    station.wait_for(lambda s: s["state"] == "STOPPED")
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (820, 1180)])

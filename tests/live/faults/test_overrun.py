@@ -1,9 +1,8 @@
 """Deadline overrun: counted, whole periods skipped, never a burst; HOLD and FAULT when there are too many."""
 
 import signal
-import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -12,8 +11,10 @@ from station.devices.interfaces import Severity
 from station.experiments.experiment import PERIOD
 from station.overruns import OverrunLimits, Overruns
 from station.recording.read import read_case
+from tests.harness.calm import CLOCK
 from tests.harness.kill_stations import until_moving
-from tests.harness.lone_station import lone_station
+from tests.harness.lone_station import LoneStation
+from tests.harness.waiting import until
 
 
 class Look(NamedTuple):
@@ -46,26 +47,29 @@ def test_one_per_cent_in_ten_seconds_holds() -> None:
     assert found == Look(201, Severity.HOLD)
 
 
-def test_a_loop_that_does_not_get_its_time_skips_whole_periods_and_the_motion_is_held(tmp_path: Path) -> None:
-    with lone_station(tmp_path) as station:
-        until_moving(station)
-        control = station.child("control")
-        control.send_signal(signal.SIGSTOP)
-        time.sleep(0.3)
-        control.send_signal(signal.SIGCONT)
-        deadline = time.monotonic() + 5.0
-        while (status := station.ask("status"))["state"] == "RUNNING":
-            assert time.monotonic() < deadline
-        time.sleep(0.5)
-        (run,) = tmp_path.glob(f"{status['run']}*")
+def test_a_loop_that_does_not_get_its_time_skips_whole_periods_and_the_motion_is_held(
+    mortal: LoneStation, recordings: Path
+) -> None:
+    until_moving(mortal)
+    run, control = mortal.ask("status")["run"], mortal.child("control")
 
-    assert status["state"] in ("HOLD", "FAULT")  # the devices may have missed it too, and then it is a FAULT
-    if status["state"] == "HOLD":
-        assert "the control loop has missed " in status["cause"]
-        assert "see ctr-station doctor" in status["cause"]
-    times = read_case(run / "run.mcap").rows[:, 0]
+    def held_up() -> dict[str, Any] | None:
+        """Where fifty ticks have brought it to, if it is no longer on; the devices bear so many."""
+        control.send_signal(signal.SIGSTOP)
+        CLOCK.sleep(0.1)
+        control.send_signal(signal.SIGCONT)
+        CLOCK.sleep(0.1)
+        status = mortal.ask("status")
+        return status if status["state"] != "RUNNING" else None
+
+    status = until(held_up, "a HOLD")
+    assert status is not None
+    assert status["state"] == "HOLD"
+    assert "the control loop has missed " in status["cause"]
+    assert "see ctr-station doctor" in status["cause"]
+    times = read_case(until(lambda: next(recordings.glob(f"{run}*/run.mcap"), None), run)).rows[:, 0]
     steps = np.round(np.diff(times) / PERIOD)
     # every row is one period later than the one before, or a whole number of them: none twice, none in between
     assert (steps >= 1.0).all()
     assert np.diff(times) == pytest.approx(steps * PERIOD, abs=1e-9)
-    assert steps.max() >= 0.25 / PERIOD
+    assert steps.max() >= 0.05 / PERIOD

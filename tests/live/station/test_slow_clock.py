@@ -1,6 +1,7 @@
 """A station whose clock is slow: the rows of one in real time, and more real time for each."""
 
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,15 +9,15 @@ import pytest
 from station.client import Station
 from station.experiments.experiment import PERIOD
 from station.recording.read import read_case
-from tests.harness.serving import serving
+from tests.harness.calm import RATE
+from tests.harness.serving import Served
 
-RATE = 0.5
 DURATION = 1.0  # [s] of the station
 
 
-def test_rows_are_as_in_real_time_and_the_run_lasts_longer(write, tmp_path) -> None:
-    with serving("--config", str(write(f"[clock]\nrate = {RATE}\n"))) as served, Station(served.url) as station:
-        served.ready()
+def test_rows_are_as_in_real_time_and_the_run_lasts_longer(running: Served, tmp_path: Path) -> None:
+    running.ready()
+    with Station(running.url) as station:
         begin = time.monotonic()
         run = station.start(trajectory={"kind": "hold"}, duration=DURATION)
         status = station.wait(run)

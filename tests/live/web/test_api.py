@@ -42,7 +42,7 @@ def test_a_script_runs_each_trajectory_to_its_end(station: Served, trajectory: d
     answer = station.post("/api/start", {"trajectory": trajectory, "controller": CONTROLLER, "duration": 4.0})
     assert answer.status_code == 202, answer.text
     run = answer.json()["run_id"]
-    start = np.array(station.wait_for(lambda s: s["run"]["phase"] == "moving", 6.0)["tip_true"])
+    start = np.array(station.wait_for(lambda s: s["run"]["phase"] == "moving")["tip_true"])
     tips = []
     while (status := station.status())["state"] == "RUNNING":
         assert status["run"]["id"] == run
@@ -59,10 +59,10 @@ def test_a_load_at_the_tip_warns_of_nothing_and_a_touched_shaft_is_named_with_it
 
     # A run zeroes the sensors before it moves.
     station.post("/api/start", {"trajectory": {"kind": "hold"}, "controller": CONTROLLER, "duration": 60.0})
-    station.wait_for(lambda s: s["phase"] == "moving", 10.0)
+    station.wait_for(lambda s: s["phase"] == "moving")
     try:
         station.post("/api/pull", {"load": {"kind": "constant", "magnitude": 0.3}})
-        station.wait_for(lambda s: s["force"][0] > 0.25, 5.0)
+        station.wait_for(lambda s: s["force"][0] > 0.25)
         for _ in range(25):  # several looks
             time.sleep(0.1)
             status = station.status()
@@ -70,7 +70,7 @@ def test_a_load_at_the_tip_warns_of_nothing_and_a_touched_shaft_is_named_with_it
             assert not warned(status)
         contact = {"kind": "contact", "magnitude": 0.3, "place": 0.1, "direction": [0.0, 1.0, 0.3]}
         assert station.post("/api/pull", {"load": contact}).status_code == 200
-        status = station.wait_for(lambda s: s["touch"] is not None, 5.0)
+        status = station.wait_for(lambda s: s["touch"] is not None)
         assert abs(status["touch"]["place"] - 0.1) < 0.010
         assert any(first <= 0.101 and last >= 0.099 for first, last in status["touch"]["intervals"])
         assert abs(np.linalg.norm(status["touch"]["force"]) - 0.3) < 0.05
@@ -81,12 +81,12 @@ def test_a_load_at_the_tip_warns_of_nothing_and_a_touched_shaft_is_named_with_it
         assert "contact at 900 mm is outside 0 ... 20" in beyond.json()["error"]  # about 203 mm
     finally:
         station.post("/api/pull", {"load": {"kind": "none"}})
-    station.wait_for(lambda s: s["touch"] is None and not warned(s), 5.0)
+    station.wait_for(lambda s: s["touch"] is None and not warned(s))
 
 
 def test_an_experiment_goes_to_its_start_pose_first(station: Served) -> None:
     assert station.post("/api/start", {"experiment": "fig10", "case": "feedforward"}).status_code == 202
-    station.wait_for(lambda s: s["run"]["phase"] == "moving", 15.0)
+    station.wait_for(lambda s: s["run"]["phase"] == "moving")
     joints = station.status()["joints"]
     assert abs(joints["inner_translation"] + 0.100) < 1e-3
     assert abs(joints["inner_rotation"] - math.pi / 2) < 0.02
@@ -106,7 +106,7 @@ def test_stop_is_always_accepted_and_latches_until_reset(station: Served) -> Non
 def test_stop_brings_a_moving_robot_to_rest(station: Served) -> None:
     body = {"trajectory": {"kind": "sinusoid", "amplitude": 0.01, "frequency": 0.3}, "duration": 30.0}
     station.post("/api/start", body | {"controller": CONTROLLER})
-    station.wait_for(lambda s: s["run"]["phase"] == "moving", 6.0)
+    station.wait_for(lambda s: s["run"]["phase"] == "moving")
     time.sleep(0.5)
     station.post("/api/stop")
     time.sleep(0.5)

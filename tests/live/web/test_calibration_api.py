@@ -86,7 +86,7 @@ def test_a_procedure_has_the_robot_to_itself_until_stop_ends_it(station):
     assert answer.status_code == 202, answer.text
     assert answer.json()["course"]["stage"] == "thinking"
 
-    station.wait_for(lambda status: status["state"] == "RUNNING", 60.0)
+    station.wait_for(lambda status: status["state"] == "RUNNING")
     now = course(station)
     assert now["on"]
     assert (now["stage"], now["says"]) == ("moving", "pose 1")
@@ -103,7 +103,7 @@ def test_a_procedure_has_the_robot_to_itself_until_stop_ends_it(station):
         assert "'calibrate tracker' has the robot to itself" in refused.json()["error"]
 
     assert station.post("/api/stop").status_code == 200
-    station.wait_for(lambda _: not course(station)["on"], 5.0)
+    station.wait_for(lambda _: not course(station)["on"])
     assert course(station)["stage"] == "aborted"
     assert "stopped by the operator" in course(station)["says"]
     assert len(station.rest.get("/api/calibration/results").json()) == 1
@@ -122,7 +122,7 @@ def test_an_experiment_uses_the_calibration_that_the_station_was_started_with(st
     table = tomllib.loads((data / "calibrations" / earlier / "registration.toml").read_text(encoding="utf-8"))
     before = away()
     assert station.post("/api/start", {"experiment": "fig7"}).status_code == 202
-    station.wait_for(lambda status: status["phase"] == "settling", 30.0)
+    station.wait_for(lambda status: status["phase"] == "settling")
 
     # A coil that were not taken into account would be several millimetres.
     assert np.linalg.norm(table["coil"]) > 3e-3
@@ -132,11 +132,11 @@ def test_an_experiment_uses_the_calibration_that_the_station_was_started_with(st
 
 def test_an_abort_stops_the_robot(station):
     station.post("/api/calibration/start", {"what": "axes"} | CLEAR)
-    station.wait_for(lambda status: status["state"] == "RUNNING", 60.0)
+    station.wait_for(lambda status: status["state"] == "RUNNING")
 
     assert station.post("/api/calibration/abort").status_code == 200
 
-    station.wait_for(lambda status: status["state"] == "STOPPED" and not course(station)["on"], 5.0)
+    station.wait_for(lambda status: status["state"] == "STOPPED" and not course(station)["on"])
     assert course(station)["says"] == "aborted by the operator"
 
 

@@ -108,7 +108,7 @@ def test_a_held_jog_is_one_line_of_the_log(station: Served, people) -> None:
     anna.post("/api/jog", json={"space": "joints", "velocity": [0.0, 0.0, 0.0]})
     jogs = [entry for entry in anna.get("/api/log?count=20").json() if "/api/jog" in entry["what"]]
     assert len(jogs) == 1
-    station.wait_for(lambda s: s["state"] == "READY", 5.0)
+    station.wait_for(lambda s: s["state"] == "READY")
 
 
 def test_forged_messages_to_the_scene_are_dropped_and_logged(station: Served, people) -> None:
@@ -123,7 +123,7 @@ def test_forged_messages_to_the_scene_are_dropped_and_logged(station: Served, pe
         ):  # fmt: skip
             socket.send(msgspec.msgpack.encode(message))
         socket.send("text")
-        station.wait_for(lambda _: _drops(anna) >= {"no message that is known here", "no message of a scene"}, 5.0)
+        station.wait_for(lambda _: _drops(anna) >= {"no message that is known here", "no message of a scene"})
     assert any("not operator" in reason for reason in _drops(anna))
 
 
