@@ -26,12 +26,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 class FromBothEnds(LoadFileScheduling):
     """A file to each processor: the first one from the first file on, the others from the last one back.
 
-    So in a fresh clone the model is compiled by one, and the lab by another. What needs real processes is done
-    by one, one after the other.
+    So in a fresh clone the model is compiled by one, and the lab by another.
     """
-
-    def _split_scope(self, nodeid: str) -> str:
-        return "live" if nodeid.startswith("tests/live/") else super()._split_scope(nodeid)
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         if node is not self.nodes[0]:
