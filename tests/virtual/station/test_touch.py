@@ -1,14 +1,17 @@
 """Contacts on the shaft seen through the loop and the wire-level devices."""
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 import pytest
 
 from core.statics import Statics
-from station.clock import VirtualClock
 from station.experiments.experiment import load_experiment
-from station.experiments.runner import Recording, run_case
+from station.experiments.runner import Recording
 from station.robots import load_robot
 from station.touch import look
+from tests.harness.cases import a_run
 
 #: The joints stay, but for a turn of a hundredth of a degree.
 RESTING = """
@@ -26,20 +29,22 @@ distance = 0.0001
 """
 
 
-@pytest.fixture
-def recorded(write):
-    """A run under a load, as a TOML table."""
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory) -> Callable[[str], Recording]:
+    """A run under a load, as a TOML table; each is carried out once."""
 
+    @cache
     def recorded(load: str) -> Recording:
-        case = load_experiment(str(write(RESTING.format(load=load)))).cases[0]
-        return run_case(case, 0, VirtualClock(), lambda done: None)
+        path = tmp_path_factory.mktemp("resting") / "own.toml"
+        path.write_text(RESTING.format(load=load), encoding="utf-8")
+        return a_run(load_experiment(str(path)).cases[0])
 
     return recorded
 
 
 @pytest.mark.parametrize("place", [0.06, 0.10, 0.14])
 def test_a_contact_on_the_shaft_is_told_from_a_load_at_the_tip_and_found(recorded, place):
-    run = recorded(f'kind = "contact"\nmagnitude = 0.3\nplace = {place}\ndirection = [0.0, 1.0, 0.3]')
+    run = recorded(f'kind = "contact"\nmagnitude = 0.3\nplace = {place:g}\ndirection = [0.0, 1.0, 0.3]')
 
     touch = look(Statics(load_robot("paper").robot()), run.channels, run.rows[-300:])
 

@@ -1,18 +1,19 @@
 """When a load beside the tip is believed, on rows of virtual runs."""
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
 
 from core.robot import Array
 from core.statics import Statics
-from station.clock import VirtualClock
 from station.experiments.experiment import load_experiment
-from station.experiments.runner import Recording, run_case
+from station.experiments.runner import Recording
 from station.robots import load_robot
 from station.states import State
 from station.telemetry import Channels
+from tests.harness.cases import a_run
 from web.touching import AGREED, ROWS, Feeler
 
 RUN = """
@@ -35,10 +36,11 @@ AT_100_MM = 'kind = "contact"\nmagnitude = 0.3\nplace = 0.1\ndirection = [0.0, 1
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Recording]:
     """A joint turns slowly under a load, as a TOML table."""
 
+    @cache
     def ran(load: str) -> Recording:
         path = tmp_path_factory.mktemp("touched") / "own.toml"
         path.write_text(RUN.format(load=load), encoding="utf-8")
-        return run_case(load_experiment(str(path)).cases[0], 0, VirtualClock(), lambda done: None)
+        return a_run(load_experiment(str(path)).cases[0])
 
     return ran
 

@@ -6,7 +6,11 @@ from collections.abc import Callable
 
 import pytest
 
+from station.experiments.experiment import load_experiment
+from station.experiments.output import ResultFolder, run_recorded
 from station.experiments.side_by_side import Processes, ProcessLost, one_after_the_other
+from station.recording.read import read_case
+from tests.harness.cases import a_run
 
 
 def square(number: int, progress: Callable[[float], None]) -> int:
@@ -51,3 +55,20 @@ def test_here_the_same_is_told_and_done():
 def test_a_process_that_is_killed_is_told_in_words():
     with pytest.raises(ProcessLost, match="was it killed"), Processes(1) as started:
         started.carry_out(die, [1], lambda _: None)
+
+
+def test_cases_side_by_side_have_the_rows_of_one_after_the_other_bit_for_bit(write, short, tmp_path):
+    experiment = load_experiment(str(write(short + "[cases.one]\n[cases.two.controller]\nfeedforward = true\n")))
+    for case in experiment.cases:
+        a_run(case)  # what a process has just compiled itself may round otherwise than what all others load
+    rows = []
+    for jobs in (1, 2):
+        folder = ResultFolder(tmp_path / str(jobs), experiment, 0)
+        with Processes(jobs) as started:
+            started.carry_out(run_recorded, [folder.assignment(case) for case in experiment.cases], lambda _: None)
+        folder.finish({})
+        rows.append([read_case(folder.path / f"{case.name}.mcap").rows for case in experiment.cases])
+
+    for alone, beside in zip(*rows, strict=True):
+        assert len(alone) == 500
+        assert alone.tobytes() == beside.tobytes()
