@@ -22,7 +22,7 @@ def station(running: Served) -> Iterator[Station]:
 def test_a_circle_is_run_waited_for_and_downloaded(station: Station, tmp_path: Path) -> None:
     run = station.start(trajectory=CIRCLE, load={"kind": "constant", "magnitude": 0.1}, duration=2.0)
     assert station.status()["operator"]["name"] == "Zoë's script"
-    assert station.wait(run, timeout=30.0)["state"] == "READY"
+    assert station.wait(run)["state"] == "READY"
     file = station.download(run, tmp_path / "circle.mcap")
     assert file.read_bytes().startswith(b"\x89MCAP0\r\n")
     assert station.runs()[0]["id"] == run
@@ -53,7 +53,7 @@ def test_refusals_carry_the_stations_reason(station: Station, running: Served, t
 
 def test_telemetry_comes_at_the_rate_that_was_asked_for(station: Station) -> None:
     samples = [sample for _, sample in zip(range(5), station.telemetry(10.0), strict=False)]
-    assert all(later["time"] - earlier["time"] > 0.05 for earlier, later in itertools.pairwise(samples))
+    assert all(later["time"] - earlier["time"] > 0.02 for earlier, later in itertools.pairwise(samples))
     assert len(samples[0]["joints"]) == 3
 
 
