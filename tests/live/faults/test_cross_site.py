@@ -6,34 +6,14 @@ import httpx
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
-from websockets.typing import Origin
 
 from tests.harness.serving import Served, serving
 
-FOREIGN = [
-    {"host": "evil.example"},
-    {"origin": "http://evil.example"},
-    {"origin": "null"},
-    {"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors"},
-]
-
-
-@pytest.mark.parametrize("headers", FOREIGN)
-def test_a_foreign_request_is_refused_before_it_is_looked_at(station: Served, headers: dict[str, str]) -> None:
-    for path in ("/", "/api/status", "/viser/"):
-        assert station.rest.get(path, headers=headers).status_code == 403
-    for path in ("/api/stop", "/api/start", "/api/nothing"):
-        assert station.rest.post(path, json={}, headers=headers).status_code == 403
-    assert station.status()["state"] == "READY"
-
 
 @pytest.mark.parametrize("path", ["/api/telemetry", "/viser/"])
-@pytest.mark.parametrize("headers", FOREIGN[:2])
-def test_so_is_a_foreign_websocket(station: Served, path: str, headers: dict[str, str]) -> None:
-    given, host = headers.get("origin"), headers.get("host", "127.0.0.1")
-    origin = None if given is None else Origin(given)
+def test_a_websocket_by_a_foreign_name_is_refused(station: Served, path: str) -> None:
     with socket.create_connection(("127.0.0.1", station.port)) as way, pytest.raises(InvalidStatus) as refusal:
-        connect(f"ws://{host}:{station.port}{path}", sock=way, origin=origin, proxy=None)
+        connect(f"ws://evil.example:{station.port}{path}", sock=way, proxy=None)
     assert refusal.value.response.status_code == 403
 
 

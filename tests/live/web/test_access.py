@@ -18,14 +18,18 @@ JSON = {"content-type": "application/json"}
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost:80", ""])
 def test_a_foreign_host_is_refused(station: Served, host: str) -> None:
     assert station.rest.get("/api/status", headers={"host": host}).status_code == 403
+    assert station.rest.post("/api/stop", headers={"host": host}).status_code == 403
+    assert station.status()["state"] == "READY"
 
 
 @pytest.mark.parametrize(
     "origin", ["http://evil.example", "null", "http://127.0.0.1", "https://127.0.0.1.evil.example"]
 )
 def test_a_page_of_another_origin_can_neither_read_nor_press(station: Served, origin: str) -> None:
-    assert station.rest.get("/api/status", headers={"origin": origin}).status_code == 403
-    assert station.rest.post("/api/stop", headers={"origin": origin}).status_code == 403
+    for path in ("/", "/api/status", "/viser/"):
+        assert station.rest.get(path, headers={"origin": origin}).status_code == 403
+    for path in ("/api/stop", "/api/start", "/api/nothing"):
+        assert station.rest.post(path, headers={"origin": origin}).status_code == 403
     assert station.status()["state"] == "READY"
 
 
