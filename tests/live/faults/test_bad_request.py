@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,31 @@ JSON = {"content-type": "application/json"}
         ("/api/faults", '{"faults": [{"kind": "melt", "device": "tracker"}]}', "kind"),
         ("/api/model/solve", '{"joints": {"outer_rotation": NaN}}', "outer_rotation"),
         ("/api/operator", '{"name": 7}', "name"),
+        ("/api/start", '{"duration": 1e999}', "duration"),
+        ("/api/start", '{"duration": -1}', "duration"),
+        ("/api/start", '{"duration": "10"}', "duration"),
+        ("/api/start", '{"nonsense": 1}', "nonsense"),
+        ("/api/start", '{"experiment": "nope"}', "nope"),
+        ("/api/start", '{"experiment": "fig10", "case": "nope"}', "nope"),
+        ("/api/start", '{"experiment": "fig10", "duration": 5}', "not both"),
+        ("/api/start", '{"case": "paper"}', "experiment"),
+        ("/api/start", '{"trajectory": {"kind": "spiral"}}', "spiral"),
+        ("/api/start", '{"trajectory": {"kind": "circle", "radius": NaN, "period": 10}}', "radius"),
+        ("/api/start", '{"trajectory": {"kind": "circle", "radius": 5, "period": 10}}', "radius"),
+        (
+            "/api/start",
+            '{"trajectory": {"kind": "sinusoid", "direction": [0, 0, 0], "amplitude": 0.01, "frequency": 1}}',
+            "direction",
+        ),
+        ("/api/start", '{"controller": {"strategy": "magic"}}', "magic"),
+        ("/api/start", '{"controller": {"k1": 1000}}', "K1"),
+        ("/api/start", '{"load": {"kind": "constant", "magnitude": -1}}', "magnitude"),
+        ("/api/start", '{"load": {"kind": "constant", "magnitude": 20.1}}', "magnitude"),
+        ("/api/start", '{"load": {"kind": "ramps", "times": [0, 1], "magnitudes": [0, -21]}}', "magnitudes"),
+        ("/api/start", "[]", "body"),
+        ("/api/start", "not json", "JSON"),
+        ("/api/start", "[" * 60_000, "body"),
+        ("/api/start", '"\\ud800"', "body"),
     ],
 )
 def test_it_is_refused_by_field_and_reason(station: Served, path: str, body: str, named: str) -> None:
@@ -50,10 +76,14 @@ def test_what_is_too_large_is_not_read_to_its_end(station: Served, path: str) ->
     assert station.status()["state"] == "READY"
 
 
-def test_a_deep_nest_of_brackets_is_only_a_wrong_body(station: Served) -> None:
-    answer = station.rest.post("/api/start", content=b"[" * 60_000, headers=JSON)
-    assert 400 <= answer.status_code < 500
-    assert station.status()["state"] == "READY"
+def test_nor_is_what_has_no_length(station: Served) -> None:
+    def chunks() -> Iterator[bytes]:
+        for _ in range(50):
+            yield b" " * 4096
+
+    answer = station.rest.post("/api/start", content=chunks(), headers=JSON)
+    assert answer.status_code == 413
+    assert "65536" in answer.json()["error"]
 
 
 def test_five_hundred_damaged_bodies_break_nothing_and_move_nothing(station: Served) -> None:

@@ -32,15 +32,17 @@ def test_status_says_everything_with_one_call(station: Served) -> None:
 
 
 @pytest.mark.parametrize(
-    ("trajectory", "travel_mm"),
+    ("trajectory", "duration", "travel_mm"),
     [
-        ({"kind": "hold"}, 0.0),
-        ({"kind": "sinusoid", "direction": [0, 0, 1], "amplitude": 0.008, "frequency": 0.25}, 8.0),
-        ({"kind": "circle", "radius": 0.005, "period": 4.0, "normal": [0, 0, 1]}, 10.0),
+        ({"kind": "hold"}, 0.5, 0.0),
+        ({"kind": "sinusoid", "direction": [0, 0, 1], "amplitude": 0.008, "frequency": 0.25}, 1.5, 8.0),
+        ({"kind": "circle", "radius": 0.005, "period": 4.0, "normal": [0, 0, 1]}, 2.5, 10.0),
     ],
 )
-def test_a_script_runs_each_trajectory_to_its_end(station: Served, trajectory: dict, travel_mm: float) -> None:
-    answer = station.post("/api/start", {"trajectory": trajectory, "controller": CONTROLLER, "duration": 4.0})
+def test_a_script_runs_each_trajectory_to_its_end(
+    station: Served, trajectory: dict, duration: float, travel_mm: float
+) -> None:
+    answer = station.post("/api/start", {"trajectory": trajectory, "controller": CONTROLLER, "duration": duration})
     assert answer.status_code == 202, answer.text
     run = answer.json()["run_id"]
     start = np.array(station.wait_for(lambda s: s["run"]["phase"] == "moving")["tip_true"])
@@ -121,57 +123,6 @@ def test_a_second_start_is_refused_while_one_is_on(station: Served) -> None:
     second = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 20.0})
     assert second.status_code == 409
     assert "RUNNING" in second.json()["error"]
-
-
-@pytest.mark.parametrize(
-    ("body", "named"),
-    [
-        ('{"duration": NaN}', "duration"),
-        ('{"duration": 1e999}', "duration"),
-        ('{"duration": -1}', "duration"),
-        ('{"duration": "10"}', "duration"),
-        ('{"nonsense": 1}', "nonsense"),
-        ('{"experiment": "nope"}', "nope"),
-        ('{"experiment": "fig10", "case": "nope"}', "nope"),
-        ('{"experiment": "fig10", "duration": 5}', "not both"),
-        ('{"case": "paper"}', "experiment"),
-        ('{"trajectory": {"kind": "spiral"}}', "spiral"),
-        ('{"trajectory": {"kind": "circle", "radius": NaN, "period": 10}}', "radius"),
-        ('{"trajectory": {"kind": "circle", "radius": 5, "period": 10}}', "radius"),
-        (
-            '{"trajectory": {"kind": "sinusoid", "direction": [0, 0, 0], "amplitude": 0.01, "frequency": 1}}',
-            "direction",
-        ),
-        ('{"controller": {"strategy": "magic"}}', "magic"),
-        ('{"controller": {"k1": 1000}}', "K1"),
-        ('{"load": {"kind": "constant", "magnitude": -1}}', "magnitude"),
-        ('{"load": {"kind": "constant", "magnitude": 20.1}}', "magnitude"),
-        ('{"load": {"kind": "ramps", "times": [0, 1], "magnitudes": [0, -21]}}', "magnitudes"),
-        ("[]", "body"),
-        ("not json", "JSON"),
-        ("[" * 60_000, "body"),
-        ('"\\ud800"', "body"),
-    ],
-)
-def test_a_wrong_body_is_refused_with_the_reason_and_nothing_moves(station: Served, body: str, named: str) -> None:
-    answer = station.rest.post("/api/start", content=body, headers={"content-type": "application/json"})
-    assert 400 <= answer.status_code < 500
-    assert named in answer.json()["error"]
-    assert station.status()["state"] == "READY"
-
-
-def test_an_oversized_body_is_refused(station: Served) -> None:
-    huge = b'{"duration": 1' + b" " * 200_000 + b"}"
-    answer = station.rest.post("/api/start", content=huge, headers={"content-type": "application/json"})
-    assert answer.status_code == 413
-
-    def chunks() -> object:
-        for _ in range(50):
-            yield b" " * 4096
-
-    answer = station.rest.post("/api/start", content=chunks(), headers={"content-type": "application/json"})
-    assert answer.status_code == 413
-    assert "65536" in answer.json()["error"]
 
 
 def test_trajectory_and_controller_can_be_set_and_read_back(station: Served) -> None:

@@ -31,10 +31,18 @@ def test_the_first_command_makes_operator_and_the_second_person_is_told_who(stat
     assert anna.post("/api/start", json=HOLD).status_code == 202
     status = ben.get("/api/status").json()["operator"]
     assert (status["name"], status["you"], status["role"]) == ("Anna", False, "operator")
-    for path in ("/api/start", "/api/reset", "/api/tare", "/api/connect"):
-        refused = ben.post(path, json=HOLD if path == "/api/start" else None)
-        assert refused.status_code == 409
-        assert "'Anna' is operator" in refused.json()["error"]
+    for path, body in (
+        ("/api/start", HOLD),
+        ("/api/reset", None),
+        ("/api/tare", None),
+        ("/api/connect", None),
+        ("/api/jog", {"space": "tip", "velocity": [0, 0, 0.001]}),
+        ("/api/home", {"way_is_clear": True}),
+        ("/api/operator", {}),
+    ):
+        refused = ben.post(path, json=body)
+        assert refused.status_code == 409, path
+        assert "'Anna' is operator; ask them, or take over on purpose" in refused.json()["error"]
     assert station.status()["state"] == "RUNNING"
 
 
