@@ -33,6 +33,7 @@ def running() -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def open_page(running: Served, browser: Browser) -> Iterator[Page]:
     with bare_page(browser, running) as page:
+        page.set_default_timeout(0.0)  # poses take minutes; the net is pytest's own
         yield page
 
 

