@@ -128,12 +128,3 @@ def test_a_reader_that_goes_away_ends_solve_quietly(environment, tmp_path):
 
     assert solve.returncode == 1
     assert err == b""
-
-
-def test_help_names_the_commands_and_the_experiments(command_line):
-    done = command_line("--help")
-
-    assert done.returncode == 0
-    for word in (b"run", b"solve", b"bench", b"fig10", b"fig3"):
-        assert word in done.stdout
-    assert done.stderr == b""

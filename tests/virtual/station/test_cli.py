@@ -135,6 +135,14 @@ def test_solve_takes_another_model_or_another_robot(call, write, robot_text, mon
     assert (distance < 1e-4) == ("--robot" not in options)
 
 
+def test_help_names_the_commands_and_the_experiments(call):
+    done = call("--help")
+
+    assert (done.status, done.err) == (0, "")
+    for word in ("run", "solve", "bench", "fig10", "fig3"):
+        assert word in done.out
+
+
 def test_without_a_command_there_is_help_and_a_status_that_says_nothing_was_done(call):
     done = call()
 

@@ -1,0 +1,26 @@
+"""`ctr-station calibrate`: what it writes and what it finds."""
+
+import json
+
+
+def test_the_command_writes_its_folder_and_says_where(call, tmp_path):
+    done = call("calibrate", "tracker", "--still", "--seed", "3", "--effort", "0.5", "--out", "found", "--json")
+
+    assert done.status == 0, done.err
+    (folder,) = (tmp_path / "found").iterdir()
+    assert {path.name for path in folder.iterdir()} == {
+        "registration.toml",
+        "report.html",
+        "report.json",
+        "visits.json",
+    }
+    assert folder.name in done.out
+
+
+def test_the_axes_command_finds_a_mirrored_stage_on_the_wire(call, write):
+    lab = write('[hidden]\nmirrored = ["inner_rotation"]\n', "mirrored")
+
+    done = call("calibrate", "axes", "--lab", str(lab), "--out", "found", "--json")
+
+    assert done.status == 0, done.err
+    assert json.loads(done.out)["signs"] == {"outer_rotation": 1.0, "inner_rotation": -1.0, "inner_translation": 1.0}
