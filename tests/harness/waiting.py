@@ -7,7 +7,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 #: What has not happened after this time hangs [s]. A net, never a judgement.
-NET = 120.0
+NET = 300.0
 
 
 def until(what: Callable[[], T], among: object = "") -> T:
