@@ -12,7 +12,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
-from multiprocessing.sharedctypes import SynchronizedArray
 from typing import Any, Self, TypeVar, cast
 
 from core.errors import CtrError
@@ -64,7 +63,7 @@ class Processes:
         context = get_context("spawn")
         self._others = set(active_children())
         # A place for each process: the number of its job, and which part of it is done.
-        self._places = context.Array("d", 2 * most)
+        self._places = context.Array("d", 2 * most, lock=False)  # one that is killed must leave no lock
         number = context.Value("i", 0)
         self._pool = ProcessPoolExecutor(most, context, _begin, (self._places, number))
 
@@ -119,8 +118,7 @@ class Processes:
                     waiting = {future for future in waiting if not future.cancel()}
 
     def _parts(self, futures: Sequence[Future[Any]]) -> list[float]:
-        with self._places:
-            places: list[float] = list(cast(Any, self._places))
+        places: list[float] = list(cast(Any, self._places))
         running = dict(zip(map(int, places[::2]), places[1::2], strict=True))
         return [
             1.0 if future.done() and not future.cancelled() else running.get(number, 0.0)
@@ -132,10 +130,10 @@ class Processes:
 
 
 #: Of the process that this is: where it tells how far its job has come.
-_place: list[tuple["SynchronizedArray[float]", int]] = []
+_place: list[tuple[Any, int]] = []
 
 
-def _begin(places: "SynchronizedArray[float]", number: Any) -> None:
+def _begin(places: Any, number: Any) -> None:
     """In each new process: take a place, and watch whether the one that started it is still there."""
     with number:
         _place.append((places, 2 * number.value))
