@@ -8,7 +8,7 @@ from station.config import ConfigError
 from station.control_process import Bench, ring_width
 from station.devices.config import BenchFile
 from station.lab.faults import LabFault
-from station.lab.lab_host import LabHost
+from station.lab.lab_host import LabError, LabHost
 from station.lab.lab_process import LabBench
 from station.lab.loads import Load, NoLoad
 from station.own_bench import OwnBench
@@ -23,7 +23,7 @@ class Brings(NamedTuple):
 
 
 class BenchSide:
-    """Owner of the lab's process; any thread may ask."""
+    """Owner of the lab's process, once it is opened; any thread may ask."""
 
     def __init__(self, bench: Bench, ring: Ring) -> None:
         self._bench, self._ring = bench, ring
@@ -31,12 +31,17 @@ class BenchSide:
         self._told: BenchFile | None = None
         self._brings = Brings()
         self._motion_start: float | None = None
-        self._host = self._start()
+        self._host: LabHost | OwnBench | None = None
+
+    def open(self) -> None:
+        """Start a lab, or another one in the place of one that has died."""
+        self.close()
+        self._host, self._told = self._start(), None
 
     @property
     def alive(self) -> bool:
         """Whether there is something behind the devices."""
-        return self._host.alive
+        return self._host is not None and self._host.alive
 
     @property
     def pid(self) -> int | None:
@@ -50,17 +55,15 @@ class BenchSide:
             LabError: it did not come up.
         """
         if self._told is None:
+            if self._host is None:
+                raise LabError("the lab was not started")
             self._told = self._host.devices()
         return self._told
 
-    def restart(self) -> None:
-        """Another lab in the place of one that has died."""
-        self._host.close()
-        self._host, self._told = self._start(), None
-
     def pull(self, load: Load) -> None:
         """Put a load on the tip, now."""
-        self._host.pull(load, self._bench.clock.now())
+        if self._host is not None:
+            self._host.pull(load, self._bench.clock.now())
 
     def inject(self, faults: Sequence[LabFault]) -> None:
         """Let these faults happen from now on; none: mend all.
@@ -69,7 +72,8 @@ class BenchSide:
             ConfigError: a bench of one's own has faults of its own.
         """
         self.check(faults)
-        self._host.inject(faults, self._bench.clock.now())
+        if self._host is not None:
+            self._host.inject(faults, self._bench.clock.now())
 
     def check(self, faults: Sequence[LabFault]) -> None:
         """Whether faults can be asked for here.
@@ -77,7 +81,7 @@ class BenchSide:
         Raises:
             ConfigError: a bench of one's own has faults of its own.
         """
-        if faults and isinstance(self._host, OwnBench):
+        if faults and self._bench.devices is not None:
             raise ConfigError("faults can be injected into the virtual lab only; this station has devices of its own")
 
     def prepare(self, brings: Brings) -> Brings:
@@ -92,6 +96,8 @@ class BenchSide:
             if start == self._motion_start:
                 return False
             self._motion_start, (load, faults) = start, self._brings
+        if self._host is None:
+            return True
         if load is not None:
             self._host.pull(NoLoad() if start is None else load, start or 0.0)
         if faults:
@@ -101,7 +107,9 @@ class BenchSide:
 
     def close(self) -> None:
         """End the lab; a bench of one's own stays."""
-        self._host.close()
+        if self._host is not None:
+            self._host.close()
+            self._host = None
 
     def _start(self) -> LabHost | OwnBench:
         bench = self._bench

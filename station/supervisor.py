@@ -45,10 +45,10 @@ STUCK_TEXT = "the simulated robot cannot follow its stages under its load and st
 
 
 class Supervisor:
-    """Owner of the control process and of the virtual lab's."""
+    """Owner of the control process and of the virtual lab's. OFF, without a process, until it is opened."""
 
     def __init__(self, bench: Bench, runs: Path | None = None, audit: Audit | None = None) -> None:
-        """Start everything; every run is recorded in the folder `runs`, every change of state in `audit`, if given."""
+        """Every run is recorded in the folder `runs`, every change of state in `audit`, if given."""
         self.bench, self._clock = bench, bench.clock
         self.robot = bench.robot.robot()
         self.channels = Channels(self.robot)
@@ -64,16 +64,24 @@ class Supervisor:
         self._reserved = ""  # why nobody but a procedure may move anything
         self._devices: tuple[DeviceStatus, ...] = ()
         self._closing = threading.Event()
-        one_thread_each()
-        self.recording = None if runs is None else LiveRecording(self.ring, bench.robot, runs, bench.clock)
+        self._folder = runs
+        self.recording: LiveRecording | None = None
         self._chronicle = Chronicle(self.ring, self.channels, audit, runs, self._session)
         self._entered: Counter[State] = Counter()
         self._refused: tuple[str, ...] = ()  # by the system, to the control process
         self._recorded = 0  # the run that is being recorded
         self._settling = 0.0  # errors of its motion count from then on [s]
         self._lab = BenchSide(bench, self.ring)
-        self._control = self._start_control()
+        self._control: ControlHost | None = None
         self._watchdog = threading.Thread(target=self._watch_time, name="watchdog")
+
+    def open(self) -> None:
+        """Start every process; once."""
+        one_thread_each()
+        if self._folder is not None:
+            self.recording = LiveRecording(self.ring, self.bench.robot, self._folder, self.bench.clock)
+        self._lab.open()
+        self._control = self._start_control()
         self._watchdog.start()
 
     def wait_ready(self, timeout: float, since: int = 0) -> None:
@@ -115,7 +123,7 @@ class Supervisor:
     def pids(self) -> dict[str, int]:
         """Of every process that lives."""
         found = {"station": os.getpid()}
-        if self._control.alive:
+        if self._control is not None and self._control.alive:
             found["control"] = self._control.pid
         if self._lab.pid is not None:
             found["lab"] = self._lab.pid
@@ -202,10 +210,11 @@ class Supervisor:
 
     def stop(self) -> str:
         """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
-        if not self._control.alive:
-            return self._control.stop_stages() or "there is no control process and nothing that moves"
+        if self._control is None or not self._control.alive:
+            stopped = "" if self._control is None else self._control.stop_stages()
+            return stopped or "there is no control process and nothing that moves"
         try:
-            self._control.ask(Event.STOP)
+            self._ask(Event.STOP)
         except RefusedError as error:
             return f"{error}; the stop is the next thing that it does"
         return ""
@@ -217,14 +226,14 @@ class Supervisor:
             RefusedError: there is nothing to reset.
             CtrError: they do not come back.
         """
-        if self._control.alive and self._lab.alive:
-            self._control.ask(Event.RESET)
+        if self._control is None or (self._control.alive and self._lab.alive):
+            self._ask(Event.RESET)
             return
         if self._control.alive:
             self._control.kill()  # the devices it has open are gone
         self._control.close()
         if not self._lab.alive:
-            self._lab.restart()
+            self._lab.open()
         self.ring.clear_timing()
         since = self.ring.written
         with self._lock:
@@ -239,7 +248,7 @@ class Supervisor:
             RefusedError: not OFF, or a procedure is on.
         """
         self._check_free()
-        self._control.ask(Event.CONNECT)
+        self._ask(Event.CONNECT)
 
     def home(self) -> None:
         """Home every stage; a person has said that the way is clear.
@@ -248,7 +257,7 @@ class Supervisor:
             RefusedError: neither CONNECTED nor READY, a procedure is on, or the stages cannot.
         """
         self._check_free()
-        self._control.ask(Event.HOME)
+        self._ask(Event.HOME)
 
     def tare(self) -> None:
         """Make what the force sensors feel zero.
@@ -257,7 +266,7 @@ class Supervisor:
             RefusedError: not READY, or a procedure is on.
         """
         self._check_free()
-        self._control.ask("tare")
+        self._ask("tare")
 
     def jog(self, space: Literal["joints", "tip"], velocity: Array) -> None:
         """Move by hand for the next 0.3 s: (n,) [rad/s or m/s] joints or (3,) [m/s] tip.
@@ -266,14 +275,14 @@ class Supervisor:
             RefusedError: not READY, or a procedure is on.
         """
         self._check_free()
-        self._control.ask("jog", space=space, velocity=velocity)
+        self._ask("jog", space=space, velocity=velocity)
 
     def operator_gone(self) -> None:
         """Nobody commands any more; as configured, a run that is on goes on or is held."""
         if self.bench.alone == "hold" and self.status().state is State.RUNNING:
             cause = "the operator has gone; this station holds a run then (alone = 'hold')"
             with contextlib.suppress(RefusedError):  # it has just ended
-                self._control.ask(Event.HOLD, cause=cause)
+                self._ask(Event.HOLD, cause=cause)
 
     def pull(self, load: Load) -> None:
         """Put a load on the virtual lab's tip, now; the next motion brings its own."""
@@ -286,13 +295,21 @@ class Supervisor:
     def close(self) -> None:
         """End the control process, its axes stopped, then the lab, and remove the shared memory."""
         self._closing.set()
-        self._control.close()
+        if self._control is not None:
+            self._control.close()
         self._lab.close()
-        self._watchdog.join(timeout=self._clock.real(3.0))
+        if self._watchdog.is_alive():
+            self._watchdog.join(timeout=self._clock.real(3.0))
         if self.recording is not None:
             self.recording.close()
         self._chronicle.close()
         self.ring.close(remove=True)
+
+    def _ask(self, what: Any, **about: Any) -> None:
+        """Have the control process do something."""
+        if self._control is None:
+            raise RefusedError("the station was not started: there is no control process")
+        self._control.ask(what, **about)
 
     def _check_free(self) -> None:
         if self._reserved:
@@ -302,7 +319,7 @@ class Supervisor:
         """Have a task carried out; its id."""
         before = self._lab.prepare(brings)
         try:
-            self._control.ask(Event.START, task=task, run=number)
+            self._ask(Event.START, task=task, run=number)
         except RefusedError:
             self._lab.prepare(before)
             raise
@@ -377,14 +394,16 @@ class Supervisor:
         while not self._closing.wait(self._clock.real(LOOK)):
             numbers = self.ring.numbers
             numbers[STATION_HEARTBEAT] = self._clock.now()
-            ticked = float(numbers[HEARTBEAT])
+            ticked, control = float(numbers[HEARTBEAT]), self._control
+            if control is None:
+                continue
             # The first ticks of a new installation compile what they meet.
             patience = HUNG if self._entered[State.READY] else FIRST_TICKS
-            if ticked > 0.0 and self._clock.now() - ticked > patience and self._control.alive:
+            if ticked > 0.0 and self._clock.now() - ticked > patience and control.alive:
                 with self._lock:
                     self._state, self._cause = State.FAULT, f"the control loop has not ticked for {patience:g} s"
-                self._control.kill()
+                control.kill()
             if self._recorded and self.recording is not None and (problem := self.recording.problem()):
                 self._recorded = 0
                 # A run that is not recorded is worth nothing: end it safely.
-                self._control.hold(f"the recording has ended: {problem}")
+                control.hold(f"the recording has ended: {problem}")

@@ -1,5 +1,6 @@
 """What every test shares: robot, a short experiment, the command line, and that it leaves nothing behind."""
 
+import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +17,9 @@ from station.config import PRESETS
 from station.robots import RobotFile, load_robot
 from tests.harness.cases import SHORT
 from tests.harness.leftovers import nothing_left_behind
+
+# Processes that tests start keep what Python has compiled of this project, for those that come after them.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -69,6 +69,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
             bench = replace(bench, core=leave_a_core())
         supervisor = Supervisor(bench, data, audit)
         try:
+            supervisor.open()
             supervisor.wait_ready(START_TIME)
             desk = Desk(supervisor)
             calibration = LiveCalibration(supervisor, data / CALIBRATIONS)

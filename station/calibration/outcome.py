@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from rich.table import Table
 from rich.text import Text
 
-from station.calibration import files, report, summary
+from station.calibration import files, summary
 from station.calibration.plan import Subject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
 from station.calibration.summary import Result
@@ -106,7 +106,10 @@ def write_all(
         folder.mkdir(parents=True, exist_ok=True)
         (folder / VISITS).write_text(json.dumps(summary.recorded(visits), indent=1) + "\n", encoding="utf-8")
         (folder / NUMBERS).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-        report.write_report(folder, provenance.what, result, subject, facts, simulated=provenance.simulated)
+        # Imported here: the figures' library takes a second, which the station's start must not.
+        from station.calibration.report import write_report
+
+        write_report(folder, provenance.what, result, subject, facts, simulated=provenance.simulated)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
     return numbers

@@ -34,6 +34,7 @@ def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True
     with tempfile.TemporaryDirectory(prefix="ctr-bench-") as folder, Witness(core) as witness:
         supervisor = Supervisor(bench, Path(folder))
         try:
+            supervisor.open()
             supervisor.wait_ready(120.0)
             steal = stolen()
             supervisor.ring.clear_timing()

@@ -101,6 +101,7 @@ def soak(seconds: float, seed: int, folder: Path, progress: Callable[[float], No
     bench = replace(load_station(None).bench(), terminals=terminals)
     supervisor = Supervisor(bench, folder / "runs")
     try:
+        supervisor.open()
         supervisor.wait_ready(COMES_UP)
         soaked = _Soak(supervisor, seed)
         soaked.run(seconds, progress)

@@ -81,6 +81,7 @@ def main() -> None:
         bench = replace(bench, devices=lab_bench(endpoints, bench.lab))
     supervisor = Supervisor(bench, Path(folder))
     try:
+        supervisor.open()
         supervisor.wait_ready(120.0)
         _settled(supervisor)
         desk = Desk(supervisor)

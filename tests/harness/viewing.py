@@ -45,6 +45,7 @@ def viewing() -> Iterator[Viewed]:
     failures = _Failures(logging.ERROR)
     logging.getLogger("web.view").addHandler(failures)
     try:
+        supervisor.open()
         supervisor.wait_ready(NET)
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:

@@ -43,6 +43,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def open_page(running: Served, browser: Browser) -> Iterator[Page]:
     """The page with its scene drawn; opened once, software rendering is slow."""
+    running.ready()
     page = browser.new_page(viewport=SIZE)
     page.set_default_timeout(PATIENCE)
     page.goto(running.url)

@@ -2,22 +2,16 @@
 
 import signal
 
-import pytest
 from playwright.sync_api import Browser
 
 from tests.harness.chromium import bare_page
-from tests.harness.serving import serving
+from tests.harness.serving import Served, serving
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
 
 
-@pytest.fixture(scope="module")
-def running() -> None:
-    """Each of these tests ends its own station."""
-
-
-def test_stop_works_with_a_broken_scene(browser: Browser) -> None:
-    with serving() as station, bare_page(browser, station) as page:
+def test_stop_works_with_a_broken_scene(station: Served, browser: Browser) -> None:
+    with bare_page(browser, station) as page:
         station.post("/api/start", HOLD)
         page.locator("#state", has_text="RUNNING").wait_for()
         page.locator("#stop").click()
@@ -25,8 +19,8 @@ def test_stop_works_with_a_broken_scene(browser: Browser) -> None:
         assert station.status()["state"] == "STOPPED"
 
 
-def test_a_dead_control_process_shows_as_fault_at_once_and_a_reset_revives_it(browser: Browser) -> None:
-    with serving() as station, bare_page(browser, station) as page:
+def test_a_dead_control_process_is_a_fault_at_once_and_a_reset_revives_it(station: Served, browser: Browser) -> None:
+    with bare_page(browser, station) as page:
         page.evaluate(
             """() => {
               window.faultSeen = null;
@@ -43,17 +37,7 @@ def test_a_dead_control_process_shows_as_fault_at_once_and_a_reset_revives_it(br
         page.locator("#state", has_text="READY").wait_for()
 
 
-def test_a_station_that_is_gone_shows_as_such(browser: Browser) -> None:
-    with serving() as station, bare_page(browser, station) as page:
-        station.end()
-        page.locator("#state", has_text="NO ANSWER").wait_for()
-        assert "emergency stop" in page.locator("#next").inner_text()
-        assert "stale" in str(page.locator("body").get_attribute("class"))
-        page.locator("#stop").click()
-        page.locator("#alarm", has_text="Use the emergency stop").wait_for()
-
-
-def test_a_station_that_hangs_looks_old(browser: Browser) -> None:
+def test_a_station_that_hangs_looks_old_and_one_that_is_gone_is_told(browser: Browser) -> None:
     with serving() as station, bare_page(browser, station) as page:
         page.evaluate(
             """() => {
@@ -68,3 +52,9 @@ def test_a_station_that_hangs_looks_old(browser: Browser) -> None:
         finally:
             station.process.send_signal(signal.SIGCONT)
         page.wait_for_function("() => !document.body.classList.contains('stale')")
+        station.end()
+        page.locator("#state", has_text="NO ANSWER").wait_for()
+        assert "emergency stop" in page.locator("#next").inner_text()
+        assert "stale" in str(page.locator("body").get_attribute("class"))
+        page.locator("#stop").click()
+        page.locator("#alarm", has_text="Use the emergency stop").wait_for()

@@ -4,10 +4,12 @@ import http.server
 import threading
 from collections.abc import Iterator
 
+import httpx
 import msgspec
 import pytest
 import viser
 from playwright.sync_api import Browser, Page
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from tests.harness.chromium import PATIENCE, bare_page
@@ -163,6 +165,14 @@ def guarded() -> Iterator[Served]:
 
 
 def test_without_a_token_nobody_sees_anything(guarded: Served, browser: Browser) -> None:
+    for path in ("/api/status", "/api/docs", "/viser/"):
+        assert httpx.get(f"{guarded.url}{path}").status_code == 401
+    assert httpx.post(f"{guarded.url}/api/stop").status_code == 401
+    assert httpx.get(f"{guarded.url}/api/status", headers={"authorization": "Bearer guess"}).status_code == 401
+    for path in ("/api/telemetry", "/viser/"):
+        with pytest.raises(InvalidStatus) as refusal:
+            connect(f"ws://127.0.0.1:{guarded.port}{path}", proxy=None)
+        assert refusal.value.response.status_code in (401, 403)
     page = browser.new_page()
     try:
         answer = page.goto(guarded.url)

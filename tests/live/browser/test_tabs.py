@@ -17,6 +17,7 @@ CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.003, "period": 4.0}, "dur
 
 @pytest.fixture(scope="module")
 def open_page(running: Served, browser: Browser) -> Iterator[Page]:
+    running.ready()
     with bare_page(browser, running) as page:
         yield page
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 
 import psutil
 
@@ -13,6 +14,7 @@ def test_nothing_is_half_started(write) -> None:
         watched = psutil.Process(process.pid)
         children = set()
         while process.poll() is None:
+            time.sleep(0.02)
             children |= {child.pid for child in watched.children()} if watched.is_running() else set()
         said = process.stdout.read()
 

@@ -31,8 +31,3 @@ def test_a_run_goes_on_without_its_operator(station: Served) -> None:
     # Its end is looked for a few times a second of the computer.
     time.sleep(2.0)
     assert station.status()["state"] == "RUNNING"
-
-
-def test_a_page_that_says_nothing_any_more_loses_the_lease(station: Served) -> None:
-    assert station.rest.post("/api/operator", json={"name": "Anna"}, headers=OPERATOR).status_code == 200
-    station.wait_for(lambda status: status["operator"]["name"] is None)

@@ -12,16 +12,19 @@ from station.recording.recover import recover
 from tests.harness.calm import CLOCK
 from tests.harness.kill_stations import kill, until_moving
 from tests.harness.lone_station import lone_station
+from tests.harness.serving import shared_memory
 from tests.harness.waiting import NET, until
 from tests.harness.watched_lab import WatchedLab
 
 
 def test_the_control_process_stops_the_stages_and_the_next_start_has_the_recording(tmp_path: Path) -> None:
+    before = shared_memory()
     with WatchedLab(CLOCK) as lab:
         with lone_station(tmp_path, lab) as station:
             children = [station.child(name) for name in ("control", "recorder")]
             assert kill(station, lab, "station", 0.4) > 0.0
             assert psutil.wait_procs(children, timeout=NET)[1] == []
+            until(lambda: shared_memory() <= before)
         with lone_station(tmp_path, lab) as station:
             assert len(station.ask("status")["recovered"]) <= 1  # none, if the recorder could still finish it
             (first,) = runs(tmp_path)

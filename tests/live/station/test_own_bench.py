@@ -29,6 +29,7 @@ def test_it_waits_for_a_person_to_home(paper, tmp_path: Path):
         patient = told.model_copy(update={"stages": {**told.stages, "deadline": 2.0}})
         supervisor = Supervisor(replace(load_station(None).bench(), devices=patient), tmp_path)
         try:
+            supervisor.open()
             supervisor.wait_ready(60.0)
             status = supervisor.status()
             assert status.state is State.CONNECTED, status.cause

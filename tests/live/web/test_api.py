@@ -7,8 +7,10 @@ import time
 from xml.etree import ElementTree
 
 import httpx
+import msgspec
 import numpy as np
 import pytest
+import viser
 from websockets.sync.client import connect
 
 from tests.harness.calm import CLOCK
@@ -190,3 +192,32 @@ def test_the_api_describes_itself_without_the_internet(station: Served) -> None:
     assert "https://" not in page
     script = page.split('<script src="')[1].split('"')[0]
     assert httpx.get(station.url + script).status_code == 200
+
+
+def test_a_held_jog_is_one_line_of_the_log(station: Served) -> None:
+    for _ in range(8):
+        assert station.post("/api/jog", {"space": "joints", "velocity": [0.01, 0.0, 0.0]}).status_code == 200
+    station.post("/api/jog", {"space": "joints", "velocity": [0.0, 0.0, 0.0]})
+    station.wait_for(lambda s: s["state"] == "READY")
+    entries = station.rest.get("/api/log?count=20").json()
+    since = next(i for i, entry in enumerate(entries) if "/api/jog" not in entry["what"] and entry["who"] != "station")
+    assert len([entry for entry in entries[:since] if "/api/jog" in entry["what"]]) == 1
+
+
+def test_forged_messages_to_the_scene_are_dropped_and_logged(station: Served) -> None:
+    def drops() -> set[str]:
+        entries = station.rest.get("/api/log?count=20").json()
+        return {entry["outcome"].removeprefix("dropped: ") for entry in entries if entry["what"] == "scene message"}
+
+    address = f"ws://127.0.0.1:{station.port}/viser/as/somebody-0123456789"
+    with connect(address, subprotocols=[f"viser-v{viser.__version__}"], proxy=None, max_size=None) as socket:
+        for message in (
+            {"type": "GuiRemoveMessage", "uuid": "anything"},
+            {"type": "ShareUrlRequest"},
+            {"type": "TransformControlsUpdateMessage", "name": "/handle/target", "wxyz": [1, 0, 0, 0],
+             "position": [0, 0, 9999.0], "owner": ""},
+        ):  # fmt: skip
+            socket.send(msgspec.msgpack.encode(message))
+        socket.send("text")
+        station.wait_for(lambda _: drops() >= {"no message that is known here", "no message of a scene"})
+    assert any("not operator" in reason for reason in drops())

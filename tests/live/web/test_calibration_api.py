@@ -91,6 +91,8 @@ def test_a_procedure_has_the_robot_to_itself_until_stop_ends_it(station):
     assert now["on"]
     assert (now["stage"], now["says"]) == ("moving", "pose 1")
     assert now["left"] > 10.0
+    assert station.status()["run"]["title"] == "calibrate tracker, pose 1"
+    assert station.rest.get("/api/runs").json() == []  # visits are not runs
     for path, body in (
         ("start", {"experiment": "fig7"}),
         ("calibration/start", {"what": "axes"} | CLEAR),
@@ -107,6 +109,17 @@ def test_a_procedure_has_the_robot_to_itself_until_stop_ends_it(station):
     assert course(station)["stage"] == "aborted"
     assert "stopped by the operator" in course(station)["says"]
     assert len(station.rest.get("/api/calibration/results").json()) == 1
+
+
+def test_a_stop_ends_it_while_it_thinks_even_if_it_is_reset_at_once(station):
+    station.post("/api/calibration/start", {"what": "tracker", "effort": 0.5} | CLEAR)
+    station.post("/api/stop")
+    assert station.post("/api/calibration/start", {"what": "axes"} | CLEAR).status_code == 409
+    station.post("/api/reset")
+
+    station.wait_for(lambda _: not course(station)["on"])
+    assert course(station)["stage"] == "aborted"
+    assert "stopped" in course(station)["says"].lower()
 
 
 def test_an_experiment_uses_the_calibration_that_the_station_was_started_with(station, data, earlier):

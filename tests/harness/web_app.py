@@ -1,0 +1,39 @@
+"""The web application in the test's own process, on a station that was never opened: it is OFF and has no process."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import viser
+from starlette.testclient import TestClient
+
+from station.audit import Audit
+from station.calibration.live import LiveCalibration
+from station.desk import Desk
+from station.station_file import load_station
+from station.supervisor import Supervisor
+from web.app import build_app
+from web.view import View
+
+HOST, PORT = "127.0.0.1", 8000
+
+
+@contextmanager
+def web_app(folder: Path) -> Iterator[TestClient]:
+    """Requests go straight into the application; runs, calibrations and the log are in `folder`."""
+    supervisor, audit = Supervisor(load_station(None).bench()), Audit(folder)
+    server = viser.ViserServer(host=HOST, port=0, verbose=False)
+    try:
+        desk, calibration = Desk(supervisor), LiveCalibration(supervisor, folder / "calibrations")
+        view = View(server, desk)
+        try:
+            app = build_app(desk, view, calibration, folder, audit, HOST, PORT, None)
+            with TestClient(app, base_url=f"http://{HOST}:{PORT}", client=(HOST, 50000)) as client:
+                yield client
+        finally:
+            calibration.close()
+            view.close()
+    finally:
+        server.stop()
+        supervisor.close()
+        audit.close()

@@ -1,0 +1,23 @@
+"""The web application without a process: nothing to wait for, nothing that moves."""
+
+from collections.abc import Iterator
+
+import pytest
+from starlette.testclient import TestClient
+
+from tests.harness.leftovers import nothing_left_behind
+from tests.harness.web_app import web_app
+
+
+@pytest.fixture(autouse=True, scope="module")
+def nothing_is_left_behind() -> Iterator[None]:
+    """Nothing outlives its module: the application's threads are ready for the next request until it ends."""
+    with nothing_left_behind(30.0):
+        yield
+
+
+@pytest.fixture(scope="module")
+def app(tmp_path_factory: pytest.TempPathFactory, nothing_is_left_behind: None) -> Iterator[TestClient]:
+    """The application of a station that is OFF."""
+    with web_app(tmp_path_factory.mktemp("station")) as client:
+        yield client
