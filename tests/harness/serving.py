@@ -53,8 +53,11 @@ class Served:
     def ready(self) -> None:
         """READY and without an operator, whatever came before."""
         self.rest.post("/api/operator", json={"take_over": True})
-        if self.status()["state"] == "RUNNING":
+        if (state := self.status()["state"]) == "RUNNING":
             self.post("/api/stop")
+        elif state == "OFF":
+            self.post("/api/connect")
+        self.rest.delete("/api/faults")
         if self.status()["state"] in ("STOPPED", "HOLD", "FAULT"):
             self.post("/api/reset")
         status = self.wait_for(lambda status: status["state"] in ("READY", "CONNECTED") and not status["stale"])
