@@ -11,10 +11,10 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-from core.robot import Joint, Robot, Section, Tube
-from station.cli import main
-from station.config import PRESETS
-from station.robots import RobotFile, load_robot
+from core.robot.robot import Joint, Robot, Section, Tube
+from station.cli.main import main
+from station.config.robots import RobotFile, load_robot
+from station.config.strict import PRESETS
 from tests.harness.cases import SHORT
 from tests.harness.leftovers import nothing_left_behind
 

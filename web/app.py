@@ -14,24 +14,24 @@ from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 
 from core.errors import CtrError
-from station.audit import Audit
-from station.calibration.live import LiveCalibration
-from station.desk import Desk
+from station.control.states import RefusedError
 from station.recording.history import History
-from station.states import RefusedError
-from web.access import Access
-from web.alone import tell_when_alone
-from web.api import api_routes
-from web.audited import Audited
-from web.bench_api import bench_routes
-from web.calibration_api import calibration_routes
-from web.commands import commands, operator_routes
-from web.lease import Lease
-from web.runs_api import runs_routes
-from web.scene_api import scene_routes
-from web.tokens import Tokens
-from web.view import View
-from web.viser_proxy import viser_routes
+from station.service.audit import Audit
+from station.service.live_calibration import LiveCalibration
+from station.service.station_service import Desk
+from web.access.audited import Audited
+from web.access.gate import Access
+from web.access.lease import Lease
+from web.access.tokens import Tokens
+from web.api.bench import bench_routes
+from web.api.calibration import calibration_routes
+from web.api.commands import commands, operator_routes
+from web.api.motion import api_routes
+from web.api.operator_watchdog import tell_when_alone
+from web.api.runs import runs_routes
+from web.api.scene import scene_routes
+from web.scene.proxy import viser_routes
+from web.scene.view import View
 
 STATIC = Path(__file__).parent / "static"
 #: What the page may load: its own files only. The scene brings its own page.

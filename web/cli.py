@@ -5,8 +5,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from station.cli import execute, parser
-from station.commands.options import seed
+from station.cli.main import execute, parser
+from station.cli.options import seed
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -16,16 +16,16 @@ import viser
 from rich.console import Console
 
 from core.errors import CtrError
-from station.audit import Audit
-from station.calibration.live import LiveCalibration
-from station.desk import Desk
-from station.realtime import leave_a_core
-from station.station_file import load_station
-from station.supervisor import Supervisor
-from web.access import is_loopback
+from station.control.realtime import leave_a_core
+from station.service.audit import Audit
+from station.service.live_calibration import LiveCalibration
+from station.service.station_file import load_station
+from station.service.station_service import Desk
+from station.service.supervisor import Supervisor
+from web.access.gate import is_loopback
+from web.access.tokens import new_tokens
 from web.app import build_app
-from web.tokens import new_tokens
-from web.view import View
+from web.scene.view import View
 
 #: The control process has this long to compile and to begin [s].
 START_TIME = 120.0

@@ -15,8 +15,8 @@ from core.calibration.fit import Unobservable
 from core.calibration.rigid import kabsch
 from core.calibration.visits import Visit
 from core.errors import CtrError
-from core.robot import Array, Robot
-from core.statics import Statics
+from core.model.statics import Statics
+from core.robot.robot import Array, Robot
 
 #: The right combination must fit this many times better than the next.
 CLEAR = 3.0

@@ -18,11 +18,11 @@ import numpy as np
 
 from core.calibration.rigid import cross_matrix
 from core.calibration.visits import Noise
+from core.control.force_fusion import Fused
 from core.errors import CtrError
-from core.robot import Array
-from core.solution import Solution
-from core.statics import Statics
-from core.wrench import Fused
+from core.model.solution import Solution
+from core.model.statics import Statics
+from core.robot.robot import Array
 
 #: Quantile of chi square for one unknown, 95 %.
 INTERVAL = 3.841

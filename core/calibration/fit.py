@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 
 from core.errors import CtrError
-from core.robot import Array
+from core.robot.robot import Array
 
 #: A combination is told by the data when they leave less than this part of its size open.
 TOLD = 0.5

@@ -22,9 +22,9 @@ from core.calibration.fit import Fit, Parameter, Unobservable, fit
 from core.calibration.rigid import rotation_of
 from core.calibration.visits import Noise, Visit
 from core.compiled import compiled
-from core.robot import Array, Layout, Robot, tube_poses
-from core.sensors import Sensors, exerted
-from core.wrench import Fused, fuse_at, fused_at
+from core.control.force_fusion import Fused, fuse_at, fused_at
+from core.control.sensors import Sensors, exerted
+from core.robot.robot import Array, Layout, Robot, tube_poses
 
 #: What is known beforehand, one standard deviation, and how far each may be off before it matters.
 OFFSET, OFFSET_SIZE = (2.0, 30e-3), (5e-3, 0.2e-3)  # [N], [N m]

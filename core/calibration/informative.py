@@ -14,9 +14,9 @@ from core.calibration.quantities import Quantity
 from core.calibration.rigid import Rigid
 from core.calibration.visits import Noise, Visit
 from core.errors import CtrError, Unreachable
-from core.limits import Limits, Situation
-from core.robot import Array, Indices, Robot
-from core.statics import Statics
+from core.model.statics import Statics
+from core.robot.limits import Limits, Situation
+from core.robot.robot import Array, Indices, Robot
 
 #: Rotations further than half a turn from zero show nothing new [rad].
 HALF_TURN = np.pi

@@ -24,9 +24,9 @@ from core.calibration.fit import Parameter
 from core.calibration.quantities import Quantity, changed
 from core.calibration.rigid import Rigid, rotation_of
 from core.calibration.visits import Noise, Visit
-from core.robot import Array, Robot
-from core.solution import Solution
-from core.statics import Statics
+from core.model.solution import Solution
+from core.model.statics import Statics
+from core.robot.robot import Array, Robot
 
 #: How far frames may be off before it matters [rad, m]; the coil sits within a few millimetres of the tip.
 FRAME_ANGLE, FRAME_PLACE, COIL = 1e-2, 1e-3, 3e-3

@@ -16,7 +16,7 @@ from typing import Literal
 
 from core.calibration.fit import Parameter
 from core.errors import DescriptionError
-from core.robot import Array, Robot, Section, Tube
+from core.robot.robot import Array, Robot, Section, Tube
 
 Kind = Literal["bending_stiffness", "curvature", "poisson_ratio", "straight_length", "zero_angle"]
 

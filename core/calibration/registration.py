@@ -19,9 +19,9 @@ from core.calibration.fit import Fit, Unobservable, fit, weak_combinations
 from core.calibration.prediction import Frames, Prediction
 from core.calibration.rigid import kabsch
 from core.calibration.visits import Noise, Visit
-from core.limits import Limits
-from core.robot import Array, Robot
-from core.statics import Statics
+from core.model.statics import Statics
+from core.robot.limits import Limits
+from core.robot.robot import Array, Robot
 
 #: Every so many-th visit is held out of the check's fit.
 HOLD_OUT = 4

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.errors import DescriptionError
-from core.robot import Array
+from core.robot.robot import Array
 
 
 class Rigid(NamedTuple):

@@ -16,7 +16,7 @@ from core.calibration.prediction import Frames, Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
 from core.calibration.visits import Noise, Visit
-from core.robot import Array, Robot
+from core.robot.robot import Array, Robot
 
 #: Fewer loaded visits than this cannot set the scale of the stiffness.
 LEAST_LOADED = 4

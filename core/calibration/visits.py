@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.robot import Array, Robot
-from core.wrench import fuse_at
+from core.control.force_fusion import fuse_at
+from core.robot.robot import Array, Robot
 
 
 class Visit(NamedTuple):

@@ -11,8 +11,8 @@ from core.calibration.prediction import Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
 from core.calibration.visits import Visit
-from core.robot import Array
-from core.statics import Statics
+from core.model.statics import Statics
+from core.robot.robot import Array
 from station.calibration.plan import NOISE, Subject
 from station.calibration.procedure import AbortedError, GoTo, Procedure, Swing, Swung
 

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from station.robots import RobotFile
+from station.config.robots import RobotFile
 
 
 class Todo(NamedTuple):

@@ -15,13 +15,13 @@ from core.calibration.force import SensorCalibration
 from core.calibration.prediction import Frames
 from core.calibration.rigid import Rigid, rotation_of, vector_of
 from core.calibration.tubes import TubeCalibration
-from core.corrections import Corrections
-from core.robot import Array, Robot
-from core.sensors import Sensors
-from core.step import Controller
-from station.config import ConfigError, NotNegative, Strict, Vector, check, read_toml
-from station.devices.aurora_tracker import Registration
-from station.robots import RobotFile, load_robot
+from core.control.corrections import Corrections
+from core.control.sensors import Sensors
+from core.control.step import Controller
+from core.robot.robot import Array, Robot
+from station.config.robots import RobotFile, load_robot
+from station.config.strict import ConfigError, NotNegative, Strict, Vector, check, read_toml
+from station.devices.aurora.tracker import Registration
 
 REGISTRATION, SENSORS, ROBOT = "registration.toml", "sensors.toml", "robot.toml"
 

@@ -6,19 +6,19 @@ from typing import TypeVar
 import numpy as np
 
 from core.calibration.visits import Visit
-from core.robot import Array
+from core.robot.robot import Array
 from station.calibration.plan import Subject
 from station.calibration.procedure import AbortedError, Ask, Guided, Procedure, StoppedByHandError
 from station.calibration.visiting import SWINGING, measured, task
-from station.clock import Clock
-from station.devices.aurora_tracker import Registration
+from station.control.clock import Clock
+from station.control.loop import ControlLoop
+from station.control.states import State
+from station.devices.aurora.tracker import Registration
 from station.experiments.experiment import BEST, PERIOD
-from station.interrupt import interrupts
+from station.experiments.interrupt import interrupts
 from station.lab.config import LabConfig
 from station.lab.loads import ConstantLoad, Load, NoLoad
 from station.lab.virtual_bench import virtual_bench
-from station.loop import ControlLoop
-from station.states import State
 
 Result = TypeVar("Result")
 #: Longest wait until the devices are connected [s].

@@ -11,9 +11,9 @@ from station.calibration import files, summary
 from station.calibration.plan import Subject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
 from station.calibration.summary import Result
-from station.config import ConfigError
-from station.devices.aurora_tracker import Registration
-from station.lab.simulated_aurora_coil import MOUNT
+from station.config.strict import ConfigError
+from station.devices.aurora.tracker import Registration
+from station.lab.aurora.coil import MOUNT
 
 VISITS, NUMBERS = "visits.json", "report.json"
 

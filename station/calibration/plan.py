@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from core.calibration.informative import candidates, choose, tour
 from core.calibration.quantities import Quantity
 from core.calibration.visits import Noise
-from core.limits import Limits
-from core.robot import Array, Robot
-from core.statics import Statics
-from station.robots import RobotFile
+from core.model.statics import Statics
+from core.robot.limits import Limits
+from core.robot.robot import Array, Robot
+from station.config.robots import RobotFile
 
 #: Poses to choose from.
 CANDIDATES = 300

@@ -10,7 +10,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from core.calibration.visits import Visit
 from core.errors import CtrError
-from core.robot import Array
+from core.robot.robot import Array
 
 Result = TypeVar("Result")
 

@@ -12,7 +12,7 @@ from core.calibration.quantities import quantities
 from core.calibration.registration import Registration, register
 from core.calibration.tubes import HeldOut, TubeCalibration, calibrate_tubes, held_out
 from core.calibration.visits import Visit
-from core.robot import Array
+from core.robot.robot import Array
 from station.calibration.plan import NOISE, Subject
 from station.calibration.procedure import Ask, GoTo, Procedure
 

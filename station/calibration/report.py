@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from core.robot import Array
+from core.robot.robot import Array
 from station.calibration.plan import Subject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
 from station.calibration.summary import Result, findings, rows

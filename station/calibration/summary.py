@@ -11,7 +11,7 @@ from core.calibration.force import SensorCalibration, WeightCheck
 from core.calibration.prediction import Frames
 from core.calibration.rigid import vector_of
 from core.calibration.visits import Visit
-from core.robot import Array, Robot
+from core.robot.robot import Array, Robot
 from station.calibration.commission import AxesResult, LatencyResult
 from station.calibration.plan import Subject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult

@@ -8,15 +8,15 @@ import math
 import numpy as np
 
 from core.calibration.visits import Visit
-from core.robot import Array
-from core.step import Controller
-from core.trajectories import JointMotion
+from core.control.step import Controller
+from core.control.trajectories import JointMotion
+from core.robot.robot import Array
 from station.calibration.procedure import AbortedError, GoTo, Swing, Swung
-from station.margins import Margins
-from station.rest import AVERAGE
-from station.states import State
-from station.task import Task
-from station.telemetry import Channels
+from station.control.margins import Margins
+from station.control.settle_and_tare import AVERAGE
+from station.control.states import State
+from station.control.task import Task
+from station.control.telemetry import Channels
 
 #: At each rest the loop tares away the weight that hangs, and its model goes on without it; and nothing is calibrated
 #: yet. Only a tip that is somewhere else altogether stops a procedure.

@@ -9,23 +9,23 @@ from typing import Any
 import numpy as np
 
 from core.errors import CtrError
-from station.config import ConfigError, check
-from station.devices.ati_calibration import Calibration, read_calibration
-from station.devices.aurora import POWER_UP_BAUD
-from station.devices.aurora_settings import AuroraSettings
-from station.devices.aurora_tracker import AuroraTracker, Registration
+from station.config.robots import JointFile, RobotFile
+from station.config.strict import ConfigError, check
+from station.devices.aurora.protocol import POWER_UP_BAUD
+from station.devices.aurora.settings import AuroraSettings
+from station.devices.aurora.tracker import AuroraTracker, Registration
 from station.devices.config import AuroraFile, CardFile, NetftFile, NidaqFile, StageFile, ZaberFile, in_order
 from station.devices.interfaces import BaseSensors
-from station.devices.links import SerialLink, reopen
+from station.devices.links.link import SerialLink, reopen
 from station.devices.mounting import mounted
-from station.devices.netft_sensors import BoxAddress, NetftSettings, connect
-from station.devices.ni_card import NiCard, device_of
-from station.devices.nidaq_sensors import CardSensors, Wiring
-from station.devices.zaber import BAUD
-from station.devices.zaber_chain import Line
-from station.devices.zaber_setup import Port, StageSetup
-from station.devices.zaber_stages import ZaberStages
-from station.robots import JointFile, RobotFile
+from station.devices.netft.sensors import BoxAddress, NetftSettings, connect
+from station.devices.nidaq.ati_calibration import Calibration, read_calibration
+from station.devices.nidaq.card import NiCard, device_of
+from station.devices.nidaq.sensors import CardSensors, Wiring
+from station.devices.zaber.chain import Line
+from station.devices.zaber.protocol import BAUD
+from station.devices.zaber.setup import Port, StageSetup
+from station.devices.zaber.stages import ZaberStages
 
 
 def zaber(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], ZaberStages]:

@@ -21,12 +21,12 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
-from core.robot import Array, Base
-from station.config import ConfigError, Name, NotNegative, Positive, Row, Strict, Vector
-from station.devices.aurora_settings import AuroraSettings
-from station.devices.netft import RDT_PORT
-from station.devices.netft_sensors import NetftSettings
-from station.devices.zaber_chain import Line
+from core.robot.robot import Array, Base
+from station.config.strict import ConfigError, Name, NotNegative, Positive, Row, Strict, Vector
+from station.devices.aurora.settings import AuroraSettings
+from station.devices.netft.protocol import RDT_PORT
+from station.devices.netft.sensors import NetftSettings
+from station.devices.zaber.chain import Line
 
 #: pyserial's name of a port: /dev/ttyUSB0, COM3, socket://host:port.
 Serial = Annotated[str, Field(min_length=1)]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple, Protocol
 
-from core.robot import Array
+from core.robot.robot import Array
 
 
 class Condition(StrEnum):

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from core.robot import Array
+from core.robot.robot import Array
 from station.devices.config import Mount
 from station.devices.interfaces import BaseSensors, Condition, Trouble, WrenchReading
 

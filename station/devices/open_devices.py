@@ -3,10 +3,10 @@
 import contextlib
 
 from core.errors import CtrError
+from station.config.robots import RobotFile
 from station.devices.config import BenchFile
 from station.devices.interfaces import Devices
 from station.devices.registry import DeviceKind, Opener, find
-from station.robots import RobotFile
 
 KINDS: tuple[DeviceKind, ...] = ("stages", "tracker", "sensors")
 

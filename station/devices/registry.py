@@ -9,10 +9,10 @@ from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal
 
-from station.config import ConfigError
+from station.config.robots import RobotFile
+from station.config.strict import ConfigError
 from station.devices.built_in import aurora, netft, nidaq, zaber
 from station.devices.interfaces import BaseSensors, Stages, Tracker
-from station.robots import RobotFile
 
 GROUP = "ctr_station.devices"
 

@@ -8,17 +8,19 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from core.actuation import Actuation
-from core.controllers import PositionMode, strategy
-from core.deflection import RateFilter
+from core.control.actuation import Actuation
+from core.control.controllers import PositionMode, strategy
+from core.control.deflection import RateFilter
+from core.control.estimation import Estimator
+from core.control.observer import Observer
+from core.control.step import Controller
 from core.errors import CtrError
-from core.estimation import Estimator
-from core.observer import Observer
-from core.robot import Array
-from core.statics import PAPER_SUBLINK, Statics
-from core.step import Controller
+from core.model.statics import PAPER_SUBLINK, Statics
+from core.robot.robot import Array
 from station.calibration.files import Calibration
-from station.config import (
+from station.config.motions import Motion, Orders
+from station.config.robots import RobotFile, load_robot
+from station.config.strict import (
     PRESETS,
     ConfigError,
     Name,
@@ -31,12 +33,10 @@ from station.config import (
     preset,
     read_toml,
 )
-from station.devices.aurora_tracker import Registration
+from station.devices.aurora.tracker import Registration
 from station.lab.config import LabConfig, load_lab
 from station.lab.faults import LabFault, check_faults
 from station.lab.loads import Load, NoLoad
-from station.motions import Motion, Orders
-from station.robots import RobotFile, load_robot
 
 #: The inner loop's period [s].
 PERIOD = 0.002

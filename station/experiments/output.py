@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 from rich.table import Table
 from rich.text import Text
 
-from station.clock import Clock, VirtualClock
+from station.control.clock import Clock, VirtualClock
+from station.control.telemetry import Channels
 from station.experiments.experiment import Case, Experiment, PaperNumbers
 from station.experiments.results import summarise
 from station.experiments.runner import run_case
@@ -19,7 +20,6 @@ from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
 from station.recording.writer import CaseWriter
-from station.telemetry import Channels
 
 #: Rows that a summary is made of: all of a run of up to half an hour, every n-th of a longer one.
 MOST = 1_000_000

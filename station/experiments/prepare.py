@@ -8,13 +8,13 @@ import math
 
 import numpy as np
 
-from core.command import follow
-from core.solution import at_rest
-from core.trajectories import Setpoint
+from core.control.command import follow
+from core.control.trajectories import Setpoint
+from core.model.solution import at_rest
+from station.config.robots import load_robot
 from station.experiments.experiment import ControllerFile
 from station.lab.config import LabConfig
 from station.lab.virtual_bench import virtual_bench
-from station.robots import load_robot
 
 
 def prepare() -> None:

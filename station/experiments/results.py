@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from core.robot import Array
+from core.robot.robot import Array
+from station.config.motions import StepMotion
 from station.experiments.experiment import PERIOD
 from station.experiments.runner import Recording
 from station.experiments.step_fit import fit_step, fold
-from station.motions import StepMotion
-from station.tracking_errors import errors, rms, rounded
+from station.recording.tracking_errors import errors, rms, rounded
 
 #: Ticks over which the model's tip is averaged before it is compared: the noise of one force sample, 0.02 N in each
 #: sensor, moves it by a millimetre, and that says nothing about the model.

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from core.errors import CtrError
-from core.robot import Array
-from station.clock import Clock
+from core.robot.robot import Array
+from station.control.clock import Clock
+from station.control.loop import ControlLoop
+from station.control.realtime import uncollected
+from station.control.states import State
+from station.control.task import Phase, Task
+from station.control.telemetry import Channels
 from station.experiments.experiment import PERIOD, Case
-from station.interrupt import interrupts
+from station.experiments.interrupt import interrupts
 from station.lab.virtual_bench import virtual_bench
-from station.loop import ControlLoop
-from station.realtime import uncollected
-from station.states import State
-from station.task import Phase, Task
-from station.telemetry import Channels
 
 #: Longest wait until the devices are connected and the controller has begun [s].
 BRING_UP = 60.0

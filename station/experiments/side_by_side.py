@@ -15,7 +15,7 @@ from multiprocessing import active_children, get_context, parent_process
 from typing import Any, Self, TypeVar, cast
 
 from core.errors import CtrError
-from station.interrupt import interrupts
+from station.experiments.interrupt import interrupts
 
 #: Threads that libraries start by themselves would only fight over the processors.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from core.robot import Array
+from core.robot.robot import Array
 
 
 class StepFit(NamedTuple):

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from station.clock import VirtualClock
-from station.config import ConfigError
+from station.config.strict import ConfigError
+from station.control.clock import VirtualClock
 from station.experiments.experiment import Case, Experiment, load_experiment
 from station.experiments.results import summarise
 from station.experiments.runner import run_case

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from station.config import ConfigError
+from station.config.strict import ConfigError
 
 #: What stands for itself as a text.
 WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from station.config import ConfigError, NotNegative, Strict, Vector, check, preset, read_toml
-from station.robots import RobotFile
+from station.config.robots import RobotFile
+from station.config.strict import ConfigError, NotNegative, Strict, Vector, check, preset, read_toml
 
 
 class TubeError(Strict):

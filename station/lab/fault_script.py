@@ -4,12 +4,12 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from station.devices.links import Link
+from station.config.robots import RobotFile
+from station.devices.links.link import Link
+from station.lab.aurora.simulated import AuroraFaults, SimulatedAurora
 from station.lab.faults import LabFault, Target
-from station.lab.simulated_aurora import AuroraFaults, SimulatedAurora
-from station.lab.simulated_netft import NetftFaults, SimulatedNetft
-from station.lab.simulated_zaber import Faults, SimulatedChain
-from station.robots import RobotFile
+from station.lab.netft.simulated import NetftFaults, SimulatedNetft
+from station.lab.zaber.simulated import Faults, SimulatedChain
 
 ANALOG_BOARD = 1 << 28  #: of a Net F/T box's status
 

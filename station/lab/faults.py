@@ -15,8 +15,8 @@ from typing import Literal, NamedTuple, Self
 
 from pydantic import model_validator
 
-from station.config import ConfigError, NotNegative, Positive, Strict
-from station.robots import RobotFile
+from station.config.robots import RobotFile
+from station.config.strict import ConfigError, NotNegative, Positive, Strict
 
 Part = Literal["stages", "joint", "tracker", "sensor"]
 FaultKind = Literal[

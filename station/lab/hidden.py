@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from core.calibration.rigid import rotation_of, vector_of
-from core.robot import Array, Base, Robot
-from station.devices.aurora_tracker import Registration
+from core.robot.robot import Array, Base, Robot
+from station.config.robots import RobotFile
+from station.devices.aurora.tracker import Registration
 from station.lab.config import HiddenConfig, TrackerConfig
-from station.robots import RobotFile
 
 #: Where the parts of a sensor that hang on it have their weight, in the tube's axes [m].
 HANGING = np.array([0.002, -0.001, 0.015])

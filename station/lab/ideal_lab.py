@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from core.robot import Array
-from station.config import ConfigError
+from core.robot.robot import Array
+from station.config.robots import RobotFile
+from station.config.strict import ConfigError
 from station.devices.interfaces import Condition, Devices, JointReading, TipReading, Trouble, Truth, WrenchReading
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.loads import Load, NoLoad
 from station.lab.plant import Plant
-from station.robots import RobotFile
 
 
 class IdealLab:

@@ -8,8 +8,8 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from core.robot import Array
-from station.config import Direction, NotNegative, Row, Strict
+from core.robot.robot import Array
+from station.config.strict import Direction, NotNegative, Row, Strict
 
 GRAVITY = (1.0, 0.0, 0.0)
 #: The base sensors saturate at 18 N; nothing that a millimetre of nitinol is asked to bear comes near it [N].

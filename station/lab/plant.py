@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled, copy
-from core.cosserat import ExactRod, Rod, shoot
-from core.robot import Array, Robot, tube_poses, unpack
+from core.model.cosserat import ExactRod, Rod, shoot
+from core.robot.robot import Array, Robot, tube_poses, unpack
 from station.devices.interfaces import Truth
 from station.lab.config import PlantConfig
 

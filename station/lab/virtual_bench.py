@@ -3,22 +3,22 @@
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from core.robot import Array
-from station.devices.aurora_settings import AuroraSettings
-from station.devices.aurora_tracker import AuroraTracker, Registration
+from core.robot.robot import Array
+from station.config.robots import RobotFile
+from station.devices.aurora.settings import AuroraSettings
+from station.devices.aurora.tracker import AuroraTracker, Registration
 from station.devices.interfaces import Devices, Truth
-from station.devices.links import reopen
-from station.devices.netft_page import read_page
-from station.devices.netft_sensors import NetftSensors
-from station.devices.zaber_setup import Port
-from station.devices.zaber_stages import ZaberStages
+from station.devices.links.link import reopen
+from station.devices.netft.page import read_page
+from station.devices.netft.sensors import NetftSensors
+from station.devices.zaber.setup import Port
+from station.devices.zaber.stages import ZaberStages
+from station.lab.aurora.coil import MOUNT
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.ideal_lab import IdealLab
 from station.lab.loads import Load
-from station.lab.simulated_aurora_coil import MOUNT
-from station.lab.wire_lab import WireLab
-from station.robots import RobotFile
+from station.lab.simulated_bench import WireLab
 
 
 class Lab(Protocol):

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from core.robot import Array
+from core.robot.robot import Array
 from station.recording.events import Event
 from station.recording.label import Label
 from station.recording.writer import CaseWriter

@@ -9,20 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from core.errors import CtrError
-from core.robot import Array, Robot
-from core.solution import Solution
-from core.statics import Statics
+from core.model.solution import Solution
+from core.model.statics import Statics
+from core.robot.robot import Array, Robot
+from station.control.telemetry import Channel
 from station.recording.data_section import Said, Topic
-from station.recording.foxglove import (
-    Colour,
-    FrameTransforms,
-    Line,
-    arrow,
-    json_topic,
-    position_in_frame,
-    scene_update,
-)
-from station.telemetry import Channel
+from station.recording.foxglove import Colour, FrameTransforms, Line, arrow, json_topic, position_in_frame, scene_update
 
 #: Length of the arrow [m/N] and its width [m].
 ARROW_SCALE, ARROW_WIDTH = 0.2, 0.002

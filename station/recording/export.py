@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from core.robot import Array
+from core.robot.robot import Array
+from station.control.telemetry import Channel
 from station.recording.label import RecordingError
 from station.recording.read import CaseReader, open_case
 from station.recording.run_folder import RECORDING
-from station.telemetry import Channel
 
 FORMATS = ("csv", "parquet", "mat")
 #: Rows of a Parquet row group: large enough to compress, small enough to hold.

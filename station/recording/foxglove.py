@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from core.robot import Array
+from core.robot.robot import Array
 from station.recording.data_section import Topic
 
 #: The frame that everything is drawn in.

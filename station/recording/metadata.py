@@ -9,7 +9,7 @@ from importlib.metadata import version
 from platform import platform, python_version
 from typing import Any
 
-from station.telemetry import Channel
+from station.control.telemetry import Channel
 
 #: Metadata records at the head of a recording.
 RUN = "run"

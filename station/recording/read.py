@@ -17,14 +17,14 @@ from mcap.stream_reader import get_chunk_data_stream
 from mcap.summary import Summary
 from zstandard import ZstdError
 
-from core.robot import Array
+from core.robot.robot import Array
+from station.control.telemetry import Channel
 from station.recording.events import TOPIC as EVENTS
 from station.recording.events import Event, event_of
 from station.recording.label import Label, RecordingError
 from station.recording.metadata import CHANNELS, RUN, channels_of, values_of
 from station.recording.row_message import PREFIX, TOPIC
 from station.recording.summary import HEAD, RESULT
-from station.telemetry import Channel
 
 
 class CaseRecording(NamedTuple):

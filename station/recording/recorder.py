@@ -17,19 +17,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from station.clock import REAL_TIME, StationClock
-from station.realtime import show_as
+from station.config.robots import RobotFile
+from station.control.clock import REAL_TIME, StationClock
+from station.control.realtime import show_as
+from station.control.ring import Ring
+from station.control.telemetry import Channels
 from station.recording.drawing import Drawing
 from station.recording.events import WARNING, Event
 from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
+from station.recording.tracking_errors import motion_errors
 from station.recording.writer import CaseWriter
-from station.ring import Ring
-from station.robots import RobotFile
-from station.telemetry import Channels
-from station.tracking_errors import motion_errors
 
 #: A chunk is closed and handed to the operating system so often [s].
 FLUSH = 0.2

@@ -15,8 +15,8 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from core.robot import Array
-from station.telemetry import Channel
+from core.robot.robot import Array
+from station.control.telemetry import Channel
 
 TOPIC = "/telemetry"
 SCHEMA = "ctr_station/Telemetry"

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.robot import Array, Robot
+from core.robot.robot import Array, Robot
+from station.control.telemetry import Channel
 from station.recording.data_section import DataSection, Said, Topic
 from station.recording.drawing import Drawing
 from station.recording.events import SCHEMA as EVENTS_SCHEMA
@@ -20,7 +21,6 @@ from station.recording.label import Label, RecordingError
 from station.recording.metadata import CHANNELS, RUN, channel_texts, texts, versions
 from station.recording.row_message import NO_ROWS, SCHEMA, TOPIC, Rows, definition, message_records
 from station.recording.summary import finish_file
-from station.telemetry import Channel
 
 #: A file that is being written, or was when its writer was killed.
 PARTIAL = ".partial"

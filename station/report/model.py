@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from core.robot import Array
+from core.robot.robot import Array
 from station.experiments.experiment import PERIOD
 from station.experiments.results import AVERAGED, averaged_model
 from station.report import style

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import CtrError
-from core.robot import Array, Robot
-from core.solution import Solution
-from core.statics import PAPER_SUBLINK, Statics
-from station.config import check
+from core.model.solution import Solution
+from core.model.statics import PAPER_SUBLINK, Statics
+from core.robot.robot import Array, Robot
+from station.config.robots import RobotFile
+from station.config.strict import check
 from station.report.page import ReportError, written
 from station.report.run import Case, NoRun, Run, read_run
-from station.robots import RobotFile
 
 NAME = "replay.html"
 STATIC = Path(__file__).parent / "static"

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from core.errors import CtrError
-from core.robot import Array
-from station.config import merged, read_toml
+from core.robot.robot import Array
+from station.config.strict import merged, read_toml
+from station.control.telemetry import Channel
 from station.recording.read import open_case
-from station.telemetry import Channel
 
 #: Groups of channels that reports and players show.
 KEPT = frozenset((

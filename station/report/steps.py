@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
-from core.robot import Array
+from core.robot.robot import Array
 from station.experiments.step_fit import fit_step, fold
 from station.report import style
 from station.report.drawn import Drawn

@@ -17,12 +17,12 @@ from collections import Counter
 
 import numpy as np
 
-from station.devices.aurora import binary, framed
-from station.devices.aurora_measurement import Quality
-from station.devices.aurora_session import AuroraSession
-from station.devices.aurora_settings import AuroraSettings
+from station.devices.aurora.measurement import Quality
+from station.devices.aurora.protocol import binary, framed
+from station.devices.aurora.session import AuroraSession
+from station.devices.aurora.settings import AuroraSettings
+from station.lab.aurora.simulated import SimulatedAurora
 from station.lab.config import TrackerConfig
-from station.lab.simulated_aurora import SimulatedAurora
 
 #: After how many disturbed exchanges an end has to prove that it still works.
 ROUND = 25

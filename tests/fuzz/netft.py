@@ -13,13 +13,13 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from station.devices.ati_calibration import AXES, CalibrationError, parse_calibration
-from station.devices.netft import LATENCY, Command
-from station.devices.netft_page import NetftPage, PageError, read_page
-from station.devices.netft_sensors import NetftSensors
+from station.devices.netft.page import NetftPage, PageError, read_page
+from station.devices.netft.protocol import LATENCY, Command
+from station.devices.netft.sensors import NetftSensors
+from station.devices.nidaq.ati_calibration import AXES, CalibrationError, parse_calibration
 from station.lab.config import BaseSensorConfig
-from station.lab.netft_wire import MemoryEnd, respond
-from station.lab.simulated_netft import SimulatedNetft
+from station.lab.netft.simulated import SimulatedNetft
+from station.lab.netft.wire import MemoryEnd, respond
 
 #: A case that takes longer hangs [s].
 HANG = 10.0

@@ -8,11 +8,11 @@ no position that is farther from the truth than its own slack.
 import random
 import sys
 
-from station.devices.zaber import BYTE_TIME, MESSAGE_TIME, Command, Message, encode
-from station.devices.zaber_chain import Axis, Chain
-from station.devices.zaber_estimate import SLACK
-from station.lab.simulated_zaber import SimulatedChain
-from station.lab.simulated_zaber_unit import Unit, UnitKind
+from station.devices.zaber.chain import Axis, Chain
+from station.devices.zaber.estimate import SLACK
+from station.devices.zaber.protocol import BYTE_TIME, MESSAGE_TIME, Command, Message, encode
+from station.lab.zaber.simulated import SimulatedChain
+from station.lab.zaber.unit import Unit, UnitKind
 
 AXES = (Axis(1, 9102, 38, 3_072_000), Axis(2, 9102, 38, 3_072_000), Axis(3, 4300, 18, 251_968))
 ANSWERS = {Command.POSITION, Command.STATUS}

@@ -18,21 +18,21 @@ import numpy as np
 
 from core.calibration.contact import locate
 from core.calibration.visits import Noise
-from core.cosserat import ExactRod
 from core.errors import CtrError
-from core.statics import Statics
+from core.model.cosserat import ExactRod
+from core.model.statics import Statics
 from station.calibration import procedures
 from station.calibration.files import write_registration, write_robot, write_sensors
 from station.calibration.plan import Subject
-from station.calibration.still_lab import StillLab, carry_out
-from station.clock import VirtualClock
-from station.config import PRESETS
+from station.calibration.static_lab import StillLab, carry_out
+from station.config.robots import load_robot
+from station.config.strict import PRESETS
+from station.control.clock import VirtualClock
 from station.experiments.experiment import load_experiment
 from station.experiments.results import summarise
 from station.experiments.runner import run_case
+from station.lab.aurora.coil import MOUNT
 from station.lab.config import LabConfig, load_lab
-from station.lab.simulated_aurora_coil import MOUNT
-from station.robots import load_robot
 
 START = np.array([0.0, math.pi / 2, -0.100])
 #: Of a contact's fused load: drift since the last rest without load and what the offsets are known to.

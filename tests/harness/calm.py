@@ -1,6 +1,6 @@
 """What keeps tests of live stations calm, whatever else the computer does."""
 
-from station.clock import StationClock
+from station.control.clock import StationClock
 
 RATE = 0.5
 #: A clock that leaves the processors time, and no limit on how late the loop may be: others have the processors, too.

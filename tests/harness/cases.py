@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from station.clock import VirtualClock
+from station.control.clock import VirtualClock
 from station.experiments.experiment import Case, offered
 from station.experiments.runner import Recording, run_case
 

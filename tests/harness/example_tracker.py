@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from station.config import Positive, Strict, check
+from station.config.robots import RobotFile
+from station.config.strict import Positive, Strict, check
 from station.devices.interfaces import Condition, Severity, TipReading, Trouble
-from station.devices.links import LinkError, SerialLink, reopen
-from station.robots import RobotFile
+from station.devices.links.link import LinkError, SerialLink, reopen
 
 
 class Options(Strict):

@@ -20,14 +20,14 @@ import numpy as np
 import psutil
 from mcap.reader import make_reader
 
-from core.robot import Array
+from core.robot.robot import Array
+from station.config.robots import RobotFile, load_robot
+from station.control.ring import Ring
+from station.control.telemetry import Channels
 from station.recording.label import Label
 from station.recording.read import open_case, read_case
 from station.recording.recorder import Recorder
 from station.recording.recover import recover
-from station.ring import Ring
-from station.robots import RobotFile, load_robot
-from station.telemetry import Channels
 from tests.harness.serving import serving
 
 PERIOD = 0.002

@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from station.realtime import ask_for_fifo
+from station.control.realtime import ask_for_fifo
 from tests.harness.lone_station import LoneStation, lone_station
 from tests.harness.waiting import until
 from tests.harness.watched_lab import WatchedLab

@@ -17,11 +17,11 @@ from typing import Any
 import psutil
 
 from core.errors import CtrError
-from station.clock import StationClock
-from station.desk import Desk
-from station.lab.live_bench import lab_bench
-from station.station_file import load_station
-from station.supervisor import Supervisor
+from station.control.clock import StationClock
+from station.lab.endpoints import lab_bench
+from station.service.station_file import load_station
+from station.service.station_service import Desk
+from station.service.supervisor import Supervisor
 from tests.harness.calm import CLOCK, SETTINGS
 from tests.harness.root import ROOT
 from tests.harness.waiting import NET

@@ -16,11 +16,11 @@ from pathlib import Path
 
 from playwright.sync_api import sync_playwright
 
-from station.commands.bench_loop import figures, stolen
-from station.commands.witness import Witness
-from station.control_process import ring_width
-from station.ring import Ring
-from station.robots import load_robot
+from station.bench.loop import figures, stolen
+from station.bench.timer_probe import Witness
+from station.config.robots import load_robot
+from station.control.process import ring_width
+from station.control.ring import Ring
 from tests.harness.chromium import CHROMIUM, FLAGS, SIZE
 from tests.harness.serving import Served, serving, shared_memory
 

@@ -5,8 +5,8 @@ import struct
 import numpy as np
 
 from station.lab.config import BaseSensorConfig
-from station.lab.netft_wire import MemoryDatagrams, MemoryEnd
-from station.lab.simulated_netft import BoxSettings, SimulatedNetft
+from station.lab.netft.simulated import BoxSettings, SimulatedNetft
+from station.lab.netft.wire import MemoryDatagrams, MemoryEnd
 
 PERFECT = BaseSensorConfig(
     force_noise=0.0, moment_noise=0.0, force_count=0.0, moment_count=0.0, drift=0.0, force_offset=0.0, moment_offset=0.0

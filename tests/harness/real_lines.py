@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from station.devices.links import SerialLink
+from station.devices.links.link import SerialLink
 
 RATES = {termios.B9600: 9600, termios.B115200: 115200}
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.robot import Array
+from core.robot.robot import Array
+from station.config.robots import RobotFile
+from station.control.telemetry import Channels
 from station.recording.label import Label
 from station.recording.writer import CaseWriter
-from station.robots import RobotFile
-from station.telemetry import Channels
 
 PERIOD = 0.002
 

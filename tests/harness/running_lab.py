@@ -4,7 +4,7 @@ import contextlib
 import threading
 from collections.abc import Iterator
 
-from station.lab.open_lab import OpenLab
+from station.lab.lab_server import OpenLab
 
 
 @contextlib.contextmanager

@@ -10,10 +10,10 @@ from starlette.exceptions import HTTPException
 
 from core.errors import CtrError
 from station.recording.history import History
-from web.access import Access
-from web.commands import commands
-from web.lease import Lease
-from web.runs_api import runs_routes
+from web.access.gate import Access
+from web.access.lease import Lease
+from web.api.commands import commands
+from web.api.runs import runs_routes
 
 if __name__ == "__main__":
     folder, port = Path(sys.argv[1]), int(sys.argv[2])

@@ -30,8 +30,8 @@ from playwright.sync_api import sync_playwright
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from station.commands.bench_loop import stolen
-from station.realtime import ask_for_fifo
+from station.bench.loop import stolen
+from station.control.realtime import ask_for_fifo
 from tests.harness.chromium import CHROMIUM, FLAGS, bare_page
 from tests.harness.root import ROOT
 from tests.harness.serving import serving

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import viser
 
-from station.desk import Desk
-from station.states import State
-from station.station_file import load_station
-from station.supervisor import Supervisor
+from station.control.states import State
+from station.service.station_file import load_station
+from station.service.station_service import Desk
+from station.service.supervisor import Supervisor
 from tests.harness.calm import SETTINGS
 from tests.harness.waiting import NET, until
-from web.view import View
+from web.scene.view import View
 
 
 class Viewed(NamedTuple):
@@ -43,7 +43,7 @@ def viewing() -> Iterator[Viewed]:
     bench = load_station(None, SETTINGS).bench()
     supervisor = Supervisor(bench)
     failures = _Failures(logging.ERROR)
-    logging.getLogger("web.view").addHandler(failures)
+    logging.getLogger("web.scene.view").addHandler(failures)
     try:
         supervisor.open()
         supervisor.wait_ready(NET)
@@ -59,7 +59,7 @@ def viewing() -> Iterator[Viewed]:
             server.stop()
     finally:
         supervisor.close()
-        logging.getLogger("web.view").removeHandler(failures)
+        logging.getLogger("web.scene.view").removeHandler(failures)
     assert failures.texts == []
 
 

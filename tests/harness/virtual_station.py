@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from core.robot import Array
+from core.robot.robot import Array
+from station.config.motions import CircleMotion, Orders
+from station.control.loop import ControlLoop
+from station.control.margins import Margins
+from station.control.states import State
+from station.control.task import Phase, Task
 from station.experiments.experiment import PERIOD, Case
 from station.lab.faults import LabFault
+from station.lab.simulated_bench import WireLab
 from station.lab.virtual_bench import virtual_bench
-from station.lab.wire_lab import WireLab
-from station.loop import ControlLoop
-from station.margins import Margins
-from station.motions import CircleMotion, Orders
-from station.states import State
-from station.task import Phase, Task
 from tests.harness.cases import a_case
 
 CIRCLE = CircleMotion(radius=0.010, period=8.0)

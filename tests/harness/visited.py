@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from core.calibration.rigid import Rigid
 from core.calibration.visits import Noise, Visit
-from core.cosserat import ExactRod
-from core.robot import Robot
+from core.model.cosserat import ExactRod
+from core.robot.robot import Robot
 
 NOISE = Noise(coil=0.02e-3, axes=1e-3, force=1e-3, moment=0.05e-3)
 TRACKER = Rigid(Rotation.from_rotvec([3.0, 0.2, -0.4]).as_matrix(), np.array([0.05, -0.02, -0.2]))

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from core.robot import Array
+from core.robot.robot import Array
+from station.control.loop import ControlLoop, Phase
+from station.control.states import State
 from station.devices.interfaces import Devices, JointReading, Stages, Truth
 from station.experiments.experiment import PERIOD, Case
 from station.lab.virtual_bench import virtual_bench
-from station.loop import ControlLoop, Phase
-from station.states import State
 
 
 @dataclass

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from station.clock import REAL_TIME, StationClock
-from station.devices.zaber import Status
-from station.lab.open_lab import OpenLab
-from station.realtime import ask_for_fifo
-from station.station_file import load_station
+from station.control.clock import REAL_TIME, StationClock
+from station.control.realtime import ask_for_fifo
+from station.devices.zaber.protocol import Status
+from station.lab.lab_server import OpenLab
+from station.service.station_file import load_station
 from tests.harness.waiting import NET, until
 
 

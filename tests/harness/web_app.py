@@ -7,13 +7,13 @@ from pathlib import Path
 import viser
 from starlette.testclient import TestClient
 
-from station.audit import Audit
-from station.calibration.live import LiveCalibration
-from station.desk import Desk
-from station.station_file import load_station
-from station.supervisor import Supervisor
+from station.service.audit import Audit
+from station.service.live_calibration import LiveCalibration
+from station.service.station_file import load_station
+from station.service.station_service import Desk
+from station.service.supervisor import Supervisor
 from web.app import build_app
-from web.view import View
+from web.scene.view import View
 
 HOST, PORT = "127.0.0.1", 8000
 

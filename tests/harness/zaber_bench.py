@@ -5,13 +5,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from station.devices.links import Link
-from station.devices.memory_pipe import memory_pipe
-from station.devices.zaber_setup import Port, StageSetup
-from station.devices.zaber_stages import Condition, ZaberStages
-from station.lab.simulated_zaber import SimulatedChain, pump
-from station.lab.simulated_zaber_unit import Unit, UnitKind
-from station.robots import RobotFile
+from station.config.robots import RobotFile
+from station.devices.links.link import Link
+from station.devices.links.memory_pipe import memory_pipe
+from station.devices.zaber.setup import Port, StageSetup
+from station.devices.zaber.stages import Condition, ZaberStages
+from station.lab.zaber.simulated import SimulatedChain, pump
+from station.lab.zaber.unit import Unit, UnitKind
 
 TICK = 0.002
 START = np.array([0.0, math.pi / 2, -0.100])

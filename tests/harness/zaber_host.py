@@ -1,7 +1,7 @@
 """The host's side of a Zaber chain in virtual time, on a line that takes its time."""
 
-from station.devices.zaber import MESSAGE_TIME, Message, decode, encode
-from station.devices.zaber_chain import Axis, Chain, Line
+from station.devices.zaber.chain import Axis, Chain, Line
+from station.devices.zaber.protocol import MESSAGE_TIME, Message, decode, encode
 
 AXES = (Axis(1, 9102, 38, 3_072_000), Axis(2, 9102, 38, 3_072_000), Axis(3, 4300, 18, 251_968))
 TICK = 0.002

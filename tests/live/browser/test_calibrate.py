@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
 
-from station.config import PRESETS
+from station.config.strict import PRESETS
 from tests.harness.chromium import bare_page
 from tests.harness.contrast import CONTRAST
 from tests.harness.serving import Served, serving

@@ -8,10 +8,10 @@ import numpy as np
 from playwright.sync_api import FrameLocator, Page
 
 from tests.harness.serving import Served
-from web.gizmos import FORCE_SIZE, TARGET_SIZE
-from web.legend import FIELD, VIEWS
-from web.palette import CONTACT
-from web.scene import ARROW, UNIT
+from web.scene.gizmos import FORCE_SIZE, TARGET_SIZE
+from web.scene.legend import FIELD, VIEWS
+from web.scene.palette import CONTACT
+from web.scene.scene import ARROW, UNIT
 
 Picture = Callable[[Page, str], None]
 

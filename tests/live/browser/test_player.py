@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
 
-from station.cli import main
+from station.cli.main import main
 
 RUN = """
 title = "player"

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from station.control_process import ring_width
-from station.live_recording import LiveRecording
+from station.control.process import ring_width
+from station.control.ring import Ring
 from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
 from station.recording.recover import recover
-from station.ring import Ring
+from station.service.live_recording import LiveRecording
 from tests.harness.calm import CLOCK
 from tests.harness.kill_stations import until_moving
 from tests.harness.lone_station import LoneStation

@@ -15,23 +15,23 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from core.wrench import fuse_at
-from station.devices.aurora import framed
-from station.devices.aurora_settings import AuroraSettings
-from station.devices.aurora_tracker import AuroraTracker
-from station.devices.links import DatagramLink, Link, LinkError, SerialLink, reopen
-from station.devices.netft_sensors import NetftSensors, NetftSettings, fetch_page
-from station.devices.zaber_chain import Line
-from station.devices.zaber_setup import Port, StageSetup
-from station.devices.zaber_stages import Condition, ZaberStages
+from core.control.force_fusion import fuse_at
+from station.devices.aurora.protocol import framed
+from station.devices.aurora.settings import AuroraSettings
+from station.devices.aurora.tracker import AuroraTracker
+from station.devices.links.link import DatagramLink, Link, LinkError, SerialLink, reopen
+from station.devices.netft.sensors import NetftSensors, NetftSettings, fetch_page
+from station.devices.zaber.chain import Line
+from station.devices.zaber.setup import Port, StageSetup
+from station.devices.zaber.stages import Condition, ZaberStages
+from station.lab.aurora.coil import MOUNT
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
+from station.lab.lab_server import OpenLab
 from station.lab.loads import ConstantLoad
-from station.lab.netft_wire import AddressTaken
-from station.lab.open_lab import OpenLab
+from station.lab.netft.simulated import NetftFaults
+from station.lab.netft.wire import AddressTaken
 from station.lab.plant import Plant
-from station.lab.simulated_aurora_coil import MOUNT
-from station.lab.simulated_netft import NetftFaults
 
 PARK = (0.2, 1.2, -0.08)
 LOAD = 0.3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.robot import Joint, Robot, Section, Tube
+from core.robot.robot import Joint, Robot, Section, Tube
 
 EXACT_TIPS = Path(__file__).parents[1] / "exact_tips.csv"
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from core.cosserat import ExactRod
 from core.errors import PoseError
-from core.robot import Section
-from core.statics import Statics
+from core.model.cosserat import ExactRod
+from core.model.statics import Statics
+from core.robot.robot import Section
 
 JOINTS = np.array([0.6, 2.0, -0.0763])
 WRENCH = np.array([0.3, -0.2, 0.1, 0.004, -0.003, 0.005])

@@ -2,10 +2,10 @@
 
 import pytest
 
-from station.config import PRESETS, ConfigError
+from station.config.robots import load_robot
+from station.config.strict import PRESETS, ConfigError
 from station.experiments.experiment import load_experiment
-from station.robots import load_robot
-from station.station_file import load_station
+from station.service.station_file import load_station
 
 #: Millimetres where metres are meant.
 PARK = """[park]

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from station.jog import ALIVE
-from station.states import State
+from station.control.jog import ALIVE
+from station.control.states import State
 from tests.harness.virtual_station import VirtualStation
 
 

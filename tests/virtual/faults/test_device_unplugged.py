@@ -2,10 +2,10 @@
 
 import pytest
 
-from station.devices.rediscover import UsbPort, find
-from station.lab.simulated_aurora_ports import PortHandles
-from station.states import State
-from station.task import Phase
+from station.control.states import State
+from station.control.task import Phase
+from station.devices.links.rediscover import UsbPort, find
+from station.lab.aurora.ports import PortHandles
 from tests.harness.virtual_station import VirtualStation
 
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from core.errors import CtrError, PoseError
-from core.limits import Situation
-from station.devices.zaber import Command
-from station.motions import CircleMotion, JointSweepMotion, Orders, StepMotion
-from station.robots import BoxFile, load_robot
-from station.states import State
-from station.task import Phase, Task
+from core.robot.limits import Situation
+from station.config.motions import CircleMotion, JointSweepMotion, Orders, StepMotion
+from station.config.robots import BoxFile, load_robot
+from station.control.states import State
+from station.control.task import Phase, Task
+from station.devices.zaber.protocol import Command
 from tests.harness.virtual_station import VirtualStation
 
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from station.control.states import State
 from station.devices.interfaces import Devices
 from station.experiments.experiment import PERIOD
-from station.states import State
 from tests.harness.virtual_station import VirtualStation
 
 

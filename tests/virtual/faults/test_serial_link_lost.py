@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from station.states import RefusedError, State
-from station.task import Task
+from station.control.states import RefusedError, State
+from station.control.task import Task
 from tests.harness.virtual_station import AXES, VirtualStation
 
 #: Two replies are missed: each has 50 ms, and an axis is asked 13 times a second.

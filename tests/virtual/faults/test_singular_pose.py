@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from core.inverse import SIGMA_FLOOR
-from station.motions import HoldMotion, Orders, StepMotion
-from station.states import State
-from station.task import Phase, Task
+from core.control.inverse import SIGMA_FLOOR
+from station.config.motions import HoldMotion, Orders, StepMotion
+from station.control.states import State
+from station.control.task import Phase, Task
 from tests.harness.virtual_station import VirtualStation
 
 #: Both tubes bend the same way: the tip cannot leave the plane of their curves but by turning both, and at the

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.stability import design_snap_number
-from station.config import ConfigError
+from core.robot.stability import design_snap_number
+from station.config.robots import TubeFile, load_robot
+from station.config.strict import ConfigError
+from station.control.margins import FRAMES, Margins, check_design
+from station.control.states import State
 from station.lab.loads import ConstantLoad
-from station.margins import FRAMES, Margins, check_design
-from station.robots import TubeFile, load_robot
-from station.states import State
 from tests.harness.virtual_station import VirtualStation
 
 

@@ -9,15 +9,15 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from core.wrench import fuse_at
+from core.control.force_fusion import fuse_at
 from station.devices.config import BenchFile
 from station.devices.interfaces import Condition, Devices
-from station.devices.links import DatagramLink, SerialLink
+from station.devices.links.link import DatagramLink, SerialLink
 from station.devices.open_devices import OpenError, open_devices
 from station.lab.config import BaseSensorConfig, LabConfig, TrackerConfig
 from station.lab.faults import LabFault
+from station.lab.lab_server import OpenLab
 from station.lab.loads import ConstantLoad
-from station.lab.open_lab import OpenLab
 from tests.harness.running_lab import running
 
 PARK = np.array([0.2, 1.2, -0.08])

@@ -9,10 +9,10 @@ import httpx
 import numpy as np
 import pytest
 
-from station.devices.netft_page import read_page
-from station.devices.netft_sensors import BoxAddress, SensorError, connect
-from station.lab.netft_wire import AddressTaken, PageServer, UdpEnd
-from station.lab.simulated_netft import BoxSettings, SimulatedNetft
+from station.devices.netft.page import read_page
+from station.devices.netft.sensors import BoxAddress, SensorError, connect
+from station.lab.netft.simulated import BoxSettings, SimulatedNetft
+from station.lab.netft.wire import AddressTaken, PageServer, UdpEnd
 from tests.harness.netft_bench import PERFECT, TICK, WRENCH
 
 

@@ -13,13 +13,13 @@ import numpy as np
 import psutil
 import pytest
 
+from station.config.robots import RobotFile, load_robot
+from station.control.ring import ROWS, Ring
 from station.recording.events import Event
 from station.recording.label import Label, RecordingError
 from station.recording.read import CaseRecording, read_case
 from station.recording.recorder import Recorder
 from station.recording.recover import recover
-from station.ring import ROWS, Ring
-from station.robots import RobotFile, load_robot
 from tests.harness.kill_recordings import PERIOD, Feed, kill_recorder
 
 
@@ -102,7 +102,7 @@ PARENT = """
 import sys, time
 from pathlib import Path
 from station.recording.recorder import Recorder
-from station.robots import load_robot
+from station.config.robots import load_robot
 from tests.harness.kill_recordings import Feed
 
 if __name__ == "__main__":

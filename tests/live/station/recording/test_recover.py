@@ -22,8 +22,8 @@ from station.recording.case_recorder import CaseRecorder
 from station.recording.label import Label
 from station.recording.run_folder import RunFolder
 from station.recording.writer import CaseWriter
-from station.robots import load_robot
-from station.telemetry import Channels
+from station.config.robots import load_robot
+from station.control.telemetry import Channels
 
 robot = load_robot("paper").robot()
 channels = Channels(robot)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from core.limits import JointLimit, Limits
+from core.robot.limits import JointLimit, Limits
 
 
 @pytest.fixture(scope="session")

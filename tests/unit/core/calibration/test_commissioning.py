@@ -8,7 +8,7 @@ import pytest
 
 from core.calibration.commissioning import find_latency, find_signs
 from core.calibration.fit import Unobservable
-from core.statics import Statics
+from core.model.statics import Statics
 from tests.harness.visited import TRACKER, altered, seen
 
 START = np.array([0.3, 1.5, -0.08])

@@ -7,10 +7,10 @@ import pytest
 
 from core.calibration.contact import LEAST_FORCE, locate, tip_load
 from core.calibration.visits import Noise
-from core.cosserat import ExactRod
-from core.robot import Section
-from core.statics import Statics
-from core.wrench import Fused
+from core.control.force_fusion import Fused
+from core.model.cosserat import ExactRod
+from core.model.statics import Statics
+from core.robot.robot import Section
 
 NOISE = Noise(force=2e-3, moment=0.1e-3)
 

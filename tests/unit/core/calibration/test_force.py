@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from core.calibration.fit import Unobservable
 from core.calibration.force import calibrate_sensors, check_weight
 from core.calibration.visits import Noise, Visit
-from core.statics import Statics
+from core.model.statics import Statics
 
 DOWN = np.array([1.0, 0.0, 0.0])
 NOISE = Noise(force=1.5e-3, moment=0.05e-3)

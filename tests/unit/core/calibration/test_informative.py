@@ -6,8 +6,8 @@ import pytest
 from core.calibration.informative import candidates, choose, evenly, possible, tour, way_is_free
 from core.calibration.quantities import quantities
 from core.errors import Unreachable
-from core.limits import Limits, Workspace
-from core.statics import Statics
+from core.model.statics import Statics
+from core.robot.limits import Limits, Workspace
 from tests.harness.visited import NOISE
 
 START = np.array([0.0, 1.5, -0.1])

@@ -7,7 +7,7 @@ import pytest
 
 from core.calibration.quantities import Quantity, changed, quantities
 from core.errors import DescriptionError
-from core.statics import Statics
+from core.model.statics import Statics
 
 
 def test_what_can_be_wrong_about_the_papers_robot(paper_robot):
@@ -57,7 +57,7 @@ def test_straight_parts_of_all_tubes_and_a_shift_along_z_are_one_and_the_same(pa
 
 
 def test_a_straight_part_that_is_not_there_cannot_be_longer(one_tube):
-    from core.robot import Section
+    from core.robot.robot import Section
 
     with pytest.raises(DescriptionError, match="no straight part"):
         changed(one_tube(Section(0.1, (3.0, 0.0))), [Quantity(0, "straight_length")], np.array([1e-3]))

@@ -11,16 +11,16 @@ import pytest
 
 from core.calibration.contact import locate
 from core.calibration.visits import Noise
-from core.cosserat import ExactRod
-from core.statics import Statics
+from core.model.cosserat import ExactRod
+from core.model.statics import Statics
 from station.calibration import commission, procedures
 from station.calibration.files import Calibration
 from station.calibration.outcome import Provenance, write_all
 from station.calibration.plan import Subject
-from station.calibration.still_lab import StillLab, carry_out
-from station.config import ConfigError
+from station.calibration.static_lab import StillLab, carry_out
+from station.config.robots import load_robot
+from station.config.strict import ConfigError
 from station.lab.config import load_lab
-from station.robots import load_robot
 
 START = np.array([0.0, math.pi / 2, -0.100])
 SEED = 5
@@ -107,7 +107,7 @@ def test_the_files_are_read_back_as_what_was_found(subject, found, folder):
     np.testing.assert_allclose(known.corrections.sensors.mounting, found.sensors.sensors.mounting, rtol=0, atol=1e-8)
     assert known.registration is not None
     point = np.array([10.0, -20.0, -300.0])  # a coil, in the generator's frame [mm]
-    from station.lab.simulated_aurora_coil import MOUNT
+    from station.lab.aurora.coil import MOUNT
 
     expected = found.calibration.frames.registration.apply(MOUNT.world(tuple(point)))
     np.testing.assert_allclose(known.registration.world(tuple(point)), expected, rtol=0, atol=1e-8)
@@ -199,7 +199,7 @@ def test_efforts_scale():
 def test_a_live_station_takes_the_calibration_from_its_file(folder, found, tmp_path):
     from station.devices.config import BenchFile
     from station.experiments.experiment import BEST
-    from station.station_file import load_station
+    from station.service.station_file import load_station
 
     path = tmp_path / "bench.toml"
     path.write_text(f'lab = "uncalibrated"\ncalibration = "{folder}"\n', encoding="utf-8")

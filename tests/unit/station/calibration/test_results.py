@@ -14,7 +14,7 @@ from station.calibration.files import Calibration, carry_over
 from station.calibration.outcome import Provenance, write_all
 from station.calibration.plan import Subject
 from station.calibration.results import NoResultError, Results
-from station.calibration.still_lab import StillLab, carry_out
+from station.calibration.static_lab import StillLab, carry_out
 from station.lab.config import load_lab
 
 START = np.array([0.0, math.pi / 2, -0.100])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from station.cli import main
+from station.cli.main import main
 
 
 @pytest.mark.parametrize(

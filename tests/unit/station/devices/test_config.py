@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from station.config import ConfigError, Strict, check
+from station.config.strict import ConfigError, Strict, check
 from station.devices.config import BenchFile, DevicesFile, Mount
 from station.devices.open_devices import plan
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.config import ConfigError
+from station.config.strict import ConfigError
 from station.devices import registry
 from station.devices.config import BenchFile
 from station.devices.interfaces import Condition, Severity, TipReading

@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from core.controllers import PositionMode, VelocityMode, loaded, type_1, type_2, unloaded
-from core.trajectories import JointMotion, Setpoint
-from station.config import OWN_EXPERIMENTS, ConfigError, preset_names
+from core.control.controllers import PositionMode, VelocityMode, loaded, type_1, type_2, unloaded
+from core.control.trajectories import JointMotion, Setpoint
+from station.config.strict import OWN_EXPERIMENTS, ConfigError, preset_names
 from station.experiments.experiment import Case, load_experiment, offered
 from station.lab.config import LabConfig
 from tests.harness.cases import a_case

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from station.control.telemetry import Channels
 from station.experiments.results import summarise
 from station.experiments.runner import Recording
-from station.telemetry import Channels
 from tests.harness.cases import a_case
 
 #: 4 s at 10 Hz, a frame at every other row, 50 ms old.

@@ -2,7 +2,7 @@
 
 import pytest
 
-from station.config import ConfigError
+from station.config.strict import ConfigError
 from station.experiments.sweep_settings import nested, settings
 
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import pytest
 
-from station.config import ConfigError, Row, Strict, check
+from station.config.strict import ConfigError, Row, Strict, check
 from station.lab.faults import KINDS, LabFault, Target, check_faults
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.cosserat import ExactRod
-from station.config import ConfigError
+from core.model.cosserat import ExactRod
+from station.config.strict import ConfigError
+from station.lab.aurora.coil import MOUNT
 from station.lab.config import HiddenConfig, LabConfig, load_lab
 from station.lab.hidden import HANGING, Hidden
 from station.lab.loads import ConstantLoad, ContactLoad
-from station.lab.simulated_aurora_coil import MOUNT
-from station.lab.wire_lab import WireLab
+from station.lab.simulated_bench import WireLab
 
 START = np.array([0.0, math.pi / 2, -0.100])
 ALL = HiddenConfig(

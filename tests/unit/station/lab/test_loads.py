@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
-from station.config import ConfigError, Strict, check
+from station.config.strict import ConfigError, Strict, check
 from station.lab.loads import ConstantLoad, HungWeightLoad, Load, RaisedCosineLoad, SineLoad
 
 

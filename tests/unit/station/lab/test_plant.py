@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.cosserat import ExactRod
-from core.robot import Joint, Robot, Section, Tube
-from core.wrench import fuse
+from core.control.force_fusion import fuse
+from core.model.cosserat import ExactRod
+from core.robot.robot import Joint, Robot, Section, Tube
 from station.lab.config import PlantConfig
 from station.lab.plant import Plant, PlantState, true_robot
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from core.robot import Base, Robot
-from core.statics import Statics
+from core.model.statics import Statics
+from core.robot.robot import Base, Robot
 from station.recording.drawing import Drawing, quaternion_of
 
 

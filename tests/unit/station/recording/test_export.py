@@ -7,10 +7,10 @@ import pytest
 from pyarrow import parquet
 from scipy.io import loadmat
 
+from station.control.telemetry import Channel
 from station.recording.export import GROUP, export_case, export_run, matlab_names
 from station.recording.label import Label, RecordingError
 from station.recording.writer import CaseWriter
-from station.telemetry import Channel
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import numpy as np
 from mcap.records import Schema
 from mcap_ros1.decoder import DecoderFactory
 
+from station.control.telemetry import Channel
 from station.recording.row_message import PREFIX, SCHEMA, definition, message_records, row_of
-from station.telemetry import Channel
 
 
 def decoded(channels: list[Channel], row: np.ndarray) -> object:

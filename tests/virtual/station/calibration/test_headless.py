@@ -9,10 +9,10 @@ from station.calibration import commission, procedures
 from station.calibration.headless import carry_out
 from station.calibration.plan import Subject
 from station.calibration.procedure import Ask, GoTo, Guided
-from station.calibration.still_lab import StillLab
-from station.clock import VirtualClock
+from station.calibration.static_lab import StillLab
+from station.config.robots import load_robot
+from station.control.clock import VirtualClock
 from station.lab.config import HiddenConfig, LabConfig, load_lab
-from station.robots import load_robot
 
 START = np.array([0.0, math.pi / 2, -0.100])
 

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.corrections import Corrections
-from core.sensors import Sensors
-from core.step import Controller
+from core.control.corrections import Corrections
+from core.control.sensors import Sensors
+from core.control.step import Controller
 from station.calibration.procedure import AbortedError, GoTo, Swing
 from station.calibration.visiting import measured, task
+from station.control.loop import ControlLoop
+from station.control.settle_and_tare import AVERAGE
+from station.control.states import State
 from station.experiments.experiment import BEST, PERIOD
 from station.lab.config import load_lab
 from station.lab.loads import ConstantLoad
 from station.lab.virtual_bench import virtual_bench
-from station.loop import ControlLoop
-from station.rest import AVERAGE
-from station.states import State
 
 START = np.array([0.0, np.pi / 2, -0.100])
 AWAY = START + np.array([0.1, -0.1, 0.0])

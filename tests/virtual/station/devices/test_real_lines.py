@@ -5,13 +5,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from station.devices.aurora_tracker import AuroraTracker
-from station.devices.zaber_setup import Port
-from station.devices.zaber_stages import Condition, ZaberStages
-from station.lab import aurora_wire, simulated_zaber
+from station.devices.aurora.tracker import AuroraTracker
+from station.devices.zaber.setup import Port
+from station.devices.zaber.stages import Condition, ZaberStages
+from station.lab.aurora import wire as aurora_wire
+from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.simulated import SimulatedAurora
 from station.lab.config import TrackerConfig
-from station.lab.simulated_aurora import SimulatedAurora
-from station.lab.simulated_aurora_coil import MOUNT
+from station.lab.zaber import simulated as simulated_zaber
 from tests.harness.aurora_bench import REST
 from tests.harness.real_lines import pty_line, socket_line
 from tests.harness.zaber_bench import START, Bench

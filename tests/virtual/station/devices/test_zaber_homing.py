@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from station.devices.links import Link
-from station.devices.zaber import ZaberError
-from station.devices.zaber_stages import Condition
-from station.lab.simulated_zaber import Faults
+from station.devices.links.link import Link
+from station.devices.zaber.protocol import ZaberError
+from station.devices.zaber.stages import Condition
+from station.lab.zaber.simulated import Faults
 from tests.harness.zaber_bench import TICK, Bench, connected
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.devices.zaber import Message
-from station.devices.zaber_stages import Condition
-from station.lab.simulated_zaber import Faults
+from station.devices.zaber.protocol import Message
+from station.devices.zaber.stages import Condition
+from station.lab.zaber.simulated import Faults
 from tests.harness.zaber_bench import LINEAR, Bench, connected, swing
 
 

@@ -7,12 +7,12 @@ import time
 import pytest
 from rich.console import Console
 
+from station.config.robots import RobotFile
 from station.experiments.experiment import Experiment, offered
 from station.experiments.output import ResultFolder, result_table, run_recorded
 from station.experiments.results import summarise
 from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
-from station.robots import RobotFile
 from tests.harness.cases import a_case, a_run
 
 

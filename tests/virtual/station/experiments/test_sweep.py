@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from station.config import ConfigError
+from station.config.strict import ConfigError
 from station.experiments.experiment import load_experiment
 from station.experiments.results import summarise
 from station.experiments.sweep import Job, Outcome, jobs, spreads, sweep, sweep_summary

@@ -6,17 +6,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from station.config import ConfigError
-from station.devices.aurora_measurement import Quality
-from station.devices.aurora_tracker import AuroraTracker
-from station.devices.links import LinkError, reopen
-from station.devices.netft import SATURATED, Command, Record, records, request
-from station.devices.zaber import Command as Zaber
-from station.devices.zaber import Message, Parser, encode
+from station.config.strict import ConfigError
+from station.devices.aurora.measurement import Quality
+from station.devices.aurora.tracker import AuroraTracker
+from station.devices.links.link import LinkError, reopen
+from station.devices.netft.protocol import SATURATED, Command, Record, records, request
+from station.devices.zaber.protocol import Command as Zaber
+from station.devices.zaber.protocol import Message, Parser, encode
+from station.lab.aurora.coil import MOUNT
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
-from station.lab.simulated_aurora_coil import MOUNT
-from station.lab.wire_lab import WireLab
+from station.lab.simulated_bench import WireLab
 
 TICK = 0.002
 AT = np.array([0.05, 0.30, -0.125])

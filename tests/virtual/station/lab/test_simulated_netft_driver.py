@@ -5,9 +5,9 @@ import struct
 import numpy as np
 import pytest
 
-from station.devices.netft_page import read_page
-from station.devices.netft_sensors import NetftSensors, Quality
-from station.lab.netft_wire import MOST_WAITING
+from station.devices.netft.page import read_page
+from station.devices.netft.sensors import NetftSensors, Quality
+from station.lab.netft.wire import MOST_WAITING
 from tests.harness.netft_bench import STREAM, TICK, WRENCH, Bench
 
 

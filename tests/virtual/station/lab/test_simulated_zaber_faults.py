@@ -2,9 +2,9 @@
 
 import pytest
 
-from station.devices.zaber import Message
-from station.lab.simulated_zaber import Faults, SimulatedChain
-from station.lab.simulated_zaber_unit import Unit
+from station.devices.zaber.protocol import Message
+from station.lab.zaber.simulated import Faults, SimulatedChain
+from station.lab.zaber.unit import Unit
 from tests.harness.zaber_wire import LINEAR, ROTARY, SPEED, Wire
 
 

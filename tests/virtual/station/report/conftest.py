@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from station.cli import main
-from station.config import PRESETS
+from station.cli.main import main
+from station.config.strict import PRESETS
+from station.control.telemetry import Channels
 from station.report.run import Case
-from station.telemetry import Channels
 
 SHORT = """
 title = "short <b>run</b> & more"

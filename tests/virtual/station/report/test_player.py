@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.statics import Statics
+from core.model.statics import Statics
+from station.config.robots import load_robot
 from station.recording.read import read_case
 from station.report import player
 from station.report.page import ReportError
 from station.report.player import POINTS, UNKNOWN, write_player
 from station.report.run import NoRun
-from station.robots import load_robot
 
 
 @pytest.fixture(scope="module")

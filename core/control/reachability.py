@@ -1,0 +1,107 @@
+"""Can the robot follow this motion? Walked on the model before anything moves.
+
+From the start pose the joints take small steps of the same limit-aware inverse that the controller
+uses, at the same speed limits, and nothing else: no noise, no delay. Where the tip falls behind its
+path by more than a tolerance, the motion cannot be followed, and the limits active there say why.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from core.control.inverse import SIGMA_FLOOR, inverse
+from core.control.trajectories import Trajectory
+from core.errors import CtrError, Unreachable
+from core.model.statics import Solution, Statics
+from core.robot.limits import Limits, Situation
+from core.robot.robot import Array
+
+#: How far the tip may fall behind [m].
+TOLERANCE = 5e-4
+#: Between two steps of the walk, and how many there are at most [s].
+STEP, MOST_STEPS = 0.02, 10_000
+#: Singular values below this are named, though the damping sets in later [m/s].
+NEAR_SINGULAR = 4.0 * SIGMA_FLOOR
+#: Time to get to a path that does not begin at the start tip [s].
+WAY_THERE = 20.0
+
+
+def check_reach(
+    statics: Statics, limits: Limits, joints: Array, trajectory: Trajectory, duration: float,
+    force: Callable[[float], Array] | None = None,
+) -> None:  # fmt: skip
+    """Refuse a motion that the robot cannot follow.
+
+    Args:
+        statics: the controller's model.
+        limits: those of its joints and others.
+        joints: start pose (n,) [rad or m].
+        trajectory: offsets from the start tip.
+        duration: of the motion [s]; what repeats itself is walked once.
+        force: (3,) at the tip [N] by the time since the start [s]; none when left out.
+
+    Raises:
+        Unreachable: the first time at which the tip is off its path, by how much, and the limit.
+        CtrError: the start pose itself cannot be.
+
+    """
+    limits.check(joints)
+    walk = _Walk(statics, limits, joints, force)
+    start = walk.at.tip
+    repeats = duration if force is not None else min(duration, trajectory.period)
+    step = min(STEP, trajectory.period / 40.0) if trajectory.period > 0.0 else STEP
+    before = np.zeros(3)
+    for number in range(min(math.ceil(repeats / step), MOST_STEPS) + 1):
+        time, (place, velocity) = number * step, trajectory.setpoint(number * step)
+        away = walk.step(start + place, time, step)
+        if float(np.linalg.norm(place - before - step * velocity)) > TOLERANCE:
+            # A jump is not followed but gone to; what counts is that it can be reached.
+            for _ in range(round(WAY_THERE / step)):
+                away = walk.step(start + place, time, step) if away > 0.1 * TOLERANCE else away
+        before = place
+        if away > TOLERANCE:
+            raise Unreachable(
+                f"cannot be followed: at {time:.4g} s the tip would be {1e3 * away:.2g} mm off"
+                f" (more than {1e3 * TOLERANCE:g} mm) because of {walk.reasons}"
+            )
+
+
+class _Walk:
+    """A robot without inertia, noise and delay."""
+
+    def __init__(self, statics: Statics, limits: Limits, joints: Array, force: Callable[[float], Array] | None) -> None:
+        self._statics, self._limits, self._force = statics, limits, force
+        self._reasons: tuple[str, ...] = ()
+        self.at: Solution = statics.solve(joints, self._wrench(0.0))
+
+    def step(self, target: Array, time: float, length: float) -> float:
+        """Go for `length` [s] toward a tip (3,) [m]; how far it then is from it [m]."""
+        at, limits = self.at, self._limits
+        lower, upper = limits.velocity_bounds(at.joints)
+        rows, room = None, np.zeros(0)
+        if limits.others:
+            rows, room = limits.rows(Situation(at.joints, at.jacobian[:3], at.tip, at.wrench[:3]))
+        wrench = self._wrench(time)
+        # What the load will do in this step belongs to what the joints have to make up for.
+        moved = at.tip + at.compliance[:3, :3] @ (wrench[:3] - at.wrench[:3])
+        found = inverse(at.jacobian[:3], (target - moved) / length, limits.speed, lower, upper, rows, room)
+        self._reasons = limits.active(at.joints, found.at_bound, found.at_row)
+        if found.sigma[-1] < NEAR_SINGULAR:
+            self._reasons = (f"a singular pose (sigma {1e3 * found.sigma[-1]:.2g} mm/s)", *self._reasons)
+        try:
+            self.at = self._statics.solve(at.joints + length * found.velocity, wrench, at)
+        except CtrError as error:
+            raise Unreachable(f"at {time:.4g} s: {error}") from None
+        return float(np.linalg.norm(target - self.at.tip))
+
+    @property
+    def reasons(self) -> str:
+        """What was in the way of the last step."""
+        return ", ".join(self._reasons) or "more than the joints can do at once"
+
+    def _wrench(self, time: float) -> Array:
+        wrench = np.zeros(6)
+        if self._force is not None:
+            wrench[:3] = self._force(time)
+        return wrench

@@ -1,0 +1,64 @@
+"""What stands between a base sensor's reading and the wrench that its tube exerts: mounting and hanging weight.
+
+The offset is not here: it is tared before every run.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from core.compiled import compiled
+from core.robot.robot import Array
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """How the base sensors are mounted, and what they carry beside the tubes."""
+
+    mounting: Array  #: (q, 3, 3) sensor's axes -> the tube's
+    weight: Array  #: (q,) [N]
+    first_moment: Array  #: (q, 3) weight times its place in the tube's axes [N m]
+    gravity: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))  #: (3,) direction, plate's frame
+
+    @classmethod
+    def ideal(cls, tubes: int) -> "Sensors":
+        """Mounted straight, carrying nothing."""
+        return cls(np.tile(np.eye(3), (tubes, 1, 1)), np.zeros(tubes), np.zeros((tubes, 3)))
+
+    def exerted(self, wrenches: Array, alpha: Array) -> Array:
+        """What the tubes exert (q, 6), in their axes, of readings (q, 6) without offset at rotations alpha (q,)."""
+        return exerted(wrenches, alpha, self.mounting, self.weight, self.first_moment, self.gravity)
+
+    def hanging(self, alpha: Array) -> Array:
+        """What the sensors read (q, 6) of the weight that hangs on them alone, at rotations alpha (q,)."""
+        weight = -exerted(np.zeros((alpha.size, 6)), alpha, self.mounting, self.weight, self.first_moment, self.gravity)
+        return np.concatenate(
+            (
+                np.einsum("iba,ib->ia", self.mounting, weight[:, :3]),
+                np.einsum("iba,ib->ia", self.mounting, weight[:, 3:]),
+            ),
+            axis=1,
+        )
+
+
+@compiled
+def exerted(
+    wrenches: Array, alpha: Array, mounting: Array, weight: Array, first_moment: Array, gravity: Array
+) -> Array:
+    """`Sensors.exerted` for compiled code: readings (q, 6), rotations (q,), then the sensors' numbers."""
+    result = np.zeros_like(wrenches)
+    for i in range(alpha.shape[0]):
+        cos, sin = np.cos(alpha[i]), np.sin(alpha[i])
+        gx, gy, gz = cos * gravity[0] + sin * gravity[1], cos * gravity[1] - sin * gravity[0], gravity[2]
+        x, y, z = first_moment[i, 0], first_moment[i, 1], first_moment[i, 2]
+        for k in range(3):
+            for m in range(3):
+                result[i, k] += mounting[i, k, m] * wrenches[i, m]
+                result[i, 3 + k] += mounting[i, k, m] * wrenches[i, 3 + m]
+        result[i, 0] -= weight[i] * gx
+        result[i, 1] -= weight[i] * gy
+        result[i, 2] -= weight[i] * gz
+        result[i, 3] -= y * gz - z * gy
+        result[i, 4] -= z * gx - x * gz
+        result[i, 5] -= x * gy - y * gx
+    return result

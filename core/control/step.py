@@ -1,0 +1,197 @@
+"""One tick of the controller, 2 ms at 500 Hz, as a pure function: sample -> estimate -> command.
+
+    fuse the base wrenches -> solve the loaded and the unloaded model -> estimate deflection, load,
+    joints and tip -> outer loop -> inner loop -> inverse inside the limits -> check finite
+
+No clock, no device, no thread: everything that changes goes in as `Memory` and comes out anew.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from core.control.command import follow
+from core.control.controllers import Strategy, View
+from core.control.corrections import Corrections
+from core.control.estimation import Estimate, Estimator
+from core.control.force_fusion import Fused, fuse_at
+from core.control.inverse import inverse_at
+from core.control.perception import perceive, point_force
+from core.control.trajectories import JointMotion, Setpoint
+from core.errors import NotFinite
+from core.model.statics import Statics
+from core.robot.limits import Limits, Situation
+from core.robot.robot import Array
+
+
+class Sample(NamedTuple):
+    """What the devices say at one tick."""
+
+    joints: Array  #: (n,) measured [rad or m]
+    sent: Array  #: (n,) velocities that went out to the stages last [rad/s or m/s]
+    wrenches: Array  #: (q, 6) tared base wrenches, each in its sensor's axes [N, N m]
+    tip: Array | None  #: (3,) a new tracker frame [m]; None when none arrived since the last tick
+    tip_age: float = 0.0  #: time since that frame was measured [s]
+
+
+class Memory(NamedTuple):
+    """All that one tick leaves to the next."""
+
+    estimate: Estimate
+    tip: Array  #: (3,) latest measured tip [m]
+    origin: Array  #: (3,) tip at the start, where setpoints count from [m]
+
+
+class Tick(NamedTuple):
+    """Result of one tick: the command and everything worth plotting."""
+
+    command: Array  #: (n,) joint velocities [rad/s or m/s]
+    load: Fused
+    u_int: Array  #: (3,) what the outer loop asked for [m/s]
+    setpoint: Setpoint
+    sigma: Array  #: singular values of the Jacobian in use, joints in units of top speed [m/s]
+    at_bound: Array  #: (n,) -1, 0, 1: joint held at its lower bound, free, at its upper
+    at_row: Array  #: (m,) 1 where a limit beyond single joints is active
+    memory: Memory
+
+    @property
+    def delta(self) -> Array:
+        """(3,) mismatch of the tip's velocity, eq. (27): observed - U_int [m/s]."""
+        return self.memory.estimate.velocity - self.u_int
+
+
+@dataclass(frozen=True)
+class Controller:
+    """What stays the same from tick to tick."""
+
+    statics: Statics
+    strategy: Strategy
+    limits: Limits
+    estimator: Estimator
+    #: The outer loop looks at the observed tip of the moment when its command takes effect; without,
+    #: at the latest tracker frame as it is (the paper).
+    observes: bool = False
+    #: Type I takes the deflection's rate from C, J and the filtered force; without, from the
+    #: filtered numerical derivative (the paper).
+    exact_rate: bool = False
+    #: From a calibration; without, the coil is at the tip and the sensors stand as their tubes.
+    corrections: Corrections | None = None
+
+    @property
+    def period(self) -> float:
+        """Time between ticks [s]."""
+        return self.estimator.filter.period
+
+    @property
+    def lead(self) -> float:
+        """Time from a command to its effect, on average [s]."""
+        return self.estimator.actuation.lead
+
+    def tare(self, readings: Array, joints: Array) -> Array:
+        """Zero of the base sensors (q, 6) from readings (q, 6) without load at joints (n,)."""
+        if self.corrections is None:
+            return readings
+        return self.corrections.offset(readings, self.statics.robot.tube_poses(joints)[0])
+
+    def tip(self, measured: Array, memory: "Memory") -> Array:
+        """The tip (3,) of a tracker frame (3,) [m]."""
+        if self.corrections is None:
+            return measured
+        return self.corrections.tip(measured, memory.estimate.loaded.rotation)
+
+
+def begin(controller: Controller, sample: Sample) -> Memory:
+    """Memory before the first tick; the first sample must carry a tracker frame.
+
+    Raises:
+        PoseError, NoSolution, NotFinite: the model cannot start from this sample.
+
+    """
+    if sample.tip is None or not np.isfinite(sample.tip).all():
+        raise NotFinite(f"measured tip {sample.tip} m: a finite tracker frame is needed to begin")
+    unloaded = controller.statics.solve(sample.joints, _NO_LOAD)
+    right = _corrected(controller, sample, unloaded.rotation)
+    load = fuse_at(controller.statics.robot, right.joints, right.wrenches)
+    loaded = controller.statics.solve(right.joints, point_force(load))
+    tip = sample.tip if right.tip is None else right.tip
+    return Memory(controller.estimator.start(loaded, unloaded, load.force, tip), tip, tip)
+
+
+def set_origin(controller: Controller, memory: Memory, origin: Array) -> Memory:
+    """Start a motion here, at rest and just tared: setpoints count from `origin` (3,) [m], eq. (22) from zero.
+
+    The tare has moved the zero of the force, so the estimates begin anew without load.
+    """
+    free = memory.estimate.unloaded
+    return memory._replace(estimate=controller.estimator.start(free, free, np.zeros(3), origin), origin=origin)
+
+
+def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint | JointMotion | None) -> Tick:
+    """One period: follow a setpoint, move joints as told, or (None) stand still; the estimates always go on.
+
+    Raises:
+        PoseError, NoSolution: the model cannot follow the measured pose and load.
+        NotFinite: a measurement or the command is not finite; nothing of this tick may be sent.
+
+    """
+    statics, limits, last = controller.statics, controller.limits, memory.estimate
+    if controller.corrections is not None:
+        sample = _corrected(controller, sample, last.loaded.rotation)
+    load, now = perceive(
+        statics, controller.estimator, last,
+        sample.joints, sample.wrenches, sample.sent, sample.tip, sample.tip_age,
+    )  # fmt: skip
+    loaded, unloaded = now.loaded, now.unloaded
+    tip = memory.tip if sample.tip is None else sample.tip
+
+    at_row = _NO_ROOM
+    if isinstance(order, Setpoint):
+        setpoint, laws = order, controller.strategy.laws
+        if laws is not None and not limits.others:
+            lead, seen = (controller.lead, None) if controller.observes else (0.0, tip)
+            command, u_int, sigma, at_bound = follow(
+                laws, lead, controller.exact_rate, limits, sample.joints, now, order, seen, memory.origin
+            )
+        else:
+            u_int = _outer(controller, order, now, tip, memory.origin)
+            rate = now.deflection_rate_exact if controller.exact_rate else now.deflection.rate
+            view = View(loaded, unloaded, rate, now.load_rate, now.drift)
+            jacobian, velocity = controller.strategy.inner(u_int, view)
+            rows, room = None, _NO_ROOM
+            if limits.others:
+                rows, room = limits.rows(Situation(sample.joints, loaded.jacobian[:3], now.tip, load.force))
+            command, sigma, at_bound, at_row = inverse_at(limits, sample.joints, jacobian, velocity, rows, room)
+    else:
+        # Nothing is asked of the tip: it is where it should be.
+        setpoint, u_int = Setpoint(tip - memory.origin, np.zeros(3)), np.zeros(3)
+        lower, upper = limits.velocity_bounds(sample.joints)
+        asked = np.zeros(sample.joints.size) if order is None else order.velocity
+        command = np.minimum(np.maximum(asked, lower), upper)
+        sigma, at_bound = np.zeros(min(3, asked.size)), np.sign(asked - command)
+    finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # an older one has been looked at
+    if not (finite and all(map(math.isfinite, command.tolist()))):
+        raise NotFinite(f"joint velocities {command.tolist()} at measured tip {tip.tolist()} m are not finite")
+    return Tick(command, load, u_int, setpoint, sigma, at_bound, at_row, Memory(now, tip, memory.origin))
+
+
+def _corrected(controller: Controller, sample: Sample, rotation: Array) -> Sample:
+    """The sample as calibrated devices would have given it; `rotation` (3, 3) is the tip's frame of just now."""
+    corrections = controller.corrections
+    if corrections is None:
+        return sample
+    alpha, _ = controller.statics.robot.tube_poses(sample.joints)
+    tip = None if sample.tip is None else corrections.tip(sample.tip, rotation)
+    return sample._replace(wrenches=corrections.wrenches(sample.wrenches, alpha), tip=tip)
+
+
+def _outer(controller: Controller, order: Setpoint, now: Estimate, tip: Array, origin: Array) -> Array:
+    """U_int (3,) [m/s]."""
+    if not controller.observes:
+        return controller.strategy.outer.tip_velocity(order, tip - origin)
+    aim = Setpoint(order.position + controller.lead * order.velocity, order.velocity)
+    return controller.strategy.outer.tip_velocity(aim, now.tip_ahead - origin)
+
+
+_NO_LOAD, _NO_ROOM = np.zeros(6), np.zeros(0)

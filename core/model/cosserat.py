@@ -1,0 +1,368 @@
+"""The exact rod in another formulation: what the fast model is measured against.
+
+Geometrically exact Cosserat rods (Rucker, Jones, Webster 2010) in the frame of the innermost
+tube: a quaternion for the orientation, moment and force in the moving frame,
+
+    m' = -u x m - e_z x n,   n = R^T F,   m_z = sum_i GJ_i u_iz,   psi_i' = u_iz - u_1z,
+
+integrated by classical Runge-Kutta steps far finer than the truncation error matters, and shot
+at the tip by Newton. It shares neither variables, frames, integrator nor derivatives with
+`propagation`, only the description of the robot. The virtual lab's plant runs on it, too.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from core.compiled import compiled, copy
+from core.errors import NoSolution, NotFinite
+from core.robot.robot import Array, Layout, Robot, positive
+
+
+class Rod(NamedTuple):
+    """An exactly solved robot; world frame."""
+
+    tip: Array  #: (3,) [m]
+    rotation: Array  #: (3, 3) frame of the innermost tube at the tip
+    torsion: Array  #: (q,) u_iz(0) [1/m]
+    unknowns: Array  #: (q + 2,) m_x, m_y [N m] and u_iz [1/m] at the plate; the next warm start
+    chord: Array  #: (q + 2, q + 2) inverse of the end conditions' derivative, for the next Newton
+    iterations: int
+
+
+@dataclass(frozen=True)
+class ExactRod:
+    """Exact solver of one robot."""
+
+    robot: Robot
+    step: float = 0.002  #: longest Runge-Kutta step [m]; 2 mm leaves less than 1e-9 m
+    tolerance: float = 1e-9  #: of the end conditions [1/m and N m]
+
+    def __post_init__(self) -> None:
+        positive("step", self.step, "m")
+
+    def solve(self, joints: Array, wrench: Array, near: Rod | None = None, contact: float | None = None) -> Rod:
+        """Solve for joints (n,) [rad or m] under a force and a tip moment (6,), world frame [N, N m].
+
+        The force acts at arc length `contact` from the plate [m]; None is the tip.
+
+        Raises:
+            PoseError: the tubes cannot stand so, or `contact` lies beyond them.
+            NotFinite: the wrench is not finite.
+            NoSolution: no solution was reached, not even with the load applied in 64 steps.
+
+        """
+        self.robot.check_pose(joints)
+        alpha, beta = self.robot.tube_poses(joints)
+        return self.solve_tubes(alpha, beta, wrench, near, self.robot.check_contact(joints, contact))
+
+    def solve_tubes(
+        self, alpha: Array, beta: Array, wrench: Array, near: Rod | None = None, contact: float = math.inf
+    ) -> Rod:
+        """The same for the tubes' rotations (q,) [rad] and proximal ends (q,) [m]."""
+        if wrench.shape != (6,) or not np.isfinite(wrench).all():
+            raise NotFinite(f"tip wrench {wrench.tolist()} [N, N m] must be six finite numbers")
+        size = len(self.robot.tubes) + 2
+        if near is not None:
+            rod = self._shoot(alpha, beta, wrench, contact, near.unknowns, near.chord)
+            if rod is not None:
+                return rod
+        for increments in (1, 4, 16, 64):
+            unknowns, rod = np.zeros(size), None
+            for number in range(1, increments + 1):
+                part = wrench * (number / increments)
+                rod = self._shoot(alpha, beta, part, contact, unknowns, np.zeros((size, size)))
+                if rod is None:
+                    break
+                unknowns = rod.unknowns
+            if rod is not None:
+                return rod
+        raise NoSolution(f"the exact rod found no shape under {wrench[:3].tolist()} N, {wrench[3:].tolist()} N m")
+
+    def stability(self, joints: Array, wrench: Array, rod: Rod, contact: float | None = None) -> float:
+        """Determinant of the end conditions by the unknowns at a solution, by central differences.
+
+        The same number as `Solution.stability`: 1 for straight tubes without load, 0 where the shape folds.
+        """
+        alpha, beta = self.robot.tube_poses(joints)
+        place = self.robot.check_contact(joints, contact)
+        size = len(self.robot.tubes) + 2
+        columns: list[Array] = []
+        for k in range(size):
+            ends = np.empty((2, size))
+            half = 1e-4 * np.eye(size)[k] * (self.robot.layout.stiffness[0, 0] if k < 2 else 1.0)
+            for row, unknowns in zip(ends, (rod.unknowns + half, rod.unknowns - half), strict=True):
+                _integrate(
+                    self.robot.layout, alpha, beta, _to_plate(self.robot.layout, wrench), place, unknowns, self.step,
+                    np.empty(9 + 2 * (size - 2)), row,
+                )  # fmt: skip
+            columns.append((ends[0] - ends[1]) / (2.0 * half[k]))
+        return float(np.linalg.det(np.column_stack(columns)))
+
+    def _shoot(
+        self, alpha: Array, beta: Array, wrench: Array, contact: float, guess: Array, chord: Array
+    ) -> Rod | None:
+        unknowns, inverse, tip, rotation, iterations, residual = shoot(
+            self.robot.layout, alpha, beta, wrench, contact, guess, chord, self.step, self.tolerance
+        )
+        if not residual <= self.tolerance:
+            return None
+        return Rod(tip, rotation, unknowns[2:], unknowns, inverse, iterations)
+
+
+@compiled
+def _to_plate(layout: Layout, wrench: Array) -> Array:
+    """Force and moment (6,) in the axes of the plate: the rod is solved there."""
+    result = np.zeros(6)
+    for i in range(3):
+        for k in range(3):
+            result[i] += layout.base[3 * k + i] * wrench[k]
+            result[3 + i] += layout.base[3 * k + i] * wrench[3 + k]
+    return result
+
+
+@compiled
+def _to_world(layout: Layout, y: Array) -> tuple[Array, Array]:
+    """Tip (3,) and frame (3, 3) in the world."""
+    own, tip, rotation = np.empty((3, 3)), np.empty(3), np.zeros((3, 3))
+    _rotation(y, own)
+    for i in range(3):
+        tip[i] = layout.base[9 + i]
+        for k in range(3):
+            tip[i] += layout.base[3 * i + k] * y[4 + k]
+            for j in range(3):
+                rotation[i, j] += layout.base[3 * i + k] * own[k, j]
+    return tip, rotation
+
+
+@compiled
+def _rotation(y: Array, out: Array) -> None:
+    """Rotation matrix of the quaternion y[:4] (w, x, y, z), normalised on the way."""
+    w, a, b, c = y[0], y[1], y[2], y[3]
+    scale = 2.0 / (w * w + a * a + b * b + c * c)
+    out[0, 0], out[0, 1], out[0, 2] = 1.0 - scale * (b * b + c * c), scale * (a * b - w * c), scale * (a * c + w * b)
+    out[1, 0], out[1, 1], out[1, 2] = scale * (a * b + w * c), 1.0 - scale * (a * a + c * c), scale * (b * c - w * a)
+    out[2, 0], out[2, 1], out[2, 2] = scale * (a * c - w * b), scale * (b * c + w * a), 1.0 - scale * (a * a + b * b)
+
+
+@compiled
+def _slope(
+    y: Array, out: Array, turn: Array, bend: Array, twist: Array, ratio: Array, curvature: Array, softness: float,
+    force: Array,
+) -> None:  # fmt: skip
+    """Y = quaternion (4), r (3), m_x, m_y, u_iz (q), psi_i (q); an absent tube has ratio 0.
+
+    `bend` is EI and `twist` GJ of the tubes present (q,), `softness` one over the sum of the former;
+    `turn` (q, 2) is memory for cosine and sine of psi_i. That of the innermost tube is 0.
+    """
+    q = bend.shape[0]
+    w, a, b, c = y[0], y[1], y[2], y[3]
+    scale = 2.0 / (w * w + a * a + b * b + c * c)
+    dx, dy, dz = scale * (a * c + w * b), scale * (b * c - w * a), 1.0 - scale * (a * a + b * b)
+    fx, fy, fz = force[0], force[1], force[2]
+    nx = fx + scale * (-fx * (b * b + c * c) + fy * (a * b + w * c) + fz * (a * c - w * b))
+    ny = fy + scale * (fx * (a * b - w * c) - fy * (a * a + c * c) + fz * (b * c + w * a))
+    uz = y[9]
+    ux, uy, mz = y[7] + bend[0] * curvature[0, 0], y[8] + bend[0] * curvature[0, 1], twist[0] * uz
+    for i in range(1, q):
+        if ratio[i] > 0.0:
+            cos, sin = np.cos(y[9 + q + i]), np.sin(y[9 + q + i])
+            turn[i, 0], turn[i, 1] = cos, sin
+            ux += bend[i] * (cos * curvature[i, 0] - sin * curvature[i, 1])
+            uy += bend[i] * (sin * curvature[i, 0] + cos * curvature[i, 1])
+            mz += twist[i] * y[9 + i]
+    ux, uy = softness * ux, softness * uy
+    out[0] = 0.5 * (-a * ux - b * uy - c * uz)
+    out[1] = 0.5 * (w * ux + b * uz - c * uy)
+    out[2] = 0.5 * (w * uy - a * uz + c * ux)
+    out[3] = 0.5 * (w * uz + a * uy - b * ux)
+    out[4], out[5], out[6] = dx, dy, dz
+    out[7] = -(uy * mz - uz * y[8]) + ny
+    out[8] = -(uz * y[7] - ux * mz) - nx
+    out[9], out[9 + q] = ratio[0] * (ux * curvature[0, 1] - uy * curvature[0, 0]), 0.0
+    for i in range(1, q):
+        out[9 + i], out[9 + q + i] = 0.0, 0.0
+        if ratio[i] > 0.0:
+            cos, sin = turn[i, 0], turn[i, 1]
+            uix, uiy = cos * ux + sin * uy, cos * uy - sin * ux
+            out[9 + i] = ratio[i] * (uix * curvature[i, 1] - uiy * curvature[i, 0])
+            out[9 + q + i] = y[9 + i] - uz
+
+
+@compiled
+def _integrate(
+    layout: Layout, alpha: Array, beta: Array, wrench: Array, contact: float, unknowns: Array, step: float,
+    y: Array, ends: Array,
+) -> None:  # fmt: skip
+    """From the plate to the tip, in the plate's axes; `ends` (q + 2) receives what must vanish."""
+    force = wrench.copy()  # of which only the first three count: the force still to come
+    q = layout.counts.shape[0]
+    theta = alpha[0] - beta[0] * unknowns[2]
+    y[:] = 0.0
+    y[0], y[3] = np.cos(0.5 * theta), np.sin(0.5 * theta)
+    # The unknown moment is in the plate's axes, so that a turn of the innermost tube leaves it alone.
+    y[7] = np.cos(theta) * unknowns[0] + np.sin(theta) * unknowns[1]
+    y[8] = np.cos(theta) * unknowns[1] - np.sin(theta) * unknowns[0]
+    section, memory = np.zeros(q, np.int64), np.zeros((3, q))
+    bend, twist, ratio = memory[0], memory[1], memory[2]
+    curvature, turn = np.zeros((q, 2)), np.empty((q, 2))
+    for i in range(q):
+        y[9 + i] = unknowns[2 + i]
+        y[9 + q + i] = alpha[i] - beta[i] * unknowns[2 + i] - theta
+        while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
+            section[i] += 1
+    stages = np.empty((5, y.size))
+    k1, k2, k3, k4, at = stages[0], stages[1], stages[2], stages[3], stages[4]
+    start = 0.0
+    while True:
+        end, end_tube, total = np.inf, -1, 0.0
+        for i in range(q):
+            bend[i] = twist[i] = ratio[i] = 0.0
+            if section[i] < layout.counts[i]:
+                place = beta[i] + layout.ends[i, section[i]]
+                if place < end:
+                    end, end_tube = place, i
+                bend[i], ratio[i] = layout.stiffness[i, 0], layout.stiffness[i, 1]
+                twist[i] = bend[i] / ratio[i]
+                curvature[i, 0] = layout.curvatures[i, section[i], 0]
+                curvature[i, 1] = layout.curvatures[i, section[i], 1]
+                total += bend[i]
+        if end_tube < 0:
+            break
+        if contact < end:
+            end, end_tube = contact, -1
+        steps = int(np.ceil((end - start) / step))
+        h = (end - start) / max(steps, 1)
+        softness = 1.0 / total
+        for _ in range(steps):
+            _slope(y, k1, turn, bend, twist, ratio, curvature, softness, force)
+            for i in range(y.size):
+                at[i] = y[i] + 0.5 * h * k1[i]
+            _slope(at, k2, turn, bend, twist, ratio, curvature, softness, force)
+            for i in range(y.size):
+                at[i] = y[i] + 0.5 * h * k2[i]
+            _slope(at, k3, turn, bend, twist, ratio, curvature, softness, force)
+            for i in range(y.size):
+                at[i] = y[i] + h * k3[i]
+            _slope(at, k4, turn, bend, twist, ratio, curvature, softness, force)
+            for i in range(y.size):
+                y[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+        start = end
+        if end_tube >= 0:
+            section[end_tube] += 1
+        else:
+            contact = np.inf
+            force[:3] = 0.0
+    rotation = np.empty((3, 3))
+    _rotation(y, rotation)
+    for i in range(2):
+        moment = rotation[0, i] * wrench[3] + rotation[1, i] * wrench[4] + rotation[2, i] * wrench[5]
+        ends[i] = y[7 + i] - moment
+    for i in range(q):
+        ends[2 + i] = y[9 + i]
+    axial = rotation[0, 2] * wrench[3] + rotation[1, 2] * wrench[4] + rotation[2, 2] * wrench[5]
+    ends[2] -= axial * layout.stiffness[0, 1] / layout.stiffness[0, 0]
+
+
+@compiled
+def shoot(
+    layout: Layout, alpha: Array, beta: Array, world_wrench: Array, contact: float, guess: Array, chord: Array,
+    step: float, tolerance: float,
+) -> tuple[Array, Array, Array, Array, int, float]:  # fmt: skip
+    """Chord Newton: the derivative (by differences: it only steers) is renewed when progress is slow.
+
+    Answers with unknowns, chord, tip, frame, integrations and what the end conditions lack at that tip; more than
+    `tolerance` means failure. The unknowns have taken one more step of the chord, so that guesses made from several
+    of them are not spoilt by what was tolerated.
+    """
+    q = layout.counts.shape[0]
+    size = q + 2
+    wrench = _to_plate(layout, world_wrench)
+    y, ends, moved, correction = np.empty(9 + 2 * q), np.empty(size), np.empty(size), np.empty(size)
+    unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
+    _integrate(layout, alpha, beta, wrench, contact, unknowns, step, y, ends)
+    residual = _largest(ends)
+    iterations = 1
+    fresh = not inverse.any()
+    while residual > tolerance and iterations < 60:
+        if fresh:
+            matrix = np.empty((size, size))
+            for k in range(size):
+                copy(unknowns, trial)
+                trial[k] += 1e-6
+                _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved)
+                for i in range(size):
+                    matrix[i, k] = (moved[i] - ends[i]) / 1e-6
+            if not 1e-30 <= abs(_determinant(matrix.copy())) < np.inf:
+                return unknowns, inverse, *_to_world(layout, y), iterations, np.inf
+            renewed = np.linalg.inv(matrix)
+            for k in range(size):
+                copy(renewed[k], inverse[k])
+        _times(inverse, ends, correction)
+        fraction = 1.0
+        while True:
+            for i in range(size):
+                trial[i] = unknowns[i] - fraction * correction[i]
+            _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved)
+            iterations += 1
+            after = _largest(moved)
+            if after < residual or (not fresh) or fraction < 1e-3:
+                break
+            fraction *= 0.5
+        if after < residual:
+            fresh = after > 0.1 * residual
+            copy(trial, unknowns)
+            copy(moved, ends)
+            residual = after
+        elif fresh:
+            break
+        else:
+            fresh = True
+    _times(inverse, ends, correction)
+    for i in range(size):
+        unknowns[i] -= correction[i]
+    return unknowns, inverse, *_to_world(layout, y), iterations, residual
+
+
+@compiled
+def _determinant(matrix: Array) -> float:
+    """By elimination, which spoils the matrix; NaN where the matrix holds one."""
+    size, determinant = matrix.shape[0], 1.0
+    for k in range(size):
+        pivot = k
+        for i in range(k + 1, size):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        if matrix[pivot, k] == 0.0:
+            return 0.0
+        for j in range(k, size):
+            matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+        determinant *= matrix[k, k] if pivot == k else -matrix[k, k]
+        for i in range(k + 1, size):
+            factor = matrix[i, k] / matrix[k, k]
+            for j in range(k + 1, size):
+                matrix[i, j] -= factor * matrix[k, j]
+    return determinant
+
+
+@compiled
+def _largest(values: Array) -> float:
+    """The largest magnitude; NaN where there is one."""
+    largest = 0.0
+    for i in range(values.size):
+        if not abs(values[i]) <= largest:
+            largest = abs(values[i])
+        if np.isnan(largest):
+            break
+    return largest
+
+
+@compiled
+def _times(matrix: Array, vector: Array, out: Array) -> None:
+    """Product of matrix and vector; for so few numbers a library's product takes longer than this."""
+    for i in range(out.size):
+        out[i] = 0.0
+        for k in range(vector.size):
+            out[i] += matrix[i, k] * vector[k]

@@ -1,0 +1,297 @@
+"""Newton on the base unknowns: predict, pass, correct, and stop as soon as the rest is known to be small.
+
+A pass gives the end conditions and their derivatives. The step they ask for says how far the
+solution is, and Newton's error falls with the square of that: once the step is below `CLOSE` the
+next violation would be below the tolerance, so the last step is applied to tip, frame and
+unknowns to first order and no further pass is spent on seeing it. A warm start is predicted by
+the sensitivities and, along a steady motion, by the cubic through the last two solutions and
+their slopes; then one pass is enough.
+"""
+
+import numpy as np
+
+from core.compiled import compiled, copy
+from core.model.propagation import FIXED_ROWS, FRAME_ROWS, Scheme, propagate
+from core.model.solution import Places, places
+from core.robot.robot import Array, tube_poses, unpack
+
+#: A pose counts as solved when the end conditions hold to this, in 1/m and N m.
+TOLERANCE = 1e-9
+#: Passes before a solve gives up; a warm start takes one or two.
+MAX_PASSES = 40
+#: Last Newton step of a warm start, applied to first order [rad over the whole length].
+CLOSE = 1e-6
+#: The same of a cold start, which is in no hurry: J and C then belong to the very tip.
+CLOSEST = 1e-8
+#: The same in the control loop, where a force sample's noise moves the tip by a millimetre: what the first
+#: order leaves of the tip is below 0.1 um, of J and C 0.1 %, and half of the passes are saved [rad].
+CLOSE_ENOUGH = 3e-3
+#: What a Newton step leaves of the end conditions over its square [1/m or N m]; measured, with reserve.
+LEFT = 100.0
+#: A careful warm start refuses a first step longer than this: it may end on another branch [rad].
+FAR = 0.5
+
+
+@compiled
+def newton(
+    packed: Array,
+    order: int,
+    sublink: float,
+    joints: Array,
+    wrench: Array,
+    near: Array,
+    contact: float,
+    careful: int,
+    close: float,
+    tubes: tuple[float, ...],
+    columns: tuple[float, ...],
+) -> Array:
+    """Numbers of a `Solution`; the last, the count of passes, is -1 when there is none.
+
+    Args:
+        packed: the robot, `Robot.packed`.
+        order, sublink: see `propagation.Scheme`.
+        joints, wrench, contact: the pose (n,) and the load (6,).
+        near: numbers of a solution nearby. A step that does not help is halved.
+        careful: 1 for a warm start: refuses a long way and a change of the margin's sign, to keep the branch.
+        close: last Newton step that is applied to first order [rad over the whole length].
+        tubes, columns: see `propagate`.
+
+    """
+    layout = unpack(packed)
+    q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
+    size, last = q + 3, q + n + 9
+    where = places(q, n)
+    out = np.empty(where.total)
+    out[-1] = -1.0
+    alpha, beta, stands = tube_poses(layout, joints)
+    length = beta[0] + layout.ends[0, layout.counts[0] - 1]
+    if not stands or joints.shape[0] != n or not (contact == np.inf or 0.0 <= contact <= length):
+        return out
+    scheme = Scheme(order, sublink)
+    state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * width)
+    table = np.zeros((size + 6, width + 8))
+    unknowns, step = np.empty(size), np.zeros(size)
+    trial = out[where.compliance : where.unknowns]
+    _predict(near, joints, wrench, contact, n, where, layout.stiffness[0, 0], trial, out[where.wrench : where.move])
+    twist = layout.stiffness[0, 1] / layout.stiffness[0, 0]  # 1 / GJ of the tube that carries the tip
+    best, fraction = np.inf, 1.0
+    for iterations in range(1, MAX_PASSES + 1):
+        propagate(layout, scheme, alpha, beta, wrench, contact, trial, tubes, columns, state, rates, table[:0])
+        residual = _end_conditions(rates, wrench, state, twist, tubes, columns, n, table)
+        if not np.isfinite(residual) or (residual > best and residual > TOLERANCE):
+            fraction *= 0.5
+            if fraction < 1e-4:
+                return out
+            for i in range(size):
+                trial[i] = unknowns[i] - fraction * step[i]
+            continue
+        best, fraction = residual, 1.0
+        determinant = eliminate(table, tubes, columns)
+        if determinant == 0.0:
+            return out
+        way = 0.0
+        for i in range(size):
+            step[i] = table[i, last]
+            way = max(way, abs(step[i]) * (length if i < q else length / layout.stiffness[0, 0]))
+        if careful and iterations == 1 and not way < FAR:
+            return out
+        for i in range(size):
+            unknowns[i] = trial[i]
+            trial[i] -= step[i]
+        if way < close:
+            if careful and determinant * near[-3] < 0.0:
+                return out
+            _finish(layout.base, state, table, q, n, out)
+            _bend_of_the_way(near, contact, n, where, out)
+            copy(joints, out[where.sensitivity : where.joints])
+            copy(wrench, out[where.joints : where.wrench])
+            out[-4], out[-3], out[-2], out[-1] = contact, determinant, min(residual, LEFT * way * way), iterations
+            return out
+    return out
+
+
+@compiled
+def _predict(
+    near: Array,
+    joints: Array,
+    wrench: Array,
+    contact: float,
+    n: int,
+    where: Places,
+    stiffness: float,
+    trial: Array,
+    move: Array,
+) -> None:
+    """Unknowns at the new pose and load, and the way there (`move`)."""
+    size = trial.shape[0]
+    for j in range(n):
+        move[j] = joints[j] - near[where.sensitivity + j]
+    for j in range(6):
+        move[n + j] = wrench[j] - near[where.joints + j]
+    square, before, along = 0.0, 0.0, 0.0
+    for i in range(size):
+        now, last = 0.0, 0.0
+        for j in range(n + 6):
+            rate = near[where.unknowns + i * (n + 6) + j]
+            now += rate * move[j]
+            last += rate * near[where.wrench + j]
+        trial[i] = near[where.compliance + i] + now
+        scale = 1.0 if i < size - 3 else 1.0 / stiffness
+        square += scale * scale * now * now
+        before += scale * scale * last * last
+        along += scale * scale * now * last
+    # Only a move along the last one can go on with its cubic.
+    if along * along > 0.99 * square * before and before > 0.0 and near[-4] == contact:
+        t = along / before
+        if abs(t) < 3.0:
+            for i in range(size):
+                trial[i] += t * t * (near[where.move + i] + t * near[where.move + size + i])
+
+
+@compiled
+def _bend_of_the_way(near: Array, contact: float, n: int, where: Places, out: Array) -> None:
+    """Second and third order of the unknowns along the last move, from its ends and their slopes."""
+    size = where.unknowns - where.compliance
+    for i in range(size):
+        here, there = 0.0, 0.0
+        for j in range(n + 6):
+            move = out[where.wrench + j]
+            here += out[where.unknowns + i * (n + 6) + j] * move
+            there += near[where.unknowns + i * (n + 6) + j] * move
+        gap = near[where.compliance + i] - out[where.compliance + i] + here
+        curve = there - here
+        if near[-1] <= 0.0 or near[-4] != contact:
+            gap, curve = 0.0, 0.0
+        out[where.move + i] = curve + 3.0 * gap
+        out[where.move + size + i] = curve + 2.0 * gap
+
+
+@compiled
+def _end_conditions(
+    rates: Array,
+    wrench: Array,
+    state: Array,
+    twist: float,
+    tubes: tuple[float, ...],
+    columns: tuple[float, ...],
+    n: int,
+    table: Array,
+) -> float:
+    """Derivatives of the end conditions, below them those of the tip, by unknowns, joints, force and tip moment.
+
+    The column behind them is what must vanish: u_iz at each tube's end and M at the tip.
+
+    Returns:
+        The largest violation [1/m or N m].
+
+    """
+    q, width = len(tubes), len(columns)
+    size = q + 3
+    t1, t2, t3 = state[2], state[5], state[8]
+    x, y, z = state[9], state[10], state[11]
+    fx, fy, fz = state[12 + 2 * q], state[13 + 2 * q], state[14 + 2 * q]
+    ax = twist * (t2 * wrench[5] - t3 * wrench[4])
+    ay = twist * (t3 * wrench[3] - t1 * wrench[5])
+    az = twist * (t1 * wrench[4] - t2 * wrench[3])
+    theta, torsion, force = FRAME_ROWS * width, (FRAME_ROWS + q) * width, (FRAME_ROWS + 2 * q) * width
+    moment = force + 3 * width
+    for i in range(q):
+        for col in range(width):
+            table[i, col] = rates[torsion + i * width + col]
+    for col in range(width):
+        r1, r2, r3 = rates[col], rates[width + col], rates[2 * width + col]
+        dx, dy, dz = rates[3 * width + col], rates[4 * width + col], rates[5 * width + col]
+        gx, gy, gz = rates[force + col], rates[force + width + col], rates[force + 2 * width + col]
+        turn = rates[theta + col]
+        table[0, col] -= ax * r1 + ay * r2 + az * r3
+        table[q, col] = rates[moment + col] - (dy * fz - dz * fy) - (y * gz - z * gy)
+        table[q + 1, col] = rates[moment + width + col] - (dz * fx - dx * fz) - (z * gx - x * gz)
+        table[q + 2, col] = rates[moment + 2 * width + col] - (dx * fy - dy * fx) - (x * gy - y * gx)
+        table[size, col], table[size + 1, col], table[size + 2, col] = dx, dy, dz
+        # the tube turns about its tangent in the frame
+        table[size + 3, col], table[size + 4, col], table[size + 5, col] = (
+            r1 + t1 * turn,
+            r2 + t2 * turn,
+            r3 + t3 * turn,
+        )
+    for i in range(size + 6):
+        for col in range(size + n + 3, width + 8):
+            table[i, col] = 0.0
+    for k in range(3):
+        table[0, size + n + 3 + k] = -twist * state[2 + 3 * k]
+        table[q + k, size + n + 3 + k] = -1.0
+        table[q + k, size + n + 6] = state[15 + 2 * q + k] - wrench[3 + k]
+    for i in range(q):
+        table[i, size + n + 6] = state[12 + q + i]
+    table[0, size + n + 6] -= twist * (t1 * wrench[3] + t2 * wrench[4] + t3 * wrench[5])
+    residual = 0.0
+    for i in range(size):
+        violation = abs(table[i, size + n + 6])
+        residual = residual if violation <= residual else violation  # a NaN comes through
+    return residual
+
+
+@compiled
+def _finish(base: Array, state: Array, table: Array, q: int, n: int, out: Array) -> None:
+    """Tip and frame with the last step applied, J, C and the sensitivity."""
+    size = q + 3
+    last = size + n + 6
+    sensitivity = 12 + 6 * n + 36 + size
+    for i in range(size):
+        for j in range(n + 6):
+            out[sensitivity + i * (n + 6) + j] = -table[i, size + j]
+    for i in range(6):
+        for j in range(n):
+            out[12 + i * n + j] = table[size + i, size + j]
+        for j in range(6):
+            out[12 + 6 * n + 6 * i + j] = table[size + i, size + n + j]
+    cos, sin = np.cos(state[12]), np.sin(state[12])
+    n1, n2, n3 = table[size + 3, last], table[size + 4, last], table[size + 5, last]
+    for i in range(3):
+        out[i] = state[9 + i] + table[size + i, last] + base[9 + i]
+    square = n1 * n1 + n2 * n2 + n3 * n3
+    for k in range(3):
+        # the innermost tube's axes, turned by a rotation too small for its cube to matter
+        if k == 0:
+            a, b, c = cos * state[0] + sin * state[1], cos * state[3] + sin * state[4], cos * state[6] + sin * state[7]
+        elif k == 1:
+            a, b, c = cos * state[1] - sin * state[0], cos * state[4] - sin * state[3], cos * state[7] - sin * state[6]
+        else:
+            a, b, c = state[2], state[5], state[8]
+        along = 0.5 * (n1 * a + n2 * b + n3 * c)
+        scale = 1.0 - 0.5 * square
+        out[3 + k] = scale * a + n2 * c - n3 * b + along * n1
+        out[6 + k] = scale * b + n3 * a - n1 * c + along * n2
+        out[9 + k] = scale * c + n1 * b - n2 * a + along * n3
+
+
+@compiled
+def eliminate(table: Array, tubes: tuple[float, ...], columns: tuple[float, ...]) -> float:
+    """Gauss-Jordan with row pivoting in the first q + 3 rows and columns; the rows below take part.
+
+    [A B; C D] becomes [1 A^-1 B; 0 D - C A^-1 B]. Answers the determinant of A; 0 when singular.
+    """
+    size, rows, count = len(tubes) + 3, len(tubes) + 9, len(columns) + 8
+    determinant = 1.0
+    for k in range(size):
+        pivot = k
+        for i in range(k + 1, size):
+            if abs(table[i, k]) > abs(table[pivot, k]):
+                pivot = i
+        if not abs(table[pivot, k]) > 1e-300:
+            return 0.0
+        if pivot != k:
+            determinant = -determinant
+            for j in range(count):
+                table[k, j], table[pivot, j] = table[pivot, j], table[k, j]
+        determinant *= table[k, k]
+        inverse = 1.0 / table[k, k]
+        for j in range(count):
+            table[k, j] *= inverse
+        for i in range(rows):
+            if i != k:
+                factor = table[i, k]
+                for j in range(count):
+                    table[i, j] -= factor * table[k, j]
+    return determinant

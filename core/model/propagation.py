@@ -1,0 +1,199 @@
+"""One pass along the tubes: the loaded model, eqs. (6)-(16), and its derivatives, eqs. (17)-(19).
+
+The tubes are cut into links wherever a section of one of them ends, and every link into sub-links
+of one length; the last of each takes the remainder. A sub-link is one step of an integrator:
+`second_order` is the paper's, `fourth_order` the one for long steps.
+
+Derivatives travel with the state as columns: of the base unknowns (u_iz(0), M(0)), of the joints
+and of the force. Only the last sub-link of a link changes its length with a joint (H in (19)).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from core.compiled import compiled
+from core.model.fourth_order import fourth_order
+from core.model.second_order import second_order
+from core.robot.robot import Array, Layout
+
+#: Rows of a derivative column before the tubes': rotation (3) and position (3), world frame.
+FRAME_ROWS = 6
+#: Rows behind the tubes' that do not change along a link: force (3), moment at the plate (3), dh.
+FIXED_ROWS = 7
+
+#: Integrators by name, as the compiled code counts them.
+INTEGRATORS = {"paper": 2, "fourth_order": 4}
+
+
+class Scheme(NamedTuple):
+    """How the tubes are cut and integrated."""
+
+    order: int  #: 2 or 4, see `INTEGRATORS`
+    sublink: float  #: length of a sub-link [m]; the last of each link takes the remainder
+
+
+@compiled
+def propagate(
+    layout: Layout,
+    scheme: Scheme,
+    alpha: Array,
+    beta: Array,
+    force: Array,
+    contact: float,
+    unknowns: Array,
+    tubes: tuple[float, ...],
+    columns: tuple[float, ...],
+    state: Array,
+    rates: Array,
+    path: Array,
+) -> int:
+    """Integrate from the plate to the tip.
+
+    Args:
+        layout: the robot.
+        scheme: how to cut it.
+        alpha, beta: rotation [rad] and proximal end [m] of each tube (q,).
+        force: (3,), world frame [N].
+        contact: arc length from the plate at which the force acts [m]; inf for the tip.
+        unknowns: u_iz(0) of each tube (q) [1/m], then M(0) (3), about the plate [N m].
+        tubes, columns: tuples whose lengths, q and the number of derivative columns (0 for none,
+            else padded to a multiple of 8), are constants to the compiler.
+        state: out (18 + 2q): R by rows, r from the plate [m], theta_i [rad], u_iz [1/m] at the end
+            of each tube; then what is left of the force and of M about the plate at the tip.
+        rates: out (rows x columns, flat): derivatives of rotation (3, world), r (3), theta_i,
+            u_iz, force, M by unknowns (q + 3), joints (n), force (3).
+        path: out (m, 16 + 2q): arc length, R, r, theta_i, u_iz, M at every sub-link, as far as m reaches.
+
+    Returns:
+        Number of cross-sections passed, the plate's included.
+
+    """
+    q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
+    first_joint, first_force = q + 3, q + 3 + n
+    fixed = (FRAME_ROWS + 2 * q) * width
+    link, load = np.zeros((q, 5)), state[12 + 2 * q :]
+    section = np.zeros(q, np.int64)
+    for k in range(9):
+        state[k] = layout.base[k]
+    for k in range(3):
+        state[9 + k], load[k], load[3 + k] = 0.0, force[k], unknowns[q + k]
+    for i in range(q):
+        state[12 + q + i] = unknowns[i]
+        state[12 + i] = alpha[i] - beta[i] * unknowns[i]  # the hidden part twists too
+        # Sections that lie wholly behind the plate are passed before the start.
+        while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
+            section[i] += 1
+    if width > 0:
+        rates[:] = 0.0
+        for i in range(q):
+            rates[(FRAME_ROWS + i) * width + i] = -beta[i]
+            rates[(FRAME_ROWS + q + i) * width + i] = 1.0
+        for j in range(n):
+            i = layout.joint_tube[j]
+            turn = -unknowns[i] if layout.joint_slides[j] else 1.0
+            rates[(FRAME_ROWS + i) * width + first_joint + j] = turn
+        for k in range(3):
+            rates[fixed + k * width + first_force + k] = 1.0
+            rates[fixed + (3 + k) * width + q + k] = 1.0
+
+    start = 0.0
+    start_tube = -1  # the tube whose beta moves the start of this link; none moves the plate
+    passed = 0
+    while True:
+        # The next place where a section ends, or the force acts, closes this link.
+        end, end_tube, total = np.inf, -1, 0.0
+        for i in range(q):
+            if section[i] < layout.counts[i]:
+                place = beta[i] + layout.ends[i, section[i]]
+                if place < end:
+                    end, end_tube = place, i
+                total += layout.stiffness[i, 0]
+        if end_tube < 0:
+            break
+        if contact < end:
+            end, end_tube = contact, -1
+        for i in range(q):
+            link[i, 4] = 1.0 / total
+            if section[i] < layout.counts[i]:
+                link[i, 0], link[i, 1] = layout.stiffness[i, 0] / total, layout.stiffness[i, 1]
+                link[i, 2], link[i, 3] = layout.curvatures[i, section[i], 0], layout.curvatures[i, section[i], 1]
+            else:
+                link[i, 0], link[i, 1], link[i, 2], link[i, 3] = 0.0, 0.0, 0.0, 0.0
+        span = end - start
+        steps = max(1, int(np.ceil(span / scheme.sublink)))
+        if width > 0:
+            for j in range(n):
+                if layout.joint_slides[j]:
+                    i = layout.joint_tube[j]
+                    rate = (1.0 if i == end_tube else 0.0) - (1.0 if i == start_tube else 0.0)
+                    rates[fixed + 6 * width + first_joint + j] = rate
+        for step in range(steps):
+            last = step == steps - 1
+            h = span - (steps - 1) * scheme.sublink if last else scheme.sublink
+            if passed < path.shape[0]:
+                _record(path[passed], start + step * scheme.sublink, state, q)
+            passed += 1
+            if scheme.order == 4:
+                fourth_order(link, load, h, 1.0 if last else 0.0, state, rates, tubes, columns)
+            else:
+                second_order(link, load, h, 1.0 if last else 0.0, state, rates, tubes, columns)
+        start, start_tube = end, end_tube
+        if end_tube >= 0:
+            section[end_tube] += 1
+        else:
+            contact = np.inf
+            _leave_force(load, state, rates, fixed, width)
+
+    if passed < path.shape[0]:
+        _record(path[passed], start, state, q)
+    for k in range(3):
+        j, m = (k + 1) % 3, (k + 2) % 3
+        load[3 + k] -= state[9 + j] * load[m] - state[9 + m] * load[j]
+    return passed + 1
+
+
+@compiled
+def repeat(
+    layout: Layout,
+    scheme: Scheme,
+    alpha: Array,
+    beta: Array,
+    force: Array,
+    contact: float,
+    unknowns: Array,
+    tubes: tuple[float, ...],
+    columns: tuple[float, ...],
+    times: int,
+) -> None:
+    """Pass along the tubes many times, for a stopwatch."""
+    q = len(tubes)
+    state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * len(columns))
+    path = np.empty((0, 0))
+    for _ in range(times):
+        propagate(layout, scheme, alpha, beta, force, contact, unknowns, tubes, columns, state, rates, path)
+
+
+@compiled
+def _leave_force(load: Array, state: Array, rates: Array, fixed: int, width: int) -> None:
+    """Beyond its contact the force is gone; what it left of the moment goes on."""
+    for k in range(3):
+        j, m = (k + 1) % 3, (k + 2) % 3
+        load[3 + k] -= state[9 + j] * load[m] - state[9 + m] * load[j]
+        for col in range(width):
+            dj, dm = rates[(3 + j) * width + col], rates[(3 + m) * width + col]
+            fj, fm = rates[fixed + j * width + col], rates[fixed + m * width + col]
+            rates[fixed + (3 + k) * width + col] -= dj * load[m] - dm * load[j] + state[9 + j] * fm - state[9 + m] * fj
+    load[:3] = 0.0
+    rates[fixed : fixed + 3 * width] = 0.0
+
+
+@compiled
+def _record(row: Array, s: float, state: Array, q: int) -> None:
+    row[0] = s
+    for k in range(12 + 2 * q):
+        row[1 + k] = state[k]
+    for k in range(3):
+        j, m = (k + 1) % 3, (k + 2) % 3
+        force, moment = state[12 + 2 * q : 15 + 2 * q], state[15 + 2 * q + k]
+        row[13 + 2 * q + k] = moment - (state[9 + j] * force[m] - state[9 + m] * force[j])

@@ -1,0 +1,130 @@
+"""Elastic stability of a design without load: whether it snaps when its tubes are turned.
+
+Two equal curved lengths L of one pair with (1 + nu) u1 u2 = k^2 behind straight lengths that
+twist like one of length l (Dupont et al. 2010; Ha, Park, Dupont 2016) turn without a snap when
+
+    k L < pi / 2   and   S = l k tan(k L) < 1.
+
+S is the snap number. For any tubes it is 1 - D / D0: the determinant of the end conditions by the
+base torsion, about the worst of the alignments in which every tube is straight in torsion, over
+the same with the twist of everything before the curves meet taken away. For the pair above it
+gives S exactly. The margin under load is `Solution.stability`, the same determinant at the
+loaded shape.
+"""
+
+import itertools
+import math
+
+import numpy as np
+
+from core.errors import DescriptionError
+from core.robot.robot import Array, Robot
+
+#: Poses along the travel of each translation that a design is judged at.
+GRID = 9
+
+
+def snap_number(robot: Robot, joints: Array) -> float:
+    """Largest S over the alignments of the tubes at the translations of `joints` (n,).
+
+    0: the tubes cannot store torsion in each other; below 1: no snap; inf: they snap whatever is before them.
+
+    Raises:
+        PoseError: the tubes cannot stand so.
+        DescriptionError: a tube is not curved in one plane.
+
+    """
+    robot.check_pose(joints)
+    beta = robot.tube_poses(joints)[1]
+    pieces = _pieces(robot, beta)
+    worst = 0.0
+    for signs in itertools.product((1.0, -1.0), repeat=len(robot.tubes) - 1):
+        flexible, stiff = (_determinant(robot, beta, pieces, np.array((1.0, *signs)), bare) for bare in (False, True))
+        worst = max(worst, 1.0 - flexible / stiff if stiff > 0.0 else math.inf)
+    return worst
+
+
+def design_snap_number(robot: Robot, lower: Array, upper: Array) -> float:
+    """Largest snap number within the travel (n,) of the joints, on a grid of the translations.
+
+    Raises:
+        DescriptionError: a tube is not curved in one plane, or no pose in the travel can stand.
+
+    """
+    travels: list[Array] = [
+        np.linspace(low, high, GRID) if joint.motion == "translation" else np.zeros(1)
+        for joint, low, high in zip(robot.joints, lower, upper, strict=True)
+    ]
+    numbers: list[float] = []
+    for place in itertools.product(*travels):
+        joints = np.array(place, dtype=np.float64)
+        if robot.stands(joints):
+            numbers.append(snap_number(robot, joints))
+    if not numbers:
+        raise DescriptionError(f"robot '{robot.name}': no pose within the travel of its joints can stand")
+    return max(numbers)
+
+
+def _pieces(robot: Robot, beta: Array) -> list[tuple[float, float, Array]]:
+    """Start, end and signed curvature of each tube (q,), NaN where it is absent, from the plate on."""
+    places = {0.0}
+    signed: list[list[tuple[float, float]]] = []
+    for tube, start in zip(robot.tubes, beta, strict=True):
+        axis, end = None, float(start)
+        ends: list[tuple[float, float]] = []
+        for section in tube.sections:
+            end += section.length
+            x, y = section.curvature
+            size = math.hypot(x, y)
+            if size > 0.0 and axis is None:
+                axis = (x / size, y / size)
+            along = 0.0 if axis is None else x * axis[0] + y * axis[1]
+            if axis is not None and abs(x * axis[1] - y * axis[0]) > 1e-9 * max(1.0, size):
+                raise DescriptionError(f"tube '{tube.name}' is not curved in one plane; it has no snap number")
+            ends.append((end, along))
+            if end > 0.0:
+                places.add(end)
+        signed.append(ends)
+    order = sorted(places)
+    return [
+        (
+            start,
+            end,
+            np.array([next((along for far, along in ends if far > start + 1e-12), math.nan) for ends in signed]),
+        )
+        for start, end in itertools.pairwise(order)
+        if end > start + 1e-12
+    ]
+
+
+def _determinant(
+    robot: Robot, beta: Array, pieces: list[tuple[float, float, Array]], signs: Array, bare: bool
+) -> float:
+    """Of the torsion at each tube's end by the torsion at its base; `bare` forgets the twist before the curves meet."""
+    q = len(robot.tubes)
+    turn, twist = np.diag(-beta), np.eye(q)
+    met = False
+    for start, end, curvatures in pieces:
+        present = np.flatnonzero(np.isfinite(curvatures))
+        u = signs[present] * curvatures[present]
+        stiffness = robot.layout.stiffness[present, 0]
+        share = stiffness / stiffness.sum()
+        if not met and np.count_nonzero(u) > 1:
+            met = True
+            if bare:
+                turn[:] = 0.0
+        rate = robot.layout.stiffness[present, 1] * u
+        coupling = np.diag(rate * (share @ u)) - np.outer(rate, share * u)
+        # turn'' = coupling turn
+        length = end - start
+        even, odd = np.eye(len(u)), length * np.eye(len(u))
+        term = np.eye(len(u))
+        for order in range(1, 30):
+            term = term @ coupling * (length * length / ((2 * order - 1) * (2 * order)))
+            even += term
+            odd += term * (length / (2 * order + 1))
+        turn[present], twist[present] = (
+            even @ turn[present] + odd @ twist[present],
+            coupling @ odd @ turn[present] + even @ twist[present],
+        )
+    return float(np.linalg.det(twist))

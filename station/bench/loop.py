@@ -1,0 +1,72 @@
+"""`ctr-station bench loop`: how punctual the 500 Hz loop is on this machine, in a process of its own."""
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from core.errors import CtrError
+from station.bench.timer_probe import Witness
+from station.config.motions import CircleMotion
+from station.control.realtime import leave_a_core
+from station.control.ring import Ring
+from station.control.states import State
+from station.experiments.experiment import PERIOD
+from station.lab.loads import RaisedCosineLoad
+from station.service.station_file import load_station
+from station.service.station_service import Desk
+from station.service.supervisor import Supervisor
+
+
+def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True) -> dict[str, Any]:
+    """Run a circle under load in the virtual lab for `seconds`, recorded as any run is, and count.
+
+    `computer` are the same counts of a timer with nothing to do on the loop's processor: what the loop cannot be
+    better than.
+
+    Raises:
+        CtrError: the control process failed meanwhile.
+    """
+    core = leave_a_core()
+    bench = replace(load_station(None).bench(), fifo=fifo, core=core)
+    with tempfile.TemporaryDirectory(prefix="ctr-bench-") as folder, Witness(core) as witness:
+        supervisor = Supervisor(bench, Path(folder))
+        try:
+            supervisor.open()
+            supervisor.wait_ready(120.0)
+            steal = stolen()
+            supervisor.ring.clear_timing()
+            witness.clear()
+            Desk(supervisor).start_motion(
+                CircleMotion(radius=0.010, period=20.0),
+                load=RaisedCosineLoad(peak=0.3, period=15.0),
+                duration=seconds + 60.0,
+            )
+            begin = time.monotonic()
+            while (passed := time.monotonic() - begin) < seconds:
+                time.sleep(min(0.25, seconds - passed))
+                progress(min(1.0, passed / seconds))
+                status = supervisor.status()
+                if status.state is not State.RUNNING:
+                    raise CtrError(f"the loop went to {status.state.name}: {status.cause}")
+            result = {**figures(supervisor.ring, seconds, stolen() - steal), "computer": witness.figures()}
+        finally:
+            supervisor.close()
+    return result
+
+
+def figures(ring: Ring, seconds: float, stolen_s: float) -> dict[str, Any]:
+    """The loop's own counts over so long [s], with the time that was stolen meanwhile [s]."""
+    late = ring.later_than(PERIOD)
+    return {**ring.timing()._asdict(), "a_period_late": late, "seconds": seconds, "stolen_s": round(stolen_s, 3)}
+
+
+def stolen() -> float:
+    """Processor time that the hypervisor gave to others, over all processors [s]; 0 where it is not told."""
+    try:
+        fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
+    except OSError:
+        return 0.0
+    return int(fields[8]) / 100.0 if len(fields) > 8 else 0.0

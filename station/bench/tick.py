@@ -1,0 +1,52 @@
+"""How long one whole tick of the controller takes, measured where it runs: in the loop.
+
+    ctr-station bench tick
+
+Fuse, filter, observe, two solves, control, limits; between two of them the virtual lab and the
+telemetry use the caches, as they do at a bench.
+"""
+
+import time
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from core.control import step as core_step
+from station.bench.bench import table
+from station.control import loop
+from station.control.clock import VirtualClock
+from station.experiments.experiment import load_experiment
+from station.experiments.runner import run_case
+
+
+def tick(seconds: float = 20.0) -> dict[str, Any]:
+    """The feed-forward case of `fig10` for `seconds` after a warm-up; microseconds a step."""
+    case = next(case for case in load_experiment("fig10").cases if case.name == "feedforward")
+    taken: list[float] = []
+
+    def timed(*arguments: Any) -> core_step.Tick:
+        begin = time.perf_counter()
+        result = core_step.step(*arguments)
+        taken.append(time.perf_counter() - begin)
+        return result
+
+    loop.step = timed
+    try:
+        for duration in (2.0, seconds):
+            taken.clear()
+            file = case.file.model_copy(update={"duration": duration})
+            run_case(case._replace(file=file), 0, VirtualClock(), lambda _: None)
+    finally:
+        loop.step = core_step.step
+    # The preparation does not invert.
+    moving = 1e6 * np.array(taken[-int(seconds * 500) :])
+    part = np.percentile(moving, [50, 99, 99.9])
+    return {
+        "ticks": len(moving),
+        "step_us": dict(zip(("median", "p99", "p99_9"), np.round(part, 1).tolist(), strict=True)),
+    }
+
+
+if __name__ == "__main__":
+    Console(highlight=False).print(table("tick", tick()))

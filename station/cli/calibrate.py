@@ -1,0 +1,129 @@
+"""The command `calibrate`: finds out about a bench, and writes what a run or a station can be told."""
+
+import argparse
+import json
+import sys
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from station.cli.options import between, progress_bar, seed
+
+PROCEDURES = {
+    "axes": "which way each axis runs, and the tubes' zero angles roughly",
+    "latency": "how late the tracker is",
+    "tracker": "where tracker and coil are",
+    "force": "how the base sensors stand, what hangs on them, how they drift",
+    "tubes": "EI, curvature, nu, lengths and zeros of the tubes together with all frames and sensors",
+}
+
+
+def add(commands: "argparse._SubParsersAction[Any]") -> None:
+    """Add it."""
+    calibrate = commands.add_parser(
+        "calibrate", help="find out where tracker, coil and sensors are and how the tubes really are",
+        epilog="; ".join(f"{name}: {about}" for name, about in PROCEDURES.items()),
+    )  # fmt: skip
+    calibrate.add_argument("what", choices=tuple(PROCEDURES))
+    calibrate.add_argument("--robot", default="paper", metavar="FILE", help="preset or .toml file (paper)")
+    calibrate.add_argument("--lab", default="uncalibrated", metavar="LAB", help="preset or .toml file (uncalibrated)")
+    calibrate.add_argument("--seed", type=seed, default=0, metavar="N", help="of everything random in the lab (0)")
+    calibrate.add_argument(
+        "--effort", type=between(0.5, 5.0, "a factor", ""), default=1.0, metavar="X", help="more or fewer poses (1)"
+    )
+    calibrate.add_argument(
+        "--still", action="store_true", help="leave the ways between the poses out: averages at once, no wires"
+    )
+    calibrate.add_argument("--realtime", action="store_true", help="at the pace of the clock")
+    calibrate.add_argument(
+        "--out", type=Path, default=Path("calibrations"), metavar="DIR", help="where results go (calibrations)"
+    )
+    calibrate.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    calibrate.set_defaults(command=_calibrate)
+
+
+def _calibrate(parsed: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from station.calibration.outcome import Provenance, write_all
+    from station.calibration.plan import Subject
+    from station.calibration.procedure import StoppedByHandError
+    from station.config.robots import load_robot
+    from station.lab.config import load_lab
+
+    robot = load_robot(parsed.robot)
+    lab = load_lab(parsed.lab, robot)
+    subject = Subject.of(robot, robot_start(robot))
+    begin = time.perf_counter()
+    try:
+        result, simulated = _carried_out(parsed, subject, lab)
+    except StoppedByHandError as error:
+        sys.stderr.write(f"ctr-station: {error}\n")
+        return 130
+    stamp = datetime.now().astimezone()
+    folder = _new_folder(parsed.out, f"{parsed.what}-seed{parsed.seed}-{stamp:%Y%m%d-%H%M%S}")
+    provenance = Provenance(parsed.what, stamp.isoformat(timespec="seconds"), lab.title, parsed.seed, simulated)
+    summary = write_all(folder, result, subject, provenance)
+    summary["wall_s"] = round(time.perf_counter() - begin, 3)
+    if parsed.json:
+        sys.stdout.write(f"{json.dumps(summary)}\n")
+    else:
+        from station.calibration.outcome import result_table
+
+        out = Console(highlight=False, markup=False)
+        out.print(result_table(result, subject, provenance))
+        for sentence in summary["findings"]:
+            out.print(sentence, soft_wrap=True)
+        out.print(f"{simulated:.0f} s simulated in {summary['wall_s']:.1f} s\n{folder}", soft_wrap=True)
+    return 0
+
+
+def _carried_out(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[Any, float]:
+    """The result, and how long it would have taken on a bench [s]."""
+    from station.calibration import headless
+    from station.calibration import static_lab as still_lab
+    from station.calibration.catalogue import begin
+    from station.control.clock import RealClock, VirtualClock
+
+    procedure = begin(parsed.what, subject, parsed.effort)
+    with progress_bar() as bar:
+        task = bar.add_task(f"calibrate {parsed.what}", total=1.0)
+
+        def progress(done: float, text: str) -> None:
+            bar.update(task, completed=done)
+            if text:
+                bar.console.print(f"a person is asked: {text} (done by the lab)", markup=False)
+
+        if parsed.still:
+            bench = still_lab.StillLab(subject, lab, parsed.seed)
+            return still_lab.carry_out(procedure, bench, progress), bench.time
+        clock = RealClock() if parsed.realtime else VirtualClock()
+        result = headless.carry_out(procedure, subject, lab, parsed.seed, clock, progress)
+        visits = getattr(result, "visits", ())
+        return result, visits[-1].time if visits else 0.0
+
+
+def robot_start(robot: Any) -> Any:
+    """Where a robot rests before it is calibrated (n,): the paper's start, or the middle of each travel."""
+    import numpy as np
+
+    usual = {"outer_rotation": 0.0, "inner_rotation": np.pi / 2, "inner_translation": -0.100}
+    return np.array([usual.get(joint.name, 0.5 * (joint.lower + joint.upper)) for joint in robot.joints])
+
+
+def _new_folder(out: Path, name: str) -> Path:
+    """A folder that was not there before."""
+    from station.config.strict import ConfigError
+
+    number = 1
+    while True:
+        path = out / (name if number == 1 else f"{name}-{number}")
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            number += 1
+            continue
+        except OSError as error:
+            raise ConfigError(f"{out}: cannot write results there: {error.strerror}") from None
+        return path

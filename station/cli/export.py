@@ -1,0 +1,39 @@
+"""The command `export`: a run's recordings for other programs."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+
+def add(commands: "argparse._SubParsersAction[Any]") -> None:
+    """Add it."""
+    export = commands.add_parser("export", help="a run's recordings as CSV, Parquet or MATLAB files")
+    export.add_argument("run", metavar="RUN", help="folder of a run, its name under 'runs', or 'latest'")
+    export.add_argument("--format", choices=("csv", "parquet", "mat"), required=True)
+    export.add_argument("--out", type=Path, metavar="FILE|DIR", help="where the files go (the run's folder)")
+    export.set_defaults(command=_export)
+
+
+def _export(parsed: argparse.Namespace) -> int:
+    from station.cli.options import progress_bar
+    from station.recording.export import export_run
+    from station.recording.history import resolve_run
+    from station.recording.recover import recover
+    from station.recording.run_folder import RUNS
+
+    recover(RUNS)
+    with progress_bar() as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def progress(case: str, part: float) -> None:
+            if case not in tasks:
+                tasks[case] = bar.add_task(f"export {case}", total=1.0)
+            bar.update(tasks[case], completed=part)
+
+        files = export_run(resolve_run(parsed.run, RUNS), parsed.format, parsed.out, progress)
+    sys.stdout.writelines(f"{file}\n" for file in files)
+    return 0

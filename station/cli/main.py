@@ -1,0 +1,187 @@
+"""The command line without a browser: `python -m station`, and `ctr-station` adds `serve`."""
+
+import argparse
+import io
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from rich.console import Console
+
+from core.errors import CtrError
+from core.model.statics import PAPER_SUBLINK
+from station.cli import calibrate as calibrate_command
+from station.cli import export as export_command
+from station.cli import report as report_command
+from station.cli import run as run_command
+from station.cli import soak as soak_command
+from station.cli import sweep as sweep_command
+from station.cli.options import between, progress_bar
+from station.config.strict import preset_names
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line; `--help` has the rest."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with status 2."""
+        self.exit(2, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
+
+
+def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
+    """The parser and its commands, for `web` to add its own."""
+    top = Parser(
+        prog="ctr-station",
+        description="Lab station for externally loaded concentric-tube robots.",
+        epilog=f"experiments: {', '.join(preset_names('experiments'))}",
+    )
+    commands = top.add_subparsers(title="commands", metavar="COMMAND")
+
+    run_command.add(commands)
+
+    solve = commands.add_parser("solve", help="the loaded model: JSON lines in, JSON lines out")
+    solve.add_argument("--robot", default="paper", metavar="FILE", help="preset or .toml file (paper)")
+    solve.add_argument(
+        "--sublink",
+        type=between(0.0001, 0.1, "a length", "m"),
+        default=PAPER_SUBLINK,
+        metavar="M",
+        help="sub-link length [m] (0.01)",
+    )
+    solve.add_argument("--exact", action="store_true", help="the exact rod instead of the paper's model; tip only")
+    solve.set_defaults(command=_solve)
+
+    lab = commands.add_parser("lab", help="only the simulated devices, for drivers to connect to, until interrupted")
+    lab.add_argument("--pty", action="store_true", help="serial lines as pseudo-terminals instead of TCP")
+    lab.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
+    lab.add_argument(
+        "--load", type=between(0.0, 2.0, "a weight", "N"), default=0.0, metavar="N", help="weight at the tip [N] (0)"
+    )
+    lab.set_defaults(command=_lab)
+
+    bench = commands.add_parser("bench", help="measure this machine")
+    bench.add_argument(
+        "what", choices=("model", "accuracy", "cost", "tick", "wire", "loop", "headless", "cold", "recorder")
+    )
+    bench.add_argument(
+        "--seconds", type=between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of loop, recorder (60)"
+    )
+    bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
+    bench.add_argument("--json", action="store_true", help="print one JSON object")
+    bench.set_defaults(command=_bench)
+
+    calibrate_command.add(commands)
+    export_command.add(commands)
+    report_command.add(commands)
+    sweep_command.add(commands)
+    soak_command.add(commands)
+
+    doctor = commands.add_parser("doctor", help="what this machine offers, in plain words")
+    doctor.set_defaults(command=_doctor)
+    return top, commands
+
+
+def execute(top: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
+    """Parse and run; 0 done, 1 not completed, 2 bad input, 130 interrupted."""
+    parsed = top.parse_args(arguments)
+    if not hasattr(parsed, "command"):
+        top.print_help()
+        return 2
+    command: Callable[[argparse.Namespace], int] = parsed.command
+    try:
+        return command(parsed)
+    except CtrError as error:
+        # One line, whatever was quoted in it.
+        sys.stderr.write(f"ctr-station: {' '.join(str(error).split())}\n")
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except SystemError as error:
+        # Ctrl-C inside compiled code comes out as this.
+        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            return 130
+        raise
+    except BrokenPipeError:
+        # Whoever read our output has gone; what is left in the buffer must not fail once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of `python -m station`."""
+    return execute(parser()[0], arguments)
+
+
+def _solve(parsed: argparse.Namespace) -> int:
+    from station.config.robots import load_robot
+    from station.service.solve import solve_lines
+
+    lines = sys.stdin or ()  # none at all when the shell closed it
+    if isinstance(lines, io.TextIOWrapper):
+        lines.reconfigure(errors="replace")  # a byte that is no text spoils its own line only
+    for answer in solve_lines(lines, load_robot(parsed.robot).robot(), parsed.sublink, parsed.exact):
+        print(answer, flush=True)  # noqa: T201
+    return 0
+
+
+def _lab(parsed: argparse.Namespace) -> int:
+    import numpy as np
+
+    from station.lab.lab_server import OpenLab, serve
+    from station.lab.loads import ConstantLoad
+    from station.service.station_file import load_station
+
+    bench = load_station(parsed.config).bench()
+    lab = OpenLab(bench.robot, bench.lab, bench.seed, np.array(bench.park), pty=parsed.pty)
+    serve(lab, ConstantLoad(magnitude=parsed.load), lambda where: print(json.dumps(where), flush=True))  # noqa: T201
+    return 0
+
+
+def _bench(parsed: argparse.Namespace) -> int:
+    from station.bench import bench
+
+    if parsed.what == "loop":
+        from station.bench.loop import loop
+
+        with progress_bar() as bar:
+            task = bar.add_task("bench loop", total=1.0)
+            result = loop(parsed.seconds, lambda done: bar.update(task, completed=done), fifo=not parsed.no_fifo)
+    elif parsed.what == "recorder":
+        from station.bench.recorder import recorder
+
+        result = recorder(parsed.seconds)
+    elif parsed.what == "accuracy":
+        from station.bench.accuracy import accuracy
+
+        with progress_bar() as bar:
+            task = bar.add_task("bench accuracy", total=1.0)
+            result = accuracy(lambda done: bar.update(task, completed=done))
+    else:
+        from station.bench.accuracy import cost
+        from station.bench.cold import cold
+        from station.bench.tick import tick
+        from station.bench.wire import wire
+
+        measures = {
+            "model": bench.model, "cost": cost, "tick": tick, "wire": wire, "headless": bench.headless, "cold": cold,
+        }  # fmt: skip
+        result = measures[parsed.what]()
+    if parsed.json:
+        print(json.dumps(result))  # noqa: T201
+    else:
+        Console(highlight=False).print(bench.table(parsed.what, result))
+    return 0
+
+
+def _doctor(parsed: argparse.Namespace) -> int:  # noqa: ARG001 - it takes no options
+    from station.cli.doctor import findings
+
+    console = Console(highlight=False, soft_wrap=True)
+    for finding in findings():
+        mark = "[green]ok  [/]" if finding.good else "[yellow]look[/]"
+        console.print(f"{mark} [bold]{finding.subject}[/]: ", end="")
+        console.print(finding.text, markup=False)
+    return 0

@@ -1,0 +1,50 @@
+"""The commands `report` and `replay`: what is made of a run that was recorded."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def add(commands: "argparse._SubParsersAction[Any]") -> None:
+    """Add both."""
+    run = "folder of a run or sweep, its name under 'runs', or 'latest'"
+    report = commands.add_parser("report", help="figures and tables of a run as one HTML file")
+    report.add_argument("run", metavar="RUN", help=run)
+    report.add_argument(
+        "--out", type=Path, metavar="DIR", help="write report.html, and PNG and PDF of each figure, there"
+    )
+    report.set_defaults(command=_report)
+
+    replay = commands.add_parser("replay", help="a run as an HTML file that plays it in three dimensions")
+    replay.add_argument("run", metavar="RUN", help=run)
+    replay.add_argument("--out", type=Path, metavar="FILE", help="the file (replay.html in the run's folder)")
+    replay.set_defaults(command=_replay)
+
+
+def _report(parsed: argparse.Namespace) -> int:
+    from station.report.page import write_report
+
+    sys.stdout.write(f"{write_report(_folder(parsed.run), parsed.out)}\n")
+    return 0
+
+
+def _replay(parsed: argparse.Namespace) -> int:
+    from station.cli.options import progress_bar
+    from station.report.player import write_player
+
+    folder = _folder(parsed.run)
+    with progress_bar() as bar:
+        task = bar.add_task(f"replay {folder.name}", total=1.0)
+        path = write_player(folder, parsed.out, lambda done: bar.update(task, completed=done))
+    sys.stdout.write(f"{path}\n")
+    return 0
+
+
+def _folder(run: str) -> Path:
+    from station.recording.history import resolve_run
+    from station.recording.recover import recover
+    from station.recording.run_folder import RUNS
+
+    recover(RUNS)
+    return resolve_run(run, RUNS)

@@ -1,0 +1,188 @@
+"""Robot files: the TOML description of tubes, joints and the stages that move them."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from core.errors import CtrError
+from core.robot.limits import ForceLimit, JointLimit, Limit, Limits, TubeOrder, Workspace
+from core.robot.robot import Base, Joint, Robot, Section, Tube
+from station.config.strict import (
+    ConfigError,
+    Document,
+    Name,
+    Positive,
+    Row,
+    Strict,
+    Vector,
+    check,
+    on_line,
+    parse_toml,
+    preset,
+    read_toml,
+)
+
+
+class SectionFile(Strict):
+    """One piece of a tube, from the proximal end."""
+
+    length: Positive
+    """[m]"""
+    curvature: Annotated[tuple[float, float], Row] = (0.0, 0.0)
+    """x, y in the tube's frame [1/m]; an arc of radius r that bends toward -y is [1/r, 0]"""
+
+
+class TubeFile(Strict):
+    """One tube; innermost first in the file."""
+
+    name: Name
+    bending_stiffness: float
+    """EI [N m^2]"""
+    poisson_ratio: float = 0.30
+    """GJ = EI / (1 + poisson_ratio)"""
+    torsional_stiffness: float | None = None
+    """GJ [N m^2] where it does not follow from EI and poisson_ratio (a patterned tube)"""
+    rotation: float = 0.0
+    """of a tube that no joint turns [rad]"""
+    translation: float = 0.0
+    """proximal end of a tube that no joint slides, behind the plate: not positive [m]"""
+    outer_diameter: float
+    """[m]"""
+    inner_diameter: float
+    """[m]"""
+    sections: Annotated[tuple[SectionFile, ...], Row]
+
+
+class JointFile(Strict):
+    """One stage and the tube it moves."""
+
+    name: Name
+    tube: str
+    motion: Literal["rotation", "translation"]
+    lower: float
+    """[rad or m]"""
+    upper: float
+    """[rad or m]"""
+    speed: float
+    """[rad/s or m/s]"""
+    acceleration: float
+    """[rad/s^2 or m/s^2]"""
+    microstep: Positive
+    """resolution of the stage [rad or m]"""
+
+
+Three = Annotated[tuple[float, float, float], Row]
+
+
+class BaseFile(Strict):
+    """Where the front plate stands in the world."""
+
+    position: Three = (0.0, 0.0, 0.0)
+    """[m]"""
+    rotation_vector: Three = (0.0, 0.0, 0.0)
+    """axis times angle [rad]"""
+
+
+class BoxFile(Strict):
+    """Where the tip may be."""
+
+    lower: Vector
+    """[m]"""
+    upper: Vector
+    """[m]"""
+
+
+class RobotFile(Strict):
+    """A robot and its stages."""
+
+    name: str
+    source: str = ""
+    """where the numbers come from"""
+    base: BaseFile = BaseFile()
+    tubes: Annotated[tuple[TubeFile, ...], Row]
+    joints: tuple[JointFile, ...] = Field(min_length=1, strict=False)
+    workspace: BoxFile | None = None
+    """of the tip, world frame; none leaves what the joints reach"""
+    max_force: Positive | None = None
+    """against which the tip does not push on [N]"""
+
+    def robot(self) -> Robot:
+        """The description that the model works on."""
+        index = {tube.name: i for i, tube in enumerate(self.tubes)}
+        if len(index) < len(self.tubes):
+            raise ConfigError(f"two of the tubes {', '.join(tube.name for tube in self.tubes)} have the same name")
+        for joint in self.joints:
+            if joint.tube not in index:
+                raise ConfigError(
+                    f"joint '{joint.name}' moves tube '{joint.tube}', which is not one of {', '.join(index)}"
+                )
+        return Robot(
+            self.name,
+            tuple(
+                Tube(
+                    tube.name,
+                    tuple(Section(section.length, section.curvature) for section in tube.sections),
+                    tube.bending_stiffness,
+                    tube.poisson_ratio,
+                    tube.outer_diameter,
+                    tube.inner_diameter,
+                    tube.torsional_stiffness,
+                    tube.rotation,
+                    tube.translation,
+                )
+                for tube in self.tubes
+            ),
+            tuple(Joint(joint.name, index[joint.tube], joint.motion) for joint in self.joints),
+            Base(self.base.position, self.base.rotation_vector),
+        )
+
+    def limits(self) -> Limits:
+        """What the stages allow."""
+        joints = tuple(
+            JointLimit(
+                joint.name,
+                "rad" if joint.motion == "rotation" else "m",
+                joint.lower,
+                joint.upper,
+                joint.speed,
+                joint.acceleration,
+            )
+            for joint in self.joints
+        )
+        others: list[Limit] = []
+        if (order := TubeOrder.of(self.robot(), joints)) is not None:
+            others.append(order)
+        if self.workspace is not None:
+            others.append(Workspace(self.workspace.lower, self.workspace.upper))
+        if self.max_force is not None:
+            others.append(ForceLimit(self.max_force))
+        return Limits(joints, others=tuple(others))
+
+
+def load_robot(name: str) -> RobotFile:
+    """A robot by preset name or by file; building it checks what pydantic cannot.
+
+    Raises:
+        ConfigError: with file, key and value.
+    """
+    path = preset("robots", name)
+    return _checked(read_toml(path), str(path))
+
+
+def robot_of(text: str, source: str) -> RobotFile:
+    """A robot by what its file says; `source` is for messages.
+
+    Raises:
+        ConfigError: with source, key and value.
+    """
+    return _checked(parse_toml(text, source), source)
+
+
+def _checked(table: Document, source: str) -> RobotFile:
+    file = check(RobotFile, table, source)
+    try:
+        file.robot()
+        file.limits()
+    except CtrError as error:
+        raise ConfigError(f"{source}: {error}{on_line(table, str(error))}") from None
+    return file

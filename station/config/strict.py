@@ -1,0 +1,219 @@
+"""Strict configuration: TOML files read into frozen models that refuse what they do not know.
+
+A message names the file, the key, the value and what was expected. Values are SI.
+"""
+
+import math
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from core.errors import CtrError
+from station.config.toml_lines import line_of
+
+
+class ConfigError(CtrError):
+    """A configuration that cannot be, refused before anything starts."""
+
+
+class Strict(BaseModel):
+    """Base of every configuration model: frozen, no unknown key, no NaN, no infinity, no text for a number."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+# Files and requests have arrays where the models have tuples: strict goes for what is inside.
+Row = Field(strict=False)
+Vector = Annotated[tuple[float, float, float], Row]
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def _has_length(direction: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not 1e-9 <= math.hypot(*direction) <= 1e9:
+        raise ValueError("a direction needs a length, 1e-9 ... 1e9")
+    return direction
+
+
+#: World frame; its length does not matter.
+Direction = Annotated[Vector, AfterValidator(_has_length)]
+#: Of tubes, joints and cases, as they stand in column and file names.
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]*$", max_length=60)]
+
+PRESETS = Path(str(files("station"))) / "presets"
+
+
+#: Environment variable that names the folder of one's own experiments, for child processes too.
+OWN_EXPERIMENTS = "CTR_STATION_EXPERIMENTS"
+
+
+def use_experiments(folder: Path) -> None:
+    """From now on find experiments in this folder too, in this process and those that it starts.
+
+    Raises:
+        ConfigError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder of experiments")
+    os.environ[OWN_EXPERIMENTS] = str(folder.resolve())
+
+
+def preset_names(kind: str) -> list[str]:
+    """Names of the presets of a kind (`robots`, `labs`, `experiments`), one's own experiments among them."""
+    return sorted(_presets(kind))
+
+
+def _presets(kind: str) -> dict[str, Path]:
+    """Files by name; one's own go before those that come with the station."""
+    found = {path.stem: path for path in (PRESETS / kind).glob("*.toml")}
+    if kind == "experiments" and (own := os.environ.get(OWN_EXPERIMENTS)):
+        found |= {path.stem: path for path in Path(own).glob("*.toml")}
+    return found
+
+
+def preset(kind: str, name: str) -> Path:
+    """The preset's file; a path to a file of one's own is taken as it is.
+
+    Raises:
+        ConfigError: neither a preset nor a file.
+    """
+    own = Path(name)
+    if own.suffix == ".toml":
+        if not own.is_file():
+            raise ConfigError(f"{own}: no such file")
+        return own
+    presets = _presets(kind)
+    if name not in presets:
+        raise ConfigError(f"'{name}' is not one of the {kind}: {', '.join(sorted(presets))}; or give a .toml file")
+    return presets[name]
+
+
+class Document(dict[str, Any]):
+    """A file's table, and its text for the line that a message is about."""
+
+    text: str = ""
+
+
+def on_line(table: Mapping[str, Any], message: str, within: str = "") -> str:
+    """Where in a file what a message complains about stands: ` (line 7)`; empty when that is not known.
+
+    Args:
+        table: of the file, as `read_toml` gives it.
+        message: begins with the key, or with `unknown key` and the key.
+        within: a table of the file to look in first.
+    """
+    text = table.text if isinstance(table, Document) else ""
+    key = _LEADING_KEY.match(message)
+    if key is None or not text:
+        return ""
+    line = line_of(text, *([f"{within}.{key[1]}"] if within else []), key[1])
+    return "" if line is None else f" (line {line})"
+
+
+_LEADING_KEY = re.compile(r"(?:unknown key )?'?([\w.-]*\w)")
+
+
+def read_toml(path: Path) -> Document:
+    """The file's table.
+
+    Raises:
+        ConfigError: unreadable, or not TOML; with the line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text: {error}") from None
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, source: str) -> Document:
+    """The table of a text that comes from `source`.
+
+    Raises:
+        ConfigError: not TOML; with the line.
+    """
+    try:
+        document = Document(tomllib.loads(text))
+    # A number of 5000 digits is a plain ValueError, a deep nest of brackets a RecursionError.
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{source}: not valid TOML: {error}") from None
+    document.text = text
+    return document
+
+
+def check(
+    model: type[Model],
+    table: Mapping[str, Any],
+    source: str,
+    document: Mapping[str, Any] | None = None,
+    within: str = "",
+) -> Model:
+    """`table` as a `model`; it comes from a file that is `document`, as `on_line` takes it, if it is not one itself.
+
+    Raises:
+        ConfigError: the first wrong key, its value and what was expected; `source` is the file.
+    """
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        text = explain(error, table)
+    except CtrError as error:
+        text = str(error)
+    raise ConfigError(f"{source}: {text}{on_line(table if document is None else document, text, within)}")
+
+
+def explain(error: ValidationError, table: Mapping[str, Any]) -> str:
+    """One complaint of pydantic's about `table` in one line: key, value, what was expected."""
+    errors = error.errors(include_url=False)
+    # A misspelt key is also a missing one: name what the file has.
+    first = next((one for one in errors if one["type"] == "extra_forbidden"), errors[0])
+    key = _key(first["loc"], table)
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    if first["type"] == "extra_forbidden":
+        return f"unknown key '{key}'{more}"
+    if first["type"] == "missing":
+        return f"'{key}' is missing{more}"
+    text = str(first.get("ctx", {}).get("error", first["msg"]))
+    shown = repr(first["input"])
+    return f"{key} = {shown if len(shown) < 80 else shown[:77] + '...'}: {text}{more}"
+
+
+def _key(loc: tuple[int | str, ...], table: Any) -> str:
+    """The key as the file has it: pydantic adds the `kind` that it chose."""
+    parts: list[str] = []
+    for number, part in enumerate(loc):
+        if isinstance(table, Mapping) and part in table:
+            table = table[part]
+        elif isinstance(table, list | tuple) and isinstance(part, int):
+            table = table[part] if part < len(table) else None
+        elif number + 1 < len(loc):
+            continue
+        parts.append(str(part))
+    return ".".join(parts)
+
+
+def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with `over` laid on top, table by table; a table with another `kind` replaces the old one."""
+    result = dict(base)
+    for key, value in over.items():
+        old = result.get(key)
+        if (
+            isinstance(old, Mapping)
+            and isinstance(value, Mapping)
+            and value.get("kind", old.get("kind")) == old.get("kind")
+        ):
+            result[key] = merged(old, value)
+        else:
+            result[key] = value
+    return result

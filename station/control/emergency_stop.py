@@ -1,0 +1,125 @@
+"""The last resort: stop the stages without the control process, straight through their ports.
+
+A port may be a dying process's for some milliseconds more, and half a message may have been on its way: so
+it is opened until it opens, and the units are told, and asked what they do, until each of them says that it stops.
+"""
+
+from collections.abc import Mapping, Set
+from typing import Any
+
+from station.control.clock import REAL_TIME, StationClock
+from station.devices.links.link import LinkError, SerialLink
+from station.devices.zaber.protocol import BAUD, GAP, MESSAGE_TIME, Command, Message, Parser, Status, encode
+from station.devices.zaber.shifts import IGNORED
+
+#: Device number 0 addresses every unit of a chain; a status is told whatever the units' mode says.
+STOP, ASK = encode(Message(0, Command.STOP, IGNORED)), encode(Message(0, Command.STATUS, IGNORED))
+#: How long a port is tried [s].
+PATIENCE = 2.0
+#: Units that lost the frame find it in a pause; then they are told again, so often until they answer [s].
+AGAIN = MESSAGE_TIME + 1.5 * GAP
+ANSWER = 0.12
+#: A port whose units say nothing for so long is opened anew: perhaps it was still somebody else's [s].
+SILENT = 0.2
+AT_REST = (Status.IDLE, Status.STOPPING)
+STATUSES = frozenset(int(status) for status in Status)
+
+
+#: Numbers of the units on each port.
+Units = Mapping[str, Set[int]]
+
+
+def stage_units(options: Mapping[str, Any], joints: int) -> Units:
+    """What of `[devices.stages]`, for so many joints, a stop can be sent to past its driver; none of another driver."""
+    if options["driver"] != "zaber":
+        return {}
+    found: dict[str, set[int]] = {}
+    stages: Any = options.get("joints") or {number: {"device": number} for number in range(1, joints + 1)}
+    for stage in stages.values():
+        found.setdefault(stage.get("port") or options["port"], set()).add(stage["device"])
+    return found
+
+
+def stop_stages(units: Units, clock: StationClock = REAL_TIME, patience: float = PATIENCE) -> str:
+    """Tell these units to stop: what came of it, in words, and how long it took.
+
+    Every port is tried, whatever becomes of the others.
+    """
+    begin = clock.now()
+    stopping = [_Port(name, numbers, begin) for name, numbers in units.items()]
+    while any(not port.done for port in stopping) and clock.now() - begin < patience:
+        for port in stopping:
+            port.go_on(clock.now())
+        clock.sleep(0.002)
+    for port in stopping:
+        port.close()
+    return "; ".join(port.said() for port in stopping)
+
+
+class _Port:
+    """One port on its way to a stop."""
+
+    def __init__(self, name: str, units: Set[int], begin: float) -> None:
+        self.done = False
+        self._name, self._units, self._begin = name, units, begin
+        self._link: SerialLink | None = None
+        self._problem = ""
+        self._told = 0.0  # how long it took until the units were told first [s]
+        self._next = self._heard = begin
+        self._statuses: dict[int, int] = {}
+
+    def go_on(self, now: float) -> None:
+        if self.done:
+            return
+        try:
+            if self._link is None:
+                self._link = SerialLink(self._name, BAUD)
+                self._link.write(STOP)
+                self._parser = Parser(_plausible, GAP)
+                self._told = self._told or now - self._begin
+                self._heard = now
+                self._statuses.clear()
+                self._next = now + AGAIN
+                return
+            for message in self._parser.feed(self._link.read(), now, now):
+                self._heard = now
+                if message.command == Command.STATUS:
+                    self._statuses[message.device] = message.data
+            if self._stopping >= self._units:
+                self.done = True
+            elif now >= self._next:
+                self._link.write(STOP + ASK)
+                self._next = now + ANSWER
+            if not self._statuses and now - self._heard > SILENT:
+                self.close()
+        except LinkError as error:
+            self._problem = str(error)
+            self.close()
+
+    @property
+    def _stopping(self) -> set[int]:
+        """Units that have said last that they do."""
+        return {unit for unit, status in self._statuses.items() if status in AT_REST}
+
+    def close(self) -> None:
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def said(self) -> str:
+        stages = f"{len(self._units)} stages on {self._name}"
+        if self.done:
+            return f"{stages} stop, told {1e3 * self._told:.0f} ms after it was noticed"
+        if self._told and self._statuses:
+            silent = ", ".join(str(unit) for unit in sorted(self._units - self._stopping))
+            return f"of {stages} number {silent} was told to stop and does not say so: press the emergency stop"
+        if self._told:
+            return f"the stages on {self._name} were told to stop and do not answer: press the emergency stop"
+        return f"the stages on {self._name} cannot be told to stop ({self._problem}): press the emergency stop"
+
+
+def _plausible(message: Message) -> bool:
+    """What a unit may say meanwhile."""
+    if message.command == Command.STATUS:
+        return message.data in STATUSES
+    return message.command in (Command.STOP, Command.MOVE_SPEED, Command.LIMIT_ACTIVE, Command.POSITION, Command.ERROR)

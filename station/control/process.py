@@ -1,0 +1,300 @@
+"""The control process: the control loop paced at 500 Hz in a process of its own.
+
+Commands come in through a pipe that is looked at, never waited for; telemetry goes out through
+shared memory. When the station process is gone the axes are stopped and this process ends.
+"""
+
+import contextlib
+import os
+import signal
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from core.control.step import Controller, Sample, begin, step
+from core.control.trajectories import JointMotion, Setpoint
+from core.errors import CtrError
+from station.calibration.files import Calibration
+from station.config.robots import RobotFile
+from station.control.clock import REAL_TIME, StationClock
+from station.control.loop import ControlLoop
+from station.control.margins import Margins
+from station.control.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Refused, Reply
+from station.control.overruns import OverrunLimits, Overruns
+from station.control.realtime import be_punctual, is_dying, show_as
+from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, STATION_HEARTBEAT, Ring
+from station.control.states import Event, State
+from station.control.task import Phase
+from station.control.telemetry import Channels
+from station.devices.config import BenchFile
+from station.devices.interfaces import Devices, Severity
+from station.devices.open_devices import open_devices
+from station.experiments.experiment import PERIOD, ControllerFile
+from station.lab.config import LabConfig
+from station.lab.virtual_bench import virtual_bench
+
+#: A station process that says nothing for so long counts as gone while something moves [s].
+STATION_SILENT = 1.0
+#: One that has said nothing for so long is looked at: is it being killed [s]?
+STATION_DOUBTED = 0.045
+#: The last stops get this long to be carried and answered [s].
+LAST_WORDS = 0.25
+#: A bench in memory is READY after less than these [ticks].
+WARM_TICKS = 1500
+#: Between two reports of the devices [ticks].
+REPORT_TICKS = 250
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What the station is in charge of."""
+
+    robot: RobotFile
+    lab: LabConfig
+    seed: int
+    park: tuple[float, ...]  #: joints of the virtual lab at power-up [rad or m]
+    controller: ControllerFile
+    fifo: bool = True  #: ask for real-time scheduling
+    overruns: OverrunLimits = field(default_factory=OverrunLimits)
+    devices: BenchFile | None = None  #: None: those of the virtual lab
+    margins: Margins = field(default_factory=Margins)
+    core: int | None = None  #: processor of the control process; None: any
+    alone: Literal["go_on", "hold"] = "go_on"  #: what a run does when its operator has gone
+    warnings: tuple[str, ...] = ()  #: what a person should know before anything moves
+    calibration: Calibration | None = None  #: None: everything is taken to be as described
+    terminals: Path | None = None  #: folder for the virtual lab's pseudo-terminals; None: TCP
+    clock: StationClock = REAL_TIME  #: of every process of this station
+
+    def controlled(self, file: ControllerFile) -> Controller:
+        """A controller that knows what a calibration has found.
+
+        Raises:
+            DescriptionError: unknown strategy, gain or bandwidth out of range.
+        """
+        if self.calibration is None:
+            return file.controller(self.robot)
+        return self.calibration.applied(file.controller(self.calibration.robot))
+
+    def registered(self, devices: BenchFile) -> BenchFile:
+        """The devices with the tracker where a calibration has found it."""
+        mount = None if self.calibration is None else self.calibration.mount
+        if mount is None:
+            return devices
+        return devices.model_copy(update={"tracker": {**devices.tracker, "mount": mount}})
+
+    @property
+    def title(self) -> str:
+        """What this is, for a person."""
+        if self.devices is None:
+            return self.lab.title
+        own = self.devices
+        return f"bench of '{self.robot.name}': {', '.join(d['driver'] for d in (own.stages, own.tracker, own.sensors))}"
+
+
+def run_control(bench: Bench, ring_name: str, pipe: Connection, parent: int) -> None:
+    """Main function of the control process; the first message through `pipe` says where the devices are."""
+    # Ctrl-C in a terminal reaches the whole group: the station process decides when we end.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    show_as("ctr-control")
+    ring = Ring(ring_width(bench.robot), ring_name)
+    try:
+        _warm_up(bench)
+        told: BenchFile | None = pipe.recv()
+        if told is None:
+            return
+        devices = open_devices(bench.registered(told), bench.robot)
+        try:
+            loop = ControlLoop(bench.controlled(bench.controller), devices, bench.margins)
+            granted = be_punctual(fifo=bench.fifo, core=bench.core)
+            ring.counters[SCHEDULER] = granted.fifo
+            pipe.send(Refused(granted.refused))
+            _LiveLoop(loop, bench, ring, pipe, parent).run()
+        finally:
+            _close(devices)
+    except (EOFError, ConnectionError):
+        return  # nobody is there any more
+    except CtrError as error:
+        with contextlib.suppress(OSError):
+            pipe.send(Notice(State.FAULT, str(error), 0))
+    finally:
+        ring.close(remove=os.getppid() != parent)
+
+
+def ring_width(robot: RobotFile) -> int:
+    """Numbers in a row of telemetry."""
+    return len(Channels(robot.robot()))
+
+
+class _LiveLoop:
+    """The control loop with its clock and its commands."""
+
+    def __init__(self, loop: ControlLoop, bench: Bench, ring: Ring, pipe: Connection, parent: int) -> None:
+        self._loop, self._ring, self._pipe, self._parent = loop, ring, pipe, parent
+        self._clock = bench.clock
+        self._overruns = Overruns(bench.overruns, PERIOD)
+        self._begun = 0.0
+        self._run = 0
+        self._told = Notice(State.OFF, "", 0)
+
+    def run(self) -> None:
+        """Tick until the station process closes the pipe or is gone."""
+        self._begun = self._clock.now()
+        self._loop.connect(0.0)
+        try:
+            self._ticks()
+        finally:
+            # Whatever ends it, the axes are stopped.
+            self._wind_down()
+
+    def _ticks(self) -> None:
+        tick, clock = 0, self._clock
+        while True:
+            due = self._begun + tick * PERIOD
+            left = due - clock.now()
+            if left > 0.0:
+                clock.sleep(left)
+            start = clock.now()
+            # Too late by a period or more: skip whole periods, never catch up in a burst.
+            skipped = int((start - due) / PERIOD)
+            self._ring.time_late(start - due, skipped)
+            tick += skipped
+            self._bear(tick * PERIOD, skipped)
+            if not self._listen(tick * PERIOD):
+                return
+            self._tick(tick)
+            self._ring.time_work(clock.now() - start)
+            tick += 1
+
+    def _bear(self, now: float, skipped: int) -> None:
+        """Too much lateness ends a motion; what was late before it does not count."""
+        if self._loop.state not in (State.RUNNING, State.HOMING):
+            self._overruns.forget()
+            return
+        late = self._overruns.look(now, skipped)
+        if late is not None:
+            event = Event.FAULT if late.severity is Severity.FAULT else Event.HOLD
+            if event is Event.FAULT or self._loop.state is State.RUNNING:
+                self._loop.stop(now, event, late.text)
+
+    def _tick(self, tick: int) -> None:
+        loop, ring, now = self._loop, self._ring, tick * PERIOD
+        row = loop.tick(now, ring.truth())
+        if row is not None:
+            ring.write(row)
+        self._report(now)
+        self._notice()
+        silent = self._clock.now() - float(ring.numbers[STATION_HEARTBEAT])
+        if silent < STATION_SILENT:
+            if tick % REPORT_TICKS == 0:
+                self._pipe.send(DeviceReport(_statuses(loop.devices, now)))
+        elif loop.state in (State.RUNNING, State.HOMING):
+            loop.stop(now, cause=f"the station process has said nothing for {silent:.1f} s")
+
+    def _report(self, now: float) -> None:
+        loop, ring = self._loop, self._ring
+        ring.counters[STATE], ring.counters[PHASE], ring.counters[RUN] = loop.state, loop.phase, self._run
+        ring.numbers[PROGRESS], ring.numbers[HEARTBEAT] = loop.part_done(now), self._clock.now()
+
+    def _notice(self) -> None:
+        """Tell what has changed."""
+        loop = self._loop
+        progress = loop.progress
+        known = progress is not None and progress.phase in (Phase.SETTLING, Phase.MOVING)
+        start = self._begun + progress.motion_start if progress is not None and known else None
+        notice = Notice(loop.state, loop.cause, self._run, start)
+        if notice != self._told:
+            self._told = notice
+            self._pipe.send(notice)
+
+    def _listen(self, now: float) -> bool:
+        """Carry out what has arrived; False when nobody is there any more."""
+        if os.getppid() != self._parent:
+            return False
+        silent = self._clock.now() - float(self._ring.numbers[STATION_HEARTBEAT])
+        if STATION_DOUBTED < silent < STATION_SILENT and is_dying(self._parent):
+            return False
+        try:
+            while self._pipe.poll():
+                command: Command | None = self._pipe.recv()
+                if command is None:
+                    return False
+                refused = self._obey(command, now)
+                # The new state is there to see before the answer is.
+                self._report(now)
+                self._pipe.send(Reply(command.number, refused))
+        except (EOFError, OSError):
+            return False
+        return True
+
+    def _obey(self, command: Command, now: float) -> str:
+        """Carry out one command; why not, if so."""
+        loop = self._loop
+        try:
+            match command.what:
+                case Event.STOP:
+                    loop.stop(now)
+                case Event.HOLD:
+                    loop.stop(now, Event.HOLD, command.cause)
+                case Event.START if command.task is not None:
+                    loop.start(command.task)
+                    self._run = command.run
+                case Event.RESET:
+                    loop.reset(now)
+                case Event.CONNECT:
+                    loop.connect(now)
+                case Event.HOME:
+                    loop.home(now)
+                case "tare":
+                    loop.tare(now)
+                case "jog" if command.velocity is not None:
+                    loop.jog(now, command.space, command.velocity)
+                case _:
+                    return f"'{command.what}' is nothing that can be asked for"
+        except CtrError as error:
+            return str(error)
+        return ""
+
+    def _wind_down(self) -> None:
+        """Stop every axis and give the lines the time to carry the stops."""
+        begin = self._clock.now()
+        self._loop.stop(begin - self._begun, cause="the station process is gone")
+        while self._clock.now() - begin < LAST_WORDS:
+            self._clock.sleep(PERIOD)
+            self._loop.devices.stages.poll(self._clock.now() - self._begun)
+
+
+def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:
+    found: list[DeviceStatus] = []
+    names: tuple[DeviceName, ...] = ("stages", "tracker", "sensors")
+    for name, device in zip(names, (devices.stages, devices.tracker, devices.sensors), strict=True):
+        trouble = device.trouble(now)
+        severity, text = (0, "") if trouble is None else (int(trouble.severity), trouble.text)
+        found.append(DeviceStatus(name, device.condition, severity, text, device.details()))
+    return tuple(found)
+
+
+def _close(devices: Devices) -> None:
+    """Every one, even if another fails."""
+    for device in (devices.stages, devices.tracker, devices.sensors):
+        with contextlib.suppress(CtrError, OSError):
+            device.close()
+
+
+def _warm_up(bench: Bench) -> None:
+    """Compile everything that a tick can reach."""
+    controller = bench.controlled(bench.controller)
+    park, tubes = np.array(bench.park), len(bench.robot.tubes)
+    still = Sample(park, np.zeros_like(park), np.zeros((tubes, 6)), np.zeros(3), 0.0)
+    memory = begin(controller, still)
+    for order in (Setpoint(np.zeros(3), np.zeros(3)), JointMotion(np.zeros_like(park)), None):
+        memory = step(controller, memory, still, order).memory
+    # The drivers on a bench in memory: what a first frame or record compiled later would look like a dead device.
+    lab, devices = virtual_bench(bench.robot, bench.lab, bench.seed, park)
+    loop = ControlLoop(controller, devices)
+    loop.connect(0.0)
+    for tick in range(WARM_TICKS):
+        lab.advance(tick * PERIOD)
+        loop.tick(tick * PERIOD)

@@ -1,0 +1,157 @@
+"""Telemetry in shared memory: one writer that never waits, readers that know what they missed.
+
+The segment holds a few counters, two histograms of the loop's timing and a ring of rows. The
+writer fills a slot and then counts it; a reader copies slots and then looks at the count again:
+whatever the writer may have touched meanwhile is thrown away and reported as missed.
+"""
+
+from multiprocessing.shared_memory import SharedMemory
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.robot.robot import Array
+from station.devices.interfaces import Truth
+
+ROWS = 4096  #: slots, about 8 s at 500 Hz
+BINS = 5001  #: 1 us each; the last holds everything from 5 ms on
+
+WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK = range(7)  #: places of the counters
+COUNTERS = 8
+LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT = range(5)  #: places of the numbers
+NUMBERS = 8
+TRUTH = 8  #: a count that is odd while they are being written, then tip and force
+
+
+class Timing(NamedTuple):
+    """How punctual the loop is, since it began."""
+
+    ticks: int
+    missed: int  #: whole periods skipped
+    late_us: dict[str, float]  #: from the deadline to the start of the tick: p50, p99, p99_9, max
+    tick_us: dict[str, float]  #: length of a tick's work: the same
+    scheduler: str
+
+
+class Ring:
+    """The segment, written by the control process and read by others."""
+
+    def __init__(self, width: int, name: str | None = None) -> None:
+        """Create a segment for rows of `width` numbers, or attach to the one called `name`."""
+        size = 8 * (COUNTERS + NUMBERS + TRUTH + 2 * BINS + ROWS * width)
+        self._memory = SharedMemory(name=name, create=name is None, size=size)
+        self.name: str = self._memory.name
+        buffer: Any = self._memory.buf
+        offset = 0
+
+        def view(count: int, kind: type[np.generic]) -> NDArray[Any]:
+            nonlocal offset
+            array: NDArray[Any] = np.frombuffer(buffer, kind, count, offset)
+            offset += 8 * count
+            return array
+
+        self.counters: NDArray[np.int64] = view(COUNTERS, np.int64)
+        self.numbers: Array = view(NUMBERS, np.float64)
+        self._truth: Array = view(TRUTH, np.float64)
+        self.late: NDArray[np.int64] = view(BINS, np.int64)
+        self.busy: NDArray[np.int64] = view(BINS, np.int64)
+        self._rows: Array = view(ROWS * width, np.float64).reshape(ROWS, width)
+        self._told: Truth | None = None
+
+    def write(self, row: Array) -> None:
+        """Add a row; only the one writer may."""
+        written = int(self.counters[WRITTEN])
+        self._rows[written % ROWS] = row
+        self.counters[WRITTEN] = written + 1
+
+    def tell_truth(self, truth: Truth, stuck: bool = False) -> None:
+        """What the virtual lab knows, and whether its robot cannot follow its stages; only the lab may."""
+        cells = self._truth
+        self.counters[STUCK] = stuck
+        cells[0] += 1.0
+        cells[1:4], cells[4:7] = truth.tip, truth.force
+        cells[0] += 1.0
+
+    def truth(self) -> Truth | None:
+        """What the virtual lab told last; None without one."""
+        before = self._truth[0]
+        values = self._truth.copy()
+        if before and not before % 2.0 and values[0] == before and self._truth[0] == before:
+            self._told = Truth(values[1:4], values[4:7])
+        return self._told  # what it told before, while it is just telling: a loop does not wait for it
+
+    def time_late(self, late: float, skipped: int) -> None:
+        """Count how late a tick begins [s] and how many whole periods that skips."""
+        late_us = 1e6 * late
+        self.late[min(max(int(late_us), 0), BINS - 1)] += 1
+        self.counters[MISSED] += skipped
+        if late_us > self.numbers[LATE_MAX]:
+            self.numbers[LATE_MAX] = late_us
+
+    def time_work(self, busy: float) -> None:
+        """Count the length of a tick's work [s]."""
+        busy_us = 1e6 * busy
+        self.busy[min(max(int(busy_us), 0), BINS - 1)] += 1
+        if busy_us > self.numbers[TICK_MAX]:
+            self.numbers[TICK_MAX] = busy_us
+
+    @property
+    def written(self) -> int:
+        """Rows written so far."""
+        return int(self.counters[WRITTEN])
+
+    def read(self, since: int) -> tuple[Array, int, int]:
+        """Rows from number `since` on, the number to continue from, and how many were missed."""
+        written = self.written
+        # The slot being written next must not be trusted.
+        first = max(since, written - ROWS + 1, 0)
+        rows = self._rows[np.arange(first, written) % ROWS]
+        safe = max(first, self.written - ROWS + 1)
+        return rows[safe - first :], written, safe - since if safe > since else 0
+
+    def latest(self) -> Array | None:
+        """The newest row, if any."""
+        rows, _, _ = self.read(max(self.written - 1, 0))
+        return rows[-1] if len(rows) else None
+
+    def timing(self) -> Timing:
+        """Percentiles of lateness and work."""
+        return Timing(
+            int(self.late.sum()),
+            int(self.counters[MISSED]),
+            _percentiles(self.late, float(self.numbers[LATE_MAX])),
+            _percentiles(self.busy, float(self.numbers[TICK_MAX])),
+            "SCHED_FIFO" if self.counters[SCHEDULER] else "normal priority",
+        )
+
+    def later_than(self, late: float) -> int:
+        """How many ticks have begun so late [s, below 5 ms] or later."""
+        return int(self.late[int(1e6 * late) :].sum())
+
+    def clear_timing(self) -> None:
+        """Start the statistics anew."""
+        self.late[:], self.busy[:] = 0, 0
+        self.counters[MISSED] = 0
+        self.numbers[LATE_MAX] = self.numbers[TICK_MAX] = 0.0
+
+    def close(self, *, remove: bool) -> None:
+        """Let go of the segment; the one who created it also removes it."""
+        del self.counters, self.numbers, self._truth, self.late, self.busy, self._rows
+        self._memory.close()
+        if remove:
+            try:
+                self._memory.unlink()
+            except FileNotFoundError:
+                return  # somebody else tidied up after a crash
+
+
+def _percentiles(histogram: NDArray[np.int64], largest: float) -> dict[str, float]:
+    total = int(histogram.sum())
+    result: dict[str, float] = {}
+    for name, part in (("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)):
+        place = int(np.searchsorted(np.cumsum(histogram), part * total)) if total else 0
+        # A bin's upper edge, never more than what was seen.
+        result[name] = min(float(place + 1), largest) if total else 0.0
+    result["max"] = round(largest, 1)
+    return result

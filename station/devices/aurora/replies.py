@@ -1,0 +1,242 @@
+"""What an Aurora's replies say: frames (BX, TX), port handles (PHSR), tools (PHINF), errors, status bits.
+
+The CRC is right when a reply comes here, which proves little: whatever does not have the form of the
+reply, or numbers that no tracker measures, is refused by name.
+"""
+
+import math
+import re
+import struct
+from enum import Enum
+from typing import NamedTuple
+
+from station.devices.aurora.protocol import AuroraError
+
+LARGEST_COORDINATE = 9999.99  #: that TX can print, either way; BX is held to the same [mm]
+LARGEST_ERROR = 9.9999  #: the same of the error figure
+NORM_TOLERANCE = 0.01  #: of a quaternion; TX prints four decimals
+
+#: Port status bits of a handle.
+IN_PORT, INITIALISED, ENABLED = 0x01, 0x10, 0x20
+OUT_OF_VOLUME, PARTLY_OUT_OF_VOLUME = 0x40, 0x80
+#: System status bits.
+SYSTEM_FAULTS = {
+    0x01: "communication synchronisation lost",
+    0x02: "interference from outside",
+    0x04: "communication CRC",
+    0x08: "recoverable processing fault",
+    0x10: "hardware failure",
+}
+HARDWARE_FAILURE, PORT_OCCUPIED = 0x10, 0x40
+
+#: Error replies in words.
+ERRORS = {
+    0x01: "invalid command",
+    0x02: "command too long",
+    0x03: "command too short",
+    0x04: "the command's CRC is wrong",
+    0x05: "the command timed out",
+    0x06: "communication parameters that it does not have",
+    0x07: "wrong number of parameters",
+    0x08: "invalid port handle",
+    0x09: "invalid tracking priority",
+    0x0C: "not in this mode",
+    0x0D: "no tool at this handle",
+    0x0E: "port handle not initialised",
+    0x0F: "port handle not enabled",
+    0x10: "system not initialised",
+    0x11: "tracking could not be stopped",
+    0x12: "tracking could not be started",
+    0x13: "the tool could not be initialised",
+    0x1A: "internal error of the unit",
+    0x23: "parameter out of range",
+    0x28: "too many tools enabled",
+    0x2B: "port handle not allocated",
+    0x2C: "port handle unoccupied",
+    0x32: "invalid operation",
+    0x33: "feature not available",
+}
+NOT_IN_THIS_MODE = 0x0C
+
+
+class ToolState(Enum):
+    """What a BX or TX reply says of a handle."""
+
+    VALID = "valid"
+    MISSING = "missing"
+    DISABLED = "disabled"
+    UNOCCUPIED = "unoccupied"
+
+
+class Transform(NamedTuple):
+    """Where a tool is, in the field generator's frame."""
+
+    quaternion: tuple[float, ...]  #: q0 qx qy qz, unit
+    position: tuple[float, ...]  #: x y z [mm]
+    error: float  #: the unit's own figure of the fit [mm]
+
+    def ahead(self, distance: float) -> tuple[float, ...]:
+        """The point [mm] so far from the tool's origin along its z axis, the coil's, which needs no roll."""
+        if distance == 0.0:
+            return self.position
+        w, x, y, z = self.quaternion
+        axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+        return tuple(p + distance * a for p, a in zip(self.position, axis, strict=True))
+
+
+class ToolFrame(NamedTuple):
+    """One handle in one frame."""
+
+    handle: int
+    state: ToolState
+    transform: Transform | None  #: only when VALID
+    port_status: int = 0
+    frame: int | None = None  #: None where the reply has none
+
+
+class FrameReply(NamedTuple):
+    """All of a BX or TX reply with reply option 0001, with or without 0800."""
+
+    tools: tuple[ToolFrame, ...]
+    system_status: int
+
+
+def _transform(values: tuple[float, ...], handle: int) -> Transform:
+    """Refuse eight numbers that no tracker measures: a CRC of 16 bits lets one error in 65536 pass."""
+    if not all(map(math.isfinite, values)):
+        raise AuroraError(f"handle {handle:02X}: a transform that is not finite")
+    norm = math.hypot(*values[:4])
+    if abs(norm - 1.0) > NORM_TOLERANCE:
+        raise AuroraError(f"handle {handle:02X}: quaternion of norm {norm:.4g}, not within {NORM_TOLERANCE:g} of 1")
+    for axis, value in zip("xyz", values[4:7], strict=True):
+        if abs(value) > LARGEST_COORDINATE:
+            raise AuroraError(f"handle {handle:02X}: {axis} = {value:.6g} mm is beyond {LARGEST_COORDINATE:g} mm")
+    if not 0.0 <= values[7] <= LARGEST_ERROR:
+        raise AuroraError(f"handle {handle:02X}: error {values[7]:.4g} is not within 0 ... {LARGEST_ERROR:g}")
+    return Transform(values[:4], values[4:7], values[7])
+
+
+_BX_STATES = {0x01: ToolState.VALID, 0x02: ToolState.MISSING, 0x04: ToolState.DISABLED}
+
+
+def parse_bx(body: bytes) -> FrameReply:
+    """The body of a BX reply.
+
+    Raises:
+        AuroraError: it is not one.
+    """
+    tools: list[ToolFrame] = []
+    try:
+        at = 1
+        for _ in range(body[0]):
+            handle, status = body[at], body[at + 1]
+            at += 2
+            state = _BX_STATES.get(status)
+            if state is None:
+                raise AuroraError(f"handle {handle:02X}: status {status:02X} is none of 01, 02, 04")
+            transform, port_status, frame = None, 0, None
+            if state is ToolState.VALID:
+                transform = _transform(struct.unpack_from("<8f", body, at), handle)
+                at += 32
+            if state is not ToolState.DISABLED:
+                port_status, frame = struct.unpack_from("<II", body, at)
+                at += 8
+            tools.append(ToolFrame(handle, state, transform, port_status, frame))
+        (system,) = struct.unpack_from("<H", body, at)
+    except (IndexError, struct.error):
+        raise AuroraError(f"BX reply of {len(body)} bytes ends early") from None
+    if at + 2 != len(body):
+        raise AuroraError(f"BX reply of {len(body)} bytes is longer than its {at + 2} bytes of content")
+    return FrameReply(tuple(tools), system)
+
+
+_TX_TOOL = re.compile(
+    r"([0-9A-F]{2})(?:(UNOCCUPIED)\n?|"
+    r"(?:(MISSING|DISABLED)|((?:[+-]\d{5}){4}(?:[+-]\d{6}){3}[+-]\d{5}))([0-9A-F]{8})([0-9A-F]{8})\n)"
+)
+_TX_FIELDS = (*((i, i + 6, 1e4) for i in (0, 6, 12, 18)), *((i, i + 7, 1e2) for i in (24, 31, 38)), (45, 51, 1e4))
+
+
+def parse_tx(text: str) -> FrameReply:
+    """A TX reply without its CRC.
+
+    Raises:
+        AuroraError: it is not one.
+    """
+    tools: list[ToolFrame] = []
+    count, at = _hex(text[:2], 2, "number of handles"), 2
+    for _ in range(count):
+        match = _TX_TOOL.match(text, at)
+        if match is None:
+            raise AuroraError(f"TX reply has no entry of a handle at character {at}: {text[at : at + 20]!r}")
+        handle = int(match[1], 16)
+        at = match.end()
+        if match[2]:
+            tools.append(ToolFrame(handle, ToolState.UNOCCUPIED, None))
+            continue
+        transform = None
+        if match[4]:
+            transform = _transform(tuple(int(match[4][a:b]) / scale for a, b, scale in _TX_FIELDS), handle)
+        state = ToolState.VALID if transform else ToolState[match[3]]
+        tools.append(ToolFrame(handle, state, transform, int(match[5], 16), int(match[6], 16)))
+    return FrameReply(tuple(tools), _hex(text[at:], 4, "system status"))
+
+
+def parse_phsr(text: str) -> list[tuple[int, int]]:
+    """Handles and their status bits from a PHSR reply.
+
+    Raises:
+        AuroraError: it is not one.
+    """
+    count = _hex(text[:2], 2, "number of handles")
+    if len(text) != 2 + 5 * count:
+        raise AuroraError(f"PHSR reply of {len(text)} characters for {count} handles, not {2 + 5 * count}")
+    return [
+        (_hex(text[i : i + 2], 2, "handle"), _hex(text[i + 2 : i + 5], 3, "status")) for i in range(2, len(text), 5)
+    ]
+
+
+class ToolIdentity(NamedTuple):
+    """PHINF with reply option 0001."""
+
+    kind: str  #: tool type, 8 characters
+    maker: str
+    revision: str
+    serial: str
+    status: int
+
+
+def parse_phinf(text: str) -> ToolIdentity | None:
+    """Who a tool is; None when the port is unoccupied.
+
+    Raises:
+        AuroraError: it is not such a reply.
+    """
+    if text == "UNOCCUPIED":
+        return None
+    if len(text) != 33:
+        raise AuroraError(f"PHINF reply of {len(text)} characters, not 33")
+    kind, maker, revision, serial = (text[a:b].strip() for a, b in ((0, 8), (8, 20), (20, 23), (23, 31)))
+    return ToolIdentity(kind, maker, revision, serial, _hex(text[31:], 2, "status"))
+
+
+def error_code(text: str) -> int | None:
+    """The number of an ERROR reply; None when it is another."""
+    found = re.fullmatch(r"ERROR([0-9A-F]{2})", text)
+    return int(found[1], 16) if found else None
+
+
+def error_words(code: int) -> str:
+    """What an error reply means."""
+    return f"{ERRORS.get(code, 'an error without a name')} (ERROR{code:02X})"
+
+
+def system_words(status: int) -> str:
+    """What the system status complains of; empty when of nothing."""
+    return ", ".join(words for bit, words in SYSTEM_FAULTS.items() if status & bit)
+
+
+def _hex(text: str, digits: int, what: str) -> int:
+    if not re.fullmatch(rf"[0-9A-Fa-f]{{{digits}}}", text):
+        raise AuroraError(f"{what} is {text[:20]!r}, not {digits} hex digits")
+    return int(text, 16)

@@ -1,0 +1,107 @@
+"""A pipe in memory in place of a serial line, for virtual time, with a cable that can be pulled."""
+
+from collections import deque
+
+from station.devices.links.link import LinkError
+
+MOST_WAITING = 4096  #: writes that nobody has read; the oldest get lost
+
+
+class Cable:
+    """What joins two ends in memory. A host whose plug was pulled has a dead port until it opens it anew."""
+
+    def __init__(self) -> None:
+        self.plugged = True
+        self.pulls = 0
+
+    def unplug(self) -> None:
+        """Pull the plug."""
+        self.plugged = False
+        self.pulls += 1
+
+    def plug(self) -> None:
+        """Put it back."""
+        self.plugged = True
+
+
+class MemoryLink:
+    """The host's end of a pipe in memory, for virtual time."""
+
+    def __init__(self, name: str, incoming: deque[bytes], outgoing: deque[bytes], cable: Cable) -> None:
+        self.name = name
+        self._incoming, self._outgoing, self._cable = incoming, outgoing, cable
+        self._open, self._pulls = True, 0
+
+    def read(self) -> bytes:
+        """What the other end has written."""
+        if not self._open or self._pulls != self._cable.pulls:
+            raise LinkError(self._gone())
+        if not self._incoming:
+            return b""
+        data = b"".join(self._incoming)
+        self._incoming.clear()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Give `data` to the other end."""
+        if not self._open or self._pulls != self._cable.pulls:
+            raise LinkError(self._gone())
+        if data:
+            self._outgoing.append(data)
+
+    def reopen(self) -> None:
+        """Take part again, with nothing left of what was on its way; raises LinkError while it is unplugged."""
+        if not self._cable.plugged:
+            raise LinkError(f"{self.name} cannot be opened: it is not plugged in")
+        self._incoming.clear()
+        self._outgoing.clear()
+        self._open, self._pulls = True, self._cable.pulls
+
+    def close(self) -> None:
+        """Take part no more."""
+        self._open = False
+
+    def _gone(self) -> str:
+        return f"{self.name} is gone: unplugged" if self._open else f"{self.name} is closed"
+
+
+class MemoryEnd:
+    """The device's end of such a pipe: it never fails, and while the cable is out nothing gets through."""
+
+    def __init__(self, name: str, incoming: deque[bytes], outgoing: deque[bytes], cable: Cable) -> None:
+        self.name = name
+        self._incoming, self._outgoing, self._cable = incoming, outgoing, cable
+
+    def read(self) -> bytes:
+        """What the host has written."""
+        if not self._incoming:
+            return b""
+        data = b"".join(self._incoming) if self._cable.plugged else b""
+        self._incoming.clear()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Give `data` to the host."""
+        if data and self._cable.plugged:
+            self._outgoing.append(data)
+
+    def unplug(self) -> None:
+        """Pull the cable: the host's port is gone."""
+        self._cable.unplug()
+
+    def plug(self) -> None:
+        """Put it back: the host may open its port anew."""
+        self._cable.plug()
+
+    def close(self) -> None:
+        """Pull the cable for good."""
+        self._cable.unplug()
+
+
+def memory_pipe(name: str) -> tuple[MemoryLink, MemoryEnd]:
+    """Two ends of a pipe: the host's and the device's."""
+    to_device: deque[bytes] = deque(maxlen=MOST_WAITING)
+    to_host: deque[bytes] = deque(maxlen=MOST_WAITING)
+    cable = Cable()
+    host = MemoryLink(name, to_host, to_device, cable)
+    return host, MemoryEnd(f"{name} (device)", to_device, to_host, cable)

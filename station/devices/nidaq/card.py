@@ -1,0 +1,95 @@
+"""Analog inputs of a National Instruments card, sampled by the card's own clock; needs the extra `nidaq`."""
+
+import importlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from core.robot.robot import Array
+from station.devices.links.link import LinkError
+from station.devices.links.port_lock import PortLock, PortTaken
+
+#: What the driver keeps until it is read: a loop that pauses for longer has lost samples [s].
+BUFFER = 10.0
+INSTALL = "install it with: pip install 'ctr-station[nidaq]', and NI's driver NI-DAQmx from ni.com"
+
+
+def device_of(inputs: str) -> str:
+    """The card of some inputs: `Dev1` of `Dev1/ai0:5`."""
+    return inputs.partition("/")[0]
+
+
+class NiCard:
+    """One card: all that is sampled on it is one task, for a card has one converter."""
+
+    def __init__(self, sensors: Sequence[tuple[str, float]], rate: float) -> None:
+        """Start to sample.
+
+        Args:
+            sensors: of each its six differential inputs, as NI names them (`Dev1/ai0:5`), and their range,
+                either way [V].
+            rate: samples of each input [1/s].
+
+        Raises:
+            LinkError: no package, no driver, no such card or channel, a rate that it cannot, or it is taken.
+        """
+        self.name = device_of(sensors[0][0])
+        try:
+            daq = importlib.import_module("nidaqmx")
+            constants = importlib.import_module("nidaqmx.constants")
+            readers = importlib.import_module("nidaqmx.stream_readers")
+        except ImportError:
+            raise LinkError(f"{self.name}: an NI card needs the package nidaqmx; {INSTALL}") from None
+        self._error: type[Exception] = daq.errors.Error
+        try:
+            self._lock = PortLock(f"nidaq://{self.name}")
+        except PortTaken as error:
+            raise LinkError(str(error)) from None
+        task: Any = None
+        try:
+            task = daq.Task()
+            before = 0
+            for inputs, volts in sensors:
+                task.ai_channels.add_ai_voltage_chan(
+                    inputs, terminal_config=constants.TerminalConfiguration.DIFF, min_val=-volts, max_val=volts
+                )
+                count = int(task.number_of_channels) - before
+                if count != 6:
+                    raise LinkError(f"{inputs} are {count} inputs; a sensor has 6, such as {self.name}/ai0:5")
+                before += count
+            mode = constants.AcquisitionType.CONTINUOUS
+            task.timing.cfg_samp_clk_timing(rate, sample_mode=mode, samps_per_chan=round(BUFFER * rate))
+            task.start()
+            #: That the card really samples at [1/s].
+            self.rate = float(task.timing.samp_clk_rate)
+            self._reader = readers.AnalogMultiChannelReader(task.in_stream)
+        except (self._error, LinkError) as error:
+            if task is not None:
+                task.close()
+            self._lock.release()
+            if isinstance(error, LinkError):
+                raise
+            names = ", ".join(inputs for inputs, _ in sensors)
+            raise LinkError(f"{names} cannot be sampled: {' '.join(str(error).split())}") from None
+        self._task, self._channels = task, 6 * len(sensors)
+
+    def read(self) -> Array:
+        """Voltages (channels, k) since the last read [V], without waiting.
+
+        Raises:
+            LinkError: the card is gone, or samples were lost because nobody read for too long.
+        """
+        try:
+            there = int(self._task.in_stream.avail_samp_per_chan)
+            voltages = np.empty((self._channels, there))
+            if there:
+                self._reader.read_many_sample(voltages, number_of_samples_per_channel=there, timeout=0.0)
+        except self._error as error:
+            raise LinkError(f"{self.name}: {' '.join(str(error).split())}") from None
+        return voltages
+
+    def close(self) -> None:
+        """Let go of the card."""
+        self._task.close()
+        self._lock.release()

@@ -1,0 +1,116 @@
+"""The port handles of a simulated Aurora: their states, and what PHSR, PHINF, PINIT, PENA, PDIS and PHF do."""
+
+from dataclasses import dataclass
+
+from station.devices.aurora.replies import ENABLED, IN_PORT, INITIALISED, PORT_OCCUPIED
+from station.lab.aurora.commands import Refused, number
+
+
+@dataclass
+class Port:
+    """A port handle."""
+
+    handle: int
+    initialised: bool = False
+    enabled: bool = False
+    gone: bool = False  #: unplugged and to be freed
+
+    @property
+    def status(self) -> int:
+        """Its status bits."""
+        return (0 if self.gone else IN_PORT) | (INITIALISED * self.initialised) | (ENABLED * self.enabled)
+
+
+class PortHandles:
+    """The handles of a unit into which one tool is plugged."""
+
+    def __init__(self, serial: str) -> None:
+        self.ports = [Port(0x0A)]
+        self.changed = 0  #: system status bits, until the host looks at the ports
+        self._serial = serial
+
+    def unplug(self) -> None:
+        """Pull the tool's plug."""
+        self.ports[-1].gone = True
+        self.changed |= 0x80
+
+    def plug(self) -> None:
+        """Put it back: it gets another handle."""
+        self.ports.append(Port((self.ports[-1].handle + 1) & 0xFF))
+        self.changed |= PORT_OCCUPIED
+
+    def restart(self) -> None:
+        """As at power up."""
+        self.ports = [Port(0x0A)] if not self.ports[-1].gone else self.ports[-1:]
+
+    def forget(self) -> None:
+        """As INIT does: no tool is initialised or enabled."""
+        for port in self.ports:
+            port.initialised = port.enabled = False
+
+    def enabled(self) -> list[Port]:
+        """Those that frames tell of."""
+        return [port for port in self.ports if port.enabled]
+
+    def search(self, parameters: str) -> str:
+        """Answer to PHSR, after which no change is told any more."""
+        tests = {
+            0: lambda port: True,  # noqa: ARG005
+            1: lambda port: port.gone,
+            2: lambda port: not port.gone and not port.initialised,
+            3: lambda port: not port.gone and port.initialised and not port.enabled,
+            4: lambda port: not port.gone and port.enabled,
+        }
+        which = number(parameters or "00", 2)
+        if which not in tests:
+            raise Refused(0x23)
+        self.changed = 0
+        found = [port for port in self.ports if tests[which](port)]
+        return f"{len(found):02X}" + "".join(f"{port.handle:02X}{port.status:03X}" for port in found)
+
+    def information(self, parameters: str) -> str:
+        """Answer to PHINF."""
+        port = self._port(parameters[:2])
+        options = number(parameters[2:] or "0001", 4)
+        if port.gone:
+            return "UNOCCUPIED"
+        fields = {
+            0x0001: f"{'02000000':8}{'simulated':12}{'001':3}{self._serial:8}{port.status:02X}",
+            0x0002: "00000000",
+            0x0004: f"{'CTR-TIP-5DOF':20}",
+            0x0008: "00",
+            0x0010: "00",
+            0x0020: "00000000000001",
+            0x0040: "00",
+        }
+        return "".join(text for bit, text in fields.items() if options & bit)
+
+    def change(self, name: str, parameters: str, tracking: bool) -> None:
+        """Carry out PINIT, PENA, PDIS or PHF."""
+        port = self._port(parameters[:2])
+        if tracking:
+            raise Refused(0x0C)
+        priority = parameters[2:]
+        if name == "PENA" and (len(priority) != 1 or priority not in "SDB"):
+            raise Refused(0x09)
+        if name != "PENA" and priority:
+            raise Refused(0x02)
+        if name == "PHF":
+            port.initialised = port.enabled = False
+            if port.gone and len(self.ports) > 1:
+                self.ports.remove(port)
+        elif port.gone:
+            raise Refused(0x0D)
+        elif name == "PINIT":
+            port.initialised = True
+        elif not port.initialised:
+            raise Refused(0x0E)
+        else:
+            port.enabled = name == "PENA"
+
+    def _port(self, digits: str) -> Port:
+        handle = number(digits, 2)
+        for port in self.ports:
+            if port.handle == handle:
+                return port
+        raise Refused(0x08)

@@ -1,0 +1,55 @@
+"""How far the tip was from where it should have been, as the paper counts it: per axis, after the settling time."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from core.robot.robot import Array
+
+#: Errors of a free motion count from here on [s], or from half of it if it is shorter than twice that.
+SETTLING = 20.0
+
+
+def settling_time(duration: float) -> float:
+    """Of a motion that does not say when it has settled [s]."""
+    return min(SETTLING, 0.5 * duration)
+
+
+def errors(prefix: str, error: Array) -> dict[str, Any]:
+    """Largest, root mean square and mean of tip errors (samples, 3) [m], in millimetres."""
+    millimetres = 1e3 * error
+    return {
+        f"{prefix}max_abs_error_mm": rounded(np.abs(millimetres).max(axis=0)),
+        f"{prefix}rms_error_mm": rounded(rms(millimetres)),
+        f"{prefix}mean_error_mm": rounded(np.linalg.norm(millimetres, axis=1).mean()),
+    }
+
+
+def motion_errors(of: Callable[[str], Array], start: float, settling: float) -> Mapping[str, Any]:
+    """Errors of a motion that began at `start` [s] of its rows, from `settling` [s] on; empty when there are none.
+
+    `of` gives the columns of a group of channels (ticks, k). Each tracker frame is compared with the setpoint of
+    the moment at which it was taken; `true_` errors are those of the virtual lab's tip.
+    """
+    time, desired = of("time")[:, 0] - start, of("tip_desired")
+    counted = time >= settling
+    frames = counted & (of("tip_new")[:, 0] > 0.0)
+    if not frames.any():
+        return {}
+    taken = of("tip_time")[frames, 0] - start
+    wanted = np.stack([np.interp(taken, time, column) for column in desired.T], axis=1)
+    found = errors("", wanted - of("tip_measured")[frames])
+    if of("truth_known")[counted].all():
+        found |= errors("true_", desired[counted] - of("tip_true")[counted])
+    return found
+
+
+def rms(error: Array) -> Array:
+    """Root mean square of each column."""
+    return np.sqrt(np.mean(error * error, axis=0))
+
+
+def rounded(value: Any, digits: int = 4) -> float | Sequence[float]:
+    """For JSON."""
+    return np.round(value, digits).tolist()

@@ -1,0 +1,119 @@
+"""What stands behind the devices, a virtual lab's process or a bench of one's own, and what a run brings onto it."""
+
+import threading
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from station.config.strict import ConfigError
+from station.control.process import Bench, ring_width
+from station.control.ring import Ring
+from station.devices.config import BenchFile
+from station.lab.faults import LabFault
+from station.lab.host import LabError, LabHost
+from station.lab.loads import Load, NoLoad
+from station.lab.process import LabBench
+from station.service.own_bench import OwnBench
+
+
+class Brings(NamedTuple):
+    """Of a run, onto a virtual lab, while its motion is on."""
+
+    load: Load | None = NoLoad()  #: at the tip; None: what hangs there is left alone
+    faults: tuple[LabFault, ...] = ()  #: their times counted from the motion's start
+
+
+class BenchSide:
+    """Owner of the lab's process, once it is opened; any thread may ask."""
+
+    def __init__(self, bench: Bench, ring: Ring) -> None:
+        self._bench, self._ring = bench, ring
+        self._lock = threading.Lock()
+        self._told: BenchFile | None = None
+        self._brings = Brings()
+        self._motion_start: float | None = None
+        self._host: LabHost | OwnBench | None = None
+
+    def open(self) -> None:
+        """Start a lab, or another one in the place of one that has died."""
+        self.close()
+        self._host, self._told = self._start(), None
+
+    @property
+    def alive(self) -> bool:
+        """Whether there is something behind the devices."""
+        return self._host is not None and self._host.alive
+
+    @property
+    def pid(self) -> int | None:
+        """Of the lab's process, while it lives."""
+        return self._host.pid if isinstance(self._host, LabHost) and self._host.alive else None
+
+    def devices(self) -> BenchFile:
+        """What the control process has to open; waits for a lab that is coming up.
+
+        Raises:
+            LabError: it did not come up.
+        """
+        if self._told is None:
+            if self._host is None:
+                raise LabError("the lab was not started")
+            self._told = self._host.devices()
+        return self._told
+
+    def pull(self, load: Load) -> None:
+        """Put a load on the tip, now."""
+        if self._host is not None:
+            self._host.pull(load, self._bench.clock.now())
+
+    def inject(self, faults: Sequence[LabFault]) -> None:
+        """Let these faults happen from now on; none: mend all.
+
+        Raises:
+            ConfigError: a bench of one's own has faults of its own.
+        """
+        self.check(faults)
+        if self._host is not None:
+            self._host.inject(faults, self._bench.clock.now())
+
+    def check(self, faults: Sequence[LabFault]) -> None:
+        """Whether faults can be asked for here.
+
+        Raises:
+            ConfigError: a bench of one's own has faults of its own.
+        """
+        if faults and self._bench.devices is not None:
+            raise ConfigError("faults can be injected into the virtual lab only; this station has devices of its own")
+
+    def prepare(self, brings: Brings) -> Brings:
+        """What the next motion brings; what the last one did is the answer."""
+        with self._lock:
+            before, self._brings = self._brings, brings
+        return before
+
+    def motion(self, start: float | None) -> bool:
+        """A motion has begun at `start` by the station's clock [s], or none is on any more; False if that was known."""
+        with self._lock:
+            if start == self._motion_start:
+                return False
+            self._motion_start, (load, faults) = start, self._brings
+        if self._host is None:
+            return True
+        if load is not None:
+            self._host.pull(NoLoad() if start is None else load, start or 0.0)
+        if faults:
+            # What a run has spoilt ends with it.
+            self._host.inject(() if start is None else faults, start or 0.0)
+        return True
+
+    def close(self) -> None:
+        """End the lab; a bench of one's own stays."""
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+    def _start(self) -> LabHost | OwnBench:
+        bench = self._bench
+        if bench.devices is not None:
+            return OwnBench(bench.devices)
+        lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals, bench.clock)
+        return LabHost(lab, self._ring.name, ring_width(bench.robot))

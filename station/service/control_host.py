@@ -1,0 +1,167 @@
+"""The station process's side of control: it starts and hears the control process, and stops the stages after it."""
+
+import contextlib
+import itertools
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from station.control.emergency_stop import Units, stage_units, stop_stages
+from station.control.messages import Command, DeviceReport, Notice, Refused, Reply
+from station.control.process import Bench, run_control
+from station.control.realtime import ask_for_fifo
+from station.control.ring import HEARTBEAT, Ring
+from station.control.states import Event, RefusedError
+from station.devices.config import BenchFile
+from station.lab.host import LabError
+
+#: The control process answers a command within this time or counts as gone [s].
+ANSWER_TIME = 1.0
+#: Of the threads that stop the stages when the control process cannot; below its own.
+WATCHER_PRIORITY = 45
+
+Said = Notice | DeviceReport | Refused
+
+
+class Ending(NamedTuple):
+    """The control process has ended, though nobody asked it to."""
+
+    how: str  #: by which signal, with which status; or why its devices were not to be had
+    stopped: str  #: what became of the stages
+
+
+class ControlHost:
+    """Owner of one control process; when that has ended another one is needed."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        ring: Ring,
+        devices: Callable[[], BenchFile],
+        hear: Callable[[Said], None],
+        ended: Callable[[Ending], None],
+    ) -> None:
+        """Start it.
+
+        Args:
+            bench: what it is in charge of.
+            ring: for its telemetry.
+            devices: where the devices are; may wait, and raise LabError.
+            hear, ended: called in a thread of their own with what it says, and when it has ended unasked.
+        """
+        self._fifo, self._clock = bench.fifo, bench.clock
+        self._devices, self._hear, self._ended = devices, hear, ended
+        self._numbers = itertools.count(1)
+        self._lock = threading.Lock()
+        self._answered = threading.Condition(self._lock)
+        self._waiting: set[int] = set()
+        self._replies: dict[int, str] = {}
+        self._joints = len(bench.robot.joints)
+        self._units: Units = {}
+        self._closing = False
+        context: Any = multiprocessing.get_context("spawn")
+        self._pipe, child = context.Pipe()
+        ring.numbers[HEARTBEAT] = 0.0
+        self._process = context.Process(
+            target=run_control, args=(bench, ring.name, child, os.getpid()), name="control", daemon=True
+        )
+        self._process.start()
+        child.close()
+        self._watcher = threading.Thread(target=self._watch, name="control watcher")
+        self._watcher.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self._process.is_alive()
+
+    @property
+    def pid(self) -> int:
+        """Of its process."""
+        return self._process.pid or 0
+
+    def ask(self, what: Any, **about: Any) -> None:
+        """Have a command carried out, with what else `Command` says about it.
+
+        Raises:
+            RefusedError: the state does not allow it, or there is nobody who answers.
+        """
+        command = Command(next(self._numbers), what, **about)
+        with self._lock:
+            self._waiting.add(command.number)
+        try:
+            try:
+                with self._lock:
+                    self._pipe.send(command)
+            except OSError:
+                raise RefusedError("the control process is gone; reset to start it anew") from None
+            with self._answered:
+                if not self._answered.wait_for(lambda: command.number in self._replies, self._clock.real(ANSWER_TIME)):
+                    raise RefusedError(f"the control process did not answer '{what}' within {ANSWER_TIME:g} s")
+                refused = self._replies.pop(command.number)
+        finally:
+            with self._lock:
+                self._waiting.discard(command.number)
+        if refused:
+            raise RefusedError(refused)
+
+    def hold(self, cause: str) -> None:
+        """End a motion; does not wait for an answer."""
+        with contextlib.suppress(OSError), self._lock:
+            self._pipe.send(Command(next(self._numbers), Event.HOLD, cause=cause))
+
+    def stop_stages(self) -> str:
+        """Stop them without the control process, which is no more: what came of it, in words."""
+        return stop_stages(self._units, self._clock)
+
+    def kill(self) -> None:
+        """End it at once; the stages are stopped then."""
+        self._process.kill()
+
+    def close(self) -> None:
+        """End it, its axes stopped; of one that has ended already only the rest is put away."""
+        self._closing = True
+        with contextlib.suppress(OSError):  # it may be gone already
+            self._pipe.send(None)
+        self._process.join(timeout=self._clock.real(3.0))
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._watcher.join(timeout=self._clock.real(5.0))
+        self._pipe.close()
+
+    def _watch(self) -> None:
+        """Give it its devices, take what it says until it ends; its end unasked is a fault."""
+        problem = ""
+        if self._fifo:
+            ask_for_fifo(WATCHER_PRIORITY)  # what is left of a run must not wait for a page to be drawn
+        try:
+            told = self._devices()
+            self._units = stage_units(told.stages, self._joints)
+            with self._lock:
+                self._pipe.send(told)
+            while True:
+                self._take(self._pipe.recv())
+        except LabError as error:
+            problem = str(error)
+            self._process.kill()
+        except (EOFError, OSError):
+            pass  # it has ended
+        if self._closing:
+            return
+        stopped = self.stop_stages()
+        self._process.join()
+        code = self._process.exitcode
+        how = f"by signal {-code}" if code is not None and code < 0 else f"with status {code}"
+        self._ended(Ending(problem or f"the control process ended {how}", stopped))
+
+    def _take(self, message: Reply | Said) -> None:
+        if not isinstance(message, Reply):
+            self._hear(message)
+            return
+        with self._answered:
+            if message.number in self._waiting:
+                self._replies[message.number] = message.refused
+                self._answered.notify_all()

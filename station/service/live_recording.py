@@ -1,0 +1,92 @@
+"""The recording of live runs: begun with a run, ended with it, off the threads that must not wait."""
+
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from station.config.robots import RobotFile
+from station.control.clock import StationClock
+from station.control.ring import Ring
+from station.control.states import State
+from station.recording.events import ERROR, INFO, Event
+from station.recording.label import Label, RecordingError
+from station.recording.recorder import Recorder
+from station.recording.recover import recover
+from station.recording.space import free_space_problem
+
+
+class LiveRecording:
+    """One recorder; any thread may ask. What was left behind by a station that was killed is recovered first."""
+
+    def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock) -> None:
+        self.runs = runs
+        self.recovered = recover(runs)  #: folders of runs that were left behind
+        self._ring = ring
+        self._numbers: dict[str, float] = {}
+        self._recorder = Recorder(ring, robot, runs, clock)
+        # One thread: the recorder answers one question at a time.
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
+        self._looking: Future[None] | None = None
+        self._problem = ""
+
+    @property
+    def pid(self) -> int:
+        """Of the recorder's process."""
+        return self._recorder.process.pid or 0
+
+    def begin(self, name: str, duration: float, metadata: Mapping[str, Any]) -> None:
+        """Record from now on, for about `duration` [s].
+
+        Raises:
+            RecordingError: there is no room, or the recorder cannot.
+        """
+        problem = free_space_problem(self.runs, duration)
+        if problem:
+            raise RecordingError(problem)
+        self._problem, self._numbers = "", {}
+        self._ring.clear_timing()
+        self._thread.submit(self._recorder.begin, name, metadata).result()
+
+    def say(self, time: float, kind: str, text: str, *, bad: bool = False) -> None:
+        """Note what happens at `time` of the telemetry [s]."""
+        self._thread.submit(self._recorder.event, Event(time, kind, text, ERROR if bad else INFO))
+
+    def moving(self, start: float, settling: float) -> None:
+        """The motion begins at `start` of the telemetry; its errors count from `settling` on [s]."""
+        self._numbers = {"motion_start": start, "settling": settling}
+
+    def end(self, state: State, cause: str) -> None:
+        """The run has ended, in this state; does not wait."""
+        label = Label.COMPLETE if state is State.READY else Label.STOPPED
+        self._thread.submit(self._end, label, cause, self._numbers_now())
+
+    def interrupted(self, cause: str) -> None:
+        """The process that ran it has died; does not wait."""
+        self._thread.submit(self._end, Label.INTERRUPTED, cause, self._numbers_now())
+
+    def problem(self) -> str:
+        """Why the recording that was on has ended by itself; empty while all is well. Does not wait."""
+        if self._looking is None or self._looking.done():
+            self._looking = self._thread.submit(self._look)
+        return self._problem
+
+    def close(self) -> None:
+        """Finish what is on, as interrupted."""
+        self._thread.submit(self._recorder.close).result()
+        self._thread.shutdown()
+
+    def _look(self) -> None:
+        self._problem = self._problem or self._recorder.trouble()
+
+    def _numbers_now(self) -> dict[str, Any]:
+        """Of this run; taken before the next one may begin, which counts anew."""
+        ring = self._ring
+        counts = {"late_counts": ring.late.tolist(), "tick_counts": ring.busy.tolist()}
+        return {**self._numbers, "timing": {**ring.timing()._asdict(), **counts}}
+
+    def _end(self, label: Label, cause: str, numbers: Mapping[str, Any]) -> None:
+        try:
+            self._recorder.end(label, cause, numbers)
+        except RecordingError as error:
+            self._problem = self._problem or str(error)

@@ -1,0 +1,134 @@
+"""The station's own configuration: which robot, which lab, how it comes up."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr
+
+from core.errors import CtrError
+from station.calibration.files import Calibration
+from station.config.robots import load_robot
+from station.config.strict import ConfigError, Strict, check, on_line, read_toml, use_experiments
+from station.control.clock import StationClock
+from station.control.margins import Margins, check_design
+from station.control.overruns import OverrunLimits
+from station.control.process import Bench
+from station.devices.config import DevicesFile
+from station.devices.open_devices import plan
+from station.experiments.experiment import BEST, ControllerFile, start_pose
+from station.lab.config import load_lab
+
+
+class ExperimentsFile(Strict):
+    """Experiments of one's own."""
+
+    folder: str | None = None
+    """where they are, beside this file; found by name like those that come with the station"""
+
+
+class ClockFile(Strict):
+    """The station's own time."""
+
+    rate: Annotated[float, Field(ge=0.05, le=1.0)] = 1.0
+    """seconds of the station in a second: below 1 loop, lab, watchdogs, deadlines, leases and recorder are slower
+    together, on the virtual lab only; for tests, and for computers that are too slow for real time"""
+
+    def bears(self, devices: DevicesFile) -> StationClock:
+        """The clock of a station with these devices.
+
+        Raises:
+            ConfigError: real devices cannot be made slower.
+        """
+        if self.rate != 1.0 and devices != "virtual":
+            raise ConfigError(
+                f"clock.rate = {self.rate:g}: expected 1 with devices of one's own, which keep real time;"
+                " leave it out, or take the virtual lab"
+            )
+        return StationClock(self.rate)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a person should know."""
+        slow = f"not in real time: this station's clock goes at {self.rate:g} of it (clock.rate)"
+        return (slow,) if self.rate != 1.0 else ()
+
+
+class StationFile(Strict):
+    """What `ctr-station serve --config FILE` reads."""
+
+    robot: str = "paper"
+    """preset or file"""
+    lab: str = "default"
+    """virtual lab: preset or file"""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """of everything random in the virtual lab"""
+    park: Mapping[str, float] = {"outer_rotation": 0.0, "inner_rotation": 1.5707963267948966, "inner_translation": -0.1}
+    """joints at power-up [rad or m]"""
+    devices: DevicesFile = "virtual"
+    """those of the virtual lab, or of a bench (station/devices/README.md)"""
+    controller: ControllerFile = BEST
+    """the loop's controller until a run brings its own"""
+    fifo: bool = True
+    """ask for real-time scheduling"""
+    overruns: OverrunLimits = OverrunLimits()
+    """how much lateness of the loop a motion may suffer"""
+    margins: Margins = Margins()
+    """how near to a snap a motion may come"""
+    own_core: bool = True
+    """the control process gets the last processor for itself, where there are two or more"""
+    alone: Literal["go_on", "hold"] = "go_on"
+    """what a run does when its operator has gone: closed the page, or said nothing for 10 s"""
+    calibration: str | None = None
+    """folder with what `calibrate` found, beside this file"""
+    experiments: ExperimentsFile = ExperimentsFile()
+    clock: ClockFile = ClockFile()
+    _source: str = PrivateAttr("the default station")
+    _folder: Path = PrivateAttr(default_factory=Path)
+    _table: Mapping[str, Any] = PrivateAttr(default_factory=dict)
+
+    def bench(self) -> Bench:
+        """What the control process needs, all of it checked.
+
+        Raises:
+            ConfigError: with file, key, value and what was expected.
+        """
+        robot = load_robot(self.robot)
+        lab = load_lab(self.lab, robot)
+        try:
+            park = start_pose(self.park, robot)
+            robot.limits().check(park)
+            robot.robot().check_pose(park)
+            folder = None if self.calibration is None else self._folder / self.calibration
+            calibration = None if folder is None else Calibration.load(folder, robot)
+            believed = robot if calibration is None else calibration.robot
+            self.controller.controller(believed)
+            bench = None if self.devices == "virtual" else self.devices
+            if bench is not None:
+                plan(bench, robot)
+            snaps = check_design(believed, self.margins)
+            clock = self.clock.bears(self.devices)
+        except CtrError as error:
+            raise ConfigError(f"{self._source}: {error}{on_line(self._table, str(error))}") from None
+        return Bench(
+            robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns, bench,
+            self.margins, alone=self.alone, warnings=(*self.clock.warnings, *((snaps,) if snaps else ())),
+            calibration=calibration, clock=clock,
+        )  # fmt: skip
+
+
+def load_station(path: Path | None, changes: Mapping[str, Any] = MappingProxyType({})) -> StationFile:
+    """The station's configuration, or the defaults; `changes` are keys that are to be otherwise.
+
+    Raises:
+        ConfigError: with file, key, value and what was expected.
+    """
+    if path is None:
+        return check(StationFile, dict(changes), "the command line")
+    table = read_toml(path)
+    file = check(StationFile, {**table, **changes}, str(path), table)
+    file._source, file._table, file._folder = str(path), table, path.parent
+    if file.experiments.folder is not None:
+        use_experiments(path.parent / file.experiments.folder)
+    return file

@@ -1,0 +1,162 @@
+"""What an operator or a script may ask of a running station, checked before anything moves."""
+
+import math
+import threading
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from core.errors import CtrError
+from station.config.motions import HoldMotion, Orders, TipMotion
+from station.config.strict import Strict, preset_names
+from station.control.states import State
+from station.control.task import Task
+from station.experiments.experiment import BEST, ControllerFile, offered
+from station.lab.loads import Load, NoLoad
+from station.service.supervisor import Supervisor
+
+#: Of the tip when it is moved by hand [m/s].
+JOG_TIP_SPEED = 0.010
+
+
+class DeskError(CtrError):
+    """A request that makes no sense, whatever the state."""
+
+
+class Settings(Strict):
+    """What the next free motion will be."""
+
+    trajectory: Annotated[TipMotion, Field(discriminator="kind")] = HoldMotion()
+    controller: ControllerFile = BEST
+    load: Load = NoLoad()
+    """on the simulated tip; a real bench has its own"""
+    duration: Annotated[float, Field(gt=0.0, le=86400.0)] = 60.0
+    """[s]"""
+
+
+class Desk:
+    """Experiments and free motions on one station."""
+
+    def __init__(self, supervisor: Supervisor) -> None:
+        self.supervisor = supervisor
+        self._settings = Settings()
+        self._lock = threading.Lock()
+
+    @property
+    def settings(self) -> Settings:
+        """What the next free motion will be."""
+        with self._lock:
+            return self._settings
+
+    def set_trajectory(self, trajectory: TipMotion) -> None:
+        """Choose the next free motion."""
+        with self._lock:
+            self._settings = self._settings.model_copy(update={"trajectory": trajectory})
+
+    def set_controller(self, controller: ControllerFile) -> None:
+        """Choose the controller of the next free motion.
+
+        Raises:
+            DescriptionError: unknown strategy, gain or bandwidth out of range.
+        """
+        self.supervisor.bench.controlled(controller)
+        with self._lock:
+            self._settings = self._settings.model_copy(update={"controller": controller})
+
+    def set_load(self, load: Load) -> None:
+        """Choose the load of the next free motion."""
+        with self._lock:
+            self._settings = self._settings.model_copy(update={"load": load})
+
+    def start_motion(
+        self,
+        trajectory: TipMotion | None = None,
+        controller: ControllerFile | None = None,
+        load: Load | None = None,
+        duration: float | None = None,
+    ) -> str:
+        """Start a free motion from where the robot is; what is not given is as set before. The run's id.
+
+        Raises:
+            RefusedError: the state does not allow it.
+            CtrError: the motion or the controller cannot be.
+        """
+        settings = self.settings
+        motion = trajectory or settings.trajectory
+        return self._start(
+            motion, controller or settings.controller, load or settings.load,
+            settings.duration if duration is None else duration, f"{motion.kind}, free motion",
+        )  # fmt: skip
+
+    def start_experiment(self, name: str, case: str | None = None) -> str:
+        """Start a case of an experiment (the first when none is named) on this bench. The run's id.
+
+        The robot goes to the start pose first. The lab is the one that is there, not the
+        experiment's.
+
+        Raises:
+            DeskError: no such preset or case.
+            RefusedError: the state does not allow it.
+        """
+        if name not in preset_names("experiments"):
+            raise DeskError(f"'{name}' is not one of the experiments: {', '.join(preset_names('experiments'))}")
+        experiment = offered(name)
+        chosen = experiment.cases[0] if case is None else next((c for c in experiment.cases if c.name == case), None)
+        if chosen is None:
+            raise DeskError(
+                f"'{case}' is not one of the cases of {name}: {', '.join(c.name for c in experiment.cases)}"
+            )
+        if chosen.robot != self.supervisor.bench.robot:
+            raise DeskError(f"{name} needs robot '{chosen.robot.name}', not '{self.supervisor.bench.robot.name}'")
+        controller = self.supervisor.bench.controlled(chosen.file.controller)
+        task = Task(controller, chosen.orders, chosen.file.duration, chosen.start)
+        about = {
+            "experiment": name,
+            "case": chosen.name,
+            "settings": chosen.file.model_dump(mode="json"),
+            "source": experiment.source,
+        }
+        return self.supervisor.start(task, chosen.file.load, f"{name}, case {chosen.name}", about, chosen.file.faults)
+
+    def jog(self, space: Literal["joints", "tip"], velocity: tuple[float, ...]) -> None:
+        """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].
+
+        Raises:
+            DeskError: a wrong number of velocities, or one beyond what is allowed by hand.
+            RefusedError: the state does not allow it.
+        """
+        limits = self.supervisor.bench.robot.limits()
+        names = self.supervisor.robot.joint_names if space == "joints" else ("x", "y", "z")
+        most = limits.speed if space == "joints" else np.full(3, JOG_TIP_SPEED)
+        if len(velocity) != len(names):
+            raise DeskError(f"a jog in {space} needs {len(names)} velocities ({', '.join(names)}), not {len(velocity)}")
+        for name, value, bound in zip(names, velocity, most, strict=True):
+            if not abs(value) <= bound:
+                raise DeskError(f"jog velocity {name} = {value:g} is outside +-{bound:g} (rad/s or m/s)")
+        self.supervisor.jog(space, np.array(velocity))
+
+    def pull(self, load: Load) -> None:
+        """Put a load on the virtual lab's tip or shaft, now.
+
+        Raises:
+            PoseError: the shaft does not reach to where it acts.
+        """
+        self._check(load)
+        self.supervisor.pull(load)
+
+    def _check(self, load: Load) -> None:
+        """The simulated robot cannot be touched beyond its tip."""
+        values = self.supervisor.status().values
+        if math.isfinite(load.contact) and "joints" in values:
+            self.supervisor.robot.check_contact(values["joints"], load.contact)
+
+    def _start(self, motion: TipMotion, controller: ControllerFile, load: Load, duration: float, title: str) -> str:
+        orders = Orders(motion, self.supervisor.robot)
+        task = Task(self.supervisor.bench.controlled(controller), orders, duration)
+        self._check(load)
+        status = self.supervisor.status()
+        if status.state is State.READY and "joints" in status.values:
+            orders.check(task.controller, status.values["joints"], duration)
+        settings = Settings(trajectory=motion, controller=controller, load=load, duration=duration)
+        return self.supervisor.start(task, load, title, {"settings": settings.model_dump(mode="json")})

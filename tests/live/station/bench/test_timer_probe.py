@@ -1,0 +1,32 @@
+"""A timer that tells how late the computer is, made late on purpose."""
+
+import os
+import signal
+import time
+from collections.abc import Callable
+
+import psutil
+
+from station.bench.timer_probe import Witness
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.02)
+
+
+def test_it_counts_its_wakings_and_how_late_they_are():
+    with Witness(None) as witness:
+        until(lambda: witness.figures()["ticks"] > 100)
+        (process,) = [child for child in psutil.Process().children() if child.name() == "ctr-witness"]
+        witness.clear()
+        os.kill(process.pid, signal.SIGSTOP)
+        time.sleep(0.1)
+        os.kill(process.pid, signal.SIGCONT)
+        until(lambda: witness.figures()["ticks"] > 10)
+        figures = witness.figures()
+        assert figures["a_period_late"] >= 1
+        assert figures["late_us"]["max"] >= 90e3
+    assert not process.is_running()

@@ -1,0 +1,84 @@
+"""What the system grants, looked at from outside."""
+
+import gc
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from station.control.realtime import is_dying, one_thread_each
+from tests.harness.root import ROOT
+
+SCRIPT = """
+import os, sys, gc
+from pathlib import Path
+from station.control.realtime import be_punctual, leave_a_core, show_as
+left = leave_a_core()
+others = sorted(os.sched_getaffinity(0))
+granted = be_punctual(fifo=True, core=left)
+show_as("ctr-tested")
+locked = next(l for l in Path("/proc/self/status").read_text().splitlines() if l.startswith("VmLck"))
+child = os.fork()
+if child == 0:
+    os._exit(os.sched_getscheduler(0) == os.SCHED_OTHER)
+inherits = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) != 1
+print(repr({
+    "left": left, "others": others, "mine": sorted(os.sched_getaffinity(0)), "fifo": granted.fifo,
+    "refused": granted.refused, "locked": int(locked.split()[1]), "scheduler": os.sched_getscheduler(0),
+    "gc": gc.isenabled(), "name": Path("/proc/self/comm").read_text().strip(), "inherits": inherits,
+}))
+"""
+
+
+def run(*before: str, **environment: str) -> dict:
+    done = subprocess.run(
+        [*before, sys.executable, "-c", SCRIPT], capture_output=True, text=True, timeout=60,
+        env={**os.environ, **environment}, cwd=ROOT, check=True,
+    )  # fmt: skip
+    return eval(done.stdout)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux")
+def test_what_is_granted_is_so_and_what_is_not_is_said() -> None:
+    got = run()
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) > 1:
+        assert got["left"] == cores[-1]
+        assert got["others"] == cores[:-1]
+        assert got["mine"] == [cores[-1]]
+    assert got["fifo"] == (got["scheduler"] & 0xFF == os.SCHED_FIFO)
+    assert got["fifo"] != any("SCHED_FIFO is refused" in text for text in got["refused"])
+    assert (got["locked"] > 0) != any("memory cannot be locked" in text for text in got["refused"])
+    assert got["gc"] is False
+    assert got["name"] == "ctr-tested"
+    assert got["inherits"] is False
+
+
+@pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="takes rights away, which only root can")
+def test_without_the_rights_it_is_said_in_plain_words() -> None:
+    rights = "--bounding-set=-sys_nice,-ipc_lock,-sys_resource"
+    got = run("setpriv", rights, "--inh-caps=-all", "prlimit", "--rtprio=0:0", "--memlock=65536:65536")
+    assert got["fifo"] is False
+    assert got["locked"] == 0
+    assert [text.split(":")[0] for text in got["refused"]] == ["memory cannot be locked", "SCHED_FIFO is refused"]
+    assert all("ctr-station doctor" in text for text in got["refused"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux")
+def test_a_killed_process_is_seen_to_die_before_it_is_reaped() -> None:
+    with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) as process:
+        assert not is_dying(process.pid)
+        process.kill()
+        deadline = time.monotonic() + 5.0
+        while not is_dying(process.pid):
+            assert time.monotonic() < deadline
+    assert not is_dying(process.pid)  # there is none of that number
+
+
+def test_processes_get_no_threads_for_linear_algebra() -> None:
+    one_thread_each()
+    script = "import os, numpy; print(len(os.listdir('/proc/self/task')))"
+    assert int(subprocess.run([sys.executable, "-c", script], capture_output=True, check=True).stdout) == 1
+    assert gc.isenabled()

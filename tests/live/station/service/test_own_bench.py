@@ -1,0 +1,44 @@
+"""A station whose devices are its own: here those of a lab that knows nothing of the station."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.control.states import State
+from station.lab.config import LabConfig
+from station.lab.endpoints import lab_bench
+from station.lab.lab_server import OpenLab
+from station.service.station_file import load_station
+from station.service.supervisor import Supervisor
+from tests.harness.running_lab import running
+
+PARK = np.array([0.0, np.pi / 2.0, -0.1])
+
+
+@pytest.fixture
+def grace() -> float:
+    return 10.0
+
+
+def test_it_waits_for_a_person_to_home(paper, tmp_path: Path):
+    with running(OpenLab(paper, LabConfig(), 0, PARK)) as lab:
+        told = lab_bench(lab.endpoints, LabConfig())
+        patient = told.model_copy(update={"stages": {**told.stages, "deadline": 2.0}})
+        supervisor = Supervisor(replace(load_station(None).bench(), devices=patient), tmp_path)
+        try:
+            supervisor.open()
+            supervisor.wait_ready(60.0)
+            status = supervisor.status()
+            assert status.state is State.CONNECTED, status.cause
+            assert dict(status.values) == {}  # nothing is known before the stages are homed
+            supervisor.home()
+            give_up = time.monotonic() + 10.0
+            while supervisor.status().state is State.CONNECTED and time.monotonic() < give_up:
+                time.sleep(0.01)
+            assert supervisor.status().state is State.HOMING
+            assert supervisor.stop() == ""
+        finally:
+            supervisor.close()

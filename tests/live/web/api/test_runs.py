@@ -1,0 +1,163 @@
+"""Run history over REST: what is there, in and out, and that no name leads anywhere else."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+
+from station.control.clock import VirtualClock
+from station.experiments.experiment import load_experiment
+from station.experiments.output import ResultFolder, label_of
+from station.experiments.results import summarise
+from station.experiments.runner import run_case
+from station.recording.read import read_case
+from tests.harness.root import ROOT
+from tests.harness.serving import free_port
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs of a second of fig7, the second one given up."""
+    folder = tmp_path_factory.mktemp("runs")
+    experiment = load_experiment("fig7")
+    (case,) = experiment.cases
+    case = case._replace(file=case.file.model_copy(update={"duration": 1.0, "settling": 0.0}))
+    recording = run_case(case, 0, VirtualClock(), lambda _: None)
+    for seed, completed in ((0, True), (1, False)):
+        result = ResultFolder(folder, experiment, seed)
+        one = recording._replace(completed=completed, cause="" if completed else "the line was cut")
+        writer = result.assignment(case).writer()
+        writer.write(one.rows)
+        writer.close(label_of(completed=completed, cause=one.cause), one.cause)
+        result.finish({
+            "experiment": "fig7", "seed": seed, "completed": completed, "cases": {"regulation": summarise(one)},
+        })  # fmt: skip
+    return folder
+
+
+@pytest.fixture(scope="module")
+def client(runs: Path) -> Iterator[httpx.Client]:
+    port = free_port()
+    command = [sys.executable, "-m", "tests.harness.runs_server", str(runs), str(port)]
+    with (
+        subprocess.Popen(command, cwd=ROOT) as server,
+        httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as client,
+    ):
+        deadline = time.monotonic() + 30.0
+        while True:
+            try:
+                client.get("/api/runs")
+                break
+            except httpx.TransportError:
+                assert server.poll() is None
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+        yield client
+        server.terminate()
+
+
+def ids(client: httpx.Client, **query: str) -> list[str]:
+    answer = client.get("/api/runs", params=query)
+    assert answer.status_code == 200, answer.text
+    return [run["id"] for run in answer.json()]
+
+
+def test_runs_are_listed_newest_first_and_filtered(client, runs):
+    names = sorted(path.name for path in runs.iterdir())
+    assert ids(client) == names[::-1]
+    assert ids(client, label="stopped") == names[1:]
+    assert ids(client, experiment="fig7", label="complete") == names[:1]
+    assert ids(client, text="LINE WAS CUT") == names[1:]
+    assert ids(client, experiment="fig8") == []
+    assert ids(client, limit="1") == names[1:]
+    assert client.get("/api/runs", params={"limit": 0}).status_code == 422
+
+
+def test_a_run_has_its_summary(client):
+    answer = client.get("/api/runs/latest").json()
+
+    assert (answer["experiment"], answer["label"], answer["cause"]) == ("fig7", "stopped", "the line was cut")
+    assert answer["cases"] == ["regulation"]
+    assert answer["summary"]["seed"] == 1
+    assert len(answer["summary"]["cases"]["regulation"]["true_max_abs_error_mm"]) == 3
+
+
+def test_the_recording_comes_as_it_is(client, runs, tmp_path):
+    (name,) = ids(client, label="complete")
+    answer = client.get(f"/api/runs/{name}/recording")
+
+    assert answer.headers["content-disposition"] == f'attachment; filename="{name}-regulation.mcap"'
+    (tmp_path / "x.mcap").write_bytes(answer.content)
+    assert np.array_equal(read_case(tmp_path / "x.mcap").rows, read_case(runs / name / "regulation.mcap").rows)
+    assert client.get(f"/api/runs/{name}/recording", params={"case": "regulation"}).content == answer.content
+    missing = client.get(f"/api/runs/{name}/recording", params={"case": "lift"})
+    assert missing.status_code == 404
+    assert "'lift' is not one of the cases: regulation" in missing.json()["error"]
+
+
+def test_notes_are_kept(client):
+    (name,) = ids(client, label="complete")
+    answer = client.put(f"/api/runs/{name}/notes", json={"notes": "new coil"})
+
+    assert answer.json()["notes"] == client.get(f"/api/runs/{name}").json()["notes"] == "new coil"
+    assert ids(client, text="new coil") == [name]
+    assert client.put(f"/api/runs/{name}/notes", json={"notes": "x" * 20_001}).status_code == 422
+    assert client.put(f"/api/runs/{name}/notes", json={"note": "x"}).status_code == 422
+
+
+def test_a_report_is_made_once_and_stands_alone(client, runs):
+    (name,) = ids(client, label="complete")
+    answer = client.get(f"/api/runs/{name}/report")
+
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"].startswith("text/html")
+    assert answer.headers["content-security-policy"].startswith("default-src 'none'")
+    assert "fig7" in answer.text
+    made = (runs / name / "report.html").stat().st_mtime_ns
+    assert client.get(f"/api/runs/{name}/report").text == answer.text
+    assert (runs / name / "report.html").stat().st_mtime_ns == made
+
+
+def test_why_there_is_no_report_is_said(client, runs):
+    folder = runs / "spoilt"
+    folder.mkdir()
+    (folder / "summary.json").write_text("{", encoding="utf-8")
+    try:
+        answer = client.get("/api/runs/spoilt/report")
+        assert answer.status_code == 422
+        assert "no report of run 'spoilt'" in answer.json()["error"]
+    finally:
+        client.delete("/api/runs/spoilt", params={"confirm": "spoilt"})
+
+
+def test_a_run_is_deleted_only_with_its_name_as_confirmation(client, runs):
+    folder = runs / "old"
+    folder.mkdir()
+    (folder / "summary.json").write_text(json.dumps({"started": 0, "bad": float("nan")}), encoding="utf-8")
+    assert client.get("/api/runs/old").json()["summary"] == {"started": 0, "bad": None}
+    for confirm in ("", "latest", "new"):
+        answer = client.delete("/api/runs/old", params={"confirm": confirm})
+        assert answer.status_code == 422
+        assert "confirm" in answer.json()["error"]
+    assert folder.exists()
+    assert client.delete("/api/runs/old", params={"confirm": "old"}).json() == {"deleted": "old"}
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("name", ["none", "..", "%2e%2e", "..%2f..%2fetc", "%2fetc%2fpasswd", "a%00b", "x" * 5000])
+def test_no_name_leads_elsewhere(client, name):
+    before = ids(client)
+    for answer in (
+        client.get(f"/api/runs/{name}/recording"),
+        client.get(f"/api/runs/{name}/report"),
+        client.put(f"/api/runs/{name}/notes", json={"notes": "x"}),
+        client.delete(f"/api/runs/{name}", params={"confirm": name}),
+    ):
+        assert answer.status_code in (404, 405)
+    assert ids(client) == before

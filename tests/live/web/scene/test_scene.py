@@ -1,0 +1,197 @@
+"""What the scene shows, on a live station and on made-up telemetry."""
+
+import logging
+import os
+import signal
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from core.control.trajectories import Setpoint
+from core.robot.robot import Array, Robot
+from station.config.motions import CircleMotion, HoldMotion, JointSweepMotion, Motion, Orders, SinusoidMotion
+from station.config.robots import load_robot
+from station.control.loop import Task
+from station.control.states import State
+from station.control.telemetry import Channels
+from station.experiments.experiment import ControllerFile
+from station.lab.loads import ConstantLoad, NoLoad
+from tests.harness.viewing import Viewed, viewing
+from tests.harness.waiting import until
+from web.scene.history import BIN, SPAN, History
+from web.scene.reference import offsets
+from web.scene.scene import ARROW, UNIT
+from web.scene.view import RATE
+
+
+@pytest.fixture(scope="module")
+def viewed() -> Iterator[Viewed]:
+    with viewing() as viewed:
+        yield viewed
+
+
+def task(motion: Motion, duration: float = 60.0) -> Task:
+    robot = load_robot("paper")
+    return Task(ControllerFile().controller(robot), Orders(motion, robot.robot()), duration)
+
+
+# ---- the reference path
+
+
+def test_a_circles_path_is_one_round_of_the_circle() -> None:
+    path = offsets(task(CircleMotion(radius=0.01, period=8.0, normal=(0.0, 1.0, 0.0))))
+    centre = path.mean(axis=0)
+    np.testing.assert_allclose(np.linalg.norm(path - centre, axis=1), 0.01, rtol=0.03)
+    np.testing.assert_allclose(path[:, 1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(path[0], path[-1])
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    assert length.sum() == pytest.approx(2.0 * np.pi * 0.01, rel=0.01)
+    assert length.max() < 1e-3
+
+
+def test_a_sinusoids_path_has_its_whole_amplitude() -> None:
+    path = offsets(task(SinusoidMotion(direction=(0.0, 0.0, 1.0), amplitude=0.015, frequency=0.05)))
+    assert path[:, 2].max() == pytest.approx(0.015, abs=2e-5)
+    assert path[:, 2].min() == pytest.approx(-0.015, abs=2e-5)
+
+
+def test_a_motion_that_ends_early_has_the_path_it_makes() -> None:
+    path = offsets(task(CircleMotion(radius=0.01, period=8.0), duration=2.0))
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(0.5 * np.pi * 0.01, rel=0.05)
+
+
+@pytest.mark.parametrize("motion", [HoldMotion(), JointSweepMotion(joint="outer_rotation", speed=0.05, distance=1.0)])
+def test_no_path_where_none_is_asked_for(motion: Motion) -> None:
+    assert len(offsets(task(motion))) < 2
+
+
+# ---- the history
+
+
+def telemetry(robot: Robot, begin: float, seconds: float) -> tuple[Channels, Array]:
+    """Rows at 500 Hz: a tip at 1, 2, 3 mm, a force of 0.1 N with noise."""
+    channels = Channels(robot)
+    time = begin + 0.002 * np.arange(round(seconds / 0.002))
+    rows = np.zeros((len(time), len(channels)))
+    channels.of(rows, "time")[:, 0] = time
+    channels.of(rows, "tip_new")[::12] = 1.0
+    channels.of(rows, "truth_known")[:] = 1.0
+    channels.of(rows, "tip_measured")[:] = (0.001, 0.002, 0.003)
+    channels.of(rows, "force")[:, 0] = 0.1 + 0.02 * np.random.default_rng(0).standard_normal(len(time))
+    return channels, rows
+
+
+def test_points_are_means_over_a_tenth_of_a_second(paper_robot: Robot) -> None:
+    channels, rows = telemetry(paper_robot, 5.0, 3.0)
+    history = History(channels)
+    for part in np.array_split(rows, 77):
+        history.take(part)
+    assert len(history.points) == 29
+    np.testing.assert_allclose(np.diff([point.time for point in history.points]), BIN, atol=1e-9)
+    np.testing.assert_allclose([point.tip for point in history.points], [(0.001, 0.002, 0.003)] * 29)
+    assert abs(history.mean("force")[0] - 0.1) < 4 * 0.02 / np.sqrt(50)
+    assert len(history.recent) == round(BIN / 0.002)
+
+
+def test_the_history_keeps_its_span_and_no_more(paper_robot: Robot) -> None:
+    channels, rows = telemetry(paper_robot, 0.0, 25.0)
+    history = History(channels)
+    history.take(rows)
+    assert len(history.points) == round(SPAN / BIN)
+    assert history.now - history.points[0].time < SPAN + BIN
+
+
+def test_time_that_runs_backward_begins_anew(paper_robot: Robot) -> None:
+    channels, rows = telemetry(paper_robot, 50.0, 2.0)
+    history = History(channels)
+    history.take(rows)
+    history.take(telemetry(paper_robot, 0.0, 0.5)[1])
+    assert history.points[0].time < 1.0
+    assert len(history.points) == 4
+
+
+# ---- the scene
+
+
+def test_at_rest_the_robot_stands_where_the_model_says(viewed: Viewed) -> None:
+    viewed.make_ready()
+    scene = viewed.view._scene
+    until(lambda: all(mesh.visible for mesh in scene._meshes))
+    joints = viewed.supervisor.status().values["joints"]
+    unloaded = viewed.supervisor.statics.solve(joints, np.zeros(6))
+    # Noise of the force sensors moves the drawn tip by tenths of a millimetre.
+    np.testing.assert_allclose(scene._meshes[0].vertices[-1], unloaded.tip, atol=2e-3)
+    np.testing.assert_allclose(scene._estimated.position / UNIT, unloaded.tip, atol=2e-3)
+    np.testing.assert_allclose(
+        scene._measured.position / UNIT, viewed.supervisor.status().values["tip_measured"], atol=1e-3
+    )
+    assert scene._measured.visible
+    assert not scene._desired.visible
+    assert not scene._stale.visible
+
+
+def test_a_motion_shows_its_path_its_setpoint_and_its_load(viewed: Viewed) -> None:
+    viewed.make_ready()
+    viewed.desk.start_motion(CircleMotion(radius=0.01, period=10.0), load=ConstantLoad(magnitude=0.2), duration=20.0)
+    scene = viewed.view._scene
+    until(lambda: scene._path.visible)
+    until(lambda: scene._newton.visible and 0.15 < float(scene._newton.text.split()[0]) < 0.25)
+    assert scene._newton.text.endswith(" N")
+    tail, head = scene._force.points[0]
+    assert np.linalg.norm(head - tail) == pytest.approx(0.2 * ARROW, rel=0.25)
+    assert (head - tail)[0] > 0.9 * np.linalg.norm(head - tail)  # gravity is +x
+    assert scene._desired.visible
+    # The setpoint stays on the path.
+    way = np.linalg.norm(scene._path.points[:, 0] - scene._desired.position / UNIT, axis=1)
+    assert way.min() < 1e-3
+    order = Orders(CircleMotion(radius=0.01, period=10.0), viewed.supervisor.robot).at(0.0)
+    assert isinstance(order, Setpoint)
+    assert np.ptp(scene._path.points[:, 0], axis=0).max() == pytest.approx(0.02, rel=0.01)
+    viewed.supervisor.stop()
+    until(lambda: not scene._desired.visible)
+
+
+def test_one_picture_follows_another(viewed: Viewed) -> None:
+    viewed.make_ready()
+    frames: list[float] = []
+    update = viewed.view._scene.update
+    try:
+        viewed.view._scene.update = lambda *args: (frames.append(time.monotonic()), update(*args))[1]
+        until(lambda: len(frames) > 30)
+    finally:
+        viewed.view._scene.update = update
+    assert frames[-1] - frames[0] > 0.9 * 30 / RATE  # never more of them than are asked for
+
+
+def test_nobody_gets_a_public_link(viewed: Viewed, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        assert viewed.server.request_share_url() is None
+    assert "refused" in caplog.text
+
+
+def test_old_telemetry_is_called_stale_and_a_restart_is_followed(viewed: Viewed) -> None:
+    viewed.make_ready()
+    scene = viewed.view._scene
+    until(lambda: scene._measured.visible)
+    os.kill(viewed.supervisor.pids()["control"], signal.SIGKILL)
+    until(lambda: viewed.supervisor.status().state is State.FAULT)
+    until(lambda: scene._stale.visible)
+    assert scene._stale.text.startswith("STALE")
+    assert not scene._measured.visible
+    viewed.supervisor.reset()
+    until(lambda: not scene._stale.visible)
+    assert scene._measured.visible
+
+
+def test_a_simulated_robot_that_cannot_follow_its_stages_is_a_warning(viewed: Viewed) -> None:
+    viewed.make_ready()
+    before = viewed.supervisor.status().warnings
+    # More than may be asked for: no rod stands under it.
+    viewed.supervisor.pull(ConstantLoad.model_construct(magnitude=1e6))
+    try:
+        until(lambda: any("cannot follow" in text for text in viewed.supervisor.status().warnings))
+    finally:
+        viewed.supervisor.pull(NoLoad())
+    until(lambda: viewed.supervisor.status().warnings == before)

@@ -1,0 +1,145 @@
+"""Section III: what each loop asks of the joints, checked against the loaded model itself."""
+
+import math
+
+import numpy as np
+import pytest
+
+from core.control.controllers import INNER_LOOPS, STRATEGIES, PositionMode, VelocityMode, View, strategy
+from core.control.trajectories import Setpoint
+from core.errors import DescriptionError
+from core.model.statics import Statics
+
+POSE = np.array([0.2, 1.7, -0.08])
+FORCE, FORCE_RATE = np.array([0.3, -0.1, 0.05]), np.array([0.05, 0.02, -0.03])
+JOINT_RATE = np.array([0.01, -0.02, 0.003])
+
+
+@pytest.fixture(scope="module")
+def model(paper_robot):
+    return Statics(paper_robot)
+
+
+@pytest.fixture(scope="module")
+def view(model) -> View:
+    """Joints and load in steady motion; the rates are those of the model's own tips, by differences."""
+    h = 1e-4
+
+    def solved(time: float, load: float):
+        return model.solve(POSE + time * JOINT_RATE, np.r_[load * (FORCE + time * FORCE_RATE), np.zeros(3)])
+
+    def deflection(time: float) -> np.ndarray:
+        return solved(time, 1.0).tip - solved(time, 0.0).tip
+
+    loaded = solved(0.0, 1.0)
+    return View(
+        loaded,
+        solved(0.0, 0.0),
+        (deflection(h) - deflection(-h)) / (2 * h),
+        loaded.compliance[:3, :3] @ FORCE_RATE,
+        np.array([2e-4, -1e-4, 3e-4]),
+    )
+
+
+@pytest.fixture(scope="module")
+def tip_rate(model) -> np.ndarray:
+    """Tip velocity (3,) of that motion, by differences of the solved tip."""
+    h = 1e-4
+    ahead, behind = (
+        model.solve(POSE + s * h * JOINT_RATE, np.r_[FORCE + s * h * FORCE_RATE, np.zeros(3)]).tip for s in (1, -1)
+    )
+    return (ahead - behind) / (2 * h)
+
+
+@pytest.mark.parametrize("inner", ["type_1", "type_1_exact"])
+def test_joints_that_solve_a_type_1_loop_give_the_tip_the_velocity_asked_for(inner, view, tip_rate):
+    """Asked for the tip velocity of a known motion under a known load rate, the answer is that motion."""
+    jacobian, velocity = INNER_LOOPS[inner](tip_rate, view)
+
+    np.testing.assert_allclose(np.linalg.solve(jacobian, velocity), JOINT_RATE, rtol=0, atol=2e-6)
+
+
+def test_without_the_loads_own_motion_they_do_not(view, tip_rate):
+    jacobian, velocity = strategy("loaded_jacobian").inner(tip_rate, view)
+
+    assert np.abs(np.linalg.solve(jacobian, velocity) - JOINT_RATE).max() > 1e-3
+
+
+def test_type_2_takes_out_whatever_moves_the_tip_besides_the_joints(view):
+    u_int = np.array([1e-3, 0.0, -2e-3])
+    measured = view.loaded.jacobian[:3] @ JOINT_RATE + view.load_rate + view.drift  # X' as the observer has it
+
+    jacobian, velocity = INNER_LOOPS["type_2"](u_int, view)
+
+    # eq. (29), literally
+    expected = np.linalg.solve(view.loaded.jacobian[:3], u_int - (measured - view.loaded.jacobian[:3] @ JOINT_RATE))
+    np.testing.assert_allclose(np.linalg.solve(jacobian, velocity), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "loaded"), [("unloaded_jacobian", False), ("loaded_jacobian", True)])
+def test_the_plain_strategies_use_their_jacobian_and_nothing_else(name, loaded, view):
+    u_int = np.array([1e-3, 2e-3, 3e-3])
+
+    jacobian, velocity = strategy(name).inner(u_int, view)
+
+    assert velocity.tolist() == u_int.tolist()
+    np.testing.assert_array_equal(jacobian, (view.loaded if loaded else view.unloaded).jacobian[:3])
+
+
+@pytest.mark.parametrize("name", ["unloaded_jacobian", "loaded_jacobian", "inner_loop"])
+def test_velocity_strategies_follow_the_trajectorys_velocity_whatever_the_tracker_says(name):
+    setpoint = Setpoint(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]))
+
+    asked = strategy(name, 2.0, 3.0, True).outer.tip_velocity(setpoint, np.full(3, 9.0))
+
+    assert isinstance(strategy(name).outer, VelocityMode)
+    assert asked.tolist() == [0.1, 0.2, 0.3]
+
+
+def test_dual_layer_is_equation_30_with_its_own_gain_for_each_term():
+    setpoint, tip = Setpoint(np.array([1.0, 0.0, 2.0]), np.array([0.5, 0.0, 0.0])), np.array([0.25, 1.0, 0.0])
+
+    assert strategy("dual_layer", 2.0, 3.0).outer.tip_velocity(setpoint, tip).tolist() == [2.5, -2.0, 6.0]
+    assert strategy("dual_layer", 2.0, 3.0, True).outer.tip_velocity(setpoint, tip).tolist() == [3.0, -2.0, 6.0]
+
+
+@pytest.mark.parametrize("k", [1.0, 2.5])
+def test_with_equal_gains_the_tip_is_a_first_order_lag_behind_the_setpoint(k):
+    """Eq. (31): a step is approached as 1 - exp(-k t), a sinusoid at w arrives as k / (k + jw)."""
+    outer, dt = PositionMode(k, k), 1e-4
+    tip, frequency = np.zeros(3), 2.0 * math.pi * 0.05
+    for number in range(round(60.0 / dt)):
+        time = number * dt
+        wanted = np.array([1.0, math.sin(frequency * time), 0.0])
+        tip = tip + dt * outer.tip_velocity(Setpoint(wanted, np.zeros(3)), tip)
+        if number == round(1.0 / k / dt):
+            assert tip[0] == pytest.approx(1.0 - math.exp(-1.0), abs=1e-3)
+    gain = k / complex(k, frequency)
+    assert tip[1] == pytest.approx((gain * np.exp(1j * frequency * 60.0)).imag, abs=1e-3)
+
+
+@pytest.mark.parametrize("inner", INNER_LOOPS)
+@pytest.mark.parametrize("name", ["inner_loop", "dual_layer"])
+def test_strategies_with_an_inner_loop_take_the_one_named(name, inner):
+    assert strategy(name, inner=inner).inner is INNER_LOOPS[inner]
+
+
+def test_every_strategy_of_the_paper_is_there():
+    assert list(STRATEGIES) == ["unloaded_jacobian", "loaded_jacobian", "inner_loop", "dual_layer"]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: strategy("dual"), "strategy 'dual' is unknown; choose one of unloaded_jacobian, loaded_jacobian"),
+        (lambda: strategy("dual_layer", inner="type_3"), "inner loop 'type_3' is unknown; choose one of type_1,"),
+        (lambda: strategy("dual_layer", -0.1), "K1 = -0.1 1/s is outside 0 ... 50 1/s"),
+        (lambda: strategy("dual_layer", 2.5, math.nan), "K2 = nan 1/s is outside 0 ... 50 1/s"),
+        (lambda: strategy("inner_loop", 51.0), "K1 = 51 1/s"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name_value_and_bound(make, words):
+    with pytest.raises(DescriptionError) as refused:
+        make()
+
+    assert words in str(refused.value)

@@ -1,0 +1,70 @@
+"""Corrections in the tick: an off-set coil and askew sensors lead to the estimates of ideal ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from core.control.actuation import Actuation
+from core.control.controllers import strategy
+from core.control.corrections import Corrections
+from core.control.deflection import RateFilter
+from core.control.estimation import Estimator
+from core.control.observer import Observer
+from core.control.sensors import Sensors
+from core.control.step import Controller, Sample, begin, step
+from core.model.statics import Statics
+from core.robot.limits import JointLimit, Limits
+
+JOINTS, FORCE, COIL = np.array([0.2, 1.6, -0.1]), np.array([0.3, 0.1, -0.05]), np.array([0.4e-3, -0.3e-3, 1.0e-3])
+MOUNTING = [Rotation.from_rotvec([0.02, -0.01, 0.05]), Rotation.from_rotvec([-0.03, 0.02, -0.08])]
+
+
+@pytest.fixture
+def controller(paper_robot) -> Controller:
+    limits = Limits(tuple(JointLimit(j.name, j.unit, -7.0, 7.0, 0.3, 2.0) for j in paper_robot.joints))
+    estimator = Estimator(RateFilter(0.002, 1.0), Observer(0.002, bandwidth=2.0), Actuation(0.002, 0.025, 0.012))
+    return Controller(Statics(paper_robot), strategy("dual_layer", 2.5, 2.5, False), limits, estimator)
+
+
+def at_bases(tip: np.ndarray) -> np.ndarray:
+    """Wrenches that add up to FORCE at the tip: all of it at the outer tube (2, 6)."""
+    turn = Rotation.from_euler("z", JOINTS[0]).inv()
+    return np.array([np.zeros(6), np.r_[turn.apply(FORCE), turn.apply(np.cross(tip, FORCE))]])
+
+
+def test_the_tick_sees_what_ideal_devices_would_have_said(controller):
+    pose = controller.statics.solve(JOINTS, np.r_[FORCE, np.zeros(3)])
+    true = at_bases(pose.tip)
+    askew = np.array([
+        np.r_[m.inv().apply(row[:3]), m.inv().apply(row[3:])] for m, row in zip(MOUNTING, true, strict=True)
+    ])  # fmt: skip
+    coil = pose.tip + pose.rotation @ COIL
+    sensors = replace(Sensors.ideal(2), mounting=np.array([m.as_matrix() for m in MOUNTING]))
+    corrected = replace(controller, corrections=Corrections(sensors, COIL))
+
+    ideal = Sample(JOINTS, np.zeros(3), true, pose.tip)
+    real = Sample(JOINTS, np.zeros(3), askew, coil)
+    expected = step(controller, begin(controller, ideal), ideal, None)
+    found = step(corrected, begin(corrected, real), real, None)
+
+    np.testing.assert_allclose(found.load.force, FORCE, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.memory.tip, expected.memory.tip, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.memory.estimate.loaded.tip, pose.tip, rtol=0, atol=1e-9)
+    assert np.linalg.norm(step(controller, begin(controller, real), real, None).memory.tip - pose.tip) > 1e-3
+
+
+def test_a_tare_leaves_in_what_hangs_on_the_sensors(controller, paper_robot):
+    """Tared at one rotation, right at another: the weight turns in the sensor, the load does not."""
+    sensors = replace(Sensors.ideal(2), weight=np.array([0.1, 0.2]), first_moment=np.full((2, 3), 1e-3))
+    corrected = replace(controller, corrections=Corrections(sensors))
+    offset = np.random.default_rng(0).normal(size=(2, 6))
+    here, there = JOINTS, JOINTS + np.array([1.0, -2.0, 0.0])
+
+    tare = corrected.tare(offset + sensors.hanging(paper_robot.tube_poses(here)[0]), here)
+
+    np.testing.assert_allclose(tare, offset, rtol=0, atol=1e-12)
+    left = offset + sensors.hanging(paper_robot.tube_poses(there)[0]) - tare
+    alpha = paper_robot.tube_poses(there)[0]
+    np.testing.assert_allclose(corrected.corrections.wrenches(left, alpha), np.zeros((2, 6)), rtol=0, atol=1e-12)

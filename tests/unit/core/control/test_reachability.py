@@ -1,0 +1,124 @@
+"""Motions that the robot cannot follow are refused before they begin, with the time and the limit."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.control.reachability import check_reach
+from core.control.trajectories import Circle, Helix, Hold, Sinusoid, Step, Waypoints
+from core.errors import CtrError, Unreachable
+from core.model.statics import Statics
+from core.robot.limits import JointLimit, Limits, Workspace
+
+POSE = np.array([0.0, math.pi / 2, -0.1])
+SPEED = math.radians(20.0)
+LIMITS = Limits(
+    (
+        JointLimit("outer_rotation", "rad", -2 * math.pi, 2 * math.pi, SPEED, 5 * SPEED),
+        JointLimit("inner_rotation", "rad", -2 * math.pi, 2 * math.pi, SPEED, 5 * SPEED),
+        JointLimit("inner_translation", "m", -0.130, -0.005, 0.020, 0.100),
+    )
+)
+
+
+@pytest.fixture(scope="module")
+def model(paper_robot):
+    return Statics(paper_robot)
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        Hold(),
+        Sinusoid((0.0, 0.0, 1.0), 0.015, 0.05),
+        Circle(0.010, 12.0),
+        Helix(0.005, 0.003, 10.0, 2.0),
+        Step((1e-3, 0.0, 0.0)),
+        Step((1e-3, 0.0, 0.0), stay=4.0),
+        Waypoints((5.0, 10.0), ((0.01, 0.0, 0.0), (0.0, 0.0, 0.0))),
+    ],
+    ids=repr,
+)
+def test_motions_within_reach_pass(model, motion):
+    check_reach(model, LIMITS, POSE, motion, 60.0)
+
+
+def test_the_papers_tracking_passes_under_its_load(model):
+    check_reach(
+        model, LIMITS, POSE, Sinusoid((0.0, 0.0, 1.0), 0.010, 0.05), 40.0,
+        lambda time: np.array([0.25 * (1.0 - math.cos(2.0 * math.pi * time / 20.0)), 0.0, 0.0]),
+    )  # fmt: skip
+
+
+def refusal(model, motion, duration=60.0, limits=LIMITS, joints=POSE, force=None) -> str:
+    with pytest.raises(Unreachable) as refused:
+        check_reach(model, limits, joints, motion, duration, force)
+    return str(refused.value)
+
+
+def test_too_fast_is_refused_with_the_first_time_and_the_joint(model):
+    """15 mm in 12 s asks a rotation for more than 20 deg/s, 15 mm in 40 s does not."""
+    said = refusal(model, Circle(0.015, 12.0))
+
+    assert "cannot be followed: at 7.8" in said
+    assert "mm off (more than 0.5 mm) because of speed of" in said
+    check_reach(model, LIMITS, POSE, Circle(0.015, 40.0), 60.0)
+
+
+def test_a_path_out_of_reach_is_refused_however_slow_with_the_singular_pose(model):
+    assert "singular pose (sigma" in refusal(model, Circle(0.015, 400.0, (0.0, 0.0, -1.0)), 400.0)
+
+
+def test_the_end_of_the_travel_is_named_with_the_time_it_is_met(model):
+    said = refusal(model, Sinusoid((0.0, 0.0, 1.0), 0.050, 0.01), 100.0)
+
+    # z goes with the translation, which has 30 mm left inward and 95 mm outward
+    assert "travel of inner_translation (-0.13 m)" in said
+    time = float(said.split(" at ")[1].split(" s ")[0])
+    assert 50.0 < time < 75.0  # the half wave down
+
+
+def test_nothing_after_the_end_of_the_motion_is_held_against_it(model):
+    check_reach(model, LIMITS, POSE, Sinusoid((0.0, 0.0, 1.0), 0.050, 0.01), 40.0)
+
+
+def test_a_workspace_is_named(model):
+    tip = model.solve(POSE, np.zeros(6)).tip
+    box = Workspace((-1.0, -1.0, 0.0), (1.0, 1.0, float(tip[2]) + 5e-3))
+
+    assert "workspace z <=" in refusal(
+        model, Sinusoid((0.0, 0.0, 1.0), 0.010, 0.05), limits=replace(LIMITS, others=(box,))
+    )
+
+
+def test_a_load_that_cannot_be_held_is_refused(model):
+    """Stretched tubes cannot bend back against a pull that bends them further."""
+    straight = np.array([0.0, 0.0, -0.05])
+
+    def pull(time: float) -> np.ndarray:
+        return np.array([0.0, 0.05 * time, 0.0])
+
+    said = refusal(model, Hold(), 10.0, joints=straight, force=pull)
+    assert "singular pose" in said
+    assert 0.0 < float(said.split(" at ")[1].split(" s ")[0]) < 10.0
+
+
+def test_a_step_is_judged_by_its_end_not_by_its_jump(model):
+    assert "at 0 s" in refusal(model, Step((0.05, 0.0, 0.0)))
+
+
+def test_a_start_outside_the_travel_is_refused(model):
+    with pytest.raises(CtrError, match="inner_translation"):
+        check_reach(model, LIMITS, np.array([0.0, 0.0, -0.2]), Hold(), 1.0)
+
+
+def test_a_long_motion_is_walked_no_longer_than_it_needs(model, monkeypatch):
+    solves = []
+    solve = Statics.solve
+    monkeypatch.setattr(Statics, "solve", lambda *arguments: solves.append(1) or solve(*arguments))
+
+    check_reach(model, LIMITS, POSE, Sinusoid((0.0, 0.0, 1.0), 0.010, 0.05), 86_400.0)
+
+    assert len(solves) < 1100  # one period of 20 s

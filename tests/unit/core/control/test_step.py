@@ -1,0 +1,280 @@
+"""One tick: what goes in comes out as an estimate and a command, purely, and never as a NaN."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.control.actuation import Actuation
+from core.control.controllers import INNER_LOOPS, STRATEGIES, Strategy, strategy
+from core.control.deflection import RateFilter
+from core.control.estimation import Estimator
+from core.control.observer import Observer
+from core.control.step import Controller, Sample, begin, set_origin, step
+from core.control.trajectories import JointMotion, Setpoint
+from core.errors import CtrError, NotFinite
+from core.model.cosserat import ExactRod
+from core.model.statics import Statics
+from core.robot.limits import JointLimit, Limits, Workspace
+
+PERIOD = 0.002
+POSE = np.array([0.0, math.pi / 2, -0.1])
+SPEED = math.radians(20.0)
+TRAVEL = (
+    JointLimit("outer_rotation", "rad", -2 * math.pi, 2 * math.pi, SPEED, 5 * SPEED),
+    JointLimit("inner_rotation", "rad", -2 * math.pi, 2 * math.pi, SPEED, 5 * SPEED),
+    JointLimit("inner_translation", "m", -0.130, -0.005, 0.020, 0.100),
+)
+HERE = Setpoint(np.zeros(3), np.zeros(3))
+
+
+def controller(robot, name="dual_layer", inner="type_2", observes=True, others=(), k=2.5, lag=0.0, exact=False):
+    estimator = Estimator(RateFilter(PERIOD, 5.0), Observer(PERIOD), Actuation(PERIOD, 0.0, lag))
+    return Controller(
+        Statics(robot), strategy(name, k, k, True, inner), Limits(TRAVEL, others=others), estimator, observes, exact
+    )
+
+
+class Plant:
+    """Exact rods that do at once what they are told, and sensors without flaw."""
+
+    def __init__(self, robot, joints=POSE) -> None:
+        self.rod, self.robot, self.joints = ExactRod(robot), robot, joints.copy()
+        self.sent, self.force = np.zeros(3), np.zeros(3)
+        self.seen = np.zeros(3)  #: the tip at the last sample
+
+    def tip(self) -> np.ndarray:
+        return self.rod.solve(self.joints, np.r_[self.force, np.zeros(3)]).tip
+
+    def sample(self, frame: bool = True) -> Sample:
+        """The whole load at the outer tube's base, turned into its axes."""
+        tip, angle = self.tip(), self.joints[0]
+        self.seen = tip
+        turn = np.array([[math.cos(angle), math.sin(angle), 0], [-math.sin(angle), math.cos(angle), 0], [0, 0, 1.0]])
+        wrenches = np.zeros((2, 6))
+        wrenches[1] = np.r_[turn @ self.force, turn @ np.cross(tip, self.force)]
+        return Sample(self.joints.copy(), self.sent, wrenches, tip if frame else None, 0.0)
+
+    def obey(self, command: np.ndarray) -> None:
+        self.sent = command
+        self.joints = self.joints + PERIOD * command
+
+
+def run(controller, plant, seconds, order=lambda _: HERE, force=lambda _: np.zeros(3)):
+    """Closed loop at 500 Hz with a frame every 26 ms; ticks and the true tips, from the start tip."""
+    memory = begin(controller, plant.sample())
+    memory = set_origin(controller, memory, plant.tip())
+    start, ticks, tips = plant.tip(), [], []
+    for number in range(round(seconds / PERIOD)):
+        plant.force = force(number * PERIOD)
+        tick = step(controller, memory, plant.sample(number % 13 == 0), order(number * PERIOD))
+        memory = tick.memory
+        ticks.append(tick)
+        tips.append(plant.seen - start)
+        plant.obey(tick.command)
+    return ticks, np.array(tips)
+
+
+def pull(time: float) -> np.ndarray:
+    return np.array([0.15 * (1.0 - math.cos(0.8 * time)), 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def pulled(paper_robot):
+    """Ticks and tips of the usual controller under the varying load."""
+    return run(controller(paper_robot), Plant(paper_robot), 4.0, force=pull)
+
+
+def test_the_tip_stays_under_a_varying_load(pulled):
+    """9 mm of deflection; what is left is what the rate filter lags behind."""
+    assert np.abs(pulled[1]).max() < 2.5e-4
+
+
+@pytest.mark.parametrize(
+    ("inner", "observes"),
+    [("type_1", False), ("type_1", True), ("type_1_exact", False), ("type_1_exact", True), ("type_2", False)],
+)
+def test_so_it_does_with_every_other_inner_loop(paper_robot, inner, observes):
+    """The load rises fastest after 2 s; these are the 5 mm until half a second later."""
+    _, tips = run(controller(paper_robot, inner=inner, observes=observes), Plant(paper_robot), 2.5, force=pull)
+
+    assert np.abs(tips).max() < 2.5e-4
+
+
+def test_without_compensation_it_does_not(paper_robot):
+    _, tips = run(controller(paper_robot, "unloaded_jacobian"), Plant(paper_robot), 4.0, force=pull)
+
+    assert np.abs(tips).max() > 5e-3
+
+
+def test_a_step_is_approached_at_the_rate_of_equation_31(paper_robot):
+    k = 2.5
+    unit = controller(paper_robot, k=k)
+    _, tips = run(unit, Plant(paper_robot), 2.0, lambda _: Setpoint(np.array([0.0, 0.0, 1e-3]), np.zeros(3)))
+
+    times = PERIOD * np.arange(len(tips))
+    np.testing.assert_allclose(tips[:, 2], 1e-3 * (1.0 - np.exp(-k * times)), rtol=0, atol=2e-5)
+    np.testing.assert_allclose(tips[:, :2], 0.0, atol=2e-5)
+
+
+def test_a_ramp_fed_forward_is_followed_without_lag_even_through_a_late_line(paper_robot):
+    late = 10
+    unit, plant = controller(paper_robot, lag=late * PERIOD), Plant(paper_robot)
+    memory = set_origin(unit, begin(unit, plant.sample()), plant.tip())
+    start, waiting, slope, error = plant.tip(), [np.zeros(3)] * late, np.array([0.0, 1e-3, 3e-3]), np.zeros(3)
+    for number in range(1000):
+        time = number * PERIOD
+        tick = step(unit, memory, plant.sample(number % 13 == 0), Setpoint(time * slope, slope))
+        memory = tick.memory
+        error = plant.tip() - start - time * slope
+        waiting.append(tick.command)
+        plant.joints = plant.joints + PERIOD * waiting.pop(0)
+        plant.sent = tick.command
+
+    np.testing.assert_allclose(error, 0.0, atol=1e-5)  # 20 ms late would be 60 um behind
+
+
+def test_delta_1_and_delta_2_add_up_to_the_whole_deflection(paper_robot):
+    ticks, _ = run(
+        controller(paper_robot), Plant(paper_robot), 3.0,
+        lambda time: Setpoint(np.array([0.0, 0.0, 3e-3 * time]), np.array([0.0, 0.0, 3e-3])), pull,
+    )  # fmt: skip
+    now = ticks[-1].memory.estimate
+
+    assert np.abs(now.delta_2).max() > 1e-4
+    np.testing.assert_allclose(now.delta_1 + now.delta_2, now.difference, rtol=0, atol=2e-6)
+    np.testing.assert_array_equal(now.difference, now.loaded.tip - now.unloaded.tip)
+
+
+def test_both_rates_of_the_deflection_are_its_derivative(pulled):
+    estimates = [tick.memory.estimate for tick in pulled[0]]
+    middle = 1470
+    true = (estimates[middle + 20].difference - estimates[middle - 20].difference) / (40 * PERIOD)
+
+    np.testing.assert_allclose(estimates[middle].difference_rate, true, rtol=0, atol=2e-5)
+    # both come through the 5 Hz filter, 45 ms late
+    np.testing.assert_allclose(estimates[middle].deflection.rate, true, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(estimates[middle].deflection_rate_exact, true, rtol=0, atol=2e-4)
+
+
+def test_the_observed_velocity_is_that_of_the_tip_and_delta_is_what_u_int_did_not_ask_for(pulled):
+    ticks, tips = (part[:1500] for part in pulled)
+    true = (tips[-1] - tips[-41]) / (40 * PERIOD)
+
+    np.testing.assert_allclose(ticks[-20].memory.estimate.velocity, true, rtol=0, atol=1e-4)
+    np.testing.assert_array_equal(ticks[-1].delta, ticks[-1].memory.estimate.velocity - ticks[-1].u_int)
+
+
+def test_between_frames_the_measured_tip_is_held_and_the_observed_one_goes_on(paper_robot):
+    unit, plant = controller(paper_robot), Plant(paper_robot)
+    memory = begin(unit, plant.sample())
+    first = plant.tip()
+    for _ in range(10):
+        plant.obey(np.array([0.0, 0.0, 0.01]))
+        memory = step(unit, memory, plant.sample(frame=False), HERE).memory
+
+    assert memory.tip.tolist() == first.tolist()
+    np.testing.assert_allclose(memory.estimate.observed.tip, plant.tip(), rtol=0, atol=1e-5)
+    assert np.linalg.norm(plant.tip() - first) > 1e-4
+
+
+def test_a_tick_is_pure(paper_robot):
+    unit, plant = controller(paper_robot), Plant(paper_robot)
+    memory = begin(unit, plant.sample())
+    plant.force = np.array([0.1, 0.0, 0.0])
+    sample = plant.sample()
+
+    first, second = (step(unit, memory, sample, HERE) for _ in range(2))
+
+    np.testing.assert_array_equal(first.command, second.command)
+    np.testing.assert_array_equal(first.memory.estimate.observed.covariance, second.memory.estimate.observed.covariance)
+    assert first.command.any()
+
+
+def test_standing_still_sends_zero_and_goes_on_estimating(paper_robot):
+    unit, plant = controller(paper_robot), Plant(paper_robot)
+    memory = begin(unit, plant.sample())
+    plant.force = np.array([0.2, 0.0, 0.0])
+
+    tick = step(unit, memory, plant.sample(), None)
+
+    assert not tick.command.any()
+    assert tick.memory.estimate.difference[0] > 5e-3
+    assert (tick.memory.origin + tick.setpoint.position).tolist() == tick.memory.tip.tolist()
+
+
+def test_a_joint_motion_is_done_as_told_up_to_what_the_limits_allow(paper_robot):
+    unit, plant = controller(paper_robot), Plant(paper_robot, np.array([0.0, math.pi / 2, -0.0051]))
+    memory = begin(unit, plant.sample())
+
+    tick = step(unit, memory, plant.sample(), JointMotion(np.array([0.1, -9.0, 0.01])))
+
+    assert tick.command[:2].tolist() == [0.1, -SPEED]
+    assert 0.0 < tick.command[2] < 0.002
+    assert tick.at_bound.tolist() == [0.0, -1.0, 1.0]
+    assert unit.limits.active(plant.joints, tick.at_bound, tick.at_row) == (
+        "speed of inner_rotation (0.3491 rad/s)",
+        "travel of inner_translation (-0.005 m)",
+    )
+
+
+def test_a_workspace_stops_the_tip_at_its_face_and_says_so(paper_robot):
+    plant = Plant(paper_robot)
+    tip = plant.tip()
+    face = float(tip[2]) + 2e-3
+    unit = controller(paper_robot, others=(Workspace((-1.0, -1.0, 0.0), (1.0, 1.0, face)),))
+
+    ticks, tips = run(unit, plant, 3.0, lambda _: Setpoint(np.array([0.0, 0.0, 5e-3]), np.zeros(3)))
+
+    assert tips[:, 2].max() <= 2e-3 + 1e-5
+    assert tips[-1, 2] == pytest.approx(2e-3, abs=2e-5)
+    assert f"workspace z <= {face:g} m" in unit.limits.active(plant.joints, ticks[-1].at_bound, ticks[-1].at_row)
+
+
+@pytest.mark.parametrize("what", ["joints", "sent", "wrenches", "tip"])
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_measurement_that_is_not_finite_gives_no_tick(paper_robot, what, bad):
+    unit, plant = controller(paper_robot), Plant(paper_robot)
+    memory = begin(unit, plant.sample())
+    sample = plant.sample()
+    getattr(sample, what)[...] = bad
+
+    with pytest.raises(CtrError):
+        step(unit, memory, sample, HERE)
+
+
+def test_a_setpoint_that_is_not_finite_gives_no_tick(paper_robot):
+    unit, plant = controller(paper_robot), Plant(paper_robot)
+    memory = begin(unit, plant.sample())
+
+    with pytest.raises(NotFinite):
+        step(unit, memory, plant.sample(), Setpoint(np.array([math.nan, 0.0, 0.0]), np.zeros(3)))
+
+
+@pytest.mark.parametrize("tip", [None, np.array([0.0, math.nan, 0.3])])
+def test_nothing_begins_without_a_finite_frame(paper_robot, tip):
+    with pytest.raises(NotFinite, match="tracker frame is needed"):
+        begin(controller(paper_robot), Plant(paper_robot).sample()._replace(tip=tip))
+
+
+@pytest.mark.parametrize("observes", [False, True])
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize("inner", INNER_LOOPS)
+def test_loops_of_one_s_own_command_what_the_project_s_own_do(paper_robot, name, inner, exact, observes):
+    usual = controller(paper_robot, name, inner, observes, lag=0.012, exact=exact)
+    own = replace(usual, strategy=Strategy(usual.strategy.outer, lambda u, view: usual.strategy.inner(u, view)))
+    assert own.strategy.laws is None
+    plant = Plant(paper_robot)
+    plant.force = np.array([0.1, 0.05, 0.0])
+    memory = begin(usual, plant.sample())
+    for _ in range(5):
+        plant.force += np.array([0.01, 0.0, 0.0])
+        memory = step(usual, memory, plant.sample(), HERE).memory
+    order = Setpoint(np.array([1e-3, -2e-3, 3e-3]), np.array([2e-3, 0.0, 1e-3]))
+    first, second = (step(each, memory, plant.sample(), order) for each in (usual, own))
+
+    np.testing.assert_allclose(first.command, second.command, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(first.u_int, second.u_int, rtol=1e-12)
+    np.testing.assert_allclose(first.sigma, second.sigma, rtol=1e-9)

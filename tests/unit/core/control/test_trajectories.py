@@ -1,0 +1,182 @@
+import math
+
+import numpy as np
+import pytest
+
+from core.control.trajectories import Circle, Helix, Hold, Sinusoid, Step, Waypoints
+from core.errors import DescriptionError
+
+MOTIONS = [
+    Hold(),
+    Sinusoid((0.0, 0.0, 1.0), amplitude=0.015, frequency=0.05),
+    Sinusoid((1.0, -2.0, 0.5), amplitude=0.010, frequency=2.0),
+    Circle(radius=0.010, period=20.0),
+    Circle(radius=0.005, period=1.0, normal=(0.3, -1.0, 2.0)),
+    Helix(radius=0.005, pitch=0.003, turn=4.0, turns=7.0, axis=(0.0, 1.0, 1.0)),
+    Waypoints((4.0, 9.0, 30.0), ((0.01, 0.0, 0.0), (0.01, 0.02, 0.0), (0.0, 0.0, -0.01))),
+]
+TIMES = np.linspace(0.0, 25.0, 60)
+
+
+@pytest.mark.parametrize("motion", MOTIONS, ids=repr)
+def test_the_velocity_is_the_derivative_of_the_position(motion):
+    step = 1e-5
+    for time in TIMES:
+        expected = (motion.setpoint(time + step).position - motion.setpoint(time - step).position) / (2 * step)
+        np.testing.assert_allclose(motion.setpoint(time).velocity, expected, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("motion", MOTIONS, ids=repr)
+def test_a_motion_starts_where_the_tip_is(motion):
+    assert motion.setpoint(0.0).position.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_a_helix_is_a_circle_that_advances_a_pitch_a_turn_and_stands_at_its_end():
+    helix, circle = Helix(0.005, -0.003, 4.0, 2.5, (0.0, 0.0, 2.0)), Circle(0.005, 4.0, (0.0, 0.0, 1.0))
+
+    assert helix.period == 10.0
+    for time in np.linspace(0.0, 9.99, 37):
+        advance = np.array([0.0, 0.0, -0.003 * time / 4.0])
+        np.testing.assert_allclose(
+            helix.setpoint(time).position, circle.setpoint(time).position + advance, rtol=0, atol=1e-15
+        )
+    end = helix.setpoint(50.0)
+    np.testing.assert_allclose(
+        end.position, circle.setpoint(10.0).position + np.array([0.0, 0.0, -0.0075]), rtol=0, atol=1e-15
+    )
+    assert not end.velocity.any()
+
+
+def test_a_step_goes_there_at_once_and_back_when_it_may_not_stay():
+    offset = (1e-3, 0.0, -2e-3)
+    for time in (0.0, 1.0, 1e4):
+        assert Step(offset).setpoint(time).position.tolist() == list(offset)
+    there_and_back = Step(offset, stay=2.0)
+    for time, there in ((0.0, True), (1.99, True), (2.0, False), (3.99, False), (4.0, True)):
+        assert there_and_back.setpoint(time).position.any() == there
+        assert not there_and_back.setpoint(time).velocity.any()
+
+
+WAY = Waypoints((5.0, 10.0, 15.0), ((0.01, 0.0, 0.0), (0.01, 0.01, 0.0), (0.0, 0.01, 0.005)))
+
+
+def test_waypoints_are_passed_at_their_times_from_rest_to_rest():
+    for time, place in zip(WAY.times, WAY.places, strict=True):
+        np.testing.assert_allclose(WAY.setpoint(time).position, place, rtol=0, atol=1e-12)
+    for time in (0.0, 15.0, 99.0):
+        np.testing.assert_allclose(WAY.setpoint(time).velocity, 0.0, atol=1e-12)
+    assert WAY.setpoint(99.0).position.tolist() == [0.0, 0.01, 0.005]
+    assert WAY.period == 15.0
+
+
+def test_waypoints_have_a_continuous_acceleration():
+    h = 1e-4
+    for time in (5.0, 10.0):
+        before = (WAY.setpoint(time).velocity - WAY.setpoint(time - h).velocity) / h
+        after = (WAY.setpoint(time + h).velocity - WAY.setpoint(time).velocity) / h
+        np.testing.assert_allclose(after, before, rtol=0, atol=1e-6)
+
+
+def test_waypoints_keep_the_speed_and_acceleration_they_are_checked_for():
+    times = np.linspace(0.0, 15.0, 3001)
+    velocities = np.array([WAY.setpoint(time).velocity for time in times])
+    fastest = np.linalg.norm(velocities, axis=1).max()
+    hardest = np.linalg.norm(np.diff(velocities, axis=0), axis=1).max() / (times[1] - times[0])
+
+    Waypoints(WAY.times, WAY.places, 1.01 * fastest, 1.01 * hardest)
+    with pytest.raises(DescriptionError, match=r"waypoints: speed .* m/s at .* s is above"):
+        Waypoints(WAY.times, WAY.places, 0.98 * fastest, 1.0)
+    with pytest.raises(DescriptionError, match=r"waypoints: acceleration .* m/s\^2 at .* s is above"):
+        Waypoints(WAY.times, WAY.places, 1.0, 0.98 * hardest)
+
+
+def test_waypoints_may_begin_at_the_start_tip_or_be_a_single_place():
+    from_here = Waypoints((0.0, 5.0), ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0)))
+    np.testing.assert_allclose(from_here.setpoint(2.5).position, [0.005, 0.0, 0.0], rtol=0, atol=1e-12)
+    alone = Waypoints((0.0,), ((0.0, 0.0, 0.0),))
+    assert not np.any(alone.setpoint(1.0))
+
+
+@pytest.mark.parametrize(
+    ("motion", "period"),
+    [(Hold(), 0.0), (Step((1e-3, 0.0, 0.0)), 0.0), (MOTIONS[1], 20.0), (Circle(0.01, 12.0), 12.0), (WAY, 15.0)],
+    ids=repr,
+)
+def test_after_its_period_a_motion_repeats_itself_or_stands(motion, period):
+    assert motion.period == pytest.approx(period)
+    later = motion.setpoint(period + 3.0).position
+    if isinstance(motion, Circle | Sinusoid):
+        np.testing.assert_allclose(later, motion.setpoint(3.0).position, rtol=0, atol=1e-12)
+    else:
+        np.testing.assert_array_equal(later, motion.setpoint(period).position)
+
+
+def test_hold_never_moves():
+    for time in TIMES:
+        assert not np.any(Hold().setpoint(time))
+
+
+@pytest.mark.parametrize("length", [1e-3, 1.0, 50.0])
+def test_a_sinusoid_goes_its_amplitude_along_its_direction_whatever_the_directions_length(length):
+    direction = np.array([2.0, -1.0, 2.0]) / 3.0
+    motion = Sinusoid(tuple((length * direction).tolist()), amplitude=0.015, frequency=0.05)
+
+    np.testing.assert_allclose(motion.setpoint(5.0).position, 0.015 * direction, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(motion.setpoint(15.0).position, -0.015 * direction, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(motion.setpoint(20.0).position, 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, 0.0, -4.0), (1.0, 0.0, 0.0), (0.3, -1.0, 2.0)])
+def test_a_circle_keeps_its_radius_its_plane_and_its_speed_and_turns_once_about_its_normal(normal):
+    radius, period = 0.010, 20.0
+    motion, axis = Circle(radius, period, normal), np.array(normal) / np.linalg.norm(normal)
+    centre = 0.5 * motion.setpoint(period / 2).position  # opposite the start
+
+    for time in TIMES:
+        position, velocity = motion.setpoint(time)
+        assert np.linalg.norm(position - centre) == pytest.approx(radius, rel=1e-12)
+        assert position @ axis == pytest.approx(0.0, abs=1e-15)
+        np.testing.assert_allclose(
+            np.cross(position - centre, velocity), 2 * math.pi / period * radius**2 * axis, rtol=0, atol=1e-15
+        )
+    np.testing.assert_allclose(motion.setpoint(period).position, 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Sinusoid((0.0, 0.0, 1.0), 0.0, 0.05), "sinusoid: amplitude 0 m must be"),
+        (lambda: Sinusoid((0.0, 0.0, 1.0), -0.01, 0.05), "sinusoid: amplitude -0.01 m must be"),
+        (lambda: Sinusoid((0.0, 0.0, 1.0), math.nan, 0.05), "sinusoid: amplitude nan m must be"),
+        (lambda: Sinusoid((0.0, 0.0, 1.0), 0.01, -1.0), "sinusoid: frequency -1 Hz must be"),
+        (lambda: Sinusoid((0.0, 0.0, 1.0), 0.01, math.inf), "sinusoid: frequency inf Hz must be"),
+        (lambda: Sinusoid((0.0, 0.0, 0.0), 0.01, 1.0), "sinusoid: direction (0.0, 0.0, 0.0) has no length"),
+        (lambda: Sinusoid((0.0, math.nan, 1.0), 0.01, 1.0), "sinusoid: direction (0.0, nan, 1.0)"),
+        (lambda: Sinusoid((0.0, 1.0), 0.01, 1.0), "give three numbers"),
+        (lambda: Circle(0.0, 20.0), "circle: radius 0 m must be finite and greater than 0"),
+        (lambda: Circle(math.inf, 20.0), "circle: radius inf m must be"),
+        (lambda: Circle(0.01, 0.0), "circle: period 0 s must be"),
+        (lambda: Circle(0.01, -20.0), "circle: period -20 s must be"),
+        (lambda: Circle(0.01, 20.0, (0.0, 0.0, 0.0)), "(0.0, 0.0, 0.0) has no length"),
+        (lambda: Circle(0.01, 20.0, (math.inf, 0.0, 0.0)), "(inf, 0.0, 0.0)"),
+        (lambda: Helix(0.0, 0.003, 4.0, 2.0), "helix: radius 0 m must be"),
+        (lambda: Helix(0.01, math.nan, 4.0, 2.0), "helix: pitch nan m is not finite"),
+        (lambda: Helix(0.01, 0.003, 4.0, -1.0), "helix: turns -1"),
+        (lambda: Step((math.inf, 0.0, 0.0)), "step: offset (inf, 0.0, 0.0) m is not finite"),
+        (lambda: Step((0.0, 0.0, 0.0), 0.0), "step: stay 0 s must be"),
+        (lambda: Waypoints((), ()), "waypoints: 0 times and 0 places"),
+        (lambda: Waypoints((1.0, 2.0), ((0.0, 0.0, 0.0),)), "waypoints: 2 times and 1 places"),
+        (lambda: Waypoints((1e-308,), ((0.0, 0.01, 0.0),)), "waypoints: 1e-308 s is less than 1 ms after 0 s"),
+        (lambda: Waypoints((1.0, 1.0000001), ((0.0, 0.01, 0.0),) * 2), "waypoints: 1 s is less than 1 ms after 1 s"),
+        (lambda: Waypoints((1.0, 1.0), ((0.0, 0.0, 0.0),) * 2), "waypoints: time 1 s does not come after 1 s"),
+        (lambda: Waypoints((0.0,), ((0.01, 0.0, 0.0),)), "give it a time above 0 s for the way there"),
+        (lambda: Waypoints((1.0,), ((math.nan, 0.0, 0.0),)), "waypoints: number 1 at 1.0 s, (nan, 0.0, 0.0) m"),
+        (lambda: Waypoints((math.inf,), ((0.0, 0.0, 0.0),)), "waypoints: number 1 at inf s"),
+        (lambda: Waypoints((0.1,), ((0.01, 0.0, 0.0),)), "give the points around it more time"),
+    ],
+)
+def test_an_impossible_motion_is_refused_by_name_value_and_bound(make, words):
+    with pytest.raises(DescriptionError) as refused:
+        make()
+
+    assert words in str(refused.value)

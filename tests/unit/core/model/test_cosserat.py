@@ -1,0 +1,95 @@
+"""The reference itself, against published values, closed forms and reciprocity."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+from core.model.cosserat import ExactRod
+from core.robot.robot import Section
+
+
+def test_tips_agree_with_the_values_of_three_solvers_to_a_micrometre(paper_robot, exact_tips):
+    for joints, wrench, tip in exact_tips:
+        assert np.linalg.norm(ExactRod(paper_robot).solve(joints, wrench).tip - tip) < 1e-6
+
+
+def test_a_finer_step_changes_less_than_a_nanometre(paper_robot, poses):
+    for joints, wrench in poses(seed=21, count=10, force=0.5, moment=0.02):
+        coarse, fine = (ExactRod(paper_robot, step).solve(joints, wrench) for step in (0.002, 0.0005))
+        np.testing.assert_allclose(coarse.tip, fine.tip, rtol=0, atol=1e-9)
+
+
+def test_one_unloaded_tube_is_a_circular_arc(one_tube):
+    robot = one_tube(Section(0.05), Section(0.10, (4.0, 0.0)))
+
+    rod = ExactRod(robot).solve(np.array([0.3, -0.02]), np.zeros(6))
+
+    sideways, along = (1.0 - math.cos(0.4)) / 4.0, 0.03 + math.sin(0.4) / 4.0
+    np.testing.assert_allclose(rod.tip, [sideways * math.sin(0.3), -sideways * math.cos(0.3), along], rtol=0, atol=1e-9)
+
+
+def test_a_tip_moment_bends_a_straight_tube_into_a_circle(one_tube):
+    moment, length = 0.3, 0.15
+    rod = ExactRod(one_tube(Section(0.2))).solve(np.array([0.0, -0.05]), np.array([0.0, 0.0, 0.0, 0.0, moment, 0.0]))
+
+    radius = 0.04 / moment
+    angle = length / radius
+    np.testing.assert_allclose(
+        rod.tip, [radius * (1.0 - math.cos(angle)), 0.0, radius * math.sin(angle)], rtol=0, atol=1e-8
+    )
+
+
+def test_an_axial_tip_moment_twists_the_hidden_part_too(one_tube):
+    rod = ExactRod(one_tube(Section(0.2))).solve(np.array([0.4, -0.05]), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.01]))
+
+    assert math.atan2(rod.rotation[1, 0], rod.rotation[0, 0]) == pytest.approx(0.4 + 0.01 * 0.2 * 1.30 / 0.04, abs=1e-9)
+
+
+def test_a_large_tip_force_bends_a_straight_tube_into_the_elastica(one_tube):
+    force, length, stiffness = 3.0, 0.15, 0.04
+
+    def pendulum(s, y):  # EI angle'' = -F cos(angle), with x' = sin(angle), z' = cos(angle)
+        angle, bend = y[0], y[1]
+        return np.vstack([bend, -force / stiffness * np.cos(angle), np.sin(angle), np.cos(angle)])
+
+    def ends(start, end):
+        return np.array([start[0], end[1], start[2], start[3]])
+
+    s = np.linspace(0.0, length, 50)
+    elastica = solve_bvp(pendulum, ends, s, np.vstack([s, 0 * s, 0 * s, s]), tol=1e-9)
+    assert elastica.success
+    x, z = elastica.y[2, -1], elastica.y[3, -1]
+
+    rod = ExactRod(one_tube(Section(0.2))).solve(np.array([0.0, -0.05]), np.array([force, 0.0, 0.0, 0.0, 0.0, 0.0]))
+
+    assert x > 0.4 * length  # large indeed
+    np.testing.assert_allclose(rod.tip, [x, 0.0, z], rtol=0, atol=1e-8)
+
+
+def test_the_compliance_to_a_tip_force_is_symmetric(paper_robot, poses, differences):
+    """Maxwell and Betti: an elastic body under a conservative load cannot be otherwise."""
+    for joints, wrench in poses(seed=22, count=5, force=0.5):
+        _, compliance = differences(ExactRod(paper_robot, tolerance=1e-11), joints, wrench)
+        np.testing.assert_allclose(compliance, compliance.T, rtol=0, atol=2e-5 * np.abs(compliance).max())
+        force_block = compliance[:3, :3]
+        np.testing.assert_allclose(force_block, force_block.T, rtol=0, atol=2e-5 * np.abs(force_block).max())
+
+
+def test_a_warm_start_finds_what_a_cold_start_finds(paper_robot):
+    exact, near = ExactRod(paper_robot), None
+    for tick in range(100):
+        joints = np.array([0.010 * tick, 1.5 - 0.007 * tick, -0.1 + 3e-4 * tick])
+        wrench = np.array([0.4 * np.sin(0.05 * tick), 0.2, -0.1, 0.005, 0.0, 0.0])
+        near, cold = exact.solve(joints, wrench, near), exact.solve(joints, wrench)
+        np.testing.assert_allclose(near.tip, cold.tip, rtol=0, atol=1e-9)
+
+
+def test_a_cut_in_a_section_changes_nothing(one_tube):
+    whole, cut = Section(0.10, (4.0, 1.0)), Section(0.05, (4.0, 1.0))
+    joints, wrench = np.array([0.3, -0.02]), np.array([0.3, -0.2, 0.1, 0.01, 0.0, 0.005])
+
+    tips = [ExactRod(one_tube(Section(0.05), *rest)).solve(joints, wrench).tip for rest in ([whole], [cut, cut])]
+
+    np.testing.assert_allclose(tips[0], tips[1], rtol=0, atol=1e-9)

@@ -1,0 +1,156 @@
+"""The scheme against closed forms, and the shape that it leaves along the tubes."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid
+
+from core.model.statics import Statics
+from core.robot.robot import Joint, Robot, Section, Tube
+
+FINE = 0.0025
+UNLOADED = np.zeros(6)
+
+
+@pytest.mark.parametrize("rotation", [0.0, 0.3, -2.5])
+@pytest.mark.parametrize("translation", [0.0, -0.02, -0.05])
+def test_one_unloaded_tube_is_a_circular_arc_toward_minus_y_turned_by_its_rotation(one_tube, rotation, translation):
+    curvature, arc = 4.0, 0.1
+    robot = one_tube(Section(0.05), Section(arc, (curvature, 0.0)))
+
+    tip = Statics(robot, FINE).solve(np.array([rotation, translation]), UNLOADED).tip
+
+    sideways = (1.0 - math.cos(curvature * arc)) / curvature
+    along = 0.05 + translation + math.sin(curvature * arc) / curvature
+    expected = [sideways * math.sin(rotation), -sideways * math.cos(rotation), along]
+    np.testing.assert_allclose(tip, expected, rtol=0, atol=3e-6)
+
+
+def test_the_part_behind_the_plate_is_straight(one_tube):
+    robot = one_tube(Section(0.05, (8.0, 0.0)), Section(0.15))
+
+    for translation in (-0.05, -0.08):
+        tip = Statics(robot).solve(np.array([0.5, translation]), UNLOADED).tip
+        np.testing.assert_allclose(tip, [0.0, 0.0, 0.2 + translation], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("axis", "force"), [(0, 1e-3), (1, 1e-3), (0, -1e-3)])
+def test_a_small_transverse_force_bends_a_straight_tube_by_f_l3_over_3_ei(one_tube, axis, force):
+    robot, length = one_tube(Section(0.2)), 0.15
+    wrench = np.zeros(6)
+    wrench[axis] = force
+
+    solution = Statics(robot, FINE).solve(np.array([0.7, -0.05]), wrench)
+
+    assert solution.tip[axis] == pytest.approx(force * length**3 / (3 * 0.04), rel=3e-4)
+    assert solution.compliance[axis, axis] == pytest.approx(length**3 / (3 * 0.04), rel=3e-4)
+    # The end turns about the other axis: y for a force along x, -x for one along y.
+    turn = solution.compliance[3 + 1 - axis, axis] * (1 if axis == 0 else -1)
+    assert turn == pytest.approx(length**2 / (2 * 0.04), rel=3e-4)
+
+
+def test_a_tip_moment_bends_a_straight_tube_into_a_circle(one_tube):
+    moment, length = 0.3, 0.15
+    robot = one_tube(Section(0.2))
+
+    tip = Statics(robot, FINE).solve(np.array([0.0, -0.05]), np.array([0.0, 0.0, 0.0, 0.0, moment, 0.0])).tip
+
+    radius = 0.04 / moment
+    angle = length / radius  # 1.1 rad
+    expected = [radius * (1.0 - math.cos(angle)), 0.0, radius * math.sin(angle)]
+    np.testing.assert_allclose(tip, expected, rtol=0, atol=1e-5)
+
+
+def test_an_axial_tip_moment_twists_the_hidden_part_too(one_tube):
+    moment, whole = 1e-2, 0.2
+    robot = one_tube(Section(whole), poisson_ratio=0.30)
+
+    solution = Statics(robot).solve(np.array([0.4, -0.05]), np.array([0.0, 0.0, 0.0, 0.0, 0.0, moment]))
+
+    angle = math.atan2(solution.rotation[1, 0], solution.rotation[0, 0])
+    assert angle == pytest.approx(0.4 + moment * whole * 1.30 / 0.04, abs=1e-9)
+    np.testing.assert_allclose(solution.tip, [0.0, 0.0, 0.15], rtol=0, atol=1e-12)
+
+
+def test_two_equal_tubes_opposed_hold_each_other_straight():
+    curved = Section(0.1, (4.0, 0.0))
+    inner = Tube("inner", (Section(0.05), curved, Section(0.02)), 0.04, outer_diameter=1e-3, inner_diameter=0.5e-3)
+    outer = Tube("outer", (Section(0.05), curved), 0.04, outer_diameter=2e-3, inner_diameter=1.5e-3)
+    robot = Robot("pair", (inner, outer), (Joint("inner", 0, "rotation"), Joint("outer", 1, "rotation")))
+
+    tip = Statics(robot).solve(np.array([math.pi + 0.2, 0.2]), UNLOADED).tip
+
+    np.testing.assert_allclose(tip, [0.0, 0.0, 0.17], rtol=0, atol=1e-9)
+
+
+def test_the_error_falls_four_times_with_every_halving_of_the_sublink(paper_robot, exact_tips):
+    errors = []
+    for sublink in (0.010, 0.005, 0.0025, 0.00125):
+        model = Statics(paper_robot, sublink)
+        errors.append([np.linalg.norm(model.solve(joints, wrench).tip - tip) for joints, wrench, tip in exact_tips])
+    mean = np.mean(errors, axis=1)
+
+    np.testing.assert_allclose(mean[:-1] / mean[1:], 4.0, rtol=0.05)
+
+
+class TestShape:
+    JOINTS = np.array([0.6, 2.0, -0.075])
+    WRENCH = np.array([0.3, -0.2, 0.1, 0.004, -0.003, 0.005])
+
+    @pytest.fixture(params=[0.010, 0.0033])
+    def model(self, paper_robot, request):
+        return Statics(paper_robot, request.param)
+
+    @pytest.fixture
+    def solution(self, model):
+        return model.solve(self.JOINTS, self.WRENCH)
+
+    @pytest.fixture
+    def shape(self, model, solution):
+        return model.shape(solution)
+
+    def test_starts_at_the_plate_along_z(self, shape):
+        assert shape[0, 0] == 0.0
+        np.testing.assert_array_equal(shape[0, 1:10].reshape(3, 3), np.eye(3))
+        np.testing.assert_array_equal(shape[0, 10:13], np.zeros(3))
+
+    def test_the_part_behind_the_plate_has_twisted_each_tube(self, shape):
+        twist_inner, twist_outer = shape[0, 15:17]
+
+        assert abs(twist_inner) > 0.1  # there is something to see
+        np.testing.assert_allclose(shape[0, 13:15], [2.0 + 0.075 * twist_inner, 0.6], rtol=0, atol=1e-12)
+        assert twist_outer != 0.0
+
+    def test_ends_at_the_tip_with_the_whole_length(self, shape, solution):
+        frame, turn = shape[-1, 1:10].reshape(3, 3), shape[-1, 13]
+        about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+
+        assert shape[-1, 0] == pytest.approx(0.303 - 0.075, abs=1e-12)
+        np.testing.assert_allclose(shape[-1, 10:13], solution.tip, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(frame @ about_z, solution.rotation, rtol=0, atol=1e-12)
+
+    def test_frames_are_rotations(self, shape):
+        frames = shape[:, 1:10].reshape(-1, 3, 3)
+
+        squares = frames @ frames.transpose(0, 2, 1)
+        np.testing.assert_allclose(squares, np.broadcast_to(np.eye(3), squares.shape), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(np.linalg.det(frames), 1.0, atol=1e-12)
+
+    def test_no_step_is_longer_than_a_sublink_and_its_chord_is_as_long(self, shape, model):
+        steps, chords = np.diff(shape[:, 0]), np.linalg.norm(np.diff(shape[:, 10:13], axis=0), axis=1)
+
+        assert (steps >= 0.0).all()
+        assert steps.max() <= model.sublink + 1e-12
+        np.testing.assert_allclose(chords, steps, rtol=2e-3, atol=1e-12)
+
+    def test_the_tip_is_the_sum_of_the_frames_z_axes(self, shape):
+        tip = cumulative_trapezoid(shape[:, [3, 6, 9]], shape[:, 0], axis=0)[-1]
+
+        np.testing.assert_allclose(tip, shape[-1, 10:13], rtol=0, atol=2e-4)
+
+    def test_the_outer_tube_keeps_its_last_twist_beyond_its_end_where_it_is_zero(self, shape):
+        beyond = shape[shape[:, 0] >= 0.165 - 1e-12]
+
+        assert len(beyond) > 2
+        np.testing.assert_allclose(beyond[:, 16], 0.0, atol=1e-8)

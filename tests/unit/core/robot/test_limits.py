@@ -1,0 +1,265 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.errors import DescriptionError, PoseError
+from core.robot.limits import ForceLimit, JointLimit, Limits, Situation, TubeOrder, Workspace
+
+DEGREE = math.pi / 180.0
+SLIDE = JointLimit("inner_translation", "m", -0.130, -0.005, speed=0.020, acceleration=0.100)
+TURN = JointLimit("outer_rotation", "rad", -2 * math.pi, 2 * math.pi, speed=20 * DEGREE, acceleration=100 * DEGREE)
+LIMITS = Limits((TURN, SLIDE), reaction=0.050)
+
+INSIDE = [share * (limit.upper - limit.lower) + limit.lower for limit, share in ((TURN, 0.5), (SLIDE, 0.5))]
+
+
+def stop(position: float, velocity: float, acceleration: float, reaction: float) -> float:
+    """Where a joint comes to rest that goes on for the reaction time and then brakes; by small steps."""
+    dt = 1e-5
+    position += velocity * reaction
+    while velocity != 0.0:
+        slower = math.copysign(max(abs(velocity) - acceleration * dt, 0.0), velocity)
+        position += 0.5 * (velocity + slower) * dt
+        velocity = slower
+    return position
+
+
+@pytest.mark.parametrize("limit", [TURN, SLIDE], ids=lambda limit: limit.name)
+@pytest.mark.parametrize("reaction", [0.0, 0.050, 0.200])
+@pytest.mark.parametrize("room", [0.0, 1e-3, 0.01, 0.05, 0.2])
+def test_from_the_highest_velocity_allowed_a_joint_stops_inside_its_travel(limit, reaction, room):
+    away = room * (limit.upper - limit.lower)
+    limits = Limits((limit,), reaction)
+    for place, side in ((limit.upper - away, 1), (limit.lower + away, 0)):
+        velocity = limits.velocity_bounds(np.array([place]))[side][0]
+        rest = stop(place, velocity, limit.acceleration, reaction)
+        bound = limit.upper if side else limit.lower
+        overshoot = (rest - bound) if side else (bound - rest)
+
+        assert overshoot <= 1e-9
+        # ... and nothing is given away: slower than top speed only when it must be.
+        assert overshoot == pytest.approx(0.0, abs=1e-6) or abs(velocity) == limit.speed
+
+
+@pytest.mark.parametrize("limit", [TURN, SLIDE], ids=lambda limit: limit.name)
+def test_driven_at_the_bound_a_joint_that_answers_in_a_third_of_the_reaction_time_stays_inside(limit):
+    limits, dt = Limits((limit,), reaction=0.060), 1e-3
+    under_way = [0.0] * 20
+    position, velocity, furthest = limit.upper - 0.5 * limit.speed, 0.0, -math.inf
+
+    for _ in range(4000):
+        under_way.append(limits.velocity_bounds(np.array([position]))[1][0])
+        most = limit.acceleration * dt
+        velocity += min(max(under_way.pop(0) - velocity, -most), most)
+        position += velocity * dt
+        furthest = max(furthest, position)
+
+    assert limit.upper - 1e-3 * limit.speed < furthest <= limit.upper + 1e-12
+
+
+def test_in_the_middle_of_its_travel_a_joint_may_go_at_top_speed_both_ways():
+    lower, upper = LIMITS.velocity_bounds(np.array(INSIDE))
+
+    np.testing.assert_allclose(upper, [20 * DEGREE, 0.020])
+    np.testing.assert_allclose(lower, [-20 * DEGREE, -0.020])
+    np.testing.assert_allclose(LIMITS.speed, [20 * DEGREE, 0.020])
+
+
+def test_outside_its_travel_a_joint_may_only_come_back():
+    lower, upper = LIMITS.velocity_bounds(np.array([-7.0, 0.010]))
+
+    assert lower[0] == 0.0
+    assert upper[0] == 20 * DEGREE
+    assert upper[1] == 0.0
+    assert lower[1] == -0.020
+
+
+def test_a_position_that_is_not_a_number_gives_no_leave_to_move():
+    lower, upper = LIMITS.velocity_bounds(np.array([math.nan, math.nan]))
+
+    assert not (lower < 0.0).any()
+    assert not (upper > 0.0).any()
+
+
+@pytest.mark.parametrize(
+    ("joints", "words"),
+    [
+        ([0.0, -0.150], ["inner_translation", "-0.15 m", "-0.13 ... -0.005 m", "travel"]),
+        ([0.0, 0.0], ["inner_translation", "0 m", "-0.13 ... -0.005 m"]),
+        ([6.5, -0.1], ["outer_rotation", "6.5 rad", "-6.283 ... 6.283 rad"]),
+        ([math.nan, -0.1], ["outer_rotation", "nan rad"]),
+        ([0.0, math.inf], ["inner_translation", "inf m"]),
+    ],
+)
+def test_a_position_outside_its_travel_is_refused_by_name_value_and_bound(joints, words):
+    with pytest.raises(PoseError) as refused:
+        LIMITS.check(np.array(joints))
+
+    for word in words:
+        assert word in str(refused.value)
+
+
+@pytest.mark.parametrize("joints", [[0.0, -0.130], [2 * math.pi, -0.005], INSIDE])
+def test_the_travel_includes_its_ends(joints):
+    LIMITS.check(np.array(joints))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"lower": -0.005, "upper": -0.130}, "travel -0.005 ... -0.13 m is empty"),
+        ({"lower": -0.005}, "travel -0.005 ... -0.005 m is empty"),
+        ({"upper": math.nan}, "travel -0.13 ... nan m"),
+        ({"lower": -math.inf}, "travel -inf ... -0.005 m"),
+        ({"speed": 0.0}, "speed limit 0 m/s must be greater than 0"),
+        ({"speed": math.nan}, "speed limit nan m/s"),
+        ({"acceleration": -0.1}, "acceleration limit -0.1 m/s^2 must be greater than 0"),
+        ({"acceleration": math.inf}, "acceleration limit inf m/s^2"),
+    ],
+)
+def test_an_impossible_limit_is_refused_by_name_value_and_unit(change, words):
+    with pytest.raises(DescriptionError) as refused:
+        replace(SLIDE, **change)
+
+    assert f"inner_translation: {words}" in str(refused.value)
+
+
+@pytest.mark.parametrize("reaction", [-0.010, math.nan, math.inf])
+def test_a_reaction_time_that_is_none_is_refused(reaction):
+    with pytest.raises(DescriptionError, match=rf"reaction {reaction:g} s"):
+        Limits((SLIDE,), reaction)
+
+
+def situation(joints=(0.0, 0.0), jacobian=None, tip=(0.0, 0.0, 0.3), force=(0.0, 0.0, 0.0)) -> Situation:
+    jacobian = np.zeros((3, len(joints))) if jacobian is None else jacobian
+    return Situation(np.array(joints, dtype=float), jacobian, np.array(tip), np.array(force))
+
+
+def test_the_papers_tubes_stay_in_order_by_their_travel_alone(paper_robot):
+    travel = (replace(TURN, name="a"), replace(TURN, name="b"), SLIDE)
+
+    assert TubeOrder.of(paper_robot, travel) is None
+
+
+def test_tubes_that_could_pass_each_other_get_a_row_each(three_tubes):
+    travel = tuple(
+        JointLimit(j.name, j.unit, -0.2, 0.0, 0.02, 0.1) if j.motion == "translation" else replace(TURN, name=j.name)
+        for j in three_tubes.joints
+    )
+    order = TubeOrder.of(three_tubes, travel)
+    assert order is not None
+    slides = [k for k, joint in enumerate(three_tubes.joints) if joint.motion == "translation"]
+
+    def at(*beta: float) -> Situation:
+        joints = np.zeros(6)
+        joints[slides] = beta
+        return situation(joints)
+
+    # a in b in c: each starts behind the next and ends beyond it
+    order.check(at(-0.05, -0.03, -0.01))
+    rows, room = order.rows(at(-0.05, -0.03, -0.01))
+    assert (room > 0.0).all()
+    with pytest.raises(
+        PoseError, match=r"tube order: start of tube 'a' behind that of tube 'b' does not hold, by 10 mm"
+    ):
+        order.check(at(-0.02, -0.03, -0.01))
+    with pytest.raises(PoseError, match=r"tube order: end of tube 'a' beyond that of tube 'b' does not hold, by 20 mm"):
+        order.check(at(-0.15, -0.03, -0.01))
+    # where a has caught up with b it may not go on alone, but with b
+    rows, room = order.rows(at(-0.03, -0.03, -0.01))
+    alone, together = np.zeros(6), np.zeros(6)
+    alone[slides[0]] = together[slides[0]] = together[slides[1]] = 0.001
+    assert (rows @ alone > room).any()
+    assert (rows @ together <= room).all()
+
+
+def test_what_the_tube_order_allows_is_what_the_robot_can_stand_in(three_tubes, paper_robot):
+    travel = tuple(
+        JointLimit(j.name, j.unit, -0.25, 0.05, 0.02, 0.1) if j.motion == "translation" else replace(TURN, name=j.name)
+        for j in three_tubes.joints
+    )
+    order, random = TubeOrder.of(three_tubes, travel), np.random.default_rng(8)
+    assert order is not None
+    fits = 0
+    for _ in range(500):
+        joints = np.zeros(6)
+        slides = [k for k, joint in enumerate(three_tubes.joints) if joint.motion == "translation"]
+        joints[slides] = random.uniform(-0.25, 0.05, 3)
+        stands = True
+        try:
+            three_tubes.check_pose(joints)
+        except PoseError:
+            stands = False
+        allowed = bool((order.matrix @ joints <= order.bound).all())
+        assert allowed == stands
+        fits += stands
+    assert 20 < fits < 480
+
+
+def test_a_workspace_slows_the_tip_down_toward_its_faces_only():
+    box = Workspace((-0.1, -0.1, 0.1), (0.1, 0.1, 0.3))
+    rows, room = box.rows(situation((0.0, 0.0, 0.0), np.eye(3), tip=(0.0, 0.0, 0.299)))
+
+    assert (rows @ np.array([0.0, 0.0, 0.01]) > room).any()  # 1 mm left: not at 10 mm/s
+    assert (rows @ np.array([0.0, 0.0, 0.003]) <= room).all()
+    assert (rows @ np.array([0.0, 0.0, -0.02]) <= room).all()
+    outside = box.rows(situation((0.0, 0.0, 0.0), np.eye(3), tip=(0.0, 0.0, 0.31)))[1]
+    assert (outside >= 0.0).all()  # standing still is always allowed
+    with pytest.raises(PoseError, match=r"tip z 0.31 m is outside 0.1 \.\.\. 0.3 m \(the workspace\)"):
+        box.check(situation(tip=(0.0, 0.0, 0.31)))
+    assert box.names[2] == "workspace z <= 0.3 m"
+    assert box.names[5] == "workspace z >= 0.1 m"
+
+
+def test_a_force_limit_lets_the_tip_give_way_but_not_push_on():
+    limit = ForceLimit(0.5)
+    push, give = np.array([-0.01, 0.0, 0.0]), np.array([0.01, 0.0, 0.0])
+    for force, may_push in ((0.0, True), (0.5, False), (0.7, False)):
+        rows, room = limit.rows(situation((0.0, 0.0, 0.0), np.eye(3), force=(force, 0.0, 0.0)))
+        assert (rows @ give <= room).all()
+        assert bool((rows @ push <= room).all()) is may_push
+        assert (room >= 0.0).all()
+    with pytest.raises(PoseError, match=r"force on the tip 0.7 N is above 0.5 N"):
+        limit.check(situation(force=(0.0, 0.7, 0.0)))
+
+
+def test_the_active_limits_are_named_with_value_and_unit():
+    limits = Limits((TURN, SLIDE), others=(ForceLimit(0.5),))
+    joints = np.array([0.0, -0.0051])
+
+    assert limits.active(joints, np.array([1.0, 1.0]), np.array([1.0])) == (
+        "speed of outer_rotation (0.3491 rad/s)",
+        "travel of inner_translation (-0.005 m)",
+        "force on the tip (0.5 N)",
+    )
+    assert limits.active(joints, np.zeros(2), np.zeros(1)) == ()
+    # without any, a command that had none to ask
+    assert Limits((TURN, SLIDE)).active(joints, np.zeros(2), np.zeros(0)) == ()
+
+
+@pytest.mark.parametrize(
+    ("at_bound", "at_row", "blocks"),
+    [([0, 0], [0], False), ([1, 0], [0], False), ([0, 1], [0], True), ([0, 0], [1], True)],
+)
+def test_a_joint_at_top_speed_is_not_blocked_but_one_at_the_end_of_its_travel_is(at_bound, at_row, blocks):
+    limits = Limits((TURN, SLIDE), others=(ForceLimit(0.5),))
+
+    assert limits.blocking(np.array([0.0, -0.0051]), np.array(at_bound, float), np.array(at_row, float)) is blocks
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Workspace((0.0, 0.0, 0.3), (0.1, 0.1, 0.1)), "workspace: z 0.3 ... 0.1 m is empty"),
+        (lambda: Workspace((0.0, math.nan, 0.0), (0.1, 0.1, 0.1)), "workspace: y nan ... 0.1 m"),
+        (lambda: ForceLimit(0.0), "force limit: most 0 N must be finite and greater than 0"),
+        (lambda: ForceLimit(0.5, math.inf), "force limit: speed inf m/s"),
+    ],
+)
+def test_an_impossible_limit_beyond_joints_is_refused(make, words):
+    with pytest.raises(DescriptionError) as refused:
+        make()
+
+    assert words in str(refused.value)

@@ -1,0 +1,211 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from core.errors import DescriptionError, PoseError
+from core.model.cosserat import ExactRod
+from core.model.statics import Statics
+from core.robot.robot import Base, Joint, Robot, Section, Tube, unpack
+
+TUBE = Tube("thin", (Section(0.1), Section(0.05, (4.0, 0.0))), 0.04, outer_diameter=1.8e-3, inner_diameter=1.0e-3)
+WIDE = replace(TUBE, name="wide", outer_diameter=3.0e-3, inner_diameter=2.0e-3)
+LONG = replace(TUBE, name="long", sections=(Section(0.3),))
+TURN = Joint("turn", 0, "rotation")
+
+
+def test_joint_names_and_units_are_in_the_order_of_the_joints(paper_robot):
+    assert paper_robot.joint_names == ("outer_rotation", "inner_rotation", "inner_translation")
+    assert [joint.unit for joint in paper_robot.joints] == ["rad", "rad", "m"]
+
+
+def test_each_joint_moves_its_own_tube_and_a_tube_without_joint_stays_at_the_plate(paper_robot):
+    alpha, beta = paper_robot.tube_poses(np.array([0.1, 0.2, -0.3]))
+
+    assert alpha.tolist() == [0.2, 0.1]
+    assert beta.tolist() == [-0.3, 0.0]
+
+
+def test_length_is_the_sum_of_the_sections(paper_robot):
+    assert [tube.length for tube in paper_robot.tubes] == pytest.approx([0.303, 0.165])
+
+
+def test_the_layout_is_the_description_in_numbers(paper_robot):
+    layout = paper_robot.layout
+
+    np.testing.assert_allclose(layout.ends, [[0.150, 0.303], [0.012, 0.165]])
+    np.testing.assert_allclose(layout.curvatures[:, :, 0], [[0.0, 4.0], [0.0, 4.0]])
+    np.testing.assert_allclose(layout.stiffness, [[0.0413, 1.30], [0.0480, 1.30]])
+    assert layout.counts.tolist() == [2, 2]
+    assert layout.joint_tube.tolist() == [1, 0, 0]
+    assert layout.joint_slides.tolist() == [0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"bending_stiffness": -0.04}, ["'thin'", "bending_stiffness", "-0.04 N m^2", "greater than 0"]),
+        ({"bending_stiffness": 0.0}, ["bending_stiffness", "0 N m^2", "greater than 0"]),
+        ({"bending_stiffness": math.nan}, ["bending_stiffness", "nan", "finite"]),
+        ({"bending_stiffness": math.inf}, ["bending_stiffness", "inf", "finite"]),
+        ({"poisson_ratio": 0.6}, ["'thin'", "poisson_ratio", "0.6", "-1 ... 0.5"]),
+        ({"poisson_ratio": -1.0}, ["poisson_ratio", "-1", "-1 ... 0.5"]),
+        ({"poisson_ratio": math.nan}, ["poisson_ratio", "nan", "-1 ... 0.5"]),
+        ({"sections": ()}, ["'thin'", "no sections", "at least one"]),
+        ({"sections": (Section(0.1), Section(-0.2))}, ["'thin'", "section 2", "-0.2 m", "greater than 0"]),
+        ({"sections": (Section(0.0),)}, ["section 1", "0 m", "greater than 0"]),
+        ({"sections": (Section(0.1, (math.nan, 0.0)),)}, ["'thin'", "curvature of section 1", "not finite"]),
+        ({"sections": (Section(0.1, (0.0, math.inf)),)}, ["curvature of section 1", "not finite"]),
+        ({"outer_diameter": -1.8e-3}, ["'thin'", "outer_diameter", "-0.0018 m", "greater than 0"]),
+        ({"inner_diameter": 1.9e-3}, ["'thin'", "inner_diameter", "1.9 mm", "0 ... 1.8 mm"]),
+        ({"inner_diameter": -1e-3}, ["inner_diameter", "-1 mm", "0 ... 1.8 mm"]),
+        ({"inner_diameter": math.nan}, ["inner_diameter", "nan mm", "0 ... 1.8 mm"]),
+    ],
+)
+def test_an_impossible_tube_is_refused_by_name_value_and_bound(change, words):
+    with pytest.raises(DescriptionError) as refused:
+        replace(TUBE, **change)
+
+    for word in words:
+        assert word in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("tubes", "joints", "words"),
+    [
+        ((), (), ["'bad'", "no tubes", "at least one"]),
+        ((WIDE, TUBE), (), ["'wide'", "3 mm", "'thin'", "1 mm"]),
+        ((TUBE,), (Joint("far", 1, "rotation"),), ["'far'", "tube 1", "0 ... 0"]),
+        ((TUBE,), (Joint("far", -1, "rotation"),), ["'far'", "tube -1", "0 ... 0"]),
+        ((TUBE,), (TURN, Joint("again", 0, "rotation")), ["'again'", "rotation of tube 0", "twice"]),
+        ((TUBE, WIDE), (TURN, Joint("turn", 1, "rotation")), ["'bad'", "same name"]),
+        ((TUBE,), (Joint("odd", 0, "rotate"),), ["'odd'", "'rotate'", "rotation", "translation"]),
+    ],
+    ids=["no tubes", "does not fit", "no such tube", "negative tube", "moved twice", "name twice", "no such motion"],
+)
+def test_an_impossible_robot_is_refused_by_name_value_and_bound(tubes, joints, words):
+    with pytest.raises(DescriptionError) as refused:
+        Robot("bad", tubes, joints)
+
+    for word in words:
+        assert word in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("joints", "words"),
+    [
+        ([0.0, math.nan, -0.1], ["inner_rotation", "nan", "rad"]),
+        ([0.0, 0.0, math.nan], ["inner_translation", "nan", "number of m"]),
+        ([math.inf, 0.0, -0.1], ["outer_rotation", "inf", "rad"]),
+        ([0.0, 0.0, 0.001], ["'inner'", "1 mm", "'outer'", "0 mm"]),
+        ([0.0, 0.0, -0.2], ["'inner'", "ends at 103 mm", "'outer'", "165 mm"]),
+        ([0.0, 0.0, -0.138], ["'inner'", "ends at 165 mm", "'outer'", "165 mm"]),
+        ([0.0, 0.0, -0.4], ["'inner'", "-97 mm", "165 mm"]),
+        ([0.0, 0.0], ["(2,)", "'paper'", "(3,)"]),
+        ([[0.0, 0.0, -0.1]], ["(1, 3)", "'paper'", "(3,)"]),
+    ],
+)
+def test_a_pose_in_which_the_tubes_cannot_stand_is_refused_by_name_value_and_bound(paper_robot, joints, words):
+    with pytest.raises(PoseError) as refused:
+        paper_robot.check_pose(np.array(joints))
+
+    for word in words:
+        assert word in str(refused.value)
+
+
+def test_a_proximal_end_in_front_of_the_plate_or_of_the_next_outer_tube_is_refused(three_tubes):
+    poses = {
+        "'c'.*5 mm.*the plate": [0.0, -0.03, 0.0, -0.02, 0.0, 0.005],
+        "'b'.*-10 mm.*'c'.*-20 mm": [0.0, -0.03, 0.0, -0.01, 0.0, -0.02],
+        "'a'.*-10 mm.*'b'.*-20 mm": [0.0, -0.01, 0.0, -0.02, 0.0, -0.01],
+    }
+    for words, joints in poses.items():
+        with pytest.raises(PoseError, match=words):
+            three_tubes.check_pose(np.array(joints))
+
+
+@pytest.mark.parametrize("translation", [0.0, -0.05, -0.1379])
+def test_a_pose_within_reach_is_accepted(paper_robot, translation):
+    paper_robot.check_pose(np.array([0.0, 0.0, translation]))
+
+
+def test_the_packed_layout_is_the_layout(paper_robot, three_tubes):
+    for robot in (paper_robot, three_tubes, replace(paper_robot, base=Base((1.0, 2.0, 3.0), (0.1, 0.2, 0.3)))):
+        for packed, part in zip(unpack(robot.packed), robot.layout, strict=True):
+            np.testing.assert_array_equal(packed, part)
+            assert packed.dtype == part.dtype
+
+
+def test_torsional_stiffness_replaces_poissons_ratio():
+    assert TUBE.stiffness_ratio == pytest.approx(1.30)
+    assert replace(TUBE, torsional_stiffness=0.01).stiffness_ratio == pytest.approx(4.0)
+
+
+def test_a_tube_without_joints_stands_where_its_description_says():
+    inner = replace(TUBE, rotation=0.7, translation=-0.02)
+    robot = Robot("held", (inner, replace(WIDE, rotation=-0.4)), (Joint("slide", 1, "translation"),))
+
+    alpha, beta = robot.tube_poses(np.array([-0.01]))
+
+    assert alpha.tolist() == [0.7, -0.4]
+    assert beta.tolist() == [-0.02, -0.01]
+    assert not robot.stands(np.array([-0.03]))  # in front of the outer tube
+
+
+@pytest.mark.parametrize(
+    ("tubes", "words"),
+    [
+        (lambda: (replace(TUBE, translation=0.01),), ["'thin'", "translation 10 mm", "plate at 0 mm"]),
+        (lambda: (replace(TUBE, translation=math.nan),), ["'thin'", "translation nan mm"]),
+        (lambda: (replace(TUBE, rotation=math.inf),), ["'thin'", "rotation inf rad"]),
+        (lambda: (replace(TUBE, torsional_stiffness=0.0),), ["'thin'", "torsional_stiffness 0 N m^2"]),
+        (lambda: (replace(TUBE, translation=-0.16),), ["'thin'", "ends at -10 mm", "the plate at 0 mm"]),
+        (lambda: (LONG, replace(WIDE, translation=-0.01)), ["'long'", "starts at 0 mm", "'wide' at -10 mm"]),
+        (
+            lambda: (replace(TUBE, translation=-0.02), WIDE),
+            ["'thin'", "ends at 130 mm", "tube 'wide' at 150 mm"],
+        ),
+    ],
+    ids=["in front", "nan", "infinite turn", "no torsion", "inside the guide", "out of order", "hidden"],
+)
+def test_fixed_tubes_that_cannot_stand_are_refused_with_the_description(tubes, words):
+    with pytest.raises(DescriptionError) as refused:
+        Robot("held", tubes(), ())
+
+    for word in words:
+        assert word in str(refused.value)
+
+
+class TestBase:
+    def test_its_rotation_is_that_of_its_vector(self):
+        vector = np.array([0.4, -1.2, 0.7])
+        expected = Rotation.from_rotvec(vector).as_matrix()
+        np.testing.assert_allclose(Base((0.0, 0.0, 0.0), tuple(vector)).rotation, expected, rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(Base().rotation, np.eye(3))
+
+    @pytest.mark.parametrize("bad", [(0.0, math.nan, 0.0), (0.0, 0.0)])
+    def test_what_is_no_pose_is_refused(self, bad):
+        with pytest.raises(DescriptionError, match=r"base: position .* three finite numbers"):
+            Base(position=bad)
+        with pytest.raises(DescriptionError, match=r"base: rotation_vector .* three finite numbers"):
+            Base(rotation_vector=bad)
+
+    @pytest.mark.parametrize("solver", [Statics, ExactRod])
+    def test_moving_base_and_load_moves_tip_and_derivatives(self, paper_robot, poses, solver):
+        vector, place = (0.4, -1.2, 0.7), np.array([0.1, -0.2, 0.3])
+        turn = Rotation.from_rotvec(vector).as_matrix()
+        both = np.kron(np.eye(2), turn)
+        moved = solver(replace(paper_robot, base=Base(tuple(place), vector)))
+        for joints, wrench in poses(seed=51, count=5, force=0.5, moment=0.02):
+            here, there = solver(paper_robot).solve(joints, wrench), moved.solve(joints, both @ wrench)
+            np.testing.assert_allclose(there.tip, turn @ here.tip + place, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(there.rotation, turn @ here.rotation, rtol=0, atol=1e-8)
+            if solver is Statics:
+                np.testing.assert_allclose(there.jacobian, both @ here.jacobian, rtol=0, atol=1e-6)
+                np.testing.assert_allclose(there.compliance, both @ here.compliance @ both.T, rtol=0, atol=1e-6)
+                assert there.stability == pytest.approx(here.stability, abs=1e-9)
+                shape = moved.shape(there)
+                np.testing.assert_allclose(shape[0, 10:13], place, rtol=0, atol=1e-15)
+                np.testing.assert_allclose(shape[-1, 10:13], there.tip, rtol=0, atol=1e-9)

@@ -1,0 +1,30 @@
+"""What the bench measures is a warm model near the exact rod, reported under the documented names."""
+
+import io
+
+from rich.console import Console
+
+from station.bench import bench
+
+
+def test_the_models_bench_reports_times_and_its_distance_from_the_exact_rod():
+    result = bench.model(solves=400)
+
+    assert result["solves"] == 400
+    assert 0.0 < result["solve_us"]["median"] <= result["solve_us"]["p99"]
+    assert 1.0 <= result["passes"] <= 4.0
+    # the published accuracy of 10 mm sub-links: 0.041 mm in the mean, 0.114 mm at the worst of 20 000 poses
+    assert 0.0 < result["accuracy_mm"]["mean"] < 0.08
+    assert result["accuracy_mm"]["mean"] <= result["accuracy_mm"]["max"] < 0.114
+
+
+def test_few_solves_are_enough_for_a_look():
+    assert bench.model(solves=3)["solves"] == 3
+
+
+def test_the_table_shows_every_figure():
+    text = io.StringIO()
+    Console(file=text, width=100).print(bench.table("model", {"solve_us": {"median": 7.25, "p99": 9.5}, "passes": 1.5}))
+
+    for shown in ("bench model", "solve_us median", "7.25", "solve_us p99", "9.5", "passes", "1.5"):
+        assert shown in text.getvalue()

@@ -1,0 +1,222 @@
+"""Motions as files have them become the orders that the controller follows."""
+
+import math
+
+import numpy as np
+import pytest
+
+from core.control.trajectories import JointMotion, Setpoint
+from core.errors import CtrError, Unreachable
+from station.config.motions import JointSweepMotion, Motion, Orders
+from station.config.strict import ConfigError, Strict, check
+from station.experiments.experiment import ControllerFile
+
+
+class Holder(Strict):
+    motion: Motion
+
+
+@pytest.fixture
+def orders(paper_robot):
+    """Orders of a motion given as a file's table."""
+
+    def make(**table: object) -> Orders:
+        return Orders(check(Holder, {"motion": table}, "file").motion, paper_robot)
+
+    return make
+
+
+def setpoint(orders: Orders, time: float) -> Setpoint:
+    order = orders.at(time)
+    assert isinstance(order, Setpoint)
+    return order
+
+
+def test_hold_asks_for_the_start_tip_at_any_time(orders):
+    for time in (0.0, 1.0, 1e4):
+        position, velocity = setpoint(orders(kind="hold"), time)
+        assert not position.any()
+        assert not velocity.any()
+
+
+def test_a_sinusoid_is_its_closed_form_along_a_direction_of_any_length(orders):
+    motion = orders(kind="sinusoid", direction=[0, -3, 4], amplitude=0.010, frequency=0.05)
+
+    # A quarter of the 20 s period: 10 mm along (0, -0.6, 0.8), at rest. The start: 2 pi 0.05 * 10 mm = pi mm/s.
+    assert setpoint(motion, 5.0).position == pytest.approx([0.0, -0.006, 0.008], abs=1e-15)
+    assert setpoint(motion, 5.0).velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
+    assert setpoint(motion, 0.0).position == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
+    assert setpoint(motion, 0.0).velocity == pytest.approx([0.0, -0.6e-3 * math.pi, 0.8e-3 * math.pi], abs=1e-15)
+    assert setpoint(motion, 5.0 / 3.0).position == pytest.approx([0.0, -0.003, 0.004], abs=1e-15)
+
+
+def test_a_sinusoid_goes_along_z_unless_told_otherwise(orders):
+    assert setpoint(orders(kind="sinusoid", amplitude=0.015, frequency=0.05), 15.0).position == pytest.approx(
+        [0.0, 0.0, -0.015]
+    )
+
+
+def test_a_circle_starts_at_the_tip_keeps_its_radius_and_plane_and_comes_back(orders):
+    motion = orders(kind="circle", radius=0.010, period=8.0, normal=[1, 2, 2])
+    points = np.array([setpoint(motion, time).position for time in np.linspace(0.0, 8.0, 81)])
+    centre = points[:-1].mean(axis=0)
+
+    assert points[0] == pytest.approx(np.zeros(3), abs=1e-15)
+    assert points[-1] == pytest.approx(np.zeros(3), abs=1e-15)
+    assert np.linalg.norm(points - centre, axis=1) == pytest.approx(np.full(81, 0.010))
+    assert points @ [1.0, 2.0, 2.0] == pytest.approx(np.zeros(81), abs=1e-15)
+    # circumference over period: 2 pi 10 mm / 8 s
+    assert np.linalg.norm(setpoint(motion, 3.0).velocity) == pytest.approx(0.02 * math.pi / 8.0)
+
+
+def test_a_sweep_moves_one_joint_until_its_distance_is_covered(orders):
+    sweep = orders(kind="joint_sweep", joint="inner_translation", speed=-0.004, distance=0.010)
+
+    for time in (0.0, 1.0, 2.499):
+        order = sweep.at(time)
+        assert isinstance(order, JointMotion)
+        assert order.velocity.tolist() == [0.0, 0.0, -0.004]
+    for time in (2.5, 3.0, 100.0):
+        order = sweep.at(time)
+        assert isinstance(order, JointMotion)
+        assert not order.velocity.any()
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"kind": "sinusoid", "frequency": 0.05}, "'motion.amplitude' is missing"),
+        ({"kind": "sinusoid", "amplitude": 0.0, "frequency": 0.05}, "motion.amplitude = 0.0: "),
+        ({"kind": "sinusoid", "amplitude": 0.2, "frequency": 0.05}, "motion.amplitude = 0.2: "),
+        ({"kind": "sinusoid", "amplitude": 0.01, "frequency": math.nan}, "motion.frequency = nan: "),
+        ({"kind": "sinusoid", "amplitude": 0.01, "frequency": -1.0}, "motion.frequency = -1.0: "),
+        (
+            {"kind": "sinusoid", "amplitude": 0.01, "frequency": 1.0, "direction": [0, 0, 0]},
+            "motion.direction = [0, 0, 0]: a direction needs a length",
+        ),
+        ({"kind": "circle", "radius": -0.01, "period": 8.0}, "motion.radius = -0.01: "),
+        ({"kind": "circle", "radius": 0.01, "period": 0.0}, "motion.period = 0.0: "),
+        ({"kind": "circle", "radius": 0.01, "period": 8.0, "normal": [0, 0, 0]}, "motion.normal = [0, 0, 0]: "),
+        ({"kind": "hold", "radius": 0.01}, "unknown key 'motion.radius'"),
+        ({"kind": "joint_sweep", "joint": "x", "speed": 0.0, "distance": 1.0}, "motion.speed = 0.0: "),
+        ({"kind": "joint_sweep", "joint": "x", "speed": 0.1, "distance": 0.0}, "motion.distance = 0.0: "),
+        ({"kind": "spiral"}, "motion = {'kind': 'spiral'}: "),
+        ({"amplitude": 0.01}, "motion = {'amplitude': 0.01}: "),
+    ],
+)
+def test_a_motion_that_cannot_be_is_refused_by_key_and_value(table, said):
+    with pytest.raises(ConfigError) as refused:
+        check(Holder, {"motion": table}, "file")
+
+    assert str(refused.value).startswith(f"file: {said}")
+
+
+def test_a_sweep_of_a_joint_that_the_robot_does_not_have_is_refused_with_those_it_has(orders):
+    with pytest.raises(CtrError, match="'elbow' is not one of outer_rotation, inner_rotation, inner_translation"):
+        orders(kind="joint_sweep", joint="elbow", speed=0.1, distance=1.0)
+
+
+@pytest.mark.parametrize(
+    ("joint", "speed", "distance", "said"),
+    [
+        ("inner_translation", 0.01, 0.096, "inner_translation -0.004 m is outside -0.13 ... -0.005 m"),
+        ("inner_translation", -0.01, 0.031, "inner_translation -0.131 m is outside -0.13 ... -0.005 m"),
+        ("inner_translation", 0.021, 0.010, "speed 0.021 m/s is outside +-0.02 m/s"),
+        ("outer_rotation", -0.05, 6.3, "outer_rotation -6.3 rad is outside -6.283 ... 6.283 rad"),
+    ],
+)
+def test_a_sweep_faster_than_the_stage_or_past_its_end_is_refused(paper, joint, speed, distance, said):
+    sweep = JointSweepMotion(joint=joint, speed=speed, distance=distance)
+
+    with pytest.raises(CtrError) as refused:
+        sweep.check(np.array([0.0, math.pi / 2, -0.1]), paper.limits())
+    assert said in str(refused.value)
+
+
+def test_a_whole_turn_up_to_the_end_of_the_travel_is_allowed(paper):
+    sweep = JointSweepMotion(joint="outer_rotation", speed=math.radians(3.0), distance=2.0 * math.pi)
+
+    sweep.check(np.array([0.0, 0.0, -0.1]), paper.limits())
+
+
+def test_a_helix_and_waypoints_are_what_they_say(orders):
+    helix = orders(kind="helix", radius=0.005, pitch=0.003, turn=4.0, turns=2.0)
+    assert setpoint(helix, 4.0).position == pytest.approx([0.0, 0.0, 0.003], abs=1e-12)
+    assert setpoint(helix, 100.0).position == pytest.approx([0.0, 0.0, 0.006], abs=1e-12)
+    way = orders(kind="waypoints", points=[[5, 0.01, 0, 0], [10.0, 0.01, 0.01, 0.0]])
+    assert setpoint(way, 5.0).position == pytest.approx([0.01, 0.0, 0.0], abs=1e-12)
+    assert setpoint(way, 50.0).position == pytest.approx([0.01, 0.01, 0.0], abs=1e-12)
+
+
+def test_a_step_stays_or_goes_there_and_back(orders):
+    once, again = orders(kind="step", offset=[1e-3, 0, 0]), orders(kind="step", offset=[1e-3, 0, 0], stay=2.0)
+
+    assert setpoint(once, 3.0).position.tolist() == [1e-3, 0.0, 0.0]
+    assert setpoint(again, 1.0).position.tolist() == [1e-3, 0.0, 0.0]
+    assert setpoint(again, 3.0).position.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_a_csv_file_is_waypoints(orders, tmp_path):
+    path = tmp_path / "way.csv"
+    path.write_text("time [s], x [m], y, z\n5, 0.01, 0, 0\n\n10.0,0.01,0.01,0.0\n", encoding="utf-8")
+
+    from_file, written = (
+        orders(kind="csv", file=str(path)),
+        orders(kind="waypoints", points=[[5.0, 0.01, 0.0, 0.0], [10.0, 0.01, 0.01, 0.0]]),
+    )
+
+    for time in (0.0, 2.0, 7.0, 20.0):
+        assert setpoint(from_file, time).position.tolist() == setpoint(written, time).position.tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1,2,3\n", "way.csv: line 1: 3 numbers; expected time, x, y, z"),
+        ("time,x,y,z\n5,0,0,zero\n", "way.csv: line 2: '5,0,0,zero' is not time, x, y, z in numbers"),
+        ("5,nan,0,0\n", "way.csv: points.0.1 = nan"),
+        ("5,0,0,0\n4,0,0,0\n", "waypoints: time 4 s does not come after 5 s"),
+        ("0.1,0.05,0,0\n", "give the points around it more time"),
+        ("time,x,y,z\n", "way.csv: points = []"),
+    ],
+)
+def test_a_csv_file_that_says_something_else_is_refused_with_its_line(orders, tmp_path, text, said):
+    path = tmp_path / "way.csv"
+    path.write_text(text, encoding="utf-8")
+
+    with pytest.raises(CtrError) as refused:
+        orders(kind="csv", file=str(path))
+    assert said in str(refused.value)
+
+
+def test_a_csv_file_that_is_not_there_is_refused(orders, tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        orders(kind="csv", file=str(tmp_path / "none.csv"))
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"kind": "waypoints", "points": []}, "motion.points = []: "),
+        ({"kind": "waypoints", "points": [[1.0, 0.0, 0.0]]}, "motion.points.0.3"),
+        ({"kind": "waypoints", "points": [[0.0, 0.01, 0.0, 0.0]]}, "give it a time above 0 s for the way there"),
+        ({"kind": "helix", "radius": 0.01, "pitch": 0.003, "turn": 0.0, "turns": 1.0}, "motion.turn = 0.0: "),
+        ({"kind": "step", "offset": [0.0, math.inf, 0.0]}, "motion.offset.1 = inf: "),
+    ],
+)
+def test_a_new_motion_that_cannot_be_is_refused_by_key(table, said):
+    with pytest.raises(ConfigError) as refused:
+        check(Holder, {"motion": table}, "file")
+
+    assert said in str(refused.value)
+
+
+def test_orders_that_cannot_be_followed_are_refused_by_kind_time_and_limit(orders, paper):
+    controller, start = ControllerFile().controller(paper), np.array([0.0, math.pi / 2, -0.1])
+    orders(kind="circle", radius=0.010, period=12.0).check(controller, start, 60.0)
+    orders(kind="joint_sweep", joint="outer_rotation", speed=0.1, distance=1.0).check(controller, start, 60.0)
+
+    with pytest.raises(Unreachable, match=r"circle cannot be followed: at 7\.8.* s .* because of speed of"):
+        orders(kind="circle", radius=0.015, period=12.0).check(controller, start, 60.0)
+    with pytest.raises(CtrError, match="inner_translation"):
+        orders(kind="joint_sweep", joint="inner_translation", speed=0.01, distance=0.2).check(controller, start, 60.0)

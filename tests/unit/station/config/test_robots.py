@@ -1,0 +1,184 @@
+"""The paper's robot is Table I on its stages; a robot file that cannot be is refused by name."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from core.robot.robot import Base
+from station.config.robots import load_robot
+from station.config.strict import PRESETS, ConfigError
+
+
+def test_the_paper_preset_is_table_1(paper):
+    inner, outer = paper.robot().tubes
+
+    assert (inner.name, inner.bending_stiffness) == ("inner", 0.0413)
+    assert (outer.name, outer.bending_stiffness) == ("outer", 0.048)
+    assert [section.length for section in inner.sections] == [0.150, 0.153]
+    assert [section.length for section in outer.sections] == [0.012, 0.153]
+    for tube in (inner, outer):
+        straight, curved = tube.sections
+        assert straight.curvature == (0.0, 0.0)
+        assert curved.curvature == (1.0 / 0.250, 0.0)
+        assert tube.poisson_ratio == 0.30
+
+
+def test_the_paper_presets_description_is_the_one_the_model_is_tested_with(paper, paper_robot):
+    assert paper.robot() == paper_robot
+
+
+def test_the_paper_presets_stages_have_the_benchs_limits(paper):
+    names = [limit.name for limit in paper.limits().joints]
+    turn, turn_too, slide = paper.limits().joints
+
+    assert names == ["outer_rotation", "inner_rotation", "inner_translation"]
+    for limit in (turn, turn_too):
+        assert (limit.unit, limit.lower, limit.upper) == ("rad", -2 * math.pi, 2 * math.pi)
+        assert math.degrees(limit.speed) == pytest.approx(20.0)
+        assert math.degrees(limit.acceleration) == pytest.approx(100.0)
+    assert (slide.unit, slide.lower, slide.upper, slide.speed, slide.acceleration) == ("m", -0.130, -0.005, 0.020, 0.1)
+
+
+def test_the_paper_presets_microsteps_are_those_of_the_stages_data_sheets(paper):
+    turn, turn_too, slide = (joint.microstep for joint in paper.joints)
+
+    # 3,072,000 microsteps span two turns of the T-RS60; the T-LSR300B steps 0.49609375 um.
+    assert turn * 3_072_000 == pytest.approx(4.0 * math.pi, rel=1e-12)
+    assert turn_too == turn
+    assert slide == 0.49609375e-6
+
+
+@pytest.mark.parametrize(
+    ("spoil", "by", "said"),
+    [
+        ("bending_stiffness = 0.0413", "bending_stiffness = -0.0413", "tube 'inner': bending_stiffness -0.0413 N m^2"),
+        ("bending_stiffness = 0.0413", "bending_stiffness = 0.0", "tube 'inner': bending_stiffness 0 N m^2"),
+        ("bending_stiffness = 0.0413", "bending_stiffness = nan", "tubes.0.bending_stiffness = nan"),
+        ("bending_stiffness = 0.0413", 'bending_stiffness = "stiff"', "tubes.0.bending_stiffness = 'stiff'"),
+        ("bending_stiffness = 0.0413", "bending_stifness = 0.0413", "unknown key 'tubes.0.bending_stifness'"),
+        ("poisson_ratio = 0.30 ", "poisson_ratio = 0.60 ", "tube 'inner': poisson_ratio 0.6 is outside -1 ... 0.5"),
+        ("{ length = 0.150 }", "{ length = -0.150 }", "tubes.0.sections.0.length = -0.15"),
+        ("{ length = 0.150 }", "{ length = 0.150, curvature = [1.0] }", "tubes.0.sections.0.curvature.1"),
+        ("outer_diameter = 0.0020 ", "outer_diameter = 0.0022 ", "'inner' of 2.2 mm does not fit into tube 'outer'"),
+        ("inner_diameter = 0.0012", "inner_diameter = 0.0030", "inner_diameter 3 mm is outside 0 ... 2 mm"),
+        ('name = "outer"\n', 'name = "inner"\n', "the tubes inner, inner have the same name"),
+        ('name = "outer"\n', 'name = "ou,ter"\n', "tubes.1.name = 'ou,ter'"),
+        ('name = "outer_rotation"', 'name = "inner_rotation"', "two joints have the same name"),
+        ('name = "outer_rotation"', 'name = "a/b"', "joints.0.name = 'a/b'"),
+        ('tube = "outer"', 'tube = "middle"', "moves tube 'middle', which is not one of inner, outer"),
+        ('tube = "outer"', 'tube = "inner"', "rotation of tube 0 is moved twice"),
+        ('motion = "translation"', 'motion = "wobble"', "joints.2.motion = 'wobble'"),
+        ("upper = -0.005", "upper = -0.130", "inner_translation: travel -0.13 ... -0.13 m is empty"),
+        ("upper = -0.005", "upper = -0.200", "inner_translation: travel -0.13 ... -0.2 m is empty"),
+        ("upper = -0.005", "upper = inf", "joints.2.upper = inf"),
+        ("speed = 0.020", "speed = 0.0", "inner_translation: speed limit 0 m"),
+        ("acceleration = 0.100", "acceleration = -0.1", "inner_translation: acceleration limit -0.1 m"),
+        ("microstep = 0.49609375e-6", "microstep = 0.0", "joints.2.microstep = 0.0"),
+        ("microstep = 0.49609375e-6", "", "'joints.2.microstep' is missing"),
+    ],
+)  # fmt: skip
+def test_a_robot_that_cannot_be_is_refused_by_name(write, robot_text, spoil, by, said):
+    assert robot_text.count(spoil) >= 1
+    path = write(robot_text.replace(spoil, by, 1))
+
+    with pytest.raises(ConfigError) as refused:
+        load_robot(str(path))
+
+    assert str(refused.value).startswith(f"{path}: ")
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [("tubes = []\njoints = []", "joints = []"), ("joints = []", "'tubes' is missing"), ("", "'name' is missing")],
+)
+def test_a_robot_without_tubes_or_joints_is_refused(write, table, said):
+    head = "" if not table else 'name = "empty"\n'
+
+    with pytest.raises(ConfigError) as refused:
+        load_robot(str(write(head + table)))
+
+    assert said in str(refused.value)
+
+
+def test_a_robot_of_ones_own_may_have_any_number_of_tubes(write):
+    path = write("""
+        name = "one"
+        [[tubes]]
+        name = "only"
+        bending_stiffness = 0.02
+        outer_diameter = 1e-3
+        inner_diameter = 5e-4
+        sections = [{ length = 0.1, curvature = [1, 2] }]
+        [[joints]]
+        name = "turn"
+        tube = "only"
+        motion = "rotation"
+        lower = -1
+        upper = 1
+        speed = 1
+        acceleration = 1
+        microstep = 1e-6
+    """)
+
+    robot = load_robot(str(path)).robot()
+
+    assert robot.joint_names == ("turn",)
+    assert robot.tubes[0].sections[0].curvature == (1.0, 2.0)
+
+
+def test_the_three_tube_presets_stiffness_follows_from_its_sources_modulus_and_radii():
+    file = load_robot("three_tubes")
+    robot = file.robot()
+
+    assert "10.1109/LRA.2024.3455906" in (PRESETS / "robots" / "three_tubes.toml").read_text(encoding="utf-8")
+    assert "parameters.csv" in file.source
+    radii = [(0.650e-3, 0.762e-3), (0.810e-3, 0.900e-3), (1.030e-3, 1.175e-3)]
+    for tube, (inner, outer), length, curvature in zip(
+        robot.tubes, radii, (0.463, 0.3305, 0.199), (10.0, 5.0, 7.0), strict=True
+    ):
+        assert tube.bending_stiffness == pytest.approx(58e9 * math.pi / 4 * (outer**4 - inner**4), rel=1e-5)
+        assert (tube.outer_diameter, tube.inner_diameter) == pytest.approx((2 * outer, 2 * inner))
+        assert tube.length == pytest.approx(length)
+        assert (tube.sections[-1].length, tube.sections[-1].curvature) == (0.05, (curvature, 0.0))
+    robot.check_pose(np.array([0.0, 0.0, 0.0, -0.1, -0.2, -0.3]))
+
+
+def test_base_fixed_tubes_and_torsional_stiffness_can_be_given(write, robot_text):
+    text = robot_text.replace(
+        "poisson_ratio = 0.30", "torsional_stiffness = 0.03\nrotation = 0.4\ntranslation = -0.01", 1
+    )
+    text = "base = { position = [0, 0, 0.1], rotation_vector = [0, 1.5, 0] }\n" + text
+
+    robot = load_robot(str(write(text))).robot()
+
+    assert robot.base == Base((0.0, 0.0, 0.1), (0.0, 1.5, 0.0))
+    assert robot.tubes[0].torsional_stiffness == 0.03
+    assert (robot.tubes[0].rotation, robot.tubes[0].translation) == (0.4, -0.01)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("torsional_stiffness = -1.0", "torsional_stiffness -1 N m^2"),
+        ("translation = 0.01", "translation 10 mm"),
+        ("rotation = inf", "rotation"),
+    ],
+)
+def test_a_tube_that_cannot_be_is_refused_by_name(write, robot_text, line, said):
+    text = robot_text.replace("poisson_ratio = 0.30", line, 1)
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        load_robot(str(write(text)))
+
+
+def test_workspace_and_force_limit_become_limits_of_the_controller(robot_text, write):
+    top, rest = robot_text.split("[[tubes]]", 1)
+    box = "workspace = { lower = [-0.1, -0.1, 0.0], upper = [0.1, 0.1, 0.3] }\nmax_force = 0.8\n"
+
+    limits = load_robot(str(write(f"{top}{box}[[tubes]]{rest}"))).limits()
+
+    assert [type(limit).__name__ for limit in limits.others] == ["Workspace", "ForceLimit"]
+    assert load_robot("paper").limits().others == ()

@@ -1,0 +1,230 @@
+"""A configuration is right in every key or refused in one line with file, key, value and what was expected."""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+import pytest
+from pydantic import Field
+
+from station.config.strict import (
+    OWN_EXPERIMENTS,
+    PRESETS,
+    ConfigError,
+    Direction,
+    Name,
+    NotNegative,
+    Positive,
+    Row,
+    Strict,
+    Vector,
+    check,
+    merged,
+    preset,
+    preset_names,
+    read_toml,
+    use_experiments,
+)
+
+
+class Wheel(Strict):
+    name: Name = "wheel"
+    radius: Positive
+    mass: NotNegative = 1.0
+    axis: Direction = (0.0, 0.0, 1.0)
+    place: Vector = (0.0, 0.0, 0.0)
+
+
+class Motor(Strict):
+    kind: Literal["motor"] = "motor"
+    power: float
+
+
+class Sail(Strict):
+    kind: Literal["sail"] = "sail"
+    area: float
+
+
+class Cart(Strict):
+    wheel: Wheel
+    spare: Annotated[tuple[Wheel, ...], Row] = ()
+    by_place: Mapping[str, Wheel] = {}
+    drive: Annotated[Motor | Sail, Field(discriminator="kind")] = Sail(area=1.0)
+    braked: bool = False
+    driver: str = ""
+
+
+GOOD = {"wheel": {"radius": 0.3}}
+
+
+def refusal(table: Mapping[str, object]) -> str:
+    with pytest.raises(ConfigError) as refused:
+        check(Cart, table, "cart.toml")
+    said = str(refused.value)
+    assert "\n" not in said
+    assert said.startswith("cart.toml: ")
+    return said.removeprefix("cart.toml: ")
+
+
+def test_arrays_and_whole_numbers_of_a_file_become_what_the_model_has():
+    cart = check(
+        Cart,
+        {
+            "wheel": {"radius": 1, "place": [1, 2, 3]},
+            "spare": [{"radius": 2.0}],
+            "by_place": {"front": {"radius": 3.0}},
+            "drive": {"kind": "motor", "power": 5},
+        },
+        "cart.toml",
+    )
+
+    assert cart.wheel.place == (1.0, 2.0, 3.0)
+    assert [wheel.radius for wheel in cart.spare] == [2.0]
+    assert cart.by_place["front"].radius == 3.0
+    assert cart.drive == Motor(power=5.0)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({**GOOD, "wheels": 4}, "unknown key 'wheels'"),
+        ({"wheel": {"radius": 0.3, "colour": "red"}}, "unknown key 'wheel.colour'"),
+        ({"spare": []}, "'wheel' is missing"),
+        ({"wheel": {}}, "'wheel.radius' is missing"),
+        ({"wheel": 3}, "wheel = 3: "),
+        ({"wheel": {"radius": "0.3"}}, "wheel.radius = '0.3': Input should be a valid number"),
+        ({"wheel": {"radius": True}}, "wheel.radius = True: Input should be a valid number"),
+        ({"wheel": {"radius": [0.3]}}, "wheel.radius = [0.3]: Input should be a valid number"),
+        ({"wheel": {"radius": float("nan")}}, "wheel.radius = nan: Input should be a finite number"),
+        ({"wheel": {"radius": float("inf")}}, "wheel.radius = inf: Input should be a finite number"),
+        ({"wheel": {"radius": 0.0}}, "wheel.radius = 0.0: Input should be greater than 0"),
+        ({"wheel": {"radius": 0.3, "mass": -1.0}}, "wheel.mass = -1.0: Input should be greater than or equal to 0"),
+        ({"wheel": {"radius": 0.3, "name": "../a"}}, "wheel.name = '../a': "),
+        ({"wheel": {"radius": 0.3, "name": "a,b"}}, "wheel.name = 'a,b': "),
+        ({"wheel": {"radius": 0.3, "place": [1.0, 2.0]}}, "'wheel.place.2' is missing"),
+        ({"wheel": {"radius": 0.3, "place": [1.0, "2", 3.0]}}, "wheel.place.1 = '2': Input should be a valid number"),
+        ({**GOOD, "spare": [{"radius": 1.0}, {"radius": -1.0}]}, "spare.1.radius = -1.0: "),
+        ({**GOOD, "by_place": {"front": {"radius": -1.0}}}, "by_place.front.radius = -1.0: "),
+        ({**GOOD, "drive": {"kind": "motor", "power": "5"}}, "drive.power = '5': "),
+        ({**GOOD, "drive": {"kind": "motor"}}, "'drive.power' is missing"),
+        ({**GOOD, "drive": {"kind": "horse"}}, "drive = {'kind': 'horse'}: "),
+        ({**GOOD, "braked": 1}, "braked = 1: Input should be a valid boolean"),
+        ({**GOOD, "braked": "yes"}, "braked = 'yes': Input should be a valid boolean"),
+        ({**GOOD, "driver": 7}, "driver = 7: Input should be a valid string"),
+    ],
+)
+def test_a_wrong_key_is_refused_by_name_with_its_value(table, said):
+    assert refusal(table).startswith(said)
+
+
+@pytest.mark.parametrize("axis", [[0, 0, 0], [0.0, 1e-12, 0.0], [1e300, 1e300, 0.0]])
+def test_a_direction_without_a_usable_length_is_refused(axis):
+    assert "a direction needs a length, 1e-9 ... 1e9" in refusal({"wheel": {"radius": 1.0, "axis": axis}})
+
+
+def test_the_first_of_several_mistakes_is_told_and_the_others_are_counted():
+    said = refusal({"wheel": {"radius": -1.0, "mass": -1.0}, "braked": 3})
+
+    assert said.startswith("wheel.radius = -1.0: ")
+    assert said.endswith("(and 2 more)")
+
+
+def test_a_misspelt_key_is_named_as_the_file_has_it():
+    assert refusal({"wheel": {"radios": 0.3}}) == "unknown key 'wheel.radios' (and 1 more)"
+
+
+def test_a_long_value_is_cut_so_that_the_line_can_be_read():
+    assert len(refusal({"wheel": {"radius": "9" * 5000}})) < 200
+
+
+def test_a_checked_configuration_cannot_be_changed_any_more():
+    cart = check(Cart, GOOD, "cart.toml")
+
+    with pytest.raises(ValueError, match="frozen"):
+        cart.driver = "somebody else"
+
+
+def test_a_file_that_is_not_toml_is_refused_with_the_line(write):
+    path = write("a = 1\nb = = 2\n")
+
+    with pytest.raises(ConfigError, match=r"own\.toml: not valid TOML: .*line 2") as refused:
+        read_toml(path)
+    assert str(refused.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("text", ["a = " + "1" * 5000, "a = " + "[" * 100_000], ids=["digits", "brackets"])
+def test_toml_that_overwhelms_the_parser_is_refused_too(write, text):
+    with pytest.raises(ConfigError, match=r"own\.toml: not valid TOML: "):
+        read_toml(write(text))
+
+
+def test_a_file_that_is_not_text_or_not_a_file_is_refused(tmp_path):
+    (tmp_path / "bytes.toml").write_bytes(b"a = '\xff'")
+
+    with pytest.raises(ConfigError, match=r"bytes\.toml: not UTF-8 text"):
+        read_toml(tmp_path / "bytes.toml")
+    with pytest.raises(ConfigError, match=r"cannot be read: Is a directory"):
+        read_toml(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["robots", "labs", "experiments"])
+def test_a_preset_is_found_by_the_name_it_is_listed_with(kind):
+    assert preset_names(kind)
+    assert all(preset(kind, name).is_file() for name in preset_names(kind))
+
+
+@pytest.mark.parametrize("name", ["fig99", "", "fig10.tml", "../experiments/fig10"])
+def test_a_name_that_is_no_preset_is_refused_with_the_list(name):
+    with pytest.raises(ConfigError) as refused:
+        preset("experiments", name)
+
+    assert f"'{name}' is not one of the experiments: " in str(refused.value)
+    assert "fig10, fig3" in str(refused.value)
+
+
+def test_a_file_of_ones_own_is_taken_as_it_is_and_missed_by_its_path(write, tmp_path):
+    assert preset("experiments", str(write(""))) == tmp_path / "own.toml"
+    with pytest.raises(ConfigError, match=r"nowhere\.toml: no such file"):
+        preset("experiments", str(tmp_path / "nowhere.toml"))
+
+
+@pytest.fixture
+def own_experiments(monkeypatch, tmp_path):
+    """A folder of one's own with two experiments, in use."""
+    monkeypatch.setenv(OWN_EXPERIMENTS, "")  # put back after the test
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    for name in ("hold_still", "fig10"):
+        (folder / f"{name}.toml").write_text("", encoding="utf-8")
+    use_experiments(folder)
+    return folder
+
+
+def test_experiments_of_ones_own_are_found_by_name_and_go_before_the_stations(own_experiments):
+    assert {"hold_still", "fig10", "fig7"} <= set(preset_names("experiments"))
+    assert preset("experiments", "hold_still") == own_experiments / "hold_still.toml"
+    assert preset("experiments", "fig10") == own_experiments / "fig10.toml"
+    assert preset("experiments", "fig7").parent == PRESETS / "experiments"
+    assert "hold_still" not in preset_names("labs")
+    with pytest.raises(ConfigError, match="fig8, hold_still"):
+        preset("experiments", "fig99")
+
+
+def test_a_missing_folder_of_experiments_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="nowhere: no such folder of experiments"):
+        use_experiments(tmp_path / "nowhere")
+
+
+def test_merging_lays_a_table_over_another_key_by_key():
+    base = {"a": 1, "deep": {"b": 2, "c": {"d": 3, "e": 4}}}
+
+    assert merged(base, {"deep": {"c": {"e": 5}, "f": 6}}) == {"a": 1, "deep": {"b": 2, "c": {"d": 3, "e": 5}, "f": 6}}
+    assert base == {"a": 1, "deep": {"b": 2, "c": {"d": 3, "e": 4}}}
+
+
+def test_merging_replaces_a_table_of_another_kind_whole():
+    base = {"load": {"kind": "constant", "magnitude": 0.5, "direction": [0, 0, 1]}}
+
+    assert merged(base, {"load": {"kind": "sine", "amplitude": 0.2}}) == {"load": {"kind": "sine", "amplitude": 0.2}}
+    assert merged(base, {"load": {"kind": "constant", "magnitude": 1.0}})["load"]["direction"] == [0, 0, 1]
+    assert merged(base, {"load": {"magnitude": 1.0}})["load"]["kind"] == "constant"
+    assert merged(base, {"load": 3}) == {"load": 3}

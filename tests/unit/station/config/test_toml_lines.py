@@ -1,0 +1,55 @@
+"""Lines of keys in a file of all kinds of tables."""
+
+import pytest
+
+from station.config.toml_lines import line_of
+
+TEXT = '''# a comment with key = 1
+title = "x = [ { "
+joints.outer.lower = 1
+points = [
+    [0, 1],  # ]
+]
+note = """
+lower = 5
+"""
+[devices.stages]
+port = "/dev/ttyUSB0"
+"odd.name" = 1
+[[tubes]]
+name = "a"
+[[tubes.sections]]
+length = 1
+[[tubes.sections]]
+length = 2
+[[tubes]]
+name = "b"
+[tubes.inner]
+deep = { x = 1 }
+'''
+
+
+@pytest.mark.parametrize(
+    ("key", "line"),
+    [
+        ("title", 2),
+        ("joints.outer.lower", 3),
+        ("points.0.1", 4),
+        ("devices.stages.port", 11),
+        ("devices.stages.missing", 10),
+        ("tubes.0.name", 14),
+        ("tubes.0.sections.1.length", 18),
+        ("tubes.1.name", 20),
+        ("tubes.1.inner.deep.x", 22),
+        ("lower", None),
+        ("key", None),
+        ("nothing.at.all", None),
+    ],
+)
+def test_a_key_is_found_where_it_stands(key: str, line: int | None) -> None:
+    assert line_of(TEXT, key) == line
+
+
+@pytest.mark.parametrize("text", ["", "[", "[[", "=", "a = ", '"""', "[a]]\n= 3", "x = '''\n", "\x00\n[[]]\n"])
+def test_any_text_is_borne(text: str) -> None:
+    assert line_of(text, "a.b") is None or text.startswith(("a", "[a"))

@@ -1,0 +1,61 @@
+"""Shared memory between the processes: rows in order, and a truth that is never half of one and half of another."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from station.control.ring import ROWS, STUCK, Ring
+from station.devices.interfaces import Truth
+
+
+@pytest.fixture
+def ring() -> Iterator[Ring]:
+    ring = Ring(4)
+    yield ring
+    ring.close(remove=True)
+
+
+def a_truth(number: float) -> Truth:
+    return Truth(np.full(3, number), np.full(3, -number))
+
+
+def test_without_a_lab_there_is_no_truth(ring: Ring) -> None:
+    assert ring.truth() is None
+
+
+def test_the_truth_is_what_the_lab_told_last(ring: Ring) -> None:
+    for number in (1.0, 2.0):
+        ring.tell_truth(a_truth(number))
+        truth = ring.truth()
+        assert truth is not None
+        assert truth.tip.tolist() == [number] * 3
+        assert truth.force.tolist() == [-number] * 3
+
+
+def test_while_the_lab_is_telling_what_it_told_before_holds(ring: Ring) -> None:
+    ring.tell_truth(a_truth(1.0))
+    ring.truth()
+    # The lab's process is interrupted in the middle of telling.
+    ring._truth[0] += 1.0
+    ring._truth[1] = 99.0
+    truth = ring.truth()
+    assert truth is not None
+    assert truth.tip.tolist() == [1.0] * 3
+
+
+def test_a_robot_that_cannot_follow_is_told(ring: Ring) -> None:
+    ring.tell_truth(a_truth(1.0), stuck=True)
+    assert ring.counters[STUCK]
+    ring.tell_truth(a_truth(1.0))
+    assert not ring.counters[STUCK]
+
+
+def test_rows_come_in_order_and_those_that_were_overwritten_are_counted(ring: Ring) -> None:
+    for number in range(ROWS + 10):
+        ring.write(np.full(4, float(number)))
+    rows, since, missed = ring.read(0)
+    assert since == ROWS + 10
+    assert missed == since - len(rows)
+    assert rows[:, 0].tolist() == [float(number) for number in range(missed, since)]
+    assert ring.read(since)[0].shape == (0, 4)

@@ -1,0 +1,238 @@
+"""Combined API: check values, captures and replies as the protocol's description gives them, however they arrive."""
+
+import contextlib
+import itertools
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from station.devices.aurora.protocol import AuroraError, ReplyReader, binary, crc16, framed
+from station.devices.aurora.replies import (
+    ToolState,
+    error_code,
+    error_words,
+    parse_bx,
+    parse_phinf,
+    parse_phsr,
+    parse_tx,
+    system_words,
+)
+
+CHECKS = {
+    "INIT:": 0xE3A5,
+    "OKAY": 0xA896,
+    "RESET": 0xBE6F,
+    "VER:0": 0x65EE,
+    "TSTART:": 0x5423,
+    "TSTOP:": 0x2C14,
+    "PHSR:00": 0x20FF,
+    "PHSR:02": 0xE17E,
+    "BX:0801": 0x00EC,
+    "BX:0001": 0xC26D,
+    "TX:0801": 0xC19B,
+    "TX:0001": 0x031A,
+    "COMM:50000": 0x0048,
+    "ERROR01": 0x6BC2,
+    "ERROR0C": 0x4E42,
+    "PINIT:0A": 0xD5EB,
+    "PENA:0AD": 0xAD1E,
+    "010A001": 0xC1B5,
+    "GETINFO:Features.Firmware.Version": 0x0492,
+}
+#: Captures of one tool: at (10, -20.5, -150.25) mm, and missing.
+VALID = bytes.fromhex(
+    "c4a52d003043 010a01 0000803f000000000000000000000000 000020410000a4c1004016c3 6de7fb3d 31000000 00000000 0000 1f37"
+)
+MISSING = bytes.fromhex("c4a50d002983 010a02 31010000 00000000 0000 4d8b")
+TX = b"010A+10000+00000+00000+00000+001000-002050-015025+012300000003100000000\n0000FEE1\r"
+STREAM = b"OKAYA896\r" + VALID + b"ERROR0C4E42\r" + TX + MISSING + b"RESETBE6F\r"
+REPLIES = ["OKAY", VALID[6:-2], "ERROR0C", TX[:-5].decode(), MISSING[6:-2], "RESET"]
+
+
+@pytest.mark.parametrize(("text", "crc"), CHECKS.items())
+def test_the_crc_is_that_of_the_protocol(text, crc):
+    assert crc16(text.encode()) == crc
+    assert framed(text) == f"{text}{crc:04X}\r".encode()
+
+
+def test_the_crc_has_the_catalogues_check_value():
+    assert crc16(b"123456789") == 0xBB3D  # CRC-16/ARC
+
+
+@pytest.mark.parametrize("capture", [VALID, MISSING])
+def test_a_binary_reply_is_framed_as_captured(capture):
+    assert binary(capture[6:-2]) == capture
+
+
+def test_a_capture_of_bx_is_read():
+    reply = parse_bx(VALID[6:-2])
+    (tool,) = reply.tools
+
+    assert (tool.handle, tool.state, tool.port_status, tool.frame) == (0x0A, ToolState.VALID, 0x31, 0)
+    assert tool.transform is not None
+    assert tool.transform.quaternion == (1.0, 0.0, 0.0, 0.0)
+    assert tool.transform.position == (10.0, -20.5, -150.25)
+    assert tool.transform.error == pytest.approx(0.123)
+    assert reply.system_status == 0
+
+
+def test_a_capture_of_a_missing_tool_is_read():
+    (tool,) = parse_bx(MISSING[6:-2]).tools
+
+    assert (tool.state, tool.transform, tool.port_status, tool.frame) == (ToolState.MISSING, None, 0x131, 0)
+
+
+def test_a_capture_of_tx_says_the_same_as_bx():
+    (tool,) = parse_tx(TX[:-5].decode()).tools
+
+    assert (tool.handle, tool.state, tool.port_status, tool.frame) == (0x0A, ToolState.VALID, 0x31, 0)
+    assert tool.transform is not None
+    assert tool.transform.position == (10.0, -20.5, -150.25)
+    assert tool.transform.error == pytest.approx(0.123)
+
+
+def test_handles_that_are_not_measured_have_no_transform_in_tx():
+    reply = parse_tx("030AMISSING000000310000002A\n0BDISABLED000000010000002B\n0CUNOCCUPIED\n0041")
+
+    assert [tool.state for tool in reply.tools] == [ToolState.MISSING, ToolState.DISABLED, ToolState.UNOCCUPIED]
+    assert [tool.frame for tool in reply.tools] == [42, 43, None]
+    assert all(tool.transform is None for tool in reply.tools)
+    assert reply.system_status == 0x41
+
+
+def test_a_disabled_handle_in_bx_has_neither_status_nor_frame():
+    reply = parse_bx(bytes([2, 0x0B, 4]) + VALID[7:-4] + bytes([0x40, 0]))
+
+    assert [tool.state for tool in reply.tools] == [ToolState.DISABLED, ToolState.VALID]
+    assert reply.system_status == 0x40
+
+
+def changed(at: int, value: bytes) -> bytes:
+    """The captured BX body with other bytes at `at`."""
+    body = VALID[6:-2]
+    return body[:at] + value + body[at + len(value) :]
+
+
+@pytest.mark.parametrize(
+    ("body", "complaint"),
+    [
+        (b"", "ends early"),
+        (VALID[6:-3], "ends early"),
+        (VALID[6:-2] + b"\0", "longer than"),
+        (changed(2, b"\x03"), "status 03"),
+        (changed(3, struct.pack("<f", float("nan"))), "not finite"),
+        (changed(3, struct.pack("<f", 0.5)), "norm 0.5"),
+        (changed(19, struct.pack("<f", float("inf"))), "not finite"),
+        (changed(23, struct.pack("<f", 1e5)), "y = 100000 mm is beyond 9999.99 mm"),
+        (changed(31, struct.pack("<f", -1.0)), "error -1"),
+    ],
+)
+def test_a_body_that_no_tracker_sends_is_refused_by_name(body, complaint):
+    with pytest.raises(AuroraError, match=complaint):
+        parse_bx(body)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "0", "01", "010A", TX[:-6].decode(), TX[:-5].decode() + "0", "020AMISSING000000310000002A\n0000", "OKAY"],
+)
+def test_text_that_is_no_tx_reply_is_refused(text):
+    with pytest.raises(AuroraError):
+        parse_tx(text)
+
+
+@given(st.text(max_size=120))
+def test_no_text_makes_a_parser_raise_anything_else(text):
+    for parse in (parse_tx, parse_phsr, parse_phinf):
+        with contextlib.suppress(AuroraError):
+            parse(text)
+
+
+@given(st.binary(max_size=120))
+def test_no_body_makes_the_parser_raise_anything_else(body):
+    with contextlib.suppress(AuroraError):
+        parse_bx(body)
+
+
+def test_port_handles_are_read():
+    assert parse_phsr("00") == []
+    assert parse_phsr("010A001") == [(0x0A, 0x001)]
+    assert parse_phsr("020A0310B001") == [(0x0A, 0x031), (0x0B, 0x001)]
+    with pytest.raises(AuroraError, match="for 2 handles"):
+        parse_phsr("020A001")
+
+
+def test_a_tool_says_who_it_is():
+    identity = parse_phinf("02000000" + "NDI         " + "001" + "3A5C1D00" + "31")
+
+    assert identity == ("02000000", "NDI", "001", "3A5C1D00", 0x31)
+    assert parse_phinf("UNOCCUPIED") is None
+    with pytest.raises(AuroraError, match="32 characters, not 33"):
+        parse_phinf("x" * 32)
+
+
+def test_errors_are_told_in_words():
+    assert error_code("ERROR0C") == 0x0C
+    assert error_code("OKAY") is None
+    assert error_words(0x0C) == "not in this mode (ERROR0C)"
+    assert error_words(0x77) == "an error without a name (ERROR77)"
+    assert system_words(0x12) == "interference from outside, hardware failure"
+
+
+def feed(parts: list[bytes]) -> tuple[list[str | bytes], ReplyReader]:
+    reader = ReplyReader()
+    return [reply for part in parts for reply in reader.feed(part)], reader
+
+
+@given(st.lists(st.integers(0, len(STREAM))))
+def test_replies_are_the_same_however_the_stream_is_split(cuts):
+    places = [0, *sorted(cuts), len(STREAM)]
+    replies, reader = feed([STREAM[a:b] for a, b in itertools.pairwise(places)])
+
+    assert replies == REPLIES
+    assert (reader.noise, reader.crc_errors) == (0, 0)
+
+
+@pytest.mark.parametrize("capture", [VALID, MISSING, TX, b"OKAYA896\r"])
+def test_no_single_flipped_bit_passes(capture):
+    for bit in range(8 * len(capture)):
+        spoilt = bytearray(capture)
+        spoilt[bit // 8] ^= 1 << bit % 8
+        replies, _ = feed([bytes(spoilt), b"\r"])
+        assert replies == []
+
+
+@pytest.mark.parametrize("capture", [VALID, MISSING, TX, b"OKAYA896\r"])
+def test_a_lost_byte_costs_no_more_than_its_own_reply_and_the_next(capture):
+    for lost in range(len(capture)):
+        replies, reader = feed([capture[:lost] + capture[lost + 1 :], VALID, VALID])
+        assert replies in ([VALID[6:-2]] * 2, [VALID[6:-2]])
+        assert reader.noise > 0
+
+
+@given(st.binary(max_size=300), st.binary(max_size=300))
+def test_noise_is_counted_and_a_good_reply_after_it_is_found(before, between):
+    reader = ReplyReader()
+    found = reader.feed(before)
+    reader.drop()  # what a session does before it asks
+    assert [reply for reply in reader.feed(VALID) if reply not in found] == [VALID[6:-2]]
+    reader.feed(between)
+    reader.drop()
+    assert reader.noise + sum(len(reply) + (5 if isinstance(reply, str) else 8) for reply in found) >= len(before)
+
+
+def test_a_text_that_never_ends_is_given_up():
+    reader = ReplyReader()
+    reader.feed(b"A" * 5000)
+
+    assert reader.noise == 5000
+    assert reader.feed(b"OKAYA896\r") == ["OKAY"]
+
+
+def test_a_length_that_no_reply_has_is_not_waited_for():
+    header = b"\xc4\xa5" + struct.pack("<H", 60000)
+    replies, _ = feed([header + struct.pack("<H", crc16(header)), VALID])
+
+    assert replies == [VALID[6:-2]]

@@ -1,0 +1,269 @@
+"""RDT: requests and records as the manual has them; sequences that wrap, tear, repeat and jump; the box's clock."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from station.devices.netft.protocol import (
+    LATENCY,
+    Command,
+    Counters,
+    SampleClock,
+    Stream,
+    describe,
+    follow,
+    is_usable,
+    records,
+    request,
+)
+from tests.fuzz.netft import fuzz
+
+#: The worked record: sequence 1, sample 6433, healthy, 1 N, -2 N, 3 N, 0.01, -0.02, 0.03 N m at 1e6 counts a unit.
+WORKED = bytes.fromhex("00000001 00001921 00000000 000f4240 ffe17b80 002dc6c0 00002710 ffffb1e0 00007530")
+WRAP = 2**32
+
+
+def record(rdt: int, ft: int, status: int = 0, counts: tuple[int, ...] = (0,) * 6) -> bytes:
+    return struct.pack(">IIIiiiiii", rdt % WRAP, ft % WRAP, status, *counts)
+
+
+def run(stream: Stream, datagrams: dict[int, list[bytes]] | list[bytes], first: int = 0) -> list[int]:
+    """Feed one datagram (or list of them) each 2 ms; the counts along x of what is accepted."""
+    accepted = []
+    for number, datagram in enumerate(datagrams, first):
+        for part in datagram if isinstance(datagram, list) else [datagram]:
+            accepted += [sample.counts[0] for sample in stream.feed(part, number * 0.002)]
+    return accepted
+
+
+def series(numbers: range | list[int], rdt: int = 0, ft: int = 6433, step: int = 14) -> list[bytes]:
+    """Records that carry their number as the force along x."""
+    return [record(rdt + n, ft + step * n, counts=(n, 0, 0, 0, 0, 0)) for n in numbers]
+
+
+def test_the_worked_requests():
+    assert request(Command.STREAM).hex(" ") == "12 34 00 02 00 00 00 00"
+    assert request(Command.BIAS).hex(" ") == "12 34 00 42 00 00 00 00"
+    assert request(Command.STOP).hex(" ") == "12 34 00 00 00 00 00 00"
+    assert request(Command.STREAM, 10).hex(" ") == "12 34 00 02 00 00 00 0a"
+
+
+def test_the_worked_record():
+    assert records(WORKED) == [(1, 6433, 0, (1_000_000, -2_000_000, 3_000_000, 10_000, -20_000, 30_000))]
+
+
+def test_a_buffered_datagram_has_several_records():
+    assert [r.rdt_sequence for r in records(b"".join(series(range(1, 41)))) or []] == list(range(1, 41))
+
+
+@settings(deadline=None)  # the first case compiles
+@given(
+    st.lists(
+        st.sampled_from(["next", "next", "next", "skip", "again", "old", "sick", "large", "two", "noise"]), max_size=60
+    )
+)
+def test_the_compiled_way_takes_exactly_what_the_plain_one_takes(fates):
+    both, plain, limits, row = Stream(), Stream(), np.full(6, 1e6), np.zeros(7)
+    rdt, now = 0, 0.0
+    for fate in ["next"] * 3 + fates:
+        now += 0.002
+        rdt += {"skip": 3, "again": 0, "old": -2}.get(fate, 1)
+        counts = (2_000_000 if fate == "large" else rdt, -rdt, 5, 6, 7, 8)
+        datagram = record(rdt, 6433 + 14 * rdt, 0x80020000 if fate == "sick" else 0, counts)
+        if fate == "two":
+            rdt += 1
+            datagram += record(rdt, 6433 + 14 * rdt)
+        elif fate == "noise":
+            datagram = bytes(range(36))
+        expected = [(sample.time, *sample.counts) for sample in plain.feed(datagram, now)]
+        if follow(*both.state, datagram, now, limits, row):
+            assert fate not in ("large", "sick", "two", "noise")
+            found = [tuple(row.tolist())]
+        else:
+            found = [(sample.time, *sample.counts) for sample in both.feed(datagram, now)]
+        assert found == expected
+    assert both.counters == plain.counters
+
+
+@pytest.mark.parametrize("length", [0, 1, 8, 35, 37, 71])
+def test_a_datagram_of_another_length_is_malformed(length):
+    stream = Stream()
+
+    assert stream.feed((WORKED * 2)[:length], 0.0) == []
+    assert stream.counters.malformed == 1
+
+
+def test_an_undisturbed_stream_is_taken_from_its_third_record_on():
+    stream = Stream()
+
+    assert run(stream, series(range(1, 101))) == list(range(3, 101))
+    assert stream.counters == Counters(accepted=98)
+
+
+@pytest.mark.parametrize(("rdt", "ft"), [(WRAP - 50, 6433), (0, WRAP - 700), (WRAP - 10, WRAP - 20)])
+def test_both_counters_may_wrap(rdt, ft):
+    stream = Stream()
+
+    assert run(stream, series(range(1, 201), rdt, ft)) == list(range(3, 201))
+    assert stream.counters == Counters(accepted=198)
+
+
+def test_a_gap_is_counted_and_the_rest_taken():
+    stream = Stream()
+
+    assert run(stream, [d if n not in (50, 51, 52) else [] for n, d in enumerate(series(range(1, 101)), 1)]) == [
+        *range(3, 50),
+        *range(53, 101),
+    ]
+    assert stream.counters == Counters(accepted=95, lost=3)
+
+
+def test_a_duplicate_and_a_late_record_are_dropped():
+    stream, sent = Stream(), series(range(1, 21))
+    sent[9], sent[10] = sent[10], sent[9]  # 11 before 10
+    sent.insert(15, sent[14])
+
+    assert run(stream, sent) == [*range(3, 10), *range(11, 21)]
+    assert stream.counters == Counters(accepted=17, lost=1, late=1, duplicates=1)
+
+
+@pytest.mark.parametrize("bit", range(64))
+def test_one_wrong_bit_in_a_counter_costs_only_that_record(bit):
+    stream, sent = Stream(), series(range(1, 101))
+    spoilt = bytearray(sent[49])
+    spoilt[bit // 8] ^= 0x80 >> bit % 8
+    sent[49] = bytes(spoilt)
+
+    assert run(stream, sent) == [n for n in range(3, 101) if n != 50]
+
+
+@pytest.mark.parametrize("bit", range(64))
+def test_one_wrong_bit_at_the_very_beginning_spoils_nothing_either(bit):
+    stream, sent = Stream(), series(range(1, 101))
+    spoilt = bytearray(sent[1])
+    spoilt[bit // 8] ^= 0x80 >> bit % 8
+    sent[1] = bytes(spoilt)
+    samples = [sample for n, d in enumerate(sent, 1) for sample in stream.feed(d, n * 0.002)]
+
+    assert [s.counts[0] for s in samples] == list(range(samples[0].counts[0], 101))
+    assert samples[0].counts[0] <= 12
+    assert all(s.time == pytest.approx(s.counts[0] * 0.002 - LATENCY, abs=1e-3) for s in samples)
+
+
+def test_a_stream_that_begins_anew_unasked_is_taken_up_after_ten_records():
+    stream = Stream()
+    run(stream, series(range(1, 501)))
+
+    assert run(stream, series(range(501, 600), rdt=-500), 500) == list(range(510, 600))
+    assert stream.counters.resyncs == 1
+    assert stream.counters.resets == 0  # the same box: its sample counter went on
+
+
+def test_a_stream_that_is_asked_for_again_is_taken_from_its_third_record_on():
+    stream = Stream()
+    run(stream, series(range(1, 501)))
+    stream.restart()
+
+    assert run(stream, series(range(1000, 1100), rdt=-999), 999) == list(range(1002, 1100))
+    assert stream.counters.resets == 0
+
+
+def test_a_box_that_was_switched_off_and_on_is_noticed():
+    stream = Stream()
+    run(stream, series(range(1, 1001), ft=5_000_000))
+    stream.restart()
+
+    assert run(stream, series(range(3000, 3100), rdt=-2999, ft=-42000), 2999) == list(range(3002, 3100))
+    assert stream.counters.resets == 1
+
+
+def test_a_counter_that_stands_still_is_not_a_measurement():
+    stream, sent = Stream(), series(range(1, 101))
+    stuck = [record(n, 6433 + 14 * 50, counts=(50, 0, 0, 0, 0, 0)) for n in range(51, 101)]
+
+    assert run(stream, sent[:50] + stuck) == list(range(3, 51))
+    assert stream.counters.implausible == 50
+
+
+@pytest.mark.parametrize(("status", "usable"), [(0, True), (0x80010000, True), (0x80020000, False), (1 << 31, False)])
+def test_only_a_latched_threshold_is_a_mere_warning(status, usable):
+    assert is_usable(status) is usable
+
+
+def test_status_bits_in_words():
+    assert describe(0) == "healthy"
+    assert describe(0x80020000) == "transducer saturated or A/D"
+    assert describe(0x80010004) == "monitor condition latched, temperature"
+    assert describe(1 << 31) == "error summary alone"
+    assert describe(1 << 15) == "bit 15"
+
+
+@pytest.mark.parametrize("error", [-0.005, 0.0, 0.005])
+def test_the_clock_follows_a_box_whose_clock_is_off(error):
+    clock, worst = SampleClock(), 0.0
+    for n in range(1, 100_001):  # 200 s; each record comes up to 1 ms late, every tenth at once
+        arrival = n * 0.002 + LATENCY + (0.0 if n % 10 == 0 else 1e-4 * (n * 7919 % 11))
+        time = clock.observe(round(n * 14 * (1.0 + error)), arrival)
+        worst = max(worst, abs(time - n * 0.002) if n >= 10 else 0.0)
+
+    assert worst < 0.5e-3
+
+
+def test_records_that_waited_for_the_host_keep_their_times():
+    stream, times = Stream(), []
+    sent = series(range(1, 1001))
+    for n in range(500):
+        times += [s.time for s in stream.feed(sent[n], n * 0.002 + LATENCY)]
+    for n in range(500, 1000):  # the host looks away for a second
+        times += [s.time for s in stream.feed(sent[n], 2.0)]
+
+    # The box's clock may have drifted by 0.6 % of that second.
+    assert times == pytest.approx([n * 0.002 for n in range(2, 1000)], abs=0.007)
+    assert times[-1] == pytest.approx(1.998, abs=0.002)
+    assert stream.counters == Counters(accepted=998)
+
+
+def test_what_the_host_could_not_keep_is_a_gap_and_not_another_box():
+    stream = Stream()
+    for n, datagram in enumerate(series(range(1, 301))):
+        stream.feed(datagram, 0.002 * n if n < 100 else 4.0)  # 4 s away, and the socket keeps 200 records
+    fresh = [s for n, d in enumerate(series(range(2001, 2101))) for s in stream.feed(d, 4.0 + 0.002 * n)]
+
+    assert len(fresh) == 100
+    assert stream.counters == Counters(accepted=398, lost=1700)
+
+
+@given(st.lists(st.binary(max_size=150), max_size=30))
+def test_garbage_is_counted_and_never_raises(datagrams):
+    stream = Stream()
+    for n, datagram in enumerate(datagrams):
+        stream.feed(datagram, n * 0.002)
+
+    whole = sum(len(d) // 36 for d in datagrams if d and len(d) % 36 == 0)
+    assert stream.counters.malformed == sum(not d or len(d) % 36 != 0 for d in datagrams)
+    assert stream.counters.accepted <= whole
+
+
+@given(st.lists(st.sampled_from(["pass", "lose", "repeat", "swap", "spoil"]), min_size=10, max_size=300))
+def test_whatever_happens_on_the_way_what_is_accepted_was_sent_and_is_in_order(fates):
+    stream, sent = Stream(), []
+    for n, fate in enumerate(fates, 1):
+        (datagram,) = series([n])
+        sent += {"pass": [datagram], "lose": [], "repeat": [datagram] * 2, "spoil": [datagram[:-3]]}.get(fate, [])
+        if fate == "swap":
+            sent.insert(max(0, len(sent) - 1), datagram)
+    accepted = run(stream, sent)
+
+    assert accepted == sorted(set(accepted))
+    assert set(accepted) <= set(range(1, len(fates) + 1))
+
+
+def test_ten_thousand_spoilt_datagrams_requests_and_pages():
+    found = fuzz(10_000, 1)
+
+    assert found["cases"] == 10_000
+    assert found["accepted"] > 1000  # it is not all refused
+    assert (found["exceptions"], found["hangs"], found["false_accepts"]) == (0, 0, 0)

@@ -1,0 +1,301 @@
+"""The host's side of a chain: what is sent when, deadlines, and which positions are believed."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from station.devices.zaber.chain import Line
+from station.devices.zaber.dialogue import Answer, Ask, Astray, Complaint, Lost, ResetDone
+from station.devices.zaber.protocol import BYTE_TIME, MESSAGE_TIME, Message
+from tests.fuzz.zaber import fuzz
+from tests.harness.zaber_host import AXES, TICK, Host, changing
+
+
+@pytest.fixture
+def host() -> Host:
+    host = Host()
+    host.run(0.3)
+    assert all(estimate.known for estimate in host.chain.estimates)
+    host.sent.clear()
+    return host
+
+
+def test_no_more_than_one_message_each_6_25_ms_is_handed_over(host):
+    host.run(4.0, changing(host))
+
+    times = [time for time, _ in host.sent]
+    assert len(times) == pytest.approx(4.0 * 160, abs=2)  # all that the line carries
+    for window in (1, 10, 100):
+        # Never more than the line has taken, but for the one handed over a tick early.
+        assert min(b - a for a, b in zip(times, times[window:], strict=False)) >= window * MESSAGE_TIME - TICK - 1e-9
+
+
+def test_each_of_three_axes_gets_40_velocities_and_13_polls_a_second(host):
+    host.run(10.0, changing(host))
+
+    for axis in AXES:
+        assert len(host.commands(axis.device, 22)) / 10 == pytest.approx(40, abs=0.3)
+        assert len(host.commands(axis.device, 60)) / 10 == pytest.approx(40 / 3, abs=0.3)
+
+
+def test_one_axis_alone_on_its_port_gets_the_whole_line():
+    host = Host(places=(1_536_000,), axes=AXES[:1])
+    host.run(0.3)
+    host.sent.clear()
+    host.run(5.0, lambda now: host.chain.command(0, 4 + round(now / TICK) % 7))
+
+    # 80 of each would be the most if every poll's reply were waited for before the next one.
+    assert len(host.commands(1, 22)) / 5 >= 80
+    assert len(host.commands(1, 60)) / 5 >= 40
+    assert len(host.sent) / 5 == pytest.approx(160, abs=5)
+
+
+def test_the_latest_command_wins_and_an_unchanged_one_is_not_sent(host):
+    given = {}
+
+    def each(now: float) -> None:
+        for axis in range(3):
+            given[now, axis] = 4 + round(now / TICK) % 7
+            host.chain.command(axis, given[now, axis])
+
+    host.run(1.0, each)
+    for time, message in host.sent:
+        if message.command == 22:
+            assert message.data == given[time, message.device - 1]
+
+    host.run(0.1)
+    host.sent.clear()
+    host.run(0.1, lambda now: [host.chain.command(axis, 13) for axis in range(3)])
+    assert [len(host.commands(axis.device, 22)) for axis in AXES] == [1, 1, 1]
+
+
+def test_a_velocity_is_said_again_in_case_it_was_not_heard():
+    host = Host(Line(refresh=0.25))
+    host.run(0.3)
+    host.run(2.0, lambda now: [host.chain.command(axis, 0) for axis in range(3)])
+    assert host.commands(1, 22) == host.commands(1, 23) == []  # never moved: nothing to repeat
+
+    host.chain.command(0, 0)
+    host.run(0.1, lambda now: host.chain.command(0, 5))
+    host.places[0] = 1_536_000
+    host.run(2.0, lambda now: host.chain.command(0, 0))
+    assert len(host.commands(1, 23)) >= 6  # a speed of 0 is a stop
+
+
+def test_speeds_are_clipped_to_the_axis(host):
+    host.run(0.1, lambda now: host.chain.command(2, -100_000))
+
+    assert host.chain.sent == [0, 0, -4300]
+
+
+def test_a_stop_goes_before_everything_and_reaches_all_with_one_message(host):
+    host.run(1.0, changing(host))
+    host.sent.clear()
+    asked = host.now
+    host.chain.stop()
+    host.run(0.1)
+
+    time, message = host.sent[0]
+    assert message == Message(0, 23, -1)
+    assert time - asked <= MESSAGE_TIME
+    assert [m for _, m in host.sent[1:4]] == [Message(1, 23, -1), Message(2, 23, -1), Message(3, 23, -1)]
+    assert host.chain.sent == [0, 0, 0]
+    assert not host.commands(1, 22)
+    # Units that have lost the frame need more than 10 ms of silence to find it.
+    assert host.sent[4][0] - host.sent[3][0] > MESSAGE_TIME + 0.010
+    host.run(0.2)
+    assert host.chain.stopping == {}
+
+
+def test_a_stop_at_every_tick_goes_round_and_does_not_starve_the_polls(host):
+    host.run(1.0, lambda now: host.chain.stop())
+
+    assert len(host.commands(3, 23)) >= 3
+    assert len(host.commands(3, 60)) + len(host.commands(3, 54)) >= 3
+    assert not host.chain.lost
+
+
+def test_a_stop_counts_for_an_axis_that_was_moved_again(host):
+    host.status = 22  # none of them rests
+    host.chain.stop()
+    host.run(0.2, lambda now: host.chain.command(1, 50 if now > 0.4 else 0))
+    assert host.chain.sent[1] == 50
+    host.sent.clear()
+
+    host.chain.stop()
+    host.run(0.05)
+    assert host.commands(0, 23)
+    assert host.chain.sent[1] == 0
+
+
+def test_a_unit_that_homes_on_is_told_again_and_then_reset(host):
+    host.status = 1
+    host.chain.stop()
+    host.run(0.5)
+
+    assert host.commands(1, 23)[1:], "it was not told again"
+    resets = [message for _, message in host.sent if message.command == 0]
+    assert {message.device for message in resets} == {1, 2, 3}
+    assert {happening.axis for happening in host.happened if isinstance(happening, ResetDone)} == {0, 1, 2}
+    first = next(time for time, message in host.sent if message == Message(1, 0, -1))
+    assert sum(time < first for time in host.commands(1, 23)) == 3
+
+
+def test_two_missed_replies_in_a_row_mean_a_lost_axis_and_one_does_not(host):
+    host.silent = {2}
+    begin = host.now
+    while not any(isinstance(happening, Lost) for happening in host.happened):
+        host.run(TICK)
+        assert host.now - begin < 1.0
+    assert host.happened == [Lost(1)]
+    assert host.chain.counts[1].missed == 2
+    assert host.now - begin < 0.25
+    host.run(1.0)
+    assert host.happened == [Lost(1)]  # said once
+
+
+def test_a_single_missed_reply_is_only_counted(host):
+    host.silent = {2}
+    while host.chain.counts[1].missed == 0:
+        host.run(TICK)
+    host.silent = set()
+    host.run(1.0)
+
+    assert host.happened == []
+    assert host.chain.counts[1].missed == 1
+
+
+def test_after_a_missed_reply_the_line_rests_for_more_than_10_ms(host):
+    host.silent = {2}
+    while host.chain.counts[1].missed == 0:
+        host.run(TICK)
+    missed = host.now
+    host.silent = set()
+    host.run(0.1)
+
+    before = max(time for time, _ in host.sent if time < missed - TICK / 2)
+    after = min(time for time, _ in host.sent if time > before)
+    assert after - (before + MESSAGE_TIME) > 0.010
+
+
+def test_an_axis_is_where_its_ramps_have_taken_it(host):
+    estimate = host.chain.estimates[0]
+    host.chain.polling = False
+    host.run(0.1)  # the line is free
+    host.chain.command(0, 1000)
+    effect = host.now + MESSAGE_TIME
+    host.run(1.0)
+
+    # 1000 units at 38 units of acceleration: 9375 microsteps/s after 21.9 ms.
+    ramp = 9375.0 / (38 * 11250.0)
+    due = 1_536_000 + 9375.0 * (host.now - TICK - effect - 0.5 * ramp)
+    assert estimate.position == pytest.approx(due, abs=0.5)
+
+
+def test_a_reading_that_nothing_explains_needs_two_more_to_be_believed(host):
+    host.places[0] += 5000
+    seen = [host.chain.estimates[0].position]
+    while host.chain.estimates[0].position == 1_536_000:
+        host.run(TICK)
+        seen.append(host.chain.estimates[0].position)
+
+    assert host.chain.counts[0].rejected == 2
+    assert host.chain.estimates[0].position == 1_541_000
+
+
+def test_a_damaged_reading_moves_nothing(host):
+    readings = host.chain.counts[0].readings
+    host.places[0] ^= 1 << 18
+    while host.chain.counts[0].rejected == 0:
+        host.run(TICK)
+    host.places[0] ^= 1 << 18
+    host.run(0.2)
+
+    assert host.chain.estimates[0].position == 1_536_000
+    assert host.chain.counts[0].rejected == 1
+    assert host.chain.counts[0].readings > readings
+
+
+def test_an_axis_that_moves_by_itself_is_reported(host):
+    def drift(now: float) -> None:
+        host.places[2] += 100
+
+    host.run(2.0, drift)
+
+    assert Astray(2) in host.happened
+    assert not any(isinstance(happening, Lost) for happening in host.happened)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        "07 3c 00 00 10 00",  # no such unit
+        "01 3c ff ff ff 7f",  # no such position
+        "01 ff 0c 7b 00 00",  # no such error
+        "01 ff 40 00 00 00",  # a real error: reported, no position
+        "ff ff ff ff ff ff",
+    ],
+)
+def test_what_cannot_be_is_no_position(frame):
+    host = Host()
+    host.run(0.3)
+    before = [estimate.position for estimate in host.chain.estimates]
+    happened = host.chain.feed(bytes.fromhex(frame), host.now)
+
+    assert [estimate.position for estimate in host.chain.estimates] == before
+    assert all(isinstance(happening, Complaint) for happening in happened)
+
+
+def test_one_question_at_a_time_and_its_answer(host):
+    host.chain.ask(Ask(2, 50, 0, 50))
+    host.run(0.03)
+    assert host.commands(3, 50)
+    assert host.chain.feed(bytes.fromhex("03 32 ec 10 00 00"), host.now) == [Answer(4332)]
+
+    host.chain.ask(Ask(0, 53, 101, 101))
+    host.run(0.03)
+    assert host.chain.feed(bytes.fromhex("01 ff 35 00 00 00"), host.now) == [Answer(error=53)]
+
+    host.chain.ask(Ask(0, 63, 0, 63))
+    host.run(0.2)
+    assert host.happened == [Answer()]  # nothing came in time
+
+
+def test_an_answer_that_nobody_waits_for_any_more_is_nothing(host):
+    host.chain.ask(Ask(2, 50, 0, 50))
+    host.run(0.03)
+    host.chain.cancel()
+
+    assert host.chain.feed(bytes.fromhex("03 32 ec 10 00 00"), host.now) == []
+
+
+def test_positions_are_unknown_until_two_readings_agree():
+    host = Host()
+    assert math.isnan(host.chain.estimates[0].position)
+    host.run(0.02)
+    assert not host.chain.estimates[0].known
+
+
+def test_any_number_of_axes(host):
+    four = (*AXES, replace(AXES[0], device=4))
+    host = Host(places=(1, 2, 3, 4), axes=four)
+    host.run(0.5)
+
+    assert [estimate.position for estimate in host.chain.estimates] == [1, 2, 3, 4]
+
+
+def test_fuzz_both_directions():
+    result = fuzz(10_000, seed=6)
+
+    assert result == {"cases": 10_000, "exceptions": 0, "hangs": 0, "false_accepts": 0}
+
+
+def test_bytes_come_back_one_at_a_time(host):
+    host.chain.ask(Ask(1, 51, 0, 51))
+    host.run(0.03)
+    happened = []
+    for k, byte in enumerate(bytes.fromhex("02 33 0b 02 00 00")):
+        happened += host.chain.feed(bytes((byte,)), host.now + k * BYTE_TIME)
+
+    assert happened == [Answer(523)]

@@ -1,0 +1,24 @@
+"""The live virtual lab as the bench that its endpoints make."""
+
+import numpy as np
+import pytest
+
+from station.devices.config import Mount
+from station.devices.open_devices import plan
+from station.lab.aurora.coil import MOUNT
+from station.lab.config import LabConfig, TrackerConfig
+from station.lab.endpoints import lab_bench
+from station.lab.lab_server import OpenLab
+
+
+def test_a_labs_endpoints_make_a_bench_that_can_be_opened(paper):
+    config = LabConfig(tracker=TrackerConfig(rate=20.0, latency=0.030))
+    with OpenLab(paper, config, 0, np.array([0.2, 1.2, -0.08])) as lab:
+        bench = lab_bench(lab.endpoints, config)
+        assert set(plan(bench, paper)) == {"stages", "tracker", "sensors"}
+        assert bench.stages["port"] == lab.endpoints["zaber"]
+        assert list(bench.sensors["tubes"]) == ["inner", "outer"]
+    assert (bench.tracker["frame_rate"], bench.tracker["latency"]) == (20.0, 0.030)
+    mount = Mount(**bench.tracker["mount"])
+    assert mount.rotation == pytest.approx(MOUNT.rotation, abs=1e-15)
+    assert np.array(mount.position) == pytest.approx(MOUNT.position)

@@ -1,0 +1,59 @@
+"""Errors of a motion, counted by hand."""
+
+import numpy as np
+import pytest
+
+from station.recording.tracking_errors import errors, motion_errors, settling_time
+
+#: A motion that begins at 10 s: the tip runs along x at 1 mm/s, 2 mm behind in x and 1 mm aside in y.
+TIME = np.arange(9.0, 20.0, 0.002)
+
+
+def columns(late: float = 0.0, known: bool = True) -> dict[str, np.ndarray]:
+    desired = np.outer(1e-3 * (TIME - 10.0), (1.0, 0.0, 0.0))
+    frame = (np.arange(len(TIME)) % 13 == 0).astype(float)
+    true = desired - np.array([2e-3, -1e-3, 0.0])
+    # What a frame shows is the tip of when it was taken.
+    measured = true - np.outer(np.full(len(TIME), 1e-3 * late), (1.0, 0.0, 0.0))
+    return {
+        "time": TIME[:, None],
+        "tip_desired": desired,
+        "tip_true": true,
+        "tip_measured": measured,
+        "tip_new": frame[:, None],
+        "tip_time": (TIME - late)[:, None],
+        "truth_known": np.full((len(TIME), 1), float(known)),
+    }
+
+
+def test_errors_are_per_axis_in_millimetres():
+    found = errors("true_", np.array([[1e-3, -2e-3, 0.0], [-3e-3, 2e-3, 0.0]]))
+
+    assert found["true_max_abs_error_mm"] == [3.0, 2.0, 0.0]
+    assert found["true_rms_error_mm"] == pytest.approx([np.sqrt(5.0), 2.0, 0.0], abs=1e-4)
+    assert found["true_mean_error_mm"] == pytest.approx((np.sqrt(5.0) + np.sqrt(13.0)) / 2, abs=1e-4)
+
+
+def test_a_frame_is_compared_with_the_setpoint_of_the_moment_it_was_taken():
+    found = motion_errors(columns(late=0.5).__getitem__, 10.0, 2.0)
+
+    assert found["max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
+    assert found["true_max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
+
+
+def test_errors_count_after_the_settling_time_only():
+    values = columns()
+    values["tip_measured"][TIME < 12.0] += 1.0
+
+    assert motion_errors(values.__getitem__, 10.0, 2.1)["max_abs_error_mm"][0] == pytest.approx(2.0, abs=1e-6)
+    assert motion_errors(values.__getitem__, 10.0, 1.0)["max_abs_error_mm"][0] > 900.0
+
+
+def test_nothing_is_said_of_a_motion_that_has_not_settled_nor_of_a_truth_that_nobody_knows():
+    assert motion_errors(columns().__getitem__, 10.0, 60.0) == {}
+    assert not any(name.startswith("true_") for name in motion_errors(columns(known=False).__getitem__, 10.0, 2.0))
+
+
+def test_a_free_motion_settles_in_twenty_seconds_or_half_of_its_time():
+    assert settling_time(200.0) == 20.0
+    assert settling_time(10.0) == 5.0

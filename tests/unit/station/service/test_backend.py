@@ -1,0 +1,52 @@
+"""What a run brings onto the virtual lab: at a motion's start, gone at its end, and never onto real devices."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from station.config.strict import ConfigError
+from station.control.process import ring_width
+from station.control.ring import Ring
+from station.lab.config import LabConfig
+from station.lab.endpoints import lab_bench
+from station.lab.faults import LabFault
+from station.lab.lab_server import OpenLab
+from station.lab.loads import ConstantLoad
+from station.service.backend import BenchSide, Brings
+from station.service.station_file import load_station
+
+MUTE = LabFault(kind="mute", device="stages")
+
+
+@pytest.fixture
+def ring(paper) -> Iterator[Ring]:
+    ring = Ring(ring_width(paper))
+    yield ring
+    ring.close(remove=True)
+
+
+def test_faults_are_for_simulated_devices_only(paper, ring):
+    with OpenLab(paper, LabConfig(), 0, np.array([0.0, np.pi / 2.0, -0.1])) as lab:
+        told = lab_bench(lab.endpoints, LabConfig())
+    side = BenchSide(replace(load_station(None).bench(), devices=told), ring)
+
+    assert side.alive
+    assert side.pid is None
+    assert side.devices() == told
+    side.inject(())  # nothing to mend
+    for asked in (side.check, side.inject):
+        with pytest.raises(ConfigError, match="virtual lab only"):
+            asked([MUTE])
+
+
+def test_a_motion_is_begun_and_ended_once(paper, ring):
+    with OpenLab(paper, LabConfig(), 0, np.array([0.0, np.pi / 2.0, -0.1])) as lab:
+        told = lab_bench(lab.endpoints, LabConfig())
+    side = BenchSide(replace(load_station(None).bench(), devices=told), ring)
+    load = Brings(ConstantLoad(magnitude=0.2))
+
+    assert side.prepare(load) == Brings()
+    assert side.prepare(Brings(None)) == load
+    assert [side.motion(start) for start in (None, 1.0, 1.0, None, None)] == [False, True, False, True, False]

@@ -1,0 +1,172 @@
+"""Who may talk to the station: the checks themselves, without a station behind them."""
+
+import asyncio
+import socket
+
+import httpx
+import pytest
+from starlette.types import Message, Receive, Scope, Send
+
+from web.access.gate import Access, is_loopback
+from web.access.tokens import Tokens
+
+TOKENS = Tokens("the-operators-token", "the-viewers-token")
+OWN = "127.0.0.1:8000"
+
+
+async def _echo(scope: Scope, receive: Receive, send: Send) -> None:
+    """Whoever gets here is told what the checks made of him."""
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.accept"})
+        await send({"type": "websocket.close"})
+        return
+    body = str(scope["state"]["who"].role).encode()
+    await send({"type": "http.response.start", "status": 200, "headers": []})
+    await send({"type": "http.response.body", "body": body})
+
+
+def _asked(app: Access, path: str, method: str, host: str, headers: dict[str, str], content: bytes) -> httpx.Response:
+    async def ask() -> httpx.Response:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url=f"http://{host}") as client:
+            return await client.request(method, path, headers=headers, content=content)
+
+    return asyncio.run(ask())
+
+
+# ---- on loopback, where everybody is operator
+
+
+def _here(path: str, method: str = "GET", content: bytes = b"", host: str = OWN, **headers: str) -> int:
+    """The status that the checks answer with."""
+    return _asked(
+        Access(_echo, "127.0.0.1", 8000, None), path, method, OWN, {"host": host, **headers}, content
+    ).status_code
+
+
+def test_the_stations_own_page_and_scripts_are_let_in() -> None:
+    assert _here("/api/status", origin=f"http://{OWN}") == 200
+    assert _here("/api/stop", "POST") == 200
+    assert _here("/api/stop", "POST", b"{}", **{"content-type": "application/json"}) == 200
+
+
+@pytest.mark.parametrize("path", ["/", "/api/status", "/viser/", "/api/nothing"])
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost:80", ""])
+def test_a_foreign_host_is_refused(path: str, host: str) -> None:
+    assert _here(path, host=host) == 403
+    assert _here(path, "POST", host=host) == 403
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1", "https://127.0.0.1.evil.example"]
+)
+def test_a_page_of_another_origin_can_neither_read_nor_press(origin: str) -> None:
+    assert _here("/api/status", origin=origin) == 403
+    assert _here("/api/stop", "POST", origin=origin) == 403
+
+
+@pytest.mark.parametrize("kind", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"])
+def test_a_form_is_not_a_request(kind: str) -> None:
+    assert _here("/api/start", "POST", b"{}", **{"content-type": kind}) == 415
+
+
+def test_a_cross_site_request_without_origin_is_refused() -> None:
+    assert _here("/api/stop", "POST", **{"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors"}) == 403
+
+
+@pytest.mark.parametrize("path", ["/viser/", "/viser", "/api/telemetry"])
+@pytest.mark.parametrize("headers", [{"origin": "http://evil.example"}, {"host": "evil.example"}])
+def test_foreign_websockets_are_refused(path: str, headers: dict[str, str]) -> None:
+    assert _socket(path, {"host": OWN}) == ["websocket.accept", "websocket.close"]  # the page's own
+    assert _socket(path, {"host": OWN, **headers}) == ["websocket.close"]
+
+
+def _socket(path: str, headers: dict[str, str]) -> list[str]:
+    """What becomes of a websocket, message by message."""
+    sent: list[str] = []
+    scope = {
+        "type": "websocket", "path": path, "query_string": b"", "client": ("127.0.0.1", 50000),
+        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
+    }  # fmt: skip
+
+    async def receive() -> Message:
+        return {"type": "websocket.connect"}
+
+    async def send(message: Message) -> None:
+        sent.append(message["type"])
+
+    asyncio.run(Access(_echo, "127.0.0.1", 8000, None)(scope, receive, send))
+    return sent
+
+
+@pytest.mark.parametrize(
+    ("host", "local"),
+    [
+        ("127.0.0.1", True),
+        ("::1", True),
+        ("localhost", True),
+        ("0.0.0.0", False),
+        ("192.168.1.5", False),
+        ("lab", False),
+    ],
+)
+def test_only_loopback_counts_as_loopback(host: str, local: bool) -> None:
+    assert is_loopback(host) is local
+
+
+# ---- beyond loopback
+
+
+def _ask(path: str, method: str = "GET", host: str = "10.1.2.3:8000", **headers: str) -> httpx.Response:
+    return _asked(Access(_echo, "0.0.0.0", 8000, TOKENS), path, method, host, headers, b"")
+
+
+@pytest.mark.parametrize(
+    "headers", [{}, {"authorization": "Bearer guess"}, {"cookie": "ctr_station_8000=guess"}, {"cookie": "=;=,\x7f"}]
+)
+def test_beyond_loopback_a_token_is_demanded(headers: dict[str, str]) -> None:
+    assert _ask("/", **headers).status_code == 401
+    assert _ask("/?token=guess", **headers).status_code == 401
+
+
+@pytest.mark.parametrize(("token", "role"), [(TOKENS.operator, "operator"), (TOKENS.viewer, "viewer")])
+def test_the_first_visit_with_a_token_leaves_a_cookie_and_a_clean_address(token: str, role: str) -> None:
+    first = _ask(f"/?token={token}")
+    assert first.status_code == 303
+    assert first.headers["location"] == "/"
+    assert "HttpOnly" in first.headers["set-cookie"]
+    assert "SameSite=Strict" in first.headers["set-cookie"]
+    assert _ask("/", cookie=first.headers["set-cookie"].split(";")[0]).text == role
+    assert _ask("/", authorization=f"Bearer {token}").text == role
+
+
+def test_a_token_does_not_lead_to_another_host() -> None:
+    assert _ask(f"/%2Fevil.example/?token={TOKENS.viewer}").headers["location"] == "/evil.example/"
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE"])
+def test_viewers_look_and_press_stop(method: str) -> None:
+    viewer = {"authorization": f"Bearer {TOKENS.viewer}", "content-type": "application/json"}
+    assert _ask("/api/status", **viewer).text == "viewer"
+    assert _ask("/api/stop", "POST", **viewer).text == "viewer"
+    for path in ("/api/start", "/api/jog", "/api/operator", "/api/runs/x", "/anything"):
+        refused = _ask(path, method, **viewer)
+        assert refused.status_code == 403
+        assert "viewers" in refused.json()["error"]
+
+
+@pytest.mark.parametrize("host", ["evil.example:8000", "10.1.2.3", "10.1.2.3:9000", "10.1.2.3.evil.example:8000"])
+def test_names_that_others_could_point_here_are_refused_even_with_a_token(host: str) -> None:
+    assert _ask("/", host=host, authorization=f"Bearer {TOKENS.operator}").status_code == 403
+
+
+@pytest.mark.parametrize("host", ["10.1.2.3:8000", "127.0.0.1:8000", "[::1]:8000", f"{socket.gethostname()}:8000"])
+def test_the_machines_own_names_and_numbers_are_let_in(host: str) -> None:
+    assert _ask("/", host=host, authorization=f"Bearer {TOKENS.operator}").status_code == 200
+
+
+def test_no_other_site_shows_the_page_in_a_frame() -> None:
+    operator = {"authorization": f"Bearer {TOKENS.operator}"}
+    assert "frame-ancestors 'self'" in _ask("/", **operator).headers["content-security-policy"]
+    followed = {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}
+    assert _ask("/", **operator, **followed, **{"sec-fetch-dest": "document"}).status_code == 200
+    assert _ask("/", **operator, **followed, **{"sec-fetch-dest": "iframe"}).status_code == 403

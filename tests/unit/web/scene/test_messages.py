@@ -1,0 +1,126 @@
+"""The gate before the scene, under messages that no honest browser sends."""
+
+import math
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from web.access.identity import Who
+from web.access.lease import LENGTH, Lease
+from web.access.tokens import Role
+from web.scene.messages import BURST, FAR, LONGEST, RATE, Box, Gate, Handles
+
+HANDLES = Handles({"views": ("Side", "Top")}, {"/target": Box((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0))})
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [0, 0, 1.5], "fov": 1.0, "near": 0.1,
+    "far": 10.0, "image_height": 100, "image_width": 100, "look_at": [0, 0, 0], "up_direction": [0, 0, 1],
+}  # fmt: skip
+PRESS = {"type": "GuiUpdateMessage", "uuid": "views", "updates": {"value": "Top"}}
+MOVE = {
+    "type": "TransformControlsUpdateMessage", "name": "/target", "wxyz": [1, 0, 0, 0],
+    "position": [0.5, -0.5, 1.0], "owner": "",
+}  # fmt: skip
+START = {"type": "TransformControlsDragStartMessage", "name": "/target", "owner": ""}
+END = {"type": "TransformControlsDragEndMessage", "name": "/target", "owner": ""}
+
+
+class Bench:
+    """A gate with its clock, its lease and what it reported."""
+
+    def __init__(self, role: Role = Role.OPERATOR, *, holds: bool = True) -> None:
+        self.now = 0.0
+        self.reported: list[str] = []
+        self.lease = Lease(lambda: self.now)
+        if holds:
+            self.lease.take("me-myself", "Me")
+        who = Who(role, "me-myself", "Me", "127.0.0.1")
+        self.gate = Gate(HANDLES, self.lease, who, lambda: self.now, self.reported.append)
+
+    def say(self, message: Any) -> Any:
+        passed = self.gate.passes(msgspec.msgpack.encode(message))
+        return None if passed is None else msgspec.msgpack.decode(passed)
+
+
+@pytest.mark.parametrize("message", [CAMERA, PRESS, MOVE, START, END])
+def test_what_an_operators_browser_says_goes_on_as_it_was(message: dict) -> None:
+    assert Bench().say(message) == message
+
+
+@pytest.mark.parametrize("bench", [Bench(Role.VIEWER), Bench(holds=False), Bench(Role.VIEWER, holds=False)])
+def test_others_look_and_press_views_but_drag_nothing(bench: Bench) -> None:
+    assert bench.say(CAMERA) == CAMERA
+    assert bench.say(PRESS) == PRESS
+    for message in (MOVE, START, END):
+        assert bench.say(message) is None
+    assert bench.reported == ["a drag by somebody who is not operator"]
+
+
+def test_a_lapsed_lease_drags_nothing() -> None:
+    bench = Bench()
+    assert bench.say(MOVE) is not None
+    bench.now = LENGTH + 1.0
+    assert bench.say(MOVE) is None
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"type": "GuiRemoveMessage", "uuid": "views"},
+        {"type": "RemoveSceneNodeMessage", "name": "/robot"},
+        {"type": "ShareUrlRequest"},
+        {"type": "RunJavascriptMessage", "source": "alert(1)"},
+        {"type": "FileTransferStartUpload", "source_component_uuid": "views", "transfer_uuid": "x"},
+        {"type": "GuiButtonHoldMessage", "uuid": "views", "frequency": 1e9},
+        {"type": "SetPositionMessage", "name": "/robot", "position": [0, 0, 0]},
+        {"type": "ScenePointerMessage", "event_type": "click"},
+        {"type": 7},
+        {},
+        [],
+        None,
+        "ViewerCameraMessage",
+        PRESS | {"uuid": "another"},
+        PRESS | {"updates": {"value": "9999"}},
+        PRESS | {"updates": {"value": math.nan}},
+        PRESS | {"updates": {"visible": "Top"}},
+        PRESS | {"updates": {"value": "Top", "disabled": "x"}},
+        PRESS | {"updates": {}},
+        PRESS | {"more": 1},
+        MOVE | {"name": "/robot/inner"},
+        MOVE | {"owner": "client"},
+        MOVE | {"position": [0.5, -0.5, 2.1]},
+        MOVE | {"position": [math.nan, 0, 1]},
+        MOVE | {"position": [0, 0]},
+        MOVE | {"wxyz": [math.inf, 0, 0, 0]},
+        CAMERA | {"position": [0, 0, math.nan]},
+        CAMERA | {"position": [0, 0, 2 * FAR]},
+        CAMERA | {"image_height": 10**9},
+        CAMERA | {"fov": -1.0},
+    ],
+)
+def test_anything_else_is_dropped_counted_and_reported_once(message: Any) -> None:
+    bench = Bench()
+    for _ in range(3):
+        assert bench.say(message) is None
+    assert sum(bench.gate.dropped.values()) == 3
+    assert len(bench.reported) == 1
+
+
+def test_text_emptiness_and_long_messages_are_dropped() -> None:
+    gate = Bench().gate
+    for data in ("text", None, b"", msgspec.msgpack.encode(PRESS | {"uuid": "x" * LONGEST}), b"\x91" * LONGEST):
+        assert gate.passes(data) is None
+
+
+@given(st.binary(max_size=300))
+def test_no_bytes_break_the_gate(data: bytes) -> None:
+    Bench().gate.passes(data)
+
+
+def test_a_flood_is_cut_down_to_what_a_person_sends() -> None:
+    bench = Bench()
+    assert sum(bench.say(CAMERA) is not None for _ in range(1000)) == BURST
+    bench.now = 1.0
+    assert sum(bench.say(CAMERA) is not None for _ in range(1000)) == RATE

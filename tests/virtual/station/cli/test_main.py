@@ -1,0 +1,160 @@
+"""The command line: what it prints, what it leaves on the disk, and how it ends."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.recording.read import read_case
+
+GOOD = b'{"joints": {"outer_rotation": 0, "inner_rotation": 1.57, "inner_translation": -0.1}, "force": [0.2, 0, 0]}\n'
+TWO_CASES = "[cases.one]\n[cases.two.controller]\nfeedforward = true\n[paper.one]\nmax_abs_error_mm = { x = 7.9 }\n"
+
+
+def folders(out: Path) -> list[str]:
+    return sorted(path.name for path in out.iterdir()) if out.exists() else []
+
+
+def test_the_same_seed_gives_the_same_rows_and_another_seed_others(call, write, short, tmp_path):
+    for seed in ("1", "1", "2"):
+        assert call("run", str(write(short)), "--jobs", "1", "--seed", seed, "--out", "out").status == 0
+    first, again, other = (read_case(path).rows for path in sorted((tmp_path / "out").glob("*/own.mcap")))
+
+    assert (first == again).all()
+    assert not (first == other).all()
+
+
+def test_the_table_has_units_and_the_papers_number_beside_ours(call, write, short):
+    done = call("run", str(write(short + TWO_CASES)), "--jobs", "1")
+
+    assert done.status == 0
+    measured = [line for line in done.out.splitlines() if "max |E| measured [mm]" in line]
+    assert len(measured) == 2
+    assert "one" in measured[0]
+    assert "x 7.9" in measured[0]
+    assert "two" in measured[1]
+    assert "times real time" in done.out
+    assert str(Path("runs") / "own-seed0-") in done.out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("duration = 1.0", "duration = nan", ["duration = nan", "finite"]),
+        ("duration = 1.0", "duration = -1.0", ["duration = -1.0", "greater than 0"]),
+        ("duration", "length", ["unknown key 'length'"]),
+        ("-0.100", "-0.150", ["inner_translation -0.15 m", "-0.13 ... -0.005 m"]),
+        ("-0.100", "nan", ["start.inner_translation = nan", "finite"]),
+        ('kind = "hold"', "kind = =", ["not valid TOML", "line 6"]),
+        ('title = "short"', 'title = "short"\n"odd\\nkey" = 1', ["unknown key"]),
+        ('title = "short"', 'title = "short"\nrobot = "soft.toml"', ["soft.toml", "bending_stiffness -0.048 N m^2"]),
+    ],
+)
+def test_a_bad_file_gets_one_line_and_leaves_nothing(call, write, short, robot_text, tmp_path, old, new, said):
+    write(robot_text.replace("bending_stiffness = 0.048", "bending_stiffness = -0.048"), "soft")
+    assert short.strip().count(old) == 1
+    done = call("run", str(write(short.strip().replace(old, new))), "--jobs", "1", "--out", "out", "--json")
+
+    assert done.status == 2
+    assert done.out == ""
+    assert len(done.err.splitlines()) == 1
+    for part in said:
+        assert part in done.err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "fig99"], ["'fig99'", "fig10"]),
+        (["run", "fig\n99"], ["'fig 99'"]),
+        (["run", "gone.toml"], ["gone.toml: no such file"]),
+        (["run", "fig7", "--seed", "x"], ["--seed", "'x'", "2^63"]),
+        (["run", "fig7", "--seed", "-1"], ["--seed", "-1", "0 ..."]),
+        (["run", "fig7", "--seed", "1.5"], ["--seed", "'1.5'"]),
+        (["run", "fig7", "--seed", "9223372036854775808"], ["--seed", "9223372036854775808", "2^63 - 1"]),
+        (["run", "fig7", "--sed", "1"], ["--sed"]),
+        (["run"], ["EXPERIMENT"]),
+        (["run", "fig7", "--out", "taken"], ["taken: cannot write results there"]),
+        (["run", "fig7", "--out", "taken/below"], ["taken/below: cannot write results there"]),
+        (["run", "fig7", "--out", "x" * 300], ["cannot write results there: File name too long"]),
+        (["solve", "--sublink", "nan"], ["--sublink", "nan m", "0.0001 ... 0.1 m"]),
+        (["solve", "--sublink", "0"], ["--sublink", "0 m", "0.0001 ... 0.1 m"]),
+        (["solve", "--sublink", "short"], ["--sublink", "'short'", "0.0001 ... 0.1 m"]),
+        (["solve", "--robot", "snake"], ["'snake'", "paper"]),
+        (["bench", "coffee"], ["coffee", "model", "headless"]),
+        (["fly"], ["fly", "run", "solve"]),
+    ],
+)
+def test_a_bad_command_gets_one_line_that_names_it(call, tmp_path, arguments, said):
+    (tmp_path / "taken").write_text("a file", encoding="utf-8")
+    done = call(*arguments)
+
+    assert done.status == 2
+    assert done.out == ""
+    assert len(done.err.splitlines()) == 1
+    for part in said:
+        assert part in done.err
+    assert folders(tmp_path) == ["taken"]
+
+
+def test_a_run_that_cannot_go_on_says_why_and_is_kept_as_incomplete(call, write, short, tmp_path):
+    # Without feedback a load that cannot be held is no reason to refuse the motion beforehand.
+    load = '[load]\nkind = "constant"\nmagnitude = 20.0\n[controller]\nstrategy = "unloaded_jacobian"\n'
+    path = write(short + load + "[cases.one]\n[cases.two]\n")
+    done = call("run", str(path), "--jobs", "1", "--out", "out", "--json")
+    summary = json.loads(done.out)
+
+    assert done.status == 1
+    assert not summary["completed"]
+    assert list(summary["cases"]) == ["one"]
+    assert "saturated" in summary["cases"]["one"]["cause"]
+    assert folders(tmp_path / summary["recording"]) == ["experiment.toml", "one.mcap", "summary.json"]
+
+    shown = call("run", str(path), "--jobs", "1", "--out", "out")
+    assert shown.status == 1
+    assert "one (not completed)" in shown.out
+
+
+@pytest.mark.parametrize("options", [["--exact"], ["--sublink", "0.0025"], ["--robot", "own.toml"]])
+def test_solve_takes_another_model_or_another_robot(call, write, robot_text, monkeypatch, tmp_path, options):
+    write(robot_text.replace("bending_stiffness = 0.0413", "bending_stiffness = 0.0826"))
+    request = tmp_path / "request"
+    request.write_bytes(GOOD)
+
+    def tip(*arguments: str) -> np.ndarray:
+        with request.open(encoding="utf-8") as lines:
+            monkeypatch.setattr(sys, "stdin", lines)
+            return np.array(json.loads(call("solve", *arguments).out)["tip"])
+
+    # another sub-link or formulation: within a tenth of a millimetre; a tube twice as stiff: millimetres
+    distance = np.linalg.norm(tip(*options) - tip())
+    assert distance > 0.0
+    assert (distance < 1e-4) == ("--robot" not in options)
+
+
+def test_help_names_the_commands_and_the_experiments(call):
+    done = call("--help")
+
+    assert (done.status, done.err) == (0, "")
+    for word in ("run", "solve", "bench", "fig10", "fig3"):
+        assert word in done.out
+
+
+def test_without_a_command_there_is_help_and_a_status_that_says_nothing_was_done(call):
+    done = call()
+
+    assert done.status == 2
+    assert "usage: ctr-station" in done.out
+
+
+def test_bench_prints_one_json_object_or_a_table(call, monkeypatch):
+    from station.bench import bench
+
+    whole = bench.model
+    monkeypatch.setattr(bench, "model", lambda: whole(300))
+
+    assert {"solve_us", "accuracy_mm"} <= set(json.loads(call("bench", "model", "--json").out))
+    assert "accuracy_mm mean" in call("bench", "model").out

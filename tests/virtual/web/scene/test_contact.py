@@ -1,0 +1,125 @@
+"""When a load beside the tip is believed, on rows of virtual runs."""
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from core.model.statics import Statics
+from core.robot.robot import Array
+from station.config.robots import load_robot
+from station.control.states import State
+from station.control.telemetry import Channels
+from station.experiments.experiment import load_experiment
+from station.experiments.runner import Recording
+from tests.harness.cases import a_run
+from web.scene.contact import AGREED, ROWS, Feeler
+
+RUN = """
+title = "touched"
+start = {{ outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }}
+duration = 3.0
+settling = 0.0
+[trajectory]
+kind = "joint_sweep"
+joint = "outer_rotation"
+speed = 0.01
+distance = 0.03
+[load]
+{load}
+"""
+AT_100_MM = 'kind = "contact"\nmagnitude = 0.3\nplace = 0.1\ndirection = [0.0, 1.0, 0.3]'
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Recording]:
+    """A joint turns slowly under a load, as a TOML table."""
+
+    @cache
+    def ran(load: str) -> Recording:
+        path = tmp_path_factory.mktemp("touched") / "own.toml"
+        path.write_text(RUN.format(load=load), encoding="utf-8")
+        return a_run(load_experiment(str(path)).cases[0])
+
+    return ran
+
+
+@pytest.fixture(scope="module")
+def touched(ran: Callable[[str], Recording]) -> Recording:
+    return ran(AT_100_MM)
+
+
+@pytest.fixture
+def feeler() -> Feeler:
+    robot = load_robot("paper").robot()
+    return Feeler(robot, Statics(robot), Channels(robot))
+
+
+def newest(run: Recording) -> Array:
+    return run.rows[-ROWS:].copy()
+
+
+def feel(feeler: Feeler, rows: Array, times: int = AGREED) -> None:
+    for _ in range(times):
+        feeler.feel(rows)
+
+
+def test_a_contact_is_believed_when_several_looks_agree_and_forgotten_as_slowly(
+    feeler: Feeler, touched: Recording, ran: Callable[[str], Recording]
+) -> None:
+    feel(feeler, newest(touched), AGREED - 1)
+    assert feeler.felt is None
+    feeler.feel(newest(touched))
+    assert feeler.felt is not None
+    assert feeler.felt.contact.place == pytest.approx(0.1, abs=10e-3)
+    assert np.linalg.norm(feeler.felt.force) == pytest.approx(0.3, abs=0.03)
+    free = newest(ran('kind = "none"'))
+    feel(feeler, free, AGREED - 1)
+    assert feeler.felt is not None
+    feeler.feel(free)
+    assert feeler.felt is None
+
+
+def test_it_is_said_in_words_with_place_interval_and_what_to_do(feeler: Feeler, touched: Recording) -> None:
+    feel(feeler, newest(touched))
+    assert feeler.felt is not None
+    first, last = feeler.felt.contact.intervals[0]
+    where = f"{1e3 * feeler.felt.contact.place:.0f} mm ({1e3 * first:.0f}-{1e3 * last:.0f}) from the plate"
+    assert feeler.felt.warning.startswith(f"the load does not act at the tip: contact at {where}; ")
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        'kind = "none"',
+        'kind = "constant"\nmagnitude = 0.5',
+        'kind = "constant"\nmagnitude = 0.1\ndirection = [0.0, 1.0, 0.0]',
+        'kind = "hung_weight"\nweight = 0.3\nlowering = 0.1',
+    ],
+)
+def test_a_load_at_the_tip_is_never_called_a_contact(
+    feeler: Feeler, ran: Callable[[str], Recording], load: str
+) -> None:
+    run = ran(load)
+    for end in range(ROWS, len(run.rows), 167):  # three looks a second
+        feeler.feel(run.rows[end - ROWS : end])
+        assert feeler.felt is None, end
+
+
+def test_nothing_is_said_while_it_cannot_be_told(feeler: Feeler, touched: Recording) -> None:
+    of = touched.channels.of
+    fast, homing, blind = newest(touched), newest(touched), newest(touched)
+    of(fast, "joints")[:, 1] += np.linspace(0.0, np.deg2rad(6.0), ROWS)
+    of(homing, "state")[:] = State.HOMING
+    of(blind, "trouble")[-1, 2] = 2.0
+    for rows in (fast, homing, blind, newest(touched)[: ROWS // 2]):
+        feel(feeler, rows, 2 * AGREED)
+        assert feeler.felt is None
+
+
+def test_a_silent_station_feels_nothing_at_once(feeler: Feeler, touched: Recording) -> None:
+    feel(feeler, newest(touched))
+    assert feeler.felt is not None
+    feeler.feel(newest(touched)[:0])
+    assert feeler.felt is None

@@ -1,0 +1,269 @@
+"""The bench over REST: devices, homing, tare, moving by hand, and the virtual lab's loads and faults."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Depends, Query
+from pydantic import ConfigDict, Field
+
+from core.control.controllers import INNER_LOOPS, STRATEGIES
+from station.config.strict import Strict
+from station.control.states import RefusedError
+from station.lab.faults import KINDS, LabFault, Part, check_faults
+from station.lab.loads import Load
+from station.service.audit import Audit
+from station.service.station_service import JOG_TIP_SPEED, Desk
+from web.api.commands import Commands, aside
+from web.api.schemas import REFUSED, DoneOut
+
+
+class JointOut(Strict):
+    """A joint and what its stage allows."""
+
+    name: str
+    motion: Literal["rotation", "translation"]
+    unit: str
+    lower: float
+    upper: float
+    speed: float
+
+
+class BenchOut(Strict):
+    """What stands there."""
+
+    robot: str
+    lab: str
+    """what is simulated, or which drivers are in use"""
+    virtual: bool
+    """a virtual lab: it can be pulled at and its devices can be made to fail"""
+    joints: tuple[JointOut, ...]
+    tubes: tuple[str, ...]
+    """innermost first"""
+    tip_speed: float
+    """of the tip when it is moved by hand, at most [m/s]"""
+    strategies: tuple[str, ...]
+    """of control"""
+    inner: tuple[str, ...]
+    """laws of the inner loop"""
+
+
+class DeviceDetailsOut(Strict):
+    """Everything that is known of one device."""
+
+    name: str
+    condition: str
+    severity: int
+    text: str
+    details: dict[str, Any]
+    """who it is and what it has counted"""
+
+
+class DevicesOut(Strict):
+    """All devices, and the newest of what they measure."""
+
+    devices: tuple[DeviceDetailsOut, ...]
+    raw: Mapping[str, float]
+    """by channel, as in recordings, with the unit in the name"""
+
+
+class HomeIn(Strict):
+    """A person's word."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"way_is_clear": True}]})
+
+    way_is_clear: Literal[True]
+    """somebody has looked: the tubes can be retracted and turned without touching anything"""
+
+
+class JogIn(Strict):
+    """A movement by hand, for the next 0.3 s; ask again to go on."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"space": "tip", "velocity": [0.0, 0.0, 0.002]}]})
+
+    space: Literal["joints", "tip"]
+    velocity: Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=20)]
+    """of every joint [rad/s or m/s], or of the tip, world frame [m/s]"""
+
+
+class PullIn(Strict):
+    """A load for the simulated tip or shaft, from now on."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"load": {"kind": "constant", "magnitude": 0.2}}]})
+
+    load: Load
+
+
+class FaultsIn(Strict):
+    """Faults of the simulated devices, from now on."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"faults": [{"kind": "mute", "device": "tracker", "duration": 1.0}]}]}
+    )
+
+    faults: Annotated[tuple[LabFault, ...], Field(strict=False, min_length=1, max_length=20)]
+
+
+class FaultKindOut(Strict):
+    """What can be injected."""
+
+    kind: str
+    devices: tuple[str, ...]
+    """whom it can befall"""
+    most: float | None
+    """of its value; null: it has none"""
+    unit: str
+    lasts: bool
+    """it has a duration"""
+
+
+class EntryOut(Strict):
+    """One line of the audit log."""
+
+    time: str
+    who: str
+    what: str
+    where: str
+    outcome: str
+
+
+#: Channels that come straight from a device.
+RAW = ("joints", "velocity_commanded", "velocity_sent", "wrench_raw", "tip_measured", "tip_time", "force", "moment")
+
+
+def bench_routes(desk: Desk, of: Commands, audit: Audit) -> APIRouter:
+    """Routes under /api that are about the bench."""
+    router = APIRouter(prefix="/api", tags=["bench"], dependencies=[Depends(of.heard)])
+    operator = [Depends(of.needed)]
+    supervisor = desk.supervisor
+
+    def done() -> DoneOut:
+        return DoneOut(state=supervisor.status().state.name)
+
+    async def in_a_virtual_lab() -> None:
+        if supervisor.bench.devices is not None:
+            raise RefusedError("this bench has real devices; only a virtual lab can be pulled at or made to fail")
+
+    virtual = [Depends(in_a_virtual_lab), *operator]
+
+    @router.get("/bench", summary="Robot, joints and their limits")
+    def bench() -> BenchOut:
+        return bench_out(desk)
+
+    @router.get("/devices", summary="Every device with its details, and raw values")
+    def devices() -> DevicesOut:
+        return devices_out(desk)
+
+    @router.get("/log", summary="Commands and refusals, the newest first")
+    def log(count: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[EntryOut]:
+        return [EntryOut(**entry._asdict()) for entry in audit.tail(count)]
+
+    @router.post("/connect", responses=REFUSED, dependencies=operator, summary="Find the devices")
+    async def connect() -> DoneOut:
+        await aside(supervisor.connect)
+        return done()
+
+    @router.post("/home", responses=REFUSED, dependencies=operator, summary="Home every stage")
+    async def home(_word: HomeIn) -> DoneOut:
+        await aside(supervisor.home)
+        return done()
+
+    @router.post("/tare", responses=REFUSED, dependencies=operator, summary="Zero the force sensors")
+    async def tare() -> DoneOut:
+        await aside(supervisor.tare)
+        return done()
+
+    @router.post("/jog", responses=REFUSED, dependencies=operator, summary="Move by hand while this is repeated")
+    async def jog(request: JogIn) -> DoneOut:
+        await aside(desk.jog, request.space, request.velocity)
+        return done()
+
+    @router.post("/pull", responses=REFUSED, dependencies=virtual, summary="Pull at the simulated robot (virtual lab)")
+    async def pull(request: PullIn) -> DoneOut:
+        await aside(desk.pull, request.load)
+        return done()
+
+    @router.get("/faults", summary="Faults that can be injected (virtual lab)")
+    def faults() -> list[FaultKindOut]:
+        return fault_kinds(desk)
+
+    @router.post("/faults", responses=REFUSED, dependencies=virtual, summary="Let devices fail (virtual lab)")
+    async def inject(request: FaultsIn) -> DoneOut:
+        check_faults(request.faults, supervisor.bench.robot)
+        await aside(supervisor.inject, request.faults)
+        return done()
+
+    @router.delete("/faults", responses=REFUSED, dependencies=virtual, summary="Mend injected faults (virtual lab)")
+    async def mend() -> DoneOut:
+        await aside(supervisor.inject, ())
+        return done()
+
+    return router
+
+
+def bench_out(desk: Desk) -> BenchOut:
+    """The bench for a reader."""
+    bench = desk.supervisor.bench
+    return BenchOut(
+        robot=bench.robot.name,
+        lab=bench.title,
+        virtual=bench.devices is None,
+        joints=tuple(
+            JointOut(
+                name=joint.name,
+                motion=joint.motion,
+                unit="rad" if joint.motion == "rotation" else "m",
+                lower=joint.lower,
+                upper=joint.upper,
+                speed=joint.speed,
+            )
+            for joint in bench.robot.joints
+        ),
+        tubes=tuple(tube.name for tube in bench.robot.tubes),
+        tip_speed=JOG_TIP_SPEED,
+        strategies=tuple(STRATEGIES),
+        inner=tuple(INNER_LOOPS),
+    )
+
+
+def devices_out(desk: Desk) -> DevicesOut:
+    """The devices for a reader; values that are not known yet are left out."""
+    status = desk.supervisor.status()
+    raw: dict[str, float] = {}
+    for group in RAW:
+        if group in status.values:
+            names = [c.column for c in desk.supervisor.channels.all if c.name.rsplit(".", 1)[0] == group]
+            raw |= {name: x for name, x in zip(names, status.values[group].tolist(), strict=True) if x == x}
+    return DevicesOut(
+        devices=tuple(
+            DeviceDetailsOut(
+                name=device.name,
+                condition=device.condition,
+                severity=device.severity,
+                text=device.text,
+                details=dict(device.details),
+            )
+            for device in status.devices
+        ),
+        raw=raw,
+    )
+
+
+def fault_kinds(desk: Desk) -> list[FaultKindOut]:
+    """Every kind of fault and whom it can befall on this bench."""
+    robot = desk.supervisor.bench.robot
+    whom: dict[Part, tuple[str, ...]] = {
+        "stages": ("stages",),
+        "joint": tuple(joint.name for joint in robot.joints),
+        "tracker": ("tracker",),
+        "sensor": ("sensors", *(tube.name for tube in robot.tubes)),
+    }
+    return [
+        FaultKindOut(
+            kind=name,
+            devices=tuple(device for part in kind.parts for device in whom[part]),
+            most=kind.most,
+            unit=kind.unit,
+            lasts=kind.lasts,
+        )
+        for name, kind in KINDS.items()
+    ]

@@ -1,0 +1,182 @@
+"""The REST interface: state, runs, motions and the model, for the page and for scripts."""
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Depends, Query, Request, Response, WebSocket, WebSocketDisconnect
+
+from core.robot.robot import Array
+from station.config.strict import preset_names
+from station.control.states import State
+from station.experiments.experiment import PERIOD, ControllerFile, Experiment, offered, start_pose
+from station.service.solve import model_answer
+from station.service.station_service import Desk
+from web.access.identity import who_of
+from web.api.commands import Commands, aside
+from web.api.loop_health import RecentTiming
+from web.api.pictures import picture
+from web.api.schemas import (
+    REFUSED,
+    CaseOut,
+    DoneOut,
+    ErrorOut,
+    ExperimentOut,
+    SolveIn,
+    SolveOut,
+    StartIn,
+    StartOut,
+    StatusOut,
+    TipMotionIn,
+)
+from web.api.status import status_out
+from web.scene.contact import Felt
+
+#: Groups of telemetry that websocket clients get.
+STREAMED = (
+    "time", "state", "joints", "tip_measured", "tip_estimated", "tip_desired", "tip_true", "force", "u_int",
+    "deflection", "deflection_rate",
+)  # fmt: skip
+
+
+def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor, felt: Callable[[], Felt | None]) -> APIRouter:
+    """Routes under /api for one station.
+
+    Args:
+        desk: what requests may do.
+        of: who may command.
+        stopping: threads that wait for nothing but STOP.
+        felt: tells of a load that does not act at the tip.
+    """
+    router = APIRouter(prefix="/api", responses={422: REFUSED[422]}, dependencies=[Depends(of.heard)])
+    supervisor = desk.supervisor
+    operator = [Depends(of.needed)]
+
+    @router.get("/status", summary="Everything at one look")
+    def status(request: Request) -> StatusOut:
+        return status_out(desk, of, who_of(request), felt())
+
+    @router.post(
+        "/start", status_code=202, responses=REFUSED, dependencies=operator, summary="Start an experiment or a motion"
+    )
+    async def start(request: StartIn) -> StartOut:
+        if request.experiment is not None:
+            return StartOut(run_id=await aside(desk.start_experiment, request.experiment, request.case))
+        run = await aside(desk.start_motion, request.trajectory, request.controller, request.load, request.duration)
+        return StartOut(run_id=run)
+
+    @router.post(
+        "/stop",
+        responses={202: {"model": DoneOut, "description": "taken, not carried out yet; see the note"}},
+        summary="Stop every axis; always accepted, from anybody with access",
+    )
+    async def stop(response: Response) -> DoneOut:
+        note = await asyncio.get_running_loop().run_in_executor(stopping, supervisor.stop)
+        if note:
+            response.status_code = 202
+        return DoneOut(state=supervisor.status().state.name, note=note)
+
+    @router.post(
+        "/reset", responses=REFUSED, dependencies=operator, summary="Go on after a stop, hold or fault that was seen"
+    )
+    async def reset() -> DoneOut:
+        await aside(supervisor.reset)
+        return DoneOut(state=supervisor.status().state.name)
+
+    @router.get("/trajectory", summary="The next free motion")
+    def get_trajectory() -> TipMotionIn:
+        return desk.settings.trajectory
+
+    @router.put("/trajectory", responses=REFUSED, dependencies=operator, summary="Choose the next free motion")
+    def put_trajectory(trajectory: TipMotionIn) -> TipMotionIn:
+        desk.set_trajectory(trajectory)
+        return desk.settings.trajectory
+
+    @router.get("/controller", summary="The controller of the next free motion")
+    def get_controller() -> ControllerFile:
+        return desk.settings.controller
+
+    @router.put("/controller", responses=REFUSED, dependencies=operator, summary="Choose the controller")
+    def put_controller(controller: ControllerFile) -> ControllerFile:
+        desk.set_controller(controller)
+        return desk.settings.controller
+
+    @router.get("/experiments", summary="Experiments that come with the station")
+    def experiments() -> list[ExperimentOut]:
+        return [experiment_out(offered(name)) for name in preset_names("experiments")]
+
+    @router.get(
+        "/experiments/{name}/picture.svg",
+        responses={404: {"model": ErrorOut}},
+        summary="Path and load of its first case",
+    )
+    def experiment_picture(name: str) -> Response:
+        if name not in preset_names("experiments"):
+            return Response(status_code=404)
+        return Response(picture(offered(name).cases[0]), media_type="image/svg+xml")
+
+    @router.post("/model/solve", responses=REFUSED, summary="Ask the loaded model")
+    def solve(request: SolveIn) -> SolveOut:
+        joints = start_pose(request.joints, supervisor.bench.robot)
+        answer = model_answer(supervisor.statics, joints, np.array([*request.force, *request.moment]))
+        return SolveOut.model_validate(answer, strict=False)
+
+    @router.websocket("/telemetry")
+    async def telemetry(socket: WebSocket, rate: Annotated[float, Query(ge=1.0, le=100.0)] = 30.0) -> None:
+        await socket.accept()
+        listening = asyncio.create_task(_until_closed(socket))
+        timing = RecentTiming(supervisor.ring)
+        try:
+            since, before = supervisor.ring.written, None
+            while not listening.done():
+                await asyncio.wait([listening], timeout=1.0 / rate)
+                rows, since, overwritten = supervisor.ring.read(since)
+                if len(rows):
+                    sample = sample_out(desk, rows[-1], len(rows) - 1 + overwritten, before)
+                    before = sample["time"]
+                    await socket.send_json(sample | timing.look())
+        except (WebSocketDisconnect, RuntimeError):
+            return  # the other side has gone
+        finally:
+            listening.cancel()
+            await asyncio.gather(listening, return_exceptions=True)
+
+    return router
+
+
+def experiment_out(experiment: Experiment) -> ExperimentOut:
+    """A preset for a reader."""
+    return ExperimentOut(
+        name=experiment.name,
+        title=experiment.title,
+        cases=tuple(
+            CaseOut(
+                name=case.name,
+                duration=case.file.duration,
+                strategy=case.file.controller.strategy,
+                trajectory=case.file.trajectory.kind,
+                load=case.file.load.kind,
+                start=case.file.start,
+            )
+            for case in experiment.cases
+        ),
+    )
+
+
+def sample_out(desk: Desk, row: Array, skipped: int, before: float | None) -> dict[str, Any]:
+    """One row of telemetry for a websocket client, with what lies between it and the one sent `before` it [s]."""
+    channels = desk.supervisor.channels
+    values: dict[str, Any] = {}
+    for group in STREAMED:
+        numbers = channels.of(row, group).tolist()
+        values[group] = numbers[0] if group in ("time", "state") else numbers
+    # Not every period has a row: those that a late loop left out are in no count of rows.
+    missed = 0 if before is None else max(0, round((values["time"] - before) / PERIOD) - 1 - skipped)
+    return {"skipped": skipped, "missed": missed, **values, "state": State(int(values["state"])).name}
+
+
+async def _until_closed(socket: WebSocket) -> None:
+    while (await socket.receive())["type"] != "websocket.disconnect":
+        pass

@@ -1,0 +1,80 @@
+"""What the scene shows, and the target in it, over REST: for the page's switches, the keyboard and scripts."""
+
+import numpy as np
+from fastapi import APIRouter, Depends, Request
+
+from station.config.strict import Strict, Vector
+from station.control.states import RefusedError
+from station.service.station_service import Desk
+from web.access.identity import who_of
+from web.api.commands import Commands, aside
+from web.api.schemas import REFUSED, StartOut
+from web.scene.overlays import Shown
+from web.scene.view import View
+
+
+class ShownOut(Shown):
+    """What is shown, and whether the asker sees it."""
+
+    connected: bool
+    """the scene in the asker's page has its stream; without it the picture stands still"""
+
+
+class TargetIn(Strict):
+    """A place for the tip."""
+
+    position: Vector
+    """world frame [m]"""
+
+
+class TargetOut(Strict):
+    """The target and the way there."""
+
+    position: Vector
+    """world frame [m]"""
+    reachable: bool
+    """along a straight way from where the tip is now, under the load that is on it now"""
+    duration: float
+    """of the motion there, with a stay at its end [s]"""
+    reason: str
+    """why it cannot be reached"""
+
+
+def scene_routes(view: View, desk: Desk, of: Commands) -> APIRouter:
+    """Routes under /api/scene."""
+    router = APIRouter(prefix="/api/scene", tags=["scene"], dependencies=[Depends(of.heard)])
+    operator = [Depends(of.needed)]
+
+    @router.get("", summary="What is shown beside the robot")
+    def get_shown(request: Request) -> ShownOut:
+        return ShownOut(**view.shown.model_dump(), connected=view.door.open[who_of(request).client] > 0)
+
+    @router.put("", responses=REFUSED, dependencies=operator, summary="Show something else")
+    def put_shown(shown: Shown, request: Request) -> ShownOut:
+        view.show(shown)
+        return get_shown(request)
+
+    @router.get("/target", summary="The target, and whether the tip can get there")
+    def get_target() -> TargetOut:
+        way = view.way_to_target()
+        place = view.target.tolist()
+        return TargetOut(
+            position=(place[0], place[1], place[2]), reachable=way.motion is not None, duration=way.duration,
+            reason=way.reason,
+        )  # fmt: skip
+
+    @router.put("/target", responses=REFUSED, dependencies=operator, summary="Put the target somewhere else")
+    def put_target(target: TargetIn) -> TargetOut:
+        view.place_target(np.array(target.position))
+        return get_target()
+
+    @router.post(
+        "/target/go", status_code=202, responses=REFUSED, dependencies=operator, summary="Move the tip to the target"
+    )
+    async def go() -> StartOut:
+        way = await aside(view.way_to_target)
+        if way.motion is None:
+            raise RefusedError(f"the target is out of reach: {way.reason}")
+        return StartOut(run_id=await aside(desk.start_motion, way.motion, None, None, way.duration))
+
+    return router

@@ -1,0 +1,77 @@
+"""The station at one look, for the page and for scripts."""
+
+from station.devices.interfaces import Severity
+from station.service.station_service import Desk
+from station.service.status import STALE, Status
+from web.access.identity import Who
+from web.api.commands import Commands, operator_out
+from web.api.messages import words
+from web.api.schemas import DeviceOut, LoopOut, RunOut, StatusOut, TouchOut
+from web.scene.contact import Felt
+
+
+def status_out(desk: Desk, of: Commands, who: Who, felt: Felt | None) -> StatusOut:
+    """The station's status; `who` asks, `felt` is a load that does not act at the tip."""
+    supervisor = desk.supervisor
+    status = supervisor.status()
+    stale = status.age > STALE
+
+    def vector(group: str) -> tuple[float, float, float] | None:
+        return tuple(status.values[group].tolist()) if group in status.values else None
+
+    known = "truth_known" in status.values and bool(status.values["truth_known"][0])
+    names, said = supervisor.robot.joint_names, words(status)
+    task = supervisor.task
+    run = None
+    if status.run and task is not None:
+        run = RunOut(
+            id=status.run, title=status.title, phase=status.phase.name.lower(), progress=status.progress,
+            duration=task.duration,
+        )  # fmt: skip
+    return StatusOut(
+        state=status.state.name,
+        cause=status.cause,
+        phase=status.phase.name.lower(),
+        says=said.what,
+        next=said.next,
+        operator=operator_out(of.lease, who),
+        stale=stale,
+        age=round(status.age, 3),
+        lab=supervisor.bench.title,
+        warnings=(*status.warnings, *(() if felt is None else (felt.warning,))),
+        run=run,
+        devices=_devices(status),
+        loop=LoopOut(**status.timing._asdict()),
+        joints=dict(zip(names, status.values["joints"].tolist(), strict=True)) if status.values else {},
+        tip_measured=vector("tip_measured"),
+        tip_estimated=vector("tip_estimated"),
+        tip_desired=vector("tip_desired"),
+        tip_true=vector("tip_true") if known else None,
+        force=vector("force"),
+        touch=None if felt is None else touch_out(felt),
+    )
+
+
+def touch_out(felt: Felt) -> TouchOut:
+    """A load beside the tip for a reader."""
+    x, y, z = felt.force.tolist()
+    contact = felt.contact
+    return TouchOut(
+        force=(x, y, z), place=contact.place if contact.located else None, intervals=contact.intervals,
+        reason=contact.note,
+    )  # fmt: skip
+
+
+def _devices(status: Status) -> dict[str, DeviceOut]:
+    """Lights of the devices; what was reported before the loop fell silent is not called good."""
+    silent = status.age > STALE
+    return {
+        device.name: DeviceOut(
+            severity=max(device.severity, Severity.FAULT if silent else 0),
+            condition=device.condition,
+            text=f"no word from it for {status.age:.1f} s; {status.cause or 'is the control process alive?'}"
+            if silent
+            else device.text,
+        )
+        for device in status.devices
+    }

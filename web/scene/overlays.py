@@ -1,0 +1,95 @@
+"""What the scene shows on demand: the unloaded shape, where the tip can go, how sure its estimate is."""
+
+import numpy as np
+import viser
+
+from core.errors import CtrError
+from core.model.statics import Solution, Statics
+from core.robot.limits import Limits
+from core.robot.robot import Array
+from station.config.strict import Strict
+from web.scene import palette
+from web.scene.tubes import centre_line
+
+#: Poses drawn from the joints' travel for the cloud of reachable tips.
+POSES = 4000
+#: The sphere of the estimate's uncertainty: standard deviations, and how much larger than life.
+SIGMAS, LARGER = 2.0, 10.0
+GHOST_POINTS = 60
+
+
+class Shown(Strict):
+    """What the scene shows beside the robot; the same for everybody."""
+
+    ghost: bool = False
+    """the shape that the robot would have without its load"""
+    workspace: bool = False
+    """tips that the joints' travel allows, without a load"""
+    uncertainty: bool = False
+    """two standard deviations of the estimated tip, ten times as large; the same in all directions, since the
+    observer has one covariance for the three axes"""
+    target: bool = False
+    """a place that can be dragged, to see whether the tip can get there"""
+    force: bool = False
+    """a handle at the end of the force's arrow: drag to pull at the simulated tip (virtual lab)"""
+
+
+class Overlays:
+    """Handles of what is shown on demand."""
+
+    def __init__(self, scene: viser.SceneApi, statics: Statics, limits: Limits, unit: float) -> None:
+        self._statics, self._limits, self._unit = statics, limits, unit
+        self._near: Solution | None = None
+        self._ghost = scene.add_line_segments(
+            "/ghost", np.zeros((GHOST_POINTS - 1, 2, 3)), palette.SLATE,
+            thickness=2.0, thickness_units="screen", scale=unit, visible=False,
+        )  # fmt: skip
+        self._sphere = scene.add_icosphere(
+            "/tip/uncertainty", radius=1.0, color=palette.ESTIMATED, opacity=0.25, cast_shadow=False, visible=False
+        )
+        self._cloud = scene.add_point_cloud(
+            "/workspace", np.zeros((1, 3), np.float32), palette.SKY, point_size=0.006, visible=False
+        )
+        self._cloud_is_there = False
+
+    def update(self, shown: Shown, joints: Array, tip: Array, uncertainty: float) -> None:
+        """One frame: joints (n,), the estimated tip (3,) [m] and its standard deviation [m]."""
+        self._draw_ghost(shown.ghost, joints)
+        self._sphere.visible = shown.uncertainty
+        if shown.uncertainty:
+            self._sphere.position = self._unit * tip
+            self._sphere.radius = max(self._unit * LARGER * SIGMAS * uncertainty, 1e-3)
+        if shown.workspace and not self._cloud_is_there:
+            self._cloud.points = (self._unit * reachable_tips(self._statics, self._limits)).astype(np.float32)
+            self._cloud_is_there = True
+        self._cloud.visible = shown.workspace
+
+    def _draw_ghost(self, shown: bool, joints: Array) -> None:
+        points = self._unloaded_line(joints) if shown else None
+        self._ghost.visible = points is not None
+        if points is not None:
+            self._ghost.points = np.stack((points[:-1], points[1:]), axis=1).astype(np.float32)
+
+    def _unloaded_line(self, joints: Array) -> Array | None:
+        try:
+            self._near = self._statics.solve(joints, np.zeros(6), self._near)
+        except CtrError:
+            self._near = None  # nothing to show: this pose has no unloaded shape
+            return None
+        shape = self._statics.shape(self._near)
+        return centre_line(shape, np.linspace(0.0, shape[-1, 0], GHOST_POINTS))[0]
+
+
+def reachable_tips(statics: Statics, limits: Limits, poses: int = POSES) -> Array:
+    """Tips (k, 3) [m] of unloaded poses spread evenly over the joints' travel; poses that cannot be are left out."""
+    lower = np.array([limit.lower for limit in limits.joints])
+    upper = np.array([limit.upper for limit in limits.joints])
+    tips: list[Array] = []
+    for share in np.random.default_rng(0).random((poses, len(lower))):
+        joints = lower + share * (upper - lower)
+        try:
+            limits.check(joints)
+            tips.append(statics.solve(joints, np.zeros(6)).tip)
+        except CtrError:
+            continue
+    return np.array(tips).reshape(-1, 3)

@@ -1,0 +1,81 @@
+"""Surface of a tube as triangles: rings of its true radius around the centre line of the model.
+
+A tube is drawn over its own length, from its proximal end behind the plate, where the guide holds
+it straight, to its far end. A wider tube hides the narrower one inside it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.robot.robot import Array, Tube
+
+RINGS = 60
+SIDES = 12
+
+
+def centre_line(shape: Array, at: Array) -> tuple[Array, Array]:
+    """The robot's centre line between and behind the cross-sections that the model gives.
+
+    Cubic between sections, with the model's own tangents; straight along z behind the plate.
+
+    Args:
+        shape: rows of `Statics.shape`: arc length [m], frame by rows (9), position (3) [m], ...
+        at: arc lengths (k,) [m]; negative behind the plate.
+
+    Returns:
+        Positions (k, 3) [m] and right-handed frames (k, 3, 3) whose last column is the tangent.
+    """
+    # Where a tube or a section ends the model has two rows at one place.
+    rows = shape[np.append(True, np.diff(shape[:, 0]) > 1e-9)]
+    arc, frames, places = rows[:, 0], rows[:, 1:10].reshape(-1, 3, 3), rows[:, 10:13]
+    at = np.minimum(at, arc[-1])
+    before = np.clip(np.searchsorted(arc, at, side="right") - 1, 0, len(arc) - 2)
+    after = before + 1
+    step = (arc[after] - arc[before])[:, None]
+    u = np.clip((at - arc[before])[:, None] / step, 0.0, 1.0)
+    p, q = places[before], places[after]
+    v, w = step * frames[before, :, 2], step * frames[after, :, 2]
+    place = (1 + 2 * u) * (1 - u) ** 2 * p + u * (1 - u) ** 2 * v + u**2 * (3 - 2 * u) * q + u**2 * (u - 1) * w
+    tangent = 6 * u * (1 - u) * (q - p) + (1 - u) * (1 - 3 * u) * v + u * (3 * u - 2) * w
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    behind = np.minimum(at - arc[0], 0.0)[:, None]
+    place = place + behind * tangent
+    x = (1 - u) * frames[before, :, 0] + u * frames[after, :, 0]
+    x -= tangent * np.sum(x * tangent, axis=1, keepdims=True)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return place, np.stack((x, np.cross(tangent, x), tangent), axis=2)
+
+
+class TubeMesh:
+    """Vertices and triangles of one tube; the triangles stay the same whatever its shape."""
+
+    def __init__(self, tube: Tube, rings: int = RINGS, sides: int = SIDES) -> None:
+        self._tube = tube
+        self._rings = rings
+        angles = 2.0 * np.pi * np.arange(sides) / sides
+        self._circle = 0.5 * tube.outer_diameter * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+        self.count = (rings + 2) * sides + 2  #: of vertices
+        self.faces = _faces(rings, sides)  #: (f, 3) into the vertices, anticlockwise from outside
+
+    def vertices(self, shape: Array, beta: float) -> Array:
+        """Points of the surface (v, 3) [m] for a `shape` of the model.
+
+        First the rings from the proximal end on, then each end's rim once more and its centre, so
+        that the ends are flat when shaded. `beta` is the tube's proximal end [m].
+        """
+        place, frame = centre_line(shape, np.linspace(beta, beta + self._tube.length, self._rings))
+        rings = place[:, None, :] + np.einsum("kij,aj->kai", frame[:, :, :2], self._circle)
+        return np.concatenate((rings.reshape(-1, 3), rings[0], place[:1], rings[-1], place[-1:]))
+
+
+def _faces(rings: int, sides: int) -> NDArray[np.int64]:
+    j = np.arange(sides)
+    next_j = (j + 1) % sides
+    bands = np.arange(rings - 1)[:, None] * sides
+    low, low_next, high, high_next = bands + j, bands + next_j, bands + sides + j, bands + sides + next_j
+    walls = np.stack((low, low_next, high_next, low, high_next, high), axis=2).reshape(-1, 3)
+    first = rings * sides
+    last = first + sides + 1
+    back = np.stack((first + next_j, first + j, np.full(sides, first + sides)), axis=1)
+    front = np.stack((last + j, last + next_j, np.full(sides, last + sides)), axis=1)
+    return np.concatenate((walls, back, front))

@@ -1,0 +1,177 @@
+"""The viser view of the station: one thread that keeps the scene up to date."""
+
+import logging
+import math
+import threading
+import time
+from collections import Counter
+
+import numpy as np
+import viser
+
+from core.robot.robot import Array
+from station.lab.loads import GRAVITY, ConstantLoad, NoLoad
+from station.service.station_service import Desk
+from station.service.status import STALE, Status
+from web.scene.contact import ROWS, Feeler, Felt
+from web.scene.gizmos import FORCE, FORCE_SIZE, TARGET, TARGET_SIZE, Gizmo, boxes, pull
+from web.scene.history import History
+from web.scene.legend import add_legend
+from web.scene.messages import Handles
+from web.scene.overlays import Overlays, Shown
+from web.scene.proxy import SceneDoor
+from web.scene.scene import ARROW, UNIT, Scene
+from web.scene.target import Way, way_to
+
+#: Pictures a second; trace and target come with every third, a look at the load with every tenth.
+RATE = 30.0
+SLOW, LOOK = 3, 10
+
+log = logging.getLogger(__name__)
+
+
+class View:
+    """The scene on a viser server of the caller's, until closed."""
+
+    def __init__(self, server: viser.ViserServer, desk: Desk) -> None:
+        self._server = server
+        self._desk = desk
+        self._supervisor = desk.supervisor
+        # A client may ask for a public tunnel to this server: there is none.
+        server.request_share_url = _no_share
+        self._history = History(desk.supervisor.channels)
+        self._limits = desk.supervisor.bench.robot.limits()
+        self._scene = Scene(server, desk.supervisor)
+        self._feeler = Feeler(desk.supervisor.robot, desk.supervisor.statics, desk.supervisor.channels)
+        self._overlays = Overlays(server.scene, desk.supervisor.statics, self._limits, UNIT)
+        self._target = Gizmo(server.scene, TARGET, UNIT, TARGET_SIZE)
+        self._hand = Gizmo(server.scene, FORCE, UNIT, FORCE_SIZE)
+        self._pulls = False
+        self._verdict = server.scene.add_label("/handle/verdict", "", anchor="bottom-center", visible=False)
+        buttons = add_legend(server, desk.supervisor.robot)
+        self.door = SceneDoor(server.get_port(), Handles(buttons, boxes(UNIT)), Counter())
+        self._shown = Shown()
+        self._way: Way | None = None
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="viser view")
+        self._thread.start()
+
+    @property
+    def shown(self) -> Shown:
+        """What is shown beside the robot."""
+        return self._shown
+
+    def felt(self) -> Felt | None:
+        """A load that does not act at the tip."""
+        return self._feeler.felt
+
+    def show(self, shown: Shown) -> None:
+        """Show something else beside the robot; a target begins at the tip."""
+        values = self._supervisor.status().values
+        if shown.target and not self._shown.target and "tip_observed" in values:
+            self.place_target(values["tip_observed"])
+        self._shown = shown
+
+    def place_target(self, place: Array) -> None:
+        """Put the target at (3,) [m]."""
+        self._target.put(place)
+        self._way = self.way_to_target()
+
+    @property
+    def target(self) -> Array:
+        """Where the target is (3,) [m]."""
+        return self._target.place
+
+    def way_to_target(self) -> Way:
+        """How the tip gets from where it is now to the target."""
+        values = self._supervisor.status().values
+        if not values:
+            return Way(None, 0.0, "there is no telemetry yet")
+        return way_to(
+            self._target.place, self._supervisor.statics, self._limits, values["joints"], values["tip_observed"],
+            values["force_filtered"],
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """End the thread; the server is the caller's to stop."""
+        self._end.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        due, number = time.monotonic(), 0
+        while not self._end.wait(max(0.0, due - time.monotonic())):
+            try:
+                if number % LOOK == 0:
+                    self._feel()
+                self._frame(slow=number % SLOW == 0)
+            except Exception:
+                # Whatever it was, the next picture is a new chance; once a second is enough in the log.
+                log.exception("a picture of the scene failed")
+                self._end.wait(1.0)
+            number += 1
+            due = max(due + 1.0 / RATE, time.monotonic())
+
+    def _feel(self) -> None:
+        ring = self._supervisor.ring
+        rows = ring.read(max(ring.written - ROWS, 0))[0]
+        self._feeler.feel(rows if self._supervisor.status().age <= STALE else rows[:0])
+
+    def _frame(self, *, slow: bool) -> None:
+        status = self._supervisor.status()
+        self._history.read(self._supervisor.ring)
+        with self._server.atomic():
+            self._scene.update(status, self._history, self.felt())
+            self._overlay(status)
+            if slow:
+                self._scene.update_trace(self._history)
+                self._show_target()
+                self._pull_by_hand(status)
+
+    def _overlay(self, status: Status) -> None:
+        values = status.values
+        live = bool(values) and status.age <= STALE and bool(np.isfinite(values["joints"]).all())
+        shown = self._shown if live else Shown()
+        if live:
+            uncertainty = math.sqrt(values["bias_covariance"][0])
+            self._overlays.update(shown, values["joints"], values["tip_observed"], uncertainty)
+
+    def _show_target(self) -> None:
+        self._target.show(self._shown.target)
+        self._verdict.visible = self._shown.target
+        if not self._shown.target:
+            return
+        if self._target.taken() is not None or self._way is None:
+            self._way = self.way_to_target()
+        self._verdict.position = UNIT * (self._target.place - np.array((0.012, 0.0, 0.0)))
+        reachable = f"\N{CHECK MARK} reachable in {self._way.duration:.0f} s"
+        self._verdict.text = reachable if self._way.motion else "\N{CROSS MARK} out of reach"
+
+    def _pull_by_hand(self, status: Status) -> None:
+        """The force's handle: dragged it pulls at the simulated tip, else it stays at the arrow's end."""
+        shown = self._shown.force and bool(status.values) and self._supervisor.bench.devices is None
+        self._hand.show(shown)
+        if not shown:
+            if self._pulls:
+                self._pulls = False
+                self._desk.pull(NoLoad())
+            return
+        tip = status.values["tip_observed"]
+        taken = self._hand.taken()
+        if taken is not None:
+            force = pull(taken, tip, ARROW)
+            size = float(np.linalg.norm(force))
+            self._pulls = True
+            self._desk.pull(ConstantLoad(magnitude=size, direction=_direction(force, size)))
+        else:
+            self._hand.put(tip + ARROW * self._history.mean("force"))
+
+
+def _direction(force: Array, size: float) -> tuple[float, float, float]:
+    """Of a force (3,) [N]; down when it has none."""
+    x, y, z = (force / size).tolist() if size > 1e-6 else GRAVITY
+    return x, y, z
+
+
+def _no_share(verbose: bool = True) -> str | None:  # noqa: ARG001 - viser's signature
+    log.warning("a client asked for a public share link; refused")
+    return None
