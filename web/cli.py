@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _serve(parsed: argparse.Namespace) -> int:
-    from web.serve import serve
+    from web.app import serve
 
     known = None if parsed.calibration is None else str(parsed.calibration.absolute())
     given = {"lab": parsed.lab, "seed": parsed.seed, "calibration": known}

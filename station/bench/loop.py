@@ -9,11 +9,11 @@ from typing import Any
 
 from core.errors import CtrError
 from station.bench.timer_probe import Witness
+from station.config.controllers import PERIOD
 from station.config.motions import CircleMotion
 from station.control.realtime import leave_a_core
 from station.control.ring import Ring
 from station.control.states import State
-from station.experiments.experiment import PERIOD
 from station.lab.loads import RaisedCosineLoad
 from station.service.station_file import load_station
 from station.service.station_service import Desk

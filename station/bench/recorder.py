@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from core.robot.robot import Array
+from station.config.controllers import PERIOD
 from station.control.clock import VirtualClock
 from station.control.ring import Ring
 from station.control.telemetry import Channels
-from station.experiments.experiment import PERIOD, Case, load_experiment
+from station.experiments.experiment import Case, load_experiment
 from station.experiments.runner import run_case
 from station.recording.case_recorder import CaseRecorder
 from station.recording.label import Label

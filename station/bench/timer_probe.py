@@ -10,9 +10,9 @@ import signal
 import time
 from typing import Any, Self
 
+from station.config.controllers import PERIOD
 from station.control.realtime import ask_for_fifo, be_punctual, show_as
 from station.control.ring import SCHEDULER, Ring
-from station.experiments.experiment import PERIOD
 
 #: Above the control loop and all that belongs to it.
 PRIORITY = 90

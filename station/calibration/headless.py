@@ -10,11 +10,11 @@ from core.robot.robot import Array
 from station.calibration.plan import Subject
 from station.calibration.procedure import AbortedError, Ask, Guided, Procedure, StoppedByHandError
 from station.calibration.visiting import SWINGING, measured, task
+from station.config.controllers import BEST, PERIOD
 from station.control.clock import Clock
 from station.control.loop import ControlLoop
 from station.control.states import State
 from station.devices.aurora.tracker import Registration
-from station.experiments.experiment import BEST, PERIOD
 from station.experiments.interrupt import interrupts
 from station.lab.config import LabConfig
 from station.lab.loads import ConstantLoad, Load, NoLoad

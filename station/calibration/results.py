@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from core.errors import CtrError
-from station.calibration.files import REGISTRATION, ROBOT, SENSORS
 from station.calibration.outcome import NUMBERS, VISITS
 from station.calibration.report import NAME as REPORT
+from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS
 
 #: What the numbers of every calibration say.
 WANTED = {"procedure", "made", "lab", "simulated", "findings", "found", "visits", "robot_s"}

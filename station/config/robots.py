@@ -1,12 +1,14 @@
 """Robot files: the TOML description of tubes, joints and the stages that move them."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from core.errors import CtrError
 from core.robot.limits import ForceLimit, JointLimit, Limit, Limits, TubeOrder, Workspace
-from core.robot.robot import Base, Joint, Robot, Section, Tube
+from core.robot.robot import Array, Base, Joint, Robot, Section, Tube
 from station.config.strict import (
     ConfigError,
     Document,
@@ -186,3 +188,19 @@ def _checked(table: Document, source: str) -> RobotFile:
     except CtrError as error:
         raise ConfigError(f"{source}: {error}{on_line(table, str(error))}") from None
     return file
+
+
+def start_pose(start: Mapping[str, float], robot: RobotFile) -> Array:
+    """Joint positions (n,) by name [rad or m].
+
+    Raises:
+        ConfigError: a joint is missing or unknown.
+    """
+    names = [joint.name for joint in robot.joints]
+    for name in start:
+        if name not in names:
+            raise ConfigError(f"start.{name}: robot '{robot.name}' has no such joint; it has {', '.join(names)}")
+    for name in names:
+        if name not in start:
+            raise ConfigError(f"start.{name} is missing")
+    return np.array([start[name] for name in names])

@@ -7,17 +7,13 @@ shared memory. When the station process is gone the axes are stopped and this pr
 import contextlib
 import os
 import signal
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from pathlib import Path
-from typing import Literal
 
-import numpy as np
-
-from core.control.step import Controller, Sample, begin, step
-from core.control.trajectories import JointMotion, Setpoint
+from core.control.step import Controller
 from core.errors import CtrError
-from station.calibration.files import Calibration
+from station.config.controllers import PERIOD
 from station.config.robots import RobotFile
 from station.control.clock import REAL_TIME, StationClock
 from station.control.loop import ControlLoop
@@ -32,9 +28,6 @@ from station.control.telemetry import Channels
 from station.devices.config import BenchFile
 from station.devices.interfaces import Devices, Severity
 from station.devices.open_devices import open_devices
-from station.experiments.experiment import PERIOD, ControllerFile
-from station.lab.config import LabConfig
-from station.lab.virtual_bench import virtual_bench
 
 #: A station process that says nothing for so long counts as gone while something moves [s].
 STATION_SILENT = 1.0
@@ -42,76 +35,42 @@ STATION_SILENT = 1.0
 STATION_DOUBTED = 0.045
 #: The last stops get this long to be carried and answered [s].
 LAST_WORDS = 0.25
-#: A bench in memory is READY after less than these [ticks].
-WARM_TICKS = 1500
 #: Between two reports of the devices [ticks].
 REPORT_TICKS = 250
 
 
 @dataclass(frozen=True)
-class Bench:
-    """What the station is in charge of."""
+class ControlSetup:
+    """What the control process is told when it starts."""
 
     robot: RobotFile
-    lab: LabConfig
-    seed: int
-    park: tuple[float, ...]  #: joints of the virtual lab at power-up [rad or m]
-    controller: ControllerFile
-    fifo: bool = True  #: ask for real-time scheduling
-    overruns: OverrunLimits = field(default_factory=OverrunLimits)
-    devices: BenchFile | None = None  #: None: those of the virtual lab
+    controller: Controller  #: of the loop until a run brings its own
+    rehearse: Callable[[Controller], None]  #: compiles everything that a tick can reach
     margins: Margins = field(default_factory=Margins)
-    core: int | None = None  #: processor of the control process; None: any
-    alone: Literal["go_on", "hold"] = "go_on"  #: what a run does when its operator has gone
-    warnings: tuple[str, ...] = ()  #: what a person should know before anything moves
-    calibration: Calibration | None = None  #: None: everything is taken to be as described
-    terminals: Path | None = None  #: folder for the virtual lab's pseudo-terminals; None: TCP
+    overruns: OverrunLimits = field(default_factory=OverrunLimits)
+    fifo: bool = True  #: ask for real-time scheduling
+    core: int | None = None  #: processor of its own; None: any
     clock: StationClock = REAL_TIME  #: of every process of this station
 
-    def controlled(self, file: ControllerFile) -> Controller:
-        """A controller that knows what a calibration has found.
 
-        Raises:
-            DescriptionError: unknown strategy, gain or bandwidth out of range.
-        """
-        if self.calibration is None:
-            return file.controller(self.robot)
-        return self.calibration.applied(file.controller(self.calibration.robot))
-
-    def registered(self, devices: BenchFile) -> BenchFile:
-        """The devices with the tracker where a calibration has found it."""
-        mount = None if self.calibration is None else self.calibration.mount
-        if mount is None:
-            return devices
-        return devices.model_copy(update={"tracker": {**devices.tracker, "mount": mount}})
-
-    @property
-    def title(self) -> str:
-        """What this is, for a person."""
-        if self.devices is None:
-            return self.lab.title
-        own = self.devices
-        return f"bench of '{self.robot.name}': {', '.join(d['driver'] for d in (own.stages, own.tracker, own.sensors))}"
-
-
-def run_control(bench: Bench, ring_name: str, pipe: Connection, parent: int) -> None:
+def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: int) -> None:
     """Main function of the control process; the first message through `pipe` says where the devices are."""
     # Ctrl-C in a terminal reaches the whole group: the station process decides when we end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     show_as("ctr-control")
-    ring = Ring(ring_width(bench.robot), ring_name)
+    ring = Ring(ring_width(setup.robot), ring_name)
     try:
-        _warm_up(bench)
+        setup.rehearse(setup.controller)
         told: BenchFile | None = pipe.recv()
         if told is None:
             return
-        devices = open_devices(bench.registered(told), bench.robot)
+        devices = open_devices(told, setup.robot)
         try:
-            loop = ControlLoop(bench.controlled(bench.controller), devices, bench.margins)
-            granted = be_punctual(fifo=bench.fifo, core=bench.core)
+            loop = ControlLoop(setup.controller, devices, setup.margins)
+            granted = be_punctual(fifo=setup.fifo, core=setup.core)
             ring.counters[SCHEDULER] = granted.fifo
             pipe.send(Refused(granted.refused))
-            _LiveLoop(loop, bench, ring, pipe, parent).run()
+            _LiveLoop(loop, setup, ring, pipe, parent).run()
         finally:
             _close(devices)
     except (EOFError, ConnectionError):
@@ -131,10 +90,10 @@ def ring_width(robot: RobotFile) -> int:
 class _LiveLoop:
     """The control loop with its clock and its commands."""
 
-    def __init__(self, loop: ControlLoop, bench: Bench, ring: Ring, pipe: Connection, parent: int) -> None:
+    def __init__(self, loop: ControlLoop, setup: ControlSetup, ring: Ring, pipe: Connection, parent: int) -> None:
         self._loop, self._ring, self._pipe, self._parent = loop, ring, pipe, parent
-        self._clock = bench.clock
-        self._overruns = Overruns(bench.overruns, PERIOD)
+        self._clock = setup.clock
+        self._overruns = Overruns(setup.overruns, PERIOD)
         self._begun = 0.0
         self._run = 0
         self._told = Notice(State.OFF, "", 0)
@@ -281,20 +240,3 @@ def _close(devices: Devices) -> None:
     for device in (devices.stages, devices.tracker, devices.sensors):
         with contextlib.suppress(CtrError, OSError):
             device.close()
-
-
-def _warm_up(bench: Bench) -> None:
-    """Compile everything that a tick can reach."""
-    controller = bench.controlled(bench.controller)
-    park, tubes = np.array(bench.park), len(bench.robot.tubes)
-    still = Sample(park, np.zeros_like(park), np.zeros((tubes, 6)), np.zeros(3), 0.0)
-    memory = begin(controller, still)
-    for order in (Setpoint(np.zeros(3), np.zeros(3)), JointMotion(np.zeros_like(park)), None):
-        memory = step(controller, memory, still, order).memory
-    # The drivers on a bench in memory: what a first frame or record compiled later would look like a dead device.
-    lab, devices = virtual_bench(bench.robot, bench.lab, bench.seed, park)
-    loop = ControlLoop(controller, devices)
-    loop.connect(0.0)
-    for tick in range(WARM_TICKS):
-        lab.advance(tick * PERIOD)
-        loop.tick(tick * PERIOD)

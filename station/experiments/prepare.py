@@ -11,8 +11,8 @@ import numpy as np
 from core.control.command import follow
 from core.control.trajectories import Setpoint
 from core.model.solution import at_rest
+from station.config.controllers import ControllerFile
 from station.config.robots import load_robot
-from station.experiments.experiment import ControllerFile
 from station.lab.config import LabConfig
 from station.lab.virtual_bench import virtual_bench
 

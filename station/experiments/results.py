@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from core.robot.robot import Array
+from station.config.controllers import PERIOD
 from station.config.motions import StepMotion
-from station.experiments.experiment import PERIOD
 from station.experiments.runner import Recording
 from station.experiments.step_fit import fit_step, fold
 from station.recording.tracking_errors import errors, rms, rounded

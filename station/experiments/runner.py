@@ -9,13 +9,14 @@ import numpy as np
 
 from core.errors import CtrError
 from core.robot.robot import Array
+from station.config.controllers import PERIOD
 from station.control.clock import Clock
 from station.control.loop import ControlLoop
 from station.control.realtime import uncollected
 from station.control.states import State
 from station.control.task import Phase, Task
 from station.control.telemetry import Channels
-from station.experiments.experiment import PERIOD, Case
+from station.experiments.experiment import Case
 from station.experiments.interrupt import interrupts
 from station.lab.virtual_bench import virtual_bench
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from core.robot.robot import Array
-from station.experiments.experiment import PERIOD
+from station.config.controllers import PERIOD
 from station.experiments.results import AVERAGED, averaged_model
 from station.report import style
 from station.report.drawn import Drawn

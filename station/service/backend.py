@@ -5,13 +5,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from station.config.strict import ConfigError
-from station.control.process import Bench, ring_width
+from station.control.process import ring_width
 from station.control.ring import Ring
 from station.devices.config import BenchFile
 from station.lab.faults import LabFault
 from station.lab.host import LabError, LabHost
 from station.lab.loads import Load, NoLoad
 from station.lab.process import LabBench
+from station.service.bench import Bench
 from station.service.own_bench import OwnBench
 
 

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 from station.control.emergency_stop import Units, stage_units, stop_stages
 from station.control.messages import Command, DeviceReport, Notice, Refused, Reply
-from station.control.process import Bench, run_control
+from station.control.process import run_control
 from station.control.realtime import ask_for_fifo
 from station.control.ring import HEARTBEAT, Ring
 from station.control.states import Event, RefusedError
 from station.devices.config import BenchFile
 from station.lab.host import LabError
+from station.service.bench import Bench
 
 #: The control process answers a command within this time or counts as gone [s].
 ANSWER_TIME = 1.0
@@ -52,7 +53,7 @@ class ControlHost:
             hear, ended: called in a thread of their own with what it says, and when it has ended unasked.
         """
         self._fifo, self._clock = bench.fifo, bench.clock
-        self._devices, self._hear, self._ended = devices, hear, ended
+        self._devices, self._registered, self._hear, self._ended = devices, bench.registered, hear, ended
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._answered = threading.Condition(self._lock)
@@ -65,7 +66,7 @@ class ControlHost:
         self._pipe, child = context.Pipe()
         ring.numbers[HEARTBEAT] = 0.0
         self._process = context.Process(
-            target=run_control, args=(bench, ring.name, child, os.getpid()), name="control", daemon=True
+            target=run_control, args=(bench.control, ring.name, child, os.getpid()), name="control", daemon=True
         )
         self._process.start()
         child.close()
@@ -138,7 +139,7 @@ class ControlHost:
         if self._fifo:
             ask_for_fifo(WATCHER_PRIORITY)  # what is left of a run must not wait for a page to be drawn
         try:
-            told = self._devices()
+            told = self._registered(self._devices())
             self._units = stage_units(told.stages, self._joints)
             with self._lock:
                 self._pipe.send(told)

@@ -13,11 +13,11 @@ import numpy as np
 from station.calibration.catalogue import WEIGHTS
 from station.calibration.worker import Job
 from station.config.strict import check
-from station.control.process import Bench
 from station.control.states import RefusedError
 from station.devices.aurora.tracker import Registration
 from station.devices.config import Mount
 from station.lab.aurora.coil import MOUNT
+from station.service.bench import Bench
 from station.service.calibration_session import Course, Report
 from station.service.supervisor import Supervisor
 

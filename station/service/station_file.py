@@ -8,17 +8,17 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr
 
 from core.errors import CtrError
-from station.calibration.files import Calibration
-from station.config.robots import load_robot
+from station.config.controllers import BEST, ControllerFile
+from station.config.robots import load_robot, start_pose
 from station.config.strict import ConfigError, Strict, check, on_line, read_toml, use_experiments
 from station.control.clock import StationClock
+from station.control.known_calibration import Calibration
 from station.control.margins import Margins, check_design
 from station.control.overruns import OverrunLimits
-from station.control.process import Bench
 from station.devices.config import DevicesFile
 from station.devices.open_devices import plan
-from station.experiments.experiment import BEST, ControllerFile, start_pose
 from station.lab.config import load_lab
+from station.service.bench import Bench
 
 
 class ExperimentsFile(Strict):

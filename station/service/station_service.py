@@ -8,11 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from core.errors import CtrError
+from station.config.controllers import BEST, ControllerFile
 from station.config.motions import HoldMotion, Orders, TipMotion
 from station.config.strict import Strict, preset_names
 from station.control.states import State
 from station.control.task import Task
-from station.experiments.experiment import BEST, ControllerFile, offered
+from station.experiments.experiment import offered
 from station.lab.loads import Load, NoLoad
 from station.service.supervisor import Supervisor
 

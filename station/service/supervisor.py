@@ -19,7 +19,7 @@ from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.control.messages import DeviceReport, DeviceStatus, Refused
-from station.control.process import Bench, ring_width
+from station.control.process import ring_width
 from station.control.realtime import ask_for_fifo, one_thread_each
 from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STATION_HEARTBEAT, STUCK, Ring
 from station.control.states import Event, RefusedError, State, after
@@ -30,6 +30,7 @@ from station.lab.loads import Load
 from station.recording.tracking_errors import settling_time
 from station.service.audit import Audit
 from station.service.backend import BenchSide, Brings
+from station.service.bench import Bench
 from station.service.control_host import WATCHER_PRIORITY, ControlHost, Ending, Said
 from station.service.flight_recorder import Chronicle
 from station.service.live_recording import LiveRecording

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 
 from core.robot.robot import Array
+from station.config.controllers import PERIOD
 from station.config.motions import CircleMotion, Orders
 from station.control.loop import ControlLoop
 from station.control.margins import Margins
 from station.control.states import State
 from station.control.task import Phase, Task
-from station.experiments.experiment import PERIOD, Case
+from station.experiments.experiment import Case
 from station.lab.faults import LabFault
 from station.lab.simulated_bench import WireLab
 from station.lab.virtual_bench import virtual_bench

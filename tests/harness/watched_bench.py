@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from core.robot.robot import Array
+from station.config.controllers import PERIOD
 from station.control.loop import ControlLoop, Phase
 from station.control.states import State
 from station.devices.interfaces import Devices, JointReading, Stages, Truth
-from station.experiments.experiment import PERIOD, Case
+from station.experiments.experiment import Case
 from station.lab.virtual_bench import virtual_bench
 
 

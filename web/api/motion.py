@@ -9,9 +9,11 @@ import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response, WebSocket, WebSocketDisconnect
 
 from core.robot.robot import Array
+from station.config.controllers import PERIOD, ControllerFile
+from station.config.robots import start_pose
 from station.config.strict import preset_names
 from station.control.states import State
-from station.experiments.experiment import PERIOD, ControllerFile, Experiment, offered, start_pose
+from station.experiments.experiment import Experiment, offered
 from station.service.solve import model_answer
 from station.service.station_service import Desk
 from web.access.identity import who_of

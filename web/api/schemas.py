@@ -5,9 +5,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
+from station.config.controllers import ControllerFile
 from station.config.motions import TipMotion
 from station.config.strict import Strict, Vector
-from station.experiments.experiment import ControllerFile
 from station.lab.loads import Load
 from web.access.identity import LONGEST_NAME
 from web.access.tokens import Role

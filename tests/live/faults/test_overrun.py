@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from station.config.controllers import PERIOD
 from station.control.overruns import OverrunLimits, Overruns
 from station.devices.interfaces import Severity
-from station.experiments.experiment import PERIOD
 from station.recording.read import read_case
 from tests.harness.calm import CLOCK
 from tests.harness.kill_stations import until_moving

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from station.client import Station
-from station.experiments.experiment import PERIOD
+from station.config.controllers import PERIOD
 from station.recording.read import read_case
 from tests.harness.calm import RATE
 from tests.harness.serving import Served

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from station.config.controllers import PERIOD
 from station.control.states import State
-from station.experiments.experiment import PERIOD
 from tests.harness.virtual_station import VirtualStation
 
 

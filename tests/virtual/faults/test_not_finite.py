@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from station.config.controllers import PERIOD
 from station.control.states import State
 from station.devices.interfaces import Devices
-from station.experiments.experiment import PERIOD
 from tests.harness.virtual_station import VirtualStation
 
 

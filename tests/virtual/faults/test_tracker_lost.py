@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from station.config.controllers import PERIOD
 from station.control.states import State
 from station.control.task import FREEZE
 from station.devices.interfaces import Severity
-from station.experiments.experiment import PERIOD
 from tests.harness.cases import a_case
 from tests.harness.virtual_station import VirtualStation
 

@@ -14,12 +14,12 @@ from core.calibration.visits import Noise
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics
 from station.calibration import commission, procedures
-from station.calibration.files import Calibration
 from station.calibration.outcome import Provenance, write_all
 from station.calibration.plan import Subject
 from station.calibration.static_lab import StillLab, carry_out
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
+from station.control.known_calibration import Calibration
 from station.lab.config import load_lab
 
 START = np.array([0.0, math.pi / 2, -0.100])
@@ -197,8 +197,8 @@ def test_efforts_scale():
 
 
 def test_a_live_station_takes_the_calibration_from_its_file(folder, found, tmp_path):
+    from station.config.controllers import BEST
     from station.devices.config import BenchFile
-    from station.experiments.experiment import BEST
     from station.service.station_file import load_station
 
     path = tmp_path / "bench.toml"

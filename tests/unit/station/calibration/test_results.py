@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from station.calibration.catalogue import begin
-from station.calibration.files import Calibration, carry_over
+from station.calibration.files import carry_over
 from station.calibration.outcome import Provenance, write_all
 from station.calibration.plan import Subject
 from station.calibration.results import NoResultError, Results
 from station.calibration.static_lab import StillLab, carry_out
+from station.control.known_calibration import Calibration
 from station.lab.config import load_lab
 
 START = np.array([0.0, math.pi / 2, -0.100])

@@ -7,9 +7,9 @@ import pytest
 
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError, Unreachable
+from station.config.controllers import ControllerFile
 from station.config.motions import JointSweepMotion, Motion, Orders
 from station.config.strict import ConfigError, Strict, check
-from station.experiments.experiment import ControllerFile
 
 
 class Holder(Strict):

@@ -10,10 +10,10 @@ from core.control.sensors import Sensors
 from core.control.step import Controller
 from station.calibration.procedure import AbortedError, GoTo, Swing
 from station.calibration.visiting import measured, task
+from station.config.controllers import BEST, PERIOD
 from station.control.loop import ControlLoop
 from station.control.settle_and_tare import AVERAGE
 from station.control.states import State
-from station.experiments.experiment import BEST, PERIOD
 from station.lab.config import load_lab
 from station.lab.loads import ConstantLoad
 from station.lab.virtual_bench import virtual_bench

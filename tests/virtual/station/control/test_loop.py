@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from core.robot.robot import Array
+from station.config.controllers import PERIOD
 from station.config.motions import CircleMotion, HoldMotion, JointSweepMotion, Orders
 from station.control.loop import ControlLoop, Phase, Task
 from station.control.states import RefusedError, State
 from station.devices.interfaces import Condition, Devices, TipReading, WrenchReading
 from station.devices.zaber.protocol import Command
-from station.experiments.experiment import PERIOD, Case
+from station.experiments.experiment import Case
 from station.lab.loads import ConstantLoad
 from tests.harness.cases import a_case
 from tests.harness.watched_bench import Bench

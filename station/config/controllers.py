@@ -1,0 +1,70 @@
+"""How the tip is controlled, as a file says it: strategy, gains, filters and delays."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from core.control.actuation import Actuation
+from core.control.controllers import strategy
+from core.control.deflection import RateFilter
+from core.control.estimation import Estimator
+from core.control.observer import Observer
+from core.control.step import Controller
+from core.model.statics import PAPER_SUBLINK, Statics
+from station.config.robots import RobotFile
+from station.config.strict import Strict
+
+#: The inner loop's period [s].
+PERIOD = 0.002
+
+
+class ControllerFile(Strict):
+    """How the tip is controlled."""
+
+    strategy: str = "dual_layer"
+    """unloaded_jacobian, loaded_jacobian, inner_loop or dual_layer"""
+    inner: str = "type_1"
+    """of inner_loop and dual_layer: type_1, type_1_exact or type_2"""
+    k1: float = 2.5
+    """[1/s]"""
+    k2: float = 2.5
+    """[1/s]"""
+    feedforward: bool = False
+    feedback: Literal["tracker", "observer"] = "tracker"
+    """what the outer loop looks at: the latest frame as in the paper, or the observed tip of the moment at which
+    its command takes effect"""
+    deflection_rate: Literal["numerical", "exact"] = "numerical"
+    """for type_1: the filtered derivative of Delta_total as in the paper, or C w' + (J(q, w) - J(q, 0)) q'"""
+    filter_bandwidth: float = 1.0
+    """of the deflection's and the force's rate [Hz]"""
+    observer_bandwidth: float = 2.0
+    """of the model's bias [Hz]"""
+    hold: float = 0.025
+    """between two commands to the same stage, planned for [s]"""
+    transport: float = 0.012
+    """from a command to the motor, planned for [s]"""
+    sublink: Annotated[float, Field(ge=0.0005, le=0.05)] = PAPER_SUBLINK
+    """[m]"""
+
+    def controller(self, robot: RobotFile) -> Controller:
+        """The controller of a robot.
+
+        Raises:
+            DescriptionError: unknown strategy or inner loop, a gain, bandwidth or delay out of range.
+        """
+        return Controller(
+            Statics(robot.robot(), self.sublink),
+            strategy(self.strategy, self.k1, self.k2, self.feedforward, self.inner),
+            robot.limits(),
+            Estimator(
+                RateFilter(PERIOD, self.filter_bandwidth),
+                Observer(PERIOD, bandwidth=self.observer_bandwidth),
+                Actuation(PERIOD, self.hold, self.transport),
+            ),
+            observes=self.feedback == "observer",
+            exact_rate=self.deflection_rate == "exact",
+        )
+
+
+#: What follows best in the virtual lab; the paper's own choices are the defaults above.
+BEST = ControllerFile(inner="type_2", feedback="observer", feedforward=True, filter_bandwidth=0.5)
