@@ -31,7 +31,7 @@ from station.recording.history import History
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
 from station.service.station_file import load_station
-from station.service.station_service import Desk
+from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from web.access.audited import Audited
 from web.access.gate import Access, is_loopback
@@ -94,14 +94,14 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         try:
             supervisor.open()
             supervisor.wait_ready(START_TIME)
-            desk = Desk(supervisor)
+            service = StationService(supervisor)
             calibration = LiveCalibration(supervisor, data / CALIBRATIONS)
             # viser knows no access control: loopback only, the page comes through our own port.
             with contextlib.redirect_stdout(io.StringIO()):  # it announces its own address
                 scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
-            view = View(scene, desk)
+            view = View(scene, service)
             try:
-                app = build_app(desk, view, calibration, data, audit, host, port, tokens)
+                app = build_app(service, view, calibration, data, audit, host, port, tokens)
                 settings = uvicorn.Config(
                     app, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
                     timeout_graceful_shutdown=3, lifespan="on",
@@ -153,7 +153,7 @@ def _shown(host: str) -> str:
 
 
 def build_app(
-    desk: Desk,
+    service: StationService,
     view: View,
     calibration: LiveCalibration,
     runs: Path,
@@ -165,7 +165,7 @@ def build_app(
     """The station's web application.
 
     Args:
-        desk: what requests may do.
+        service: what requests may do.
         view: the scene behind the page.
         calibration: of the same station.
         runs: folder with the recordings.
@@ -177,7 +177,7 @@ def build_app(
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        alone = asyncio.create_task(tell_when_alone(of.lease, desk.supervisor))
+        alone = asyncio.create_task(tell_when_alone(of.lease, service.supervisor))
         yield
         alone.cancel()
         await app.state.scene.aclose()
@@ -191,12 +191,12 @@ def build_app(
         openapi_url="/api/openapi.json",
         lifespan=lifespan,
     )
-    of = commands(Lease(desk.supervisor.bench.clock.now))
+    of = commands(Lease(service.supervisor.bench.clock.now))
     routes, app.state.scene = viser_routes(view.door, of.lease, audit)
-    app.include_router(api_routes(desk, of, stopping, view.felt))
+    app.include_router(api_routes(service, of, stopping, view.felt))
     app.include_router(operator_routes(of))
-    app.include_router(bench_routes(desk, of, audit))
-    app.include_router(scene_routes(view, desk, of))
+    app.include_router(bench_routes(service, of, audit))
+    app.include_router(scene_routes(view, service, of))
     app.include_router(calibration_routes(calibration, of))
     app.include_router(runs_routes(History(runs), of))
     app.include_router(routes)

@@ -40,7 +40,7 @@ class View(NamedTuple):
     drift: Array  #: (3,) tip velocity beyond J q' + C w', as the tracker shows it: X' - J q' - C w' [m/s]
 
 
-class Wanted(NamedTuple):
+class VelocityTask(NamedTuple):
     """The joints should satisfy jacobian @ joint_velocity = velocity."""
 
     jacobian: Array  #: (3, n) [m/rad or m/m]
@@ -58,7 +58,7 @@ class OuterLoop(Protocol):
 class InnerLoop(Protocol):
     """Turns U_int (3,) [m/s] into a velocity equation for the joints."""
 
-    def __call__(self, u_int: Array, view: View, /) -> Wanted:
+    def __call__(self, u_int: Array, view: View, /) -> VelocityTask:
         """The equation the joints must solve."""
         ...
 
@@ -109,19 +109,19 @@ def outer_law(k1: float, k2: float, feedforward: float, wanted: Array, velocity:
     return u_int
 
 
-class Equation(NamedTuple):
+class InnerLaw(NamedTuple):
     """One of the project's inner loops: an `InnerLoop` that compiled code knows by its number."""
 
     number: int
 
-    def __call__(self, u_int: Array, view: View, /) -> Wanted:
+    def __call__(self, u_int: Array, view: View, /) -> VelocityTask:
         """The equation the joints must solve."""
         jacobian, velocity = np.empty((3, view.loaded.places.n)), np.empty(3)
         inner_law(
             self.number, u_int, view.loaded.jacobian, view.unloaded.jacobian,
             view.deflection_rate, view.load_rate, view.drift, jacobian, velocity,
         )  # fmt: skip
-        return Wanted(jacobian, velocity)
+        return VelocityTask(jacobian, velocity)
 
 
 UNLOADED, LOADED, TYPE_1, TYPE_1_EXACT, TYPE_2 = range(5)
@@ -146,15 +146,15 @@ def inner_law(
 
 
 #: J(q, 0) q' = U_int: the load is ignored.
-unloaded = Equation(UNLOADED)
+unloaded = InnerLaw(UNLOADED)
 #: J(q, w) q' = U_int: the load changes the Jacobian, its own motion of the tip is ignored.
-loaded = Equation(LOADED)
+loaded = InnerLaw(LOADED)
 #: Eq. (24), J(q, 0) q' = U_int - d(Delta_total)/dt.
-type_1 = Equation(TYPE_1)
+type_1 = InnerLaw(TYPE_1)
 #: J(q, w) q' = U_int - C w': eq. (21) solved for q', equal to (24) with an exact Delta_total.
-type_1_exact = Equation(TYPE_1_EXACT)
+type_1_exact = InnerLaw(TYPE_1_EXACT)
 #: Eq. (29), J(q, w) q' = U_int - (X' - J(q, w) q'): whatever moves the tip besides the joints.
-type_2 = Equation(TYPE_2)
+type_2 = InnerLaw(TYPE_2)
 
 #: Inner loops of strategies (c) and (d) by name.
 INNER_LOOPS: dict[str, InnerLoop] = {"type_1": type_1, "type_1_exact": type_1_exact, "type_2": type_2}
@@ -170,7 +170,7 @@ class Strategy:
     @cached_property
     def laws(self) -> tuple[float, float, float, int] | None:
         """What `core.control.command` is told of the project's own loops; None for loops of one's own."""
-        if isinstance(self.outer, VelocityMode | PositionMode) and isinstance(self.inner, Equation):
+        if isinstance(self.outer, VelocityMode | PositionMode) and isinstance(self.inner, InnerLaw):
             return (*self.outer.law, self.inner.number)
         return None
 

@@ -3,7 +3,7 @@
     fuse the base wrenches -> solve the loaded and the unloaded model -> estimate deflection, load,
     joints and tip -> outer loop -> inner loop -> inverse inside the limits -> check finite
 
-No clock, no device, no thread: everything that changes goes in as `Memory` and comes out anew.
+No clock, no device, no thread: everything that changes goes in as `ControllerState` and comes out anew.
 """
 
 import math
@@ -36,7 +36,7 @@ class Sample(NamedTuple):
     tip_age: float = 0.0  #: time since that frame was measured [s]
 
 
-class Memory(NamedTuple):
+class ControllerState(NamedTuple):
     """All that one tick leaves to the next."""
 
     estimate: Estimate
@@ -54,7 +54,7 @@ class Tick(NamedTuple):
     sigma: Array  #: singular values of the Jacobian in use, joints in units of top speed [m/s]
     at_bound: Array  #: (n,) -1, 0, 1: joint held at its lower bound, free, at its upper
     at_row: Array  #: (m,) 1 where a limit beyond single joints is active
-    memory: Memory
+    memory: ControllerState
 
     @property
     def delta(self) -> Array:
@@ -95,15 +95,15 @@ class Controller:
             return readings
         return self.corrections.offset(readings, self.statics.robot.tube_poses(joints)[0])
 
-    def tip(self, measured: Array, memory: "Memory") -> Array:
+    def tip(self, measured: Array, memory: "ControllerState") -> Array:
         """The tip (3,) of a tracker frame (3,) [m]."""
         if self.corrections is None:
             return measured
         return self.corrections.tip(measured, memory.estimate.loaded.rotation)
 
 
-def begin(controller: Controller, sample: Sample) -> Memory:
-    """Memory before the first tick; the first sample must carry a tracker frame.
+def begin(controller: Controller, sample: Sample) -> ControllerState:
+    """ControllerState before the first tick; the first sample must carry a tracker frame.
 
     Raises:
         PoseError, NoSolution, NotFinite: the model cannot start from this sample.
@@ -116,10 +116,10 @@ def begin(controller: Controller, sample: Sample) -> Memory:
     load = fuse_at(controller.statics.robot, right.joints, right.wrenches)
     loaded = controller.statics.solve(right.joints, point_force(load))
     tip = sample.tip if right.tip is None else right.tip
-    return Memory(controller.estimator.start(loaded, unloaded, load.force, tip), tip, tip)
+    return ControllerState(controller.estimator.start(loaded, unloaded, load.force, tip), tip, tip)
 
 
-def set_origin(controller: Controller, memory: Memory, origin: Array) -> Memory:
+def set_origin(controller: Controller, memory: ControllerState, origin: Array) -> ControllerState:
     """Start a motion here, at rest and just tared: setpoints count from `origin` (3,) [m], eq. (22) from zero.
 
     The tare has moved the zero of the force, so the estimates begin anew without load.
@@ -128,7 +128,7 @@ def set_origin(controller: Controller, memory: Memory, origin: Array) -> Memory:
     return memory._replace(estimate=controller.estimator.start(free, free, np.zeros(3), origin), origin=origin)
 
 
-def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint | JointMotion | None) -> Tick:
+def step(controller: Controller, memory: ControllerState, sample: Sample, order: Setpoint | JointMotion | None) -> Tick:
     """One period: follow a setpoint, move joints as told, or (None) stand still; the estimates always go on.
 
     Raises:
@@ -173,7 +173,7 @@ def step(controller: Controller, memory: Memory, sample: Sample, order: Setpoint
     finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # an older one has been looked at
     if not (finite and all(map(math.isfinite, command.tolist()))):
         raise NotFinite(f"joint velocities {command.tolist()} at measured tip {tip.tolist()} m are not finite")
-    return Tick(command, load, u_int, setpoint, sigma, at_bound, at_row, Memory(now, tip, memory.origin))
+    return Tick(command, load, u_int, setpoint, sigma, at_bound, at_row, ControllerState(now, tip, memory.origin))
 
 
 def _corrected(controller: Controller, sample: Sample, rotation: Array) -> Sample:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from core.errors import CtrError
-from station.bench.timer_probe import Witness
+from station.bench.timer_probe import TimerProbe
 from station.config.controllers import PERIOD
 from station.config.motions import CircleMotion
 from station.control.realtime import leave_a_core
@@ -16,7 +16,7 @@ from station.control.ring import Ring
 from station.control.states import State
 from station.lab.loads import RaisedCosineLoad
 from station.service.station_file import load_station
-from station.service.station_service import Desk
+from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 
 
@@ -31,15 +31,15 @@ def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True
     """
     core = leave_a_core()
     bench = replace(load_station(None).bench(), fifo=fifo, core=core)
-    with tempfile.TemporaryDirectory(prefix="ctr-bench-") as folder, Witness(core) as witness:
+    with tempfile.TemporaryDirectory(prefix="ctr-bench-") as folder, TimerProbe(core) as probe:
         supervisor = Supervisor(bench, Path(folder))
         try:
             supervisor.open()
             supervisor.wait_ready(120.0)
             steal = stolen()
             supervisor.ring.clear_timing()
-            witness.clear()
-            Desk(supervisor).start_motion(
+            probe.clear()
+            StationService(supervisor).start_motion(
                 CircleMotion(radius=0.010, period=20.0),
                 load=RaisedCosineLoad(peak=0.3, period=15.0),
                 duration=seconds + 60.0,
@@ -51,7 +51,7 @@ def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True
                 status = supervisor.status()
                 if status.state is not State.RUNNING:
                     raise CtrError(f"the loop went to {status.state.name}: {status.cause}")
-            result = {**figures(supervisor.ring, seconds, stolen() - steal), "computer": witness.figures()}
+            result = {**figures(supervisor.ring, seconds, stolen() - steal), "computer": probe.figures()}
         finally:
             supervisor.close()
     return result

@@ -22,7 +22,7 @@ from station.control.states import State
 from station.lab.faults import FaultKind, LabFault
 from station.lab.loads import ConstantLoad, NoLoad
 from station.service.station_file import load_station
-from station.service.station_service import Desk
+from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 
 #: A station comes up within this time, also where everything is compiled first on a busy computer [s].
@@ -113,7 +113,7 @@ def soak(seconds: float, seed: int, folder: Path, progress: Callable[[float], No
 class _Soak:
     def __init__(self, supervisor: Supervisor, seed: int) -> None:
         self.result = Result(seed)
-        self._supervisor, self._desk = supervisor, Desk(supervisor)
+        self._supervisor, self._service = supervisor, StationService(supervisor)
         self._chance = random.Random(seed)  # noqa: S311 - no secret
         self._begin = time.monotonic()
         self._pids = supervisor.pids()
@@ -153,7 +153,7 @@ class _Soak:
         ))  # fmt: skip
         duration = self._chance.uniform(1.0, 15.0)
         load = self._chance.choice((NoLoad(), ConstantLoad(magnitude=0.1)))
-        self._try("start", lambda: self._desk.start_motion(motion, load=load, duration=duration))
+        self._try("start", lambda: self._service.start_motion(motion, load=load, duration=duration))
 
     def _stop(self) -> None:
         self._try("stop", self._supervisor.stop)
@@ -161,7 +161,7 @@ class _Soak:
     def _jog(self) -> None:
         velocity = [self._chance.uniform(-0.003, 0.003) for _ in range(3)]
         for _ in range(self._chance.randint(1, 8)):
-            self._try("jog", lambda: self._desk.jog("tip", (velocity[0], velocity[1], velocity[2])))
+            self._try("jog", lambda: self._service.jog("tip", (velocity[0], velocity[1], velocity[2])))
             time.sleep(0.1)
 
     def _tare(self) -> None:
@@ -172,7 +172,7 @@ class _Soak:
 
     def _pull(self) -> None:
         size = self._chance.uniform(0.0, 0.2)
-        self._try("pull", lambda: self._desk.pull(ConstantLoad(magnitude=size)))
+        self._try("pull", lambda: self._service.apply_load(ConstantLoad(magnitude=size)))
 
     def _wait(self, holds: Callable[[State], bool] | None = None, most: float = 0.0) -> bool:
         """Wait until the state is one of those, for `most` [s] at the longest; or only a moment."""

@@ -20,7 +20,7 @@ PRIORITY = 90
 LOOK = 500
 
 
-class Witness:
+class TimerProbe:
     """A process that wakes every 2 ms on one processor and counts how late it does. Use it as a context."""
 
     def __init__(self, core: int | None) -> None:
@@ -56,7 +56,7 @@ class Witness:
 def _watch(ring_name: str, core: int | None, parent: int) -> None:
     """Main function of the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who asked decides when it ends
-    show_as("ctr-witness")
+    show_as("ctr-probe")
     ring = Ring(1, ring_name)
     be_punctual(fifo=False, core=core)
     ring.counters[SCHEDULER] = ask_for_fifo(PRIORITY)

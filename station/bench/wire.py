@@ -19,7 +19,7 @@ from station.devices.interfaces import Condition
 from station.lab.config import LabConfig
 from station.lab.loads import RaisedCosineLoad
 from station.lab.plant import Plant
-from station.lab.simulated_bench import WireLab
+from station.lab.simulated_bench import SimulatedBench
 from station.lab.virtual_bench import drivers
 
 TICK = 0.002
@@ -38,7 +38,7 @@ def wire(seconds: float = 20.0) -> dict[str, Any]:
         CtrError: the stages did not connect.
     """
     robot, config = load_robot("paper"), LabConfig()
-    lab = WireLab(robot, config, 0, START, homed=True)
+    lab = SimulatedBench(robot, config, 0, START, homed=True)
     devices = drivers(lab)
     stages, tracker, sensors = devices.stages, devices.tracker, devices.sensors
     now = 0.0
@@ -54,7 +54,7 @@ def wire(seconds: float = 20.0) -> dict[str, Any]:
         lab.advance(now)
         stages.poll(now)
         now += TICK
-    lab.pull(LOAD, now)
+    lab.apply_load(LOAD, now)
     alone = Plant(robot.robot(), config.plant, np.random.default_rng(0), START)
     parts: dict[str, Callable[[], object]] = {
         "lab": lambda: lab.advance(now),

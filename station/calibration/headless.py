@@ -74,7 +74,7 @@ def carry_out(
                 elif isinstance(step, Ask):
                     progress(step.done, step.text)
                     load: Load = ConstantLoad(magnitude=step.weight) if step.weight > 0.0 else NoLoad()
-                    bench.pull(load, now)
+                    bench.apply_load(load, now)
                     free_from = now + SWINGING
                     guided.answer(None)
                 else:

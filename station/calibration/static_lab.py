@@ -30,7 +30,7 @@ STEPS = 20
 BY_HAND = 20.0
 
 
-class StillLab:
+class StaticLab:
     """A bench that is not there and only ever rests. Everything random comes from `seed`."""
 
     def __init__(self, subject: Subject, config: LabConfig, seed: int) -> None:
@@ -95,7 +95,7 @@ class StillLab:
 
 
 def carry_out(
-    procedure: Procedure[Result], lab: StillLab, progress: Callable[[float, str], None] | None = None
+    procedure: Procedure[Result], lab: StaticLab, progress: Callable[[float, str], None] | None = None
 ) -> Result:
     """Run a procedure to its end; `progress` is told the part done and what a person would be asked.
 

@@ -6,21 +6,21 @@ from typing import Any
 
 from core.errors import CtrError
 from station.calibration.procedure import AbortedError, Answer, Step
-from station.calibration.worker import Failed, Finished, Job, Said, run_guide
+from station.calibration.worker import Failed, Finished, Job, Said, run_worker
 
 
 class FailedError(CtrError):
     """A procedure that came to no result; the text says why."""
 
 
-class GuideHost:
+class WorkerHost:
     """Owner of one such process."""
 
     def __init__(self, job: Job) -> None:
         """Start it; its first step takes a while."""
         context: Any = multiprocessing.get_context("spawn")
         self._pipe, child = context.Pipe()
-        self._process = context.Process(target=run_guide, args=(job, child), name="guide", daemon=True)
+        self._process = context.Process(target=run_worker, args=(job, child), name="guide", daemon=True)
         self._process.start()
         child.close()
 

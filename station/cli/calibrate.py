@@ -96,7 +96,7 @@ def _carried_out(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[An
                 bar.console.print(f"a person is asked: {text} (done by the lab)", markup=False)
 
         if parsed.still:
-            bench = still_lab.StillLab(subject, lab, parsed.seed)
+            bench = still_lab.StaticLab(subject, lab, parsed.seed)
             return still_lab.carry_out(procedure, bench, progress), bench.time
         clock = RealClock() if parsed.realtime else VirtualClock()
         result = headless.carry_out(procedure, subject, lab, parsed.seed, clock, progress)

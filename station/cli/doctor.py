@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
-from station.bench.timer_probe import Witness
+from station.bench.timer_probe import TimerProbe
 from station.control.realtime import ask_for_fifo, may_lock_memory
 
 #: A timer is watched for so long, once it has started [s].
@@ -74,13 +74,13 @@ def _try_fifo(send: Connection) -> None:
 
 def _punctuality() -> Finding:
     """A timer with nothing to do: the loop cannot be more punctual."""
-    with Witness(None) as witness:
+    with TimerProbe(None) as probe:
         deadline = time.monotonic() + STARTS
-        while not witness.figures()["ticks"] and time.monotonic() < deadline:
+        while not probe.figures()["ticks"] and time.monotonic() < deadline:
             time.sleep(0.05)
-        witness.clear()
+        probe.clear()
         time.sleep(WATCHED)
-        seen = witness.figures()
+        seen = probe.figures()
     late = seen["late_us"]
     text = (
         f"a timer that does nothing woke {late['p50']:.0f} us late (median), {1e-3 * late['max']:.2g} ms at most, and"

@@ -130,12 +130,12 @@ def _solve(parsed: argparse.Namespace) -> int:
 def _lab(parsed: argparse.Namespace) -> int:
     import numpy as np
 
-    from station.lab.lab_server import OpenLab, serve
+    from station.lab.lab_server import LabServer, serve
     from station.lab.loads import ConstantLoad
     from station.service.station_file import load_station
 
     bench = load_station(parsed.config).bench()
-    lab = OpenLab(bench.robot, bench.lab, bench.seed, np.array(bench.park), pty=parsed.pty)
+    lab = LabServer(bench.robot, bench.lab, bench.seed, np.array(bench.park), pty=parsed.pty)
     serve(lab, ConstantLoad(magnitude=parsed.load), lambda where: print(json.dumps(where), flush=True))  # noqa: T201
     return 0
 

@@ -7,13 +7,13 @@ clock: whoever paces it says what time it is, real or virtual.
 from dataclasses import replace
 from typing import Literal
 
-from core.control.step import Controller, Memory, Sample, begin, set_origin, step
+from core.control.step import Controller, ControllerState, Sample, begin, set_origin, step
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.control.jog import Jog
-from station.control.margins import Margins, SnapWatch
-from station.control.progress_monitor import Stall
+from station.control.margins import Margins, SnapMonitor
+from station.control.progress_monitor import ProgressMonitor
 from station.control.settle_and_tare import AVERAGE, SETTLE, Rest
 from station.control.states import Event, RefusedError, State, after
 from station.control.task import Phase, Progress, Task
@@ -45,7 +45,7 @@ class ControlLoop:
         self.progress: Progress | None = None  #: of the task that is on
         self.channels = Channels(controller.statics.robot)
         self._margins = margins or Margins()
-        self._memory: Memory | None = None
+        self._memory: ControllerState | None = None
         self._row: Array | None = None
         self._troubles = NONE
         self._jog: Jog | None = None
@@ -53,7 +53,7 @@ class ControlLoop:
         self._rest: Rest | None = None  # before a motion, or for a tare that was asked for
         self._retry = 0.0  # when a tracker that is not there is looked for again [s]
         self._frame_at = 0.0  # when the newest frame has come [s]
-        self._stall, self._snap = Stall(), SnapWatch(self._margins)
+        self._stall, self._snap = ProgressMonitor(), SnapMonitor(self._margins)
 
     @property
     def phase(self) -> Phase:
@@ -135,7 +135,7 @@ class ControlLoop:
         self.request(Event.START)
         self.controller, self._rest = task.controller, None
         self.progress = Progress(task, Phase.APPROACHING)
-        self._snap = SnapWatch(task.margins or self._margins)
+        self._snap = SnapMonitor(task.margins or self._margins)
 
     def tare(self, now: float) -> None:
         """Take what the force sensors feel in the next moments as zero.
@@ -164,7 +164,7 @@ class ControlLoop:
         self._jog, self._rest = Jog.begin(space, velocity, now), None
         if self._memory is not None:
             self._memory = self._memory._replace(origin=self._memory.estimate.observed.tip)
-        self._stall, self._snap = Stall(), SnapWatch(self._margins)
+        self._stall, self._snap = ProgressMonitor(), SnapMonitor(self._margins)
 
     # A period
 
@@ -325,7 +325,7 @@ class ControlLoop:
             return False
         self._tare = self.controller.tare(rest.wrenches, joints.positions)
         self._memory = set_origin(self.controller, self._memory, tip)
-        self._stall, self._snap = Stall(), SnapWatch(task.margins or self._margins)
+        self._stall, self._snap = ProgressMonitor(), SnapMonitor(task.margins or self._margins)
         return True
 
     def _tip(self, frame: TipReading | None) -> Array | None:

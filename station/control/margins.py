@@ -32,7 +32,7 @@ class Margins(Strict):
     """a robot whose tubes snap somewhere within their travel without load"""
 
 
-class SnapWatch:
+class SnapMonitor:
     """Looks at every tick of one motion."""
 
     def __init__(self, margins: Margins) -> None:

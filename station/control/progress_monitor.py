@@ -17,7 +17,7 @@ NEARER = 0.9  #: part of its size to which an error has to shrink to count as sh
 FREE = 0.5  #: without anything in the way for this long, waiting begins anew [s]
 
 
-class Stall:
+class ProgressMonitor:
     """Watches one motion, frame by frame."""
 
     def __init__(self) -> None:

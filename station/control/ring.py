@@ -65,7 +65,7 @@ class Ring:
         self._rows[written % ROWS] = row
         self.counters[WRITTEN] = written + 1
 
-    def tell_truth(self, truth: Truth, stuck: bool = False) -> None:
+    def publish_ground_truth(self, truth: Truth, stuck: bool = False) -> None:
         """What the virtual lab knows, and whether its robot cannot follow its stages; only the lab may."""
         cells = self._truth
         self.counters[STUCK] = stuck

@@ -89,7 +89,7 @@ def run_case(
                     motion_start = loop.progress.motion_start
                     for group in ("time", "tip_time"):
                         loop.channels.of(later, group)[:] = motion_start
-                    lab.pull(case.file.load, motion_start)
+                    lab.apply_load(case.file.load, motion_start)
                     lab.inject(case.file.faults, motion_start)
                 elif loop.phase is Phase.MOVING and row is not None:
                     if not kept:

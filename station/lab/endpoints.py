@@ -15,7 +15,7 @@ from station.lab.config import LabConfig
 LATE = 0.15
 
 
-def lab_bench(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
+def devices_at(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
     """The `[devices]` of a lab that has told its endpoints."""
     tubes = {box["tube"]: _box(box) for box in endpoints["netft"]}
     tables = {

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from core.errors import CtrError
 from station.devices.config import BenchFile
-from station.lab.endpoints import lab_bench
+from station.lab.endpoints import devices_at
 from station.lab.faults import LabFault
 from station.lab.loads import Load
 from station.lab.process import Inject, LabBench, Opened, Pull, run_lab
@@ -51,9 +51,9 @@ class LabHost:
             raise LabError("the virtual lab ended before its devices were there") from None
         if opened.problem:
             raise LabError(f"the virtual lab did not come up: {opened.problem}")
-        return lab_bench(opened.endpoints, self._config)
+        return devices_at(opened.endpoints, self._config)
 
-    def pull(self, load: Load, start: float) -> None:
+    def apply_load(self, load: Load, start: float) -> None:
         """Put a load on the tip; its time is 0 at `start` by the station's clock [s]. A lab that is gone has no tip."""
         with contextlib.suppress(OSError):
             self._pipe.send(Pull(load, start))

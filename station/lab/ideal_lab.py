@@ -39,7 +39,7 @@ class IdealLab:
         self.devices = Devices(self._stages, self._tracker, self._sensors)
         self.advance(0.0)
 
-    def pull(self, load: Load, start: float) -> None:
+    def apply_load(self, load: Load, start: float) -> None:
         """Put a load on the tip whose time counts from `start` [s]."""
         self._load, self._load_start = load, start
 

@@ -21,7 +21,7 @@ from station.control.clock import REAL_TIME, StationClock
 from station.lab.config import LabConfig
 from station.lab.loads import Load
 from station.lab.netft.wire import AddressTaken, PageServer, UdpEnd
-from station.lab.simulated_bench import WireLab, Wires
+from station.lab.simulated_bench import SimulatedBench, Wires
 
 HOST = "127.0.0.1"
 PERIOD = 0.001  #: between two looks, unless bytes come earlier; about a byte at 9600 baud [s]
@@ -150,8 +150,8 @@ class PtyEnd:
             os.close(self._files.pop())
 
 
-class OpenLab:
-    """A `WireLab` whose devices can be reached. Use it as a context."""
+class LabServer:
+    """A `SimulatedBench` whose devices can be reached. Use it as a context."""
 
     def __init__(
         self,
@@ -186,7 +186,7 @@ class OpenLab:
             for number in range(len(robot.tubes)):
                 boxes.append(UdpEnd(HOST, netft_port + number if netft_port else 0))
                 opened.callback(boxes[-1].close)
-            self.lab = WireLab(robot, config, seed, positions, Wires(*self._lines, tuple(boxes)), homed)
+            self.lab = SimulatedBench(robot, config, seed, positions, Wires(*self._lines, tuple(boxes)), homed)
             self._pages: list[PageServer] = []
             for box in self.lab.boxes:
                 self._pages.append(PageServer(HOST, 0, box.page))
@@ -239,9 +239,9 @@ class OpenLab:
                 due = (math.floor(now / PERIOD) + 1) * PERIOD
 
 
-def serve(lab: OpenLab, load: Load, ready: Callable[[dict[str, Any]], None]) -> None:
+def serve(lab: LabServer, load: Load, ready: Callable[[dict[str, Any]], None]) -> None:
     """Run the lab with a load on the tip until SIGINT or SIGTERM; `ready` is told the endpoints."""
-    lab.lab.pull(load, 0.0)
+    lab.lab.apply_load(load, 0.0)
     with _signals() as received, lab:
         ready(lab.endpoints)
         lab.run(lambda: bool(received))

@@ -21,7 +21,7 @@ from station.control.realtime import ask_for_fifo, show_as
 from station.control.ring import Ring
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
-from station.lab.lab_server import OpenLab
+from station.lab.lab_server import LabServer
 from station.lab.loads import Load
 
 #: The lab goes on for so long when the station process has gone [s].
@@ -72,7 +72,7 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
         # No pseudo-terminals unless asked for: the kernel carries their bytes in a thread of normal priority, behind
         # whose locks the control loop would wait for milliseconds on a busy computer.
         pty, park = bench.terminals is not None, np.array(bench.park)
-        lab = OpenLab(
+        lab = LabServer(
             bench.robot, bench.config, bench.seed, park, pty, homed=True, folder=bench.terminals, clock=bench.clock
         )
     except CtrError as error:
@@ -91,13 +91,13 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
 class _Visitor:
     """Looks at the pipe and tells the truth, at every turn of the lab."""
 
-    def __init__(self, lab: OpenLab, ring: Ring, pipe: Connection, parent: int) -> None:
+    def __init__(self, lab: LabServer, ring: Ring, pipe: Connection, parent: int) -> None:
         self._lab, self._ring, self._pipe, self._parent = lab, ring, pipe, parent
         self._alone_since = 0.0
 
     def look(self) -> bool:
         """True when the lab is to end."""
-        self._ring.tell_truth(self._lab.lab.truth, bool(self._lab.lab.trouble))
+        self._ring.publish_ground_truth(self._lab.lab.truth, bool(self._lab.lab.trouble))
         if self._alone_since or os.getppid() != self._parent:
             self._alone_since = self._alone_since or self._lab.clock.now()
             return self._lab.clock.now() - self._alone_since > OUTLIVES
@@ -108,7 +108,7 @@ class _Visitor:
                     return True
                 start = message.start - self._lab.begun
                 if isinstance(message, Pull):
-                    self._lab.lab.pull(message.load, start)
+                    self._lab.lab.apply_load(message.load, start)
                 else:
                     self._lab.lab.inject(message.faults, start)
             return False

@@ -65,7 +65,7 @@ def memory_wires(tubes: int) -> tuple[Wires, Hosts]:
     return Wires(device, port.device, ends), Hosts(host, port, links)
 
 
-class WireLab:
+class SimulatedBench:
     """A bench that is not there, seen through its wires. Everything random comes from `seed`."""
 
     def __init__(
@@ -124,7 +124,7 @@ class WireLab:
         """Where the joints really are (n,) [rad or m]."""
         return np.array([at + step * unit.place for at, step, unit in self._axes])
 
-    def pull(self, load: Load, start: float) -> None:
+    def apply_load(self, load: Load, start: float) -> None:
         """Put a load on the tip whose time counts from `start` [s]."""
         self._load, self._load_start = load, start
 

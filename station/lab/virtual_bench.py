@@ -18,7 +18,7 @@ from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.ideal_lab import IdealLab
 from station.lab.loads import Load
-from station.lab.simulated_bench import WireLab
+from station.lab.simulated_bench import SimulatedBench
 
 
 class Lab(Protocol):
@@ -26,7 +26,7 @@ class Lab(Protocol):
 
     trouble: str  #: why the true robot has stayed where it was; empty when it follows its stages
 
-    def pull(self, load: Load, start: float) -> None:
+    def apply_load(self, load: Load, start: float) -> None:
         """Put a load on the tip whose time counts from `start` [s]."""
         ...
 
@@ -59,11 +59,11 @@ def virtual_bench(
     if config.devices == "ideal":
         ideal = IdealLab(robot, config, seed, positions)
         return VirtualBench(ideal, ideal.devices)
-    lab = WireLab(robot, config, seed, positions, homed=True)
+    lab = SimulatedBench(robot, config, seed, positions, homed=True)
     return VirtualBench(lab, drivers(lab, registration or MOUNT))
 
 
-def drivers(lab: WireLab, registration: Registration = MOUNT) -> Devices:
+def drivers(lab: SimulatedBench, registration: Registration = MOUNT) -> Devices:
     """Drivers on the other ends of the lab's wires in memory."""
     tracker = lab.config.tracker
     settings = AuroraSettings(frame_rate=tracker.rate, latency=tracker.latency)

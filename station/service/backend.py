@@ -16,21 +16,21 @@ from station.service.bench import Bench
 from station.service.own_bench import OwnBench
 
 
-class Brings(NamedTuple):
+class RunEffects(NamedTuple):
     """Of a run, onto a virtual lab, while its motion is on."""
 
     load: Load | None = NoLoad()  #: at the tip; None: what hangs there is left alone
     faults: tuple[LabFault, ...] = ()  #: their times counted from the motion's start
 
 
-class BenchSide:
+class Backend:
     """Owner of the lab's process, once it is opened; any thread may ask."""
 
     def __init__(self, bench: Bench, ring: Ring) -> None:
         self._bench, self._ring = bench, ring
         self._lock = threading.Lock()
         self._told: BenchFile | None = None
-        self._brings = Brings()
+        self._effects = RunEffects()
         self._motion_start: float | None = None
         self._host: LabHost | OwnBench | None = None
 
@@ -61,10 +61,10 @@ class BenchSide:
             self._told = self._host.devices()
         return self._told
 
-    def pull(self, load: Load) -> None:
+    def apply_load(self, load: Load) -> None:
         """Put a load on the tip, now."""
         if self._host is not None:
-            self._host.pull(load, self._bench.clock.now())
+            self._host.apply_load(load, self._bench.clock.now())
 
     def inject(self, faults: Sequence[LabFault]) -> None:
         """Let these faults happen from now on; none: mend all.
@@ -85,10 +85,10 @@ class BenchSide:
         if faults and self._bench.devices is not None:
             raise ConfigError("faults can be injected into the virtual lab only; this station has devices of its own")
 
-    def prepare(self, brings: Brings) -> Brings:
+    def prepare(self, effects: RunEffects) -> RunEffects:
         """What the next motion brings; what the last one did is the answer."""
         with self._lock:
-            before, self._brings = self._brings, brings
+            before, self._effects = self._effects, effects
         return before
 
     def motion(self, start: float | None) -> bool:
@@ -96,11 +96,11 @@ class BenchSide:
         with self._lock:
             if start == self._motion_start:
                 return False
-            self._motion_start, (load, faults) = start, self._brings
+            self._motion_start, (load, faults) = start, self._effects
         if self._host is None:
             return True
         if load is not None:
-            self._host.pull(NoLoad() if start is None else load, start or 0.0)
+            self._host.apply_load(NoLoad() if start is None else load, start or 0.0)
         if faults:
             # What a run has spoilt ends with it.
             self._host.inject(() if start is None else faults, start or 0.0)

@@ -15,7 +15,7 @@ from station.calibration.catalogue import OFFERS
 from station.calibration.procedure import AbortedError, Answer, Ask, GoTo, Step, Swung
 from station.calibration.visiting import SWINGING, measured, still, task
 from station.calibration.worker import Finished, Job
-from station.calibration.worker_host import GuideHost
+from station.calibration.worker_host import WorkerHost
 from station.control.states import RefusedError, State
 from station.control.task import Task
 from station.lab.loads import ConstantLoad, NoLoad
@@ -58,7 +58,7 @@ class Report(NamedTuple):
         return self.stage in (Stage.THINKING, Stage.MOVING, Stage.ASKING)
 
 
-class Course:
+class CalibrationSession:
     """A procedure under way. Other threads may look at `report`, say `done` and `abort`."""
 
     def __init__(self, supervisor: Supervisor, job: Job) -> None:
@@ -105,7 +105,7 @@ class Course:
         """Carry it out to the end, whatever that is."""
         ending, why = Stage.FAILED, "the procedure has ended unasked"
         try:
-            with contextlib.closing(GuideHost(self._job)) as guide:
+            with contextlib.closing(WorkerHost(self._job)) as guide:
                 said = self._heard(guide, "the first poses are being chosen")
                 while not isinstance(said, Finished):
                     guide.answer(self._carried_out(said))
@@ -127,14 +127,14 @@ class Course:
         if ending is not Stage.DONE:
             shutil.rmtree(self._job.folder, ignore_errors=True)
         if hangs := max(self._now.hangs, self._hung):
-            self._supervisor.pull(NoLoad())  # in a virtual lab; from a real tip a person has to take it
+            self._supervisor.apply_load(NoLoad())  # in a virtual lab; from a real tip a person has to take it
             why = f"{why}; a weight of {hangs:g} N may hang at the tip: take it off"
         self._ended = self._clock.now()
         self._now = self._now._replace(stage=ending, says=why, asked="", hangs=0.0, left=0.0)
 
     # Steps
 
-    def _heard(self, guide: GuideHost, says: str) -> Step | Finished:
+    def _heard(self, guide: WorkerHost, says: str) -> Step | Finished:
         """What comes next."""
         self._show(Stage.THINKING, self._now.done, says)
         while (said := guide.heard(LOOK)) is None:
@@ -166,7 +166,7 @@ class Course:
             self._look()
         self._hung = step.weight
         # The virtual lab's part of a person's work; at a real bench nothing happens here.
-        self._supervisor.pull(ConstantLoad(magnitude=step.weight) if step.weight > 0.0 else NoLoad())
+        self._supervisor.apply_load(ConstantLoad(magnitude=step.weight) if step.weight > 0.0 else NoLoad())
         self._show(Stage.MOVING, step.done, "the weight comes to rest")
         end = self._clock.now() + SWINGING
         while self._clock.now() < end:

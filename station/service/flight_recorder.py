@@ -21,7 +21,7 @@ FOLDER, ROWS, KEPT = "last_seconds", 500, 20
 UNWANTED = (State.HOLD, State.FAULT)
 
 
-class Chronicle:
+class FlightRecorder:
     """Writer of both, as far as there are an audit log and a folder."""
 
     def __init__(self, ring: Ring, channels: Channels, audit: Audit | None, folder: Path | None, session: str) -> None:

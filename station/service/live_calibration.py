@@ -18,7 +18,7 @@ from station.devices.aurora.tracker import Registration
 from station.devices.config import Mount
 from station.lab.aurora.coil import MOUNT
 from station.service.bench import Bench
-from station.service.calibration_session import Course, Report
+from station.service.calibration_session import CalibrationSession, Report
 from station.service.supervisor import Supervisor
 
 
@@ -28,7 +28,7 @@ class LiveCalibration:
     def __init__(self, supervisor: Supervisor, folder: Path) -> None:
         """Results go into `folder`, a new one in there for each."""
         self.supervisor, self.folder = supervisor, folder
-        self._course: Course | None = None
+        self._course: CalibrationSession | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
 
@@ -54,7 +54,7 @@ class LiveCalibration:
             self.supervisor.reserve(f"'calibrate {what}' has the robot to itself; abort it first")
             if self._thread is not None:
                 self._thread.join()  # it has let go of the station
-            self._course = Course(self.supervisor, job)
+            self._course = CalibrationSession(self.supervisor, job)
             self._thread = threading.Thread(target=self._run, args=(self._course,), name="calibration")
             self._thread.start()
 
@@ -81,12 +81,12 @@ class LiveCalibration:
         if self._thread is not None:
             self._thread.join()
 
-    def _on(self) -> Course:
+    def _on(self) -> CalibrationSession:
         if self._course is None:
             raise RefusedError("no procedure is on")
         return self._course
 
-    def _run(self, course: Course) -> None:
+    def _run(self, course: CalibrationSession) -> None:
         try:
             course.run()
         finally:

@@ -19,7 +19,7 @@ class OwnBench:
         """What the control process has to open."""
         return self._devices
 
-    def pull(self, load: Load, start: float) -> None:
+    def apply_load(self, load: Load, start: float) -> None:
         """A real tip is pulled at by hand; a run's load is only what a person has announced."""
 
     def inject(self, faults: Sequence[LabFault], start: float) -> None:

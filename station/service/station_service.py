@@ -21,7 +21,7 @@ from station.service.supervisor import Supervisor
 JOG_TIP_SPEED = 0.010
 
 
-class DeskError(CtrError):
+class RequestError(CtrError):
     """A request that makes no sense, whatever the state."""
 
 
@@ -36,7 +36,7 @@ class Settings(Strict):
     """[s]"""
 
 
-class Desk:
+class StationService:
     """Experiments and free motions on one station."""
 
     def __init__(self, supervisor: Supervisor) -> None:
@@ -97,19 +97,19 @@ class Desk:
         experiment's.
 
         Raises:
-            DeskError: no such preset or case.
+            RequestError: no such preset or case.
             RefusedError: the state does not allow it.
         """
         if name not in preset_names("experiments"):
-            raise DeskError(f"'{name}' is not one of the experiments: {', '.join(preset_names('experiments'))}")
+            raise RequestError(f"'{name}' is not one of the experiments: {', '.join(preset_names('experiments'))}")
         experiment = offered(name)
         chosen = experiment.cases[0] if case is None else next((c for c in experiment.cases if c.name == case), None)
         if chosen is None:
-            raise DeskError(
+            raise RequestError(
                 f"'{case}' is not one of the cases of {name}: {', '.join(c.name for c in experiment.cases)}"
             )
         if chosen.robot != self.supervisor.bench.robot:
-            raise DeskError(f"{name} needs robot '{chosen.robot.name}', not '{self.supervisor.bench.robot.name}'")
+            raise RequestError(f"{name} needs robot '{chosen.robot.name}', not '{self.supervisor.bench.robot.name}'")
         controller = self.supervisor.bench.controlled(chosen.file.controller)
         task = Task(controller, chosen.orders, chosen.file.duration, chosen.start)
         about = {
@@ -124,27 +124,29 @@ class Desk:
         """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].
 
         Raises:
-            DeskError: a wrong number of velocities, or one beyond what is allowed by hand.
+            RequestError: a wrong number of velocities, or one beyond what is allowed by hand.
             RefusedError: the state does not allow it.
         """
         limits = self.supervisor.bench.robot.limits()
         names = self.supervisor.robot.joint_names if space == "joints" else ("x", "y", "z")
         most = limits.speed if space == "joints" else np.full(3, JOG_TIP_SPEED)
         if len(velocity) != len(names):
-            raise DeskError(f"a jog in {space} needs {len(names)} velocities ({', '.join(names)}), not {len(velocity)}")
+            raise RequestError(
+                f"a jog in {space} needs {len(names)} velocities ({', '.join(names)}), not {len(velocity)}"
+            )
         for name, value, bound in zip(names, velocity, most, strict=True):
             if not abs(value) <= bound:
-                raise DeskError(f"jog velocity {name} = {value:g} is outside +-{bound:g} (rad/s or m/s)")
+                raise RequestError(f"jog velocity {name} = {value:g} is outside +-{bound:g} (rad/s or m/s)")
         self.supervisor.jog(space, np.array(velocity))
 
-    def pull(self, load: Load) -> None:
+    def apply_load(self, load: Load) -> None:
         """Put a load on the virtual lab's tip or shaft, now.
 
         Raises:
             PoseError: the shaft does not reach to where it acts.
         """
         self._check(load)
-        self.supervisor.pull(load)
+        self.supervisor.apply_load(load)
 
     def _check(self, load: Load) -> None:
         """The simulated robot cannot be touched beyond its tip."""

@@ -29,10 +29,10 @@ from station.lab.faults import LabFault
 from station.lab.loads import Load
 from station.recording.tracking_errors import settling_time
 from station.service.audit import Audit
-from station.service.backend import BenchSide, Brings
+from station.service.backend import Backend, RunEffects
 from station.service.bench import Bench
 from station.service.control_host import WATCHER_PRIORITY, ControlHost, Ending, Said
-from station.service.flight_recorder import Chronicle
+from station.service.flight_recorder import FlightRecorder
 from station.service.live_recording import LiveRecording
 from station.service.status import Status
 
@@ -67,12 +67,12 @@ class Supervisor:
         self._closing = threading.Event()
         self._folder = runs
         self.recording: LiveRecording | None = None
-        self._chronicle = Chronicle(self.ring, self.channels, audit, runs, self._session)
+        self._flight_recorder = FlightRecorder(self.ring, self.channels, audit, runs, self._session)
         self._entered: Counter[State] = Counter()
         self._refused: tuple[str, ...] = ()  # by the system, to the control process
         self._recorded = 0  # the run that is being recorded
         self._settling = 0.0  # errors of its motion count from then on [s]
-        self._lab = BenchSide(bench, self.ring)
+        self._lab = Backend(bench, self.ring)
         self._control: ControlHost | None = None
         self._watchdog = threading.Thread(target=self._watch_time, name="watchdog")
 
@@ -174,7 +174,7 @@ class Supervisor:
             self._recorded = number
         self._settling = about.get("settings", {}).get("settling", settling_time(task.duration))
         try:
-            return self._begin(number, task, Brings(load, tuple(faults)), title)
+            return self._begin(number, task, RunEffects(load, tuple(faults)), title)
         except RefusedError:
             self._end_recording(State.STOPPED, "it was refused after all")
             raise
@@ -187,7 +187,7 @@ class Supervisor:
         Raises:
             RefusedError: the state does not allow it.
         """
-        return self._begin(next(self._runs), task, Brings(None), title)
+        return self._begin(next(self._runs), task, RunEffects(None), title)
 
     def reserve(self, why: str) -> None:
         """From now on only `visit` moves anything, until `release`; STOP and reset are as always.
@@ -205,7 +205,7 @@ class Supervisor:
 
     def release(self) -> None:
         """Everybody may move the robot again."""
-        self._lab.prepare(Brings())
+        self._lab.prepare(RunEffects())
         with self._lock:
             self._reserved = ""
 
@@ -285,9 +285,9 @@ class Supervisor:
             with contextlib.suppress(RefusedError):  # it has just ended
                 self._ask(Event.HOLD, cause=cause)
 
-    def pull(self, load: Load) -> None:
+    def apply_load(self, load: Load) -> None:
         """Put a load on the virtual lab's tip, now; the next motion brings its own."""
-        self._lab.pull(load)
+        self._lab.apply_load(load)
 
     def inject(self, faults: Sequence[LabFault]) -> None:
         """Let these faults of the virtual lab's devices happen from now on; none: mend all."""
@@ -303,7 +303,7 @@ class Supervisor:
             self._watchdog.join(timeout=self._clock.real(3.0))
         if self.recording is not None:
             self.recording.close()
-        self._chronicle.close()
+        self._flight_recorder.close()
         self.ring.close(remove=True)
 
     def _ask(self, what: Any, **about: Any) -> None:
@@ -316,9 +316,9 @@ class Supervisor:
         if self._reserved:
             raise RefusedError(self._reserved)
 
-    def _begin(self, number: int, task: Task, brings: Brings, title: str) -> str:
+    def _begin(self, number: int, task: Task, effects: RunEffects, title: str) -> str:
         """Have a task carried out; its id."""
-        before = self._lab.prepare(brings)
+        before = self._lab.prepare(effects)
         try:
             self._ask(Event.START, task=task, run=number)
         except RefusedError:
@@ -344,7 +344,7 @@ class Supervisor:
             self._state = State.FAULT
             self._cause = "; ".join(part for part in (said, ending.stopped, "reset to start it anew") if part)
         self._entered[State.FAULT] += 1
-        self._chronicle.state(State.FAULT, self._cause)
+        self._flight_recorder.state(State.FAULT, self._cause)
         self._end_recording(State.FAULT, self._cause, interrupted=True)
         self._lab.motion(None)
 
@@ -356,13 +356,13 @@ class Supervisor:
             if isinstance(message, Refused):
                 self._refused = message.warnings
                 for text in message.warnings:
-                    self._chronicle.note("warning", text)
+                    self._flight_recorder.note("warning", text)
                 return
             changed = self._state is not message.state
             self._state, self._cause = message.state, message.cause
         if changed:
             self._entered[message.state] += 1
-            self._chronicle.state(message.state, message.cause)
+            self._flight_recorder.state(message.state, message.cause)
         if changed and self.recording is not None:
             text = f"{message.state.name}{message.cause and ': '}{message.cause}"
             bad = message.state in (State.HOLD, State.FAULT)

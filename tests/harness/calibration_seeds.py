@@ -24,7 +24,7 @@ from core.model.statics import Statics
 from station.calibration import procedures
 from station.calibration.files import write_registration, write_robot, write_sensors
 from station.calibration.plan import Subject
-from station.calibration.static_lab import StillLab, carry_out
+from station.calibration.static_lab import StaticLab, carry_out
 from station.config.robots import load_robot
 from station.config.strict import PRESETS
 from station.control.clock import VirtualClock
@@ -39,14 +39,14 @@ START = np.array([0.0, math.pi / 2, -0.100])
 CONTACT_NOISE = Noise(force=3e-3, moment=0.2e-3)
 
 
-def calibrated(lab: LabConfig, seed: int) -> tuple[Subject, StillLab, procedures.TubesResult]:
+def calibrated(lab: LabConfig, seed: int) -> tuple[Subject, StaticLab, procedures.TubesResult]:
     """A bench and what the tube procedure found out about it."""
     subject = Subject.of(load_robot("paper"), START)
-    bench = StillLab(subject, lab, seed)
+    bench = StaticLab(subject, lab, seed)
     return subject, bench, carry_out(procedures.tubes(subject, procedures.Effort()), bench)
 
 
-def against_truth(bench: StillLab, found: procedures.TubesResult, path: np.ndarray) -> dict[str, object]:
+def against_truth(bench: StaticLab, found: procedures.TubesResult, path: np.ndarray) -> dict[str, object]:
     """Errors of tubes, registration and model; `path` are joints (m, 3)."""
     errors = {}
     for true, new in zip(bench.true_robot.tubes, found.calibration.robot.tubes, strict=True):
@@ -70,7 +70,7 @@ def against_truth(bench: StillLab, found: procedures.TubesResult, path: np.ndarr
     return errors
 
 
-def contacts(subject: Subject, bench: StillLab, found: procedures.TubesResult, seed: int, count: int) -> list[dict]:
+def contacts(subject: Subject, bench: StaticLab, found: procedures.TubesResult, seed: int, count: int) -> list[dict]:
     """Forces of 0.3 N at random places of the shaft, in random directions."""
     random, results = np.random.default_rng([seed, 77]), []
     model = Statics(found.calibration.robot)

@@ -18,9 +18,9 @@ import psutil
 
 from core.errors import CtrError
 from station.control.clock import StationClock
-from station.lab.endpoints import lab_bench
+from station.lab.endpoints import devices_at
 from station.service.station_file import load_station
-from station.service.station_service import Desk
+from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from tests.harness.calm import CLOCK, SETTINGS
 from tests.harness.root import ROOT
@@ -78,15 +78,15 @@ def main() -> None:
     bench = load_station(None, calm if rate < 1.0 else {}).bench()
     bench = replace(bench, clock=StationClock(rate))
     if endpoints is not None:
-        bench = replace(bench, devices=lab_bench(endpoints, bench.lab))
+        bench = replace(bench, devices=devices_at(endpoints, bench.lab))
     supervisor = Supervisor(bench, Path(folder))
     try:
         supervisor.open()
         supervisor.wait_ready(120.0)
         _settled(supervisor)
-        desk = Desk(supervisor)
+        service = StationService(supervisor)
         for line in sys.stdin:
-            sys.stdout.write(f"{json.dumps(_answer(supervisor, desk, line.strip()))}\n")
+            sys.stdout.write(f"{json.dumps(_answer(supervisor, service, line.strip()))}\n")
             sys.stdout.flush()
     finally:
         supervisor.close()
@@ -97,12 +97,12 @@ def _settled(supervisor: Supervisor) -> None:
         time.sleep(0.02)
 
 
-def _answer(supervisor: Supervisor, desk: Desk, what: str) -> dict[str, Any]:
+def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[str, Any]:
     refused = ""
     try:
         match what:
             case "start":
-                desk.start_experiment("demo")  # from its start pose, wherever the robot is now
+                service.start_experiment("demo")  # from its start pose, wherever the robot is now
             case "stop":
                 supervisor.stop()
             case "reset":

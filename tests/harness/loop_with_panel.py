@@ -17,7 +17,7 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 from station.bench.loop import figures, stolen
-from station.bench.timer_probe import Witness
+from station.bench.timer_probe import TimerProbe
 from station.config.robots import load_robot
 from station.control.process import ring_width
 from station.control.ring import Ring
@@ -48,7 +48,7 @@ def main() -> None:
     parsed = parser.parse_args()
     core = max(os.sched_getaffinity(0))
     settings = Path(parsed.config).read_text(encoding="utf-8") if parsed.config else ""
-    with Witness(core) as witness, sync_playwright() as playwright, _served(settings) as (station, ring_name):
+    with TimerProbe(core) as probe, sync_playwright() as playwright, _served(settings) as (station, ring_name):
         station.ready()
         ring = Ring(ring_width(load_robot("paper")), ring_name)
         page = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS).new_page(viewport=SIZE)
@@ -58,13 +58,13 @@ def main() -> None:
         assert started.status_code == 202, started.text
         time.sleep(MOVING)
         ring.clear_timing()
-        witness.clear()
+        probe.clear()
         before = stolen()
         time.sleep(parsed.seconds)
         status = station.status()
         result = {
             **figures(ring, parsed.seconds, stolen() - before),
-            "computer": witness.figures(),
+            "computer": probe.figures(),
             "state": f"{status['state']} {status['cause']}".strip(),  # a run that had to be held says why
         }
         station.post("/api/stop")

@@ -4,11 +4,11 @@ import contextlib
 import threading
 from collections.abc import Iterator
 
-from station.lab.lab_server import OpenLab
+from station.lab.lab_server import LabServer
 
 
 @contextlib.contextmanager
-def running(lab: OpenLab) -> Iterator[OpenLab]:
+def running(lab: LabServer) -> Iterator[LabServer]:
     """A lab that a thread keeps in real time."""
     over = threading.Event()
     thread = threading.Thread(target=lab.run, args=(over.is_set,))

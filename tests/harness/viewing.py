@@ -9,7 +9,7 @@ import viser
 
 from station.control.states import State
 from station.service.station_file import load_station
-from station.service.station_service import Desk
+from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from tests.harness.calm import SETTINGS
 from tests.harness.waiting import NET, until
@@ -20,12 +20,12 @@ class Viewed(NamedTuple):
     """What a test looks at."""
 
     server: viser.ViserServer
-    desk: Desk
+    service: StationService
     view: View
 
     @property
     def supervisor(self) -> Supervisor:
-        return self.desk.supervisor
+        return self.service.supervisor
 
     def make_ready(self) -> None:
         if self.supervisor.status().state is State.RUNNING:
@@ -49,10 +49,10 @@ def viewing() -> Iterator[Viewed]:
         supervisor.wait_ready(NET)
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
-            desk = Desk(supervisor)
-            view = View(server, desk)
+            service = StationService(supervisor)
+            view = View(server, service)
             try:
-                yield Viewed(server, desk, view)
+                yield Viewed(server, service, view)
             finally:
                 view.close()
         finally:

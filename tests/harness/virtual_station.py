@@ -14,7 +14,7 @@ from station.control.states import State
 from station.control.task import Phase, Task
 from station.experiments.experiment import Case
 from station.lab.faults import LabFault
-from station.lab.simulated_bench import WireLab
+from station.lab.simulated_bench import SimulatedBench
 from station.lab.virtual_bench import virtual_bench
 from tests.harness.cases import a_case
 
@@ -33,7 +33,7 @@ class VirtualStation:
     def __init__(self, case: Case, margins: Margins | None = None) -> None:
         self.case = case
         lab, self.devices = virtual_bench(case.robot, case.lab, 0, case.start)
-        assert isinstance(lab, WireLab)
+        assert isinstance(lab, SimulatedBench)
         self.lab = lab
         self.loop = ControlLoop(case.controller, self.devices, margins)
         self.rows: list[Array] = []

@@ -14,7 +14,7 @@ import numpy as np
 from station.control.clock import REAL_TIME, StationClock
 from station.control.realtime import ask_for_fifo
 from station.devices.zaber.protocol import Status
-from station.lab.lab_server import OpenLab
+from station.lab.lab_server import LabServer
 from station.service.station_file import load_station
 from tests.harness.waiting import NET, until
 
@@ -87,7 +87,7 @@ class WatchedLab:
 def _run(pipe: Connection, clock: StationClock) -> None:
     bench = load_station(None).bench()
     notes: list[Note] = []
-    with OpenLab(bench.robot, bench.lab, 0, np.array(bench.park), homed=True, clock=clock) as lab:
+    with LabServer(bench.robot, bench.lab, 0, np.array(bench.park), homed=True, clock=clock) as lab:
         ask_for_fifo(40)
         pipe.send(lab.endpoints)
 

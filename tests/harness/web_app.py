@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
 from station.service.station_file import load_station
-from station.service.station_service import Desk
+from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from web.app import build_app
 from web.scene.view import View
@@ -24,10 +24,10 @@ def web_app(folder: Path) -> Iterator[TestClient]:
     supervisor, audit = Supervisor(load_station(None).bench()), Audit(folder)
     server = viser.ViserServer(host=HOST, port=0, verbose=False)
     try:
-        desk, calibration = Desk(supervisor), LiveCalibration(supervisor, folder / "calibrations")
-        view = View(server, desk)
+        service, calibration = StationService(supervisor), LiveCalibration(supervisor, folder / "calibrations")
+        view = View(server, service)
         try:
-            app = build_app(desk, view, calibration, folder, audit, HOST, PORT, None)
+            app = build_app(service, view, calibration, folder, audit, HOST, PORT, None)
             with TestClient(app, base_url=f"http://{HOST}:{PORT}", client=(HOST, 50000)) as client:
                 yield client
         finally:

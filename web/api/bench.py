@@ -12,7 +12,7 @@ from station.control.states import RefusedError
 from station.lab.faults import KINDS, LabFault, Part, check_faults
 from station.lab.loads import Load
 from station.service.audit import Audit
-from station.service.station_service import JOG_TIP_SPEED, Desk
+from station.service.station_service import JOG_TIP_SPEED, StationService
 from web.api.commands import Commands, aside
 from web.api.schemas import REFUSED, DoneOut
 
@@ -130,11 +130,11 @@ class EntryOut(Strict):
 RAW = ("joints", "velocity_commanded", "velocity_sent", "wrench_raw", "tip_measured", "tip_time", "force", "moment")
 
 
-def bench_routes(desk: Desk, of: Commands, audit: Audit) -> APIRouter:
+def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRouter:
     """Routes under /api that are about the bench."""
     router = APIRouter(prefix="/api", tags=["bench"], dependencies=[Depends(of.heard)])
     operator = [Depends(of.needed)]
-    supervisor = desk.supervisor
+    supervisor = service.supervisor
 
     def done() -> DoneOut:
         return DoneOut(state=supervisor.status().state.name)
@@ -147,11 +147,11 @@ def bench_routes(desk: Desk, of: Commands, audit: Audit) -> APIRouter:
 
     @router.get("/bench", summary="Robot, joints and their limits")
     def bench() -> BenchOut:
-        return bench_out(desk)
+        return bench_out(service)
 
     @router.get("/devices", summary="Every device with its details, and raw values")
     def devices() -> DevicesOut:
-        return devices_out(desk)
+        return devices_out(service)
 
     @router.get("/log", summary="Commands and refusals, the newest first")
     def log(count: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[EntryOut]:
@@ -174,17 +174,17 @@ def bench_routes(desk: Desk, of: Commands, audit: Audit) -> APIRouter:
 
     @router.post("/jog", responses=REFUSED, dependencies=operator, summary="Move by hand while this is repeated")
     async def jog(request: JogIn) -> DoneOut:
-        await aside(desk.jog, request.space, request.velocity)
+        await aside(service.jog, request.space, request.velocity)
         return done()
 
     @router.post("/pull", responses=REFUSED, dependencies=virtual, summary="Pull at the simulated robot (virtual lab)")
     async def pull(request: PullIn) -> DoneOut:
-        await aside(desk.pull, request.load)
+        await aside(service.apply_load, request.load)
         return done()
 
     @router.get("/faults", summary="Faults that can be injected (virtual lab)")
     def faults() -> list[FaultKindOut]:
-        return fault_kinds(desk)
+        return fault_kinds(service)
 
     @router.post("/faults", responses=REFUSED, dependencies=virtual, summary="Let devices fail (virtual lab)")
     async def inject(request: FaultsIn) -> DoneOut:
@@ -200,9 +200,9 @@ def bench_routes(desk: Desk, of: Commands, audit: Audit) -> APIRouter:
     return router
 
 
-def bench_out(desk: Desk) -> BenchOut:
+def bench_out(service: StationService) -> BenchOut:
     """The bench for a reader."""
-    bench = desk.supervisor.bench
+    bench = service.supervisor.bench
     return BenchOut(
         robot=bench.robot.name,
         lab=bench.title,
@@ -225,13 +225,13 @@ def bench_out(desk: Desk) -> BenchOut:
     )
 
 
-def devices_out(desk: Desk) -> DevicesOut:
+def devices_out(service: StationService) -> DevicesOut:
     """The devices for a reader; values that are not known yet are left out."""
-    status = desk.supervisor.status()
+    status = service.supervisor.status()
     raw: dict[str, float] = {}
     for group in RAW:
         if group in status.values:
-            names = [c.column for c in desk.supervisor.channels.all if c.name.rsplit(".", 1)[0] == group]
+            names = [c.column for c in service.supervisor.channels.all if c.name.rsplit(".", 1)[0] == group]
             raw |= {name: x for name, x in zip(names, status.values[group].tolist(), strict=True) if x == x}
     return DevicesOut(
         devices=tuple(
@@ -248,9 +248,9 @@ def devices_out(desk: Desk) -> DevicesOut:
     )
 
 
-def fault_kinds(desk: Desk) -> list[FaultKindOut]:
+def fault_kinds(service: StationService) -> list[FaultKindOut]:
     """Every kind of fault and whom it can befall on this bench."""
-    robot = desk.supervisor.bench.robot
+    robot = service.supervisor.bench.robot
     whom: dict[Part, tuple[str, ...]] = {
         "stages": ("stages",),
         "joint": tuple(joint.name for joint in robot.joints),

@@ -15,7 +15,7 @@ from station.config.strict import preset_names
 from station.control.states import State
 from station.experiments.experiment import Experiment, offered
 from station.service.solve import model_answer
-from station.service.station_service import Desk
+from station.service.station_service import StationService
 from web.access.identity import who_of
 from web.api.commands import Commands, aside
 from web.api.loop_health import RecentTiming
@@ -43,30 +43,32 @@ STREAMED = (
 )  # fmt: skip
 
 
-def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor, felt: Callable[[], Felt | None]) -> APIRouter:
+def api_routes(
+    service: StationService, of: Commands, stopping: ThreadPoolExecutor, felt: Callable[[], Felt | None]
+) -> APIRouter:
     """Routes under /api for one station.
 
     Args:
-        desk: what requests may do.
+        service: what requests may do.
         of: who may command.
         stopping: threads that wait for nothing but STOP.
         felt: tells of a load that does not act at the tip.
     """
     router = APIRouter(prefix="/api", responses={422: REFUSED[422]}, dependencies=[Depends(of.heard)])
-    supervisor = desk.supervisor
+    supervisor = service.supervisor
     operator = [Depends(of.needed)]
 
     @router.get("/status", summary="Everything at one look")
     def status(request: Request) -> StatusOut:
-        return status_out(desk, of, who_of(request), felt())
+        return status_out(service, of, who_of(request), felt())
 
     @router.post(
         "/start", status_code=202, responses=REFUSED, dependencies=operator, summary="Start an experiment or a motion"
     )
     async def start(request: StartIn) -> StartOut:
         if request.experiment is not None:
-            return StartOut(run_id=await aside(desk.start_experiment, request.experiment, request.case))
-        run = await aside(desk.start_motion, request.trajectory, request.controller, request.load, request.duration)
+            return StartOut(run_id=await aside(service.start_experiment, request.experiment, request.case))
+        run = await aside(service.start_motion, request.trajectory, request.controller, request.load, request.duration)
         return StartOut(run_id=run)
 
     @router.post(
@@ -89,21 +91,21 @@ def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor, felt: Cal
 
     @router.get("/trajectory", summary="The next free motion")
     def get_trajectory() -> TipMotionIn:
-        return desk.settings.trajectory
+        return service.settings.trajectory
 
     @router.put("/trajectory", responses=REFUSED, dependencies=operator, summary="Choose the next free motion")
     def put_trajectory(trajectory: TipMotionIn) -> TipMotionIn:
-        desk.set_trajectory(trajectory)
-        return desk.settings.trajectory
+        service.set_trajectory(trajectory)
+        return service.settings.trajectory
 
     @router.get("/controller", summary="The controller of the next free motion")
     def get_controller() -> ControllerFile:
-        return desk.settings.controller
+        return service.settings.controller
 
     @router.put("/controller", responses=REFUSED, dependencies=operator, summary="Choose the controller")
     def put_controller(controller: ControllerFile) -> ControllerFile:
-        desk.set_controller(controller)
-        return desk.settings.controller
+        service.set_controller(controller)
+        return service.settings.controller
 
     @router.get("/experiments", summary="Experiments that come with the station")
     def experiments() -> list[ExperimentOut]:
@@ -136,7 +138,7 @@ def api_routes(desk: Desk, of: Commands, stopping: ThreadPoolExecutor, felt: Cal
                 await asyncio.wait([listening], timeout=1.0 / rate)
                 rows, since, overwritten = supervisor.ring.read(since)
                 if len(rows):
-                    sample = sample_out(desk, rows[-1], len(rows) - 1 + overwritten, before)
+                    sample = sample_out(service, rows[-1], len(rows) - 1 + overwritten, before)
                     before = sample["time"]
                     await socket.send_json(sample | timing.look())
         except (WebSocketDisconnect, RuntimeError):
@@ -167,9 +169,9 @@ def experiment_out(experiment: Experiment) -> ExperimentOut:
     )
 
 
-def sample_out(desk: Desk, row: Array, skipped: int, before: float | None) -> dict[str, Any]:
+def sample_out(service: StationService, row: Array, skipped: int, before: float | None) -> dict[str, Any]:
     """One row of telemetry for a websocket client, with what lies between it and the one sent `before` it [s]."""
-    channels = desk.supervisor.channels
+    channels = service.supervisor.channels
     values: dict[str, Any] = {}
     for group in STREAMED:
         numbers = channels.of(row, group).tolist()

@@ -5,7 +5,7 @@ from fastapi import APIRouter, Depends, Request
 
 from station.config.strict import Strict, Vector
 from station.control.states import RefusedError
-from station.service.station_service import Desk
+from station.service.station_service import StationService
 from web.access.identity import who_of
 from web.api.commands import Commands, aside
 from web.api.schemas import REFUSED, StartOut
@@ -40,7 +40,7 @@ class TargetOut(Strict):
     """why it cannot be reached"""
 
 
-def scene_routes(view: View, desk: Desk, of: Commands) -> APIRouter:
+def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter:
     """Routes under /api/scene."""
     router = APIRouter(prefix="/api/scene", tags=["scene"], dependencies=[Depends(of.heard)])
     operator = [Depends(of.needed)]
@@ -75,6 +75,6 @@ def scene_routes(view: View, desk: Desk, of: Commands) -> APIRouter:
         way = await aside(view.way_to_target)
         if way.motion is None:
             raise RefusedError(f"the target is out of reach: {way.reason}")
-        return StartOut(run_id=await aside(desk.start_motion, way.motion, None, None, way.duration))
+        return StartOut(run_id=await aside(service.start_motion, way.motion, None, None, way.duration))
 
     return router

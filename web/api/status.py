@@ -1,7 +1,7 @@
 """The station at one look, for the page and for scripts."""
 
 from station.devices.interfaces import Severity
-from station.service.station_service import Desk
+from station.service.station_service import StationService
 from station.service.status import STALE, Status
 from web.access.identity import Who
 from web.api.commands import Commands, operator_out
@@ -10,9 +10,9 @@ from web.api.schemas import DeviceOut, LoopOut, RunOut, StatusOut, TouchOut
 from web.scene.contact import Felt
 
 
-def status_out(desk: Desk, of: Commands, who: Who, felt: Felt | None) -> StatusOut:
+def status_out(service: StationService, of: Commands, who: Who, felt: Felt | None) -> StatusOut:
     """The station's status; `who` asks, `felt` is a load that does not act at the tip."""
-    supervisor = desk.supervisor
+    supervisor = service.supervisor
     status = supervisor.status()
     stale = status.age > STALE
 

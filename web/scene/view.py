@@ -11,7 +11,7 @@ import viser
 
 from core.robot.robot import Array
 from station.lab.loads import GRAVITY, ConstantLoad, NoLoad
-from station.service.station_service import Desk
+from station.service.station_service import StationService
 from station.service.status import STALE, Status
 from web.scene.contact import ROWS, Feeler, Felt
 from web.scene.gizmos import FORCE, FORCE_SIZE, TARGET, TARGET_SIZE, Gizmo, boxes, pull
@@ -33,22 +33,22 @@ log = logging.getLogger(__name__)
 class View:
     """The scene on a viser server of the caller's, until closed."""
 
-    def __init__(self, server: viser.ViserServer, desk: Desk) -> None:
+    def __init__(self, server: viser.ViserServer, service: StationService) -> None:
         self._server = server
-        self._desk = desk
-        self._supervisor = desk.supervisor
+        self._service = service
+        self._supervisor = service.supervisor
         # A client may ask for a public tunnel to this server: there is none.
         server.request_share_url = _no_share
-        self._history = History(desk.supervisor.channels)
-        self._limits = desk.supervisor.bench.robot.limits()
-        self._scene = Scene(server, desk.supervisor)
-        self._feeler = Feeler(desk.supervisor.robot, desk.supervisor.statics, desk.supervisor.channels)
-        self._overlays = Overlays(server.scene, desk.supervisor.statics, self._limits, UNIT)
+        self._history = History(service.supervisor.channels)
+        self._limits = service.supervisor.bench.robot.limits()
+        self._scene = Scene(server, service.supervisor)
+        self._feeler = Feeler(service.supervisor.robot, service.supervisor.statics, service.supervisor.channels)
+        self._overlays = Overlays(server.scene, service.supervisor.statics, self._limits, UNIT)
         self._target = Gizmo(server.scene, TARGET, UNIT, TARGET_SIZE)
         self._hand = Gizmo(server.scene, FORCE, UNIT, FORCE_SIZE)
         self._pulls = False
         self._verdict = server.scene.add_label("/handle/verdict", "", anchor="bottom-center", visible=False)
-        buttons = add_legend(server, desk.supervisor.robot)
+        buttons = add_legend(server, service.supervisor.robot)
         self.door = SceneDoor(server.get_port(), Handles(buttons, boxes(UNIT)), Counter())
         self._shown = Shown()
         self._way: Way | None = None
@@ -153,7 +153,7 @@ class View:
         if not shown:
             if self._pulls:
                 self._pulls = False
-                self._desk.pull(NoLoad())
+                self._service.apply_load(NoLoad())
             return
         tip = status.values["tip_observed"]
         taken = self._hand.taken()
@@ -161,7 +161,7 @@ class View:
             force = pull(taken, tip, ARROW)
             size = float(np.linalg.norm(force))
             self._pulls = True
-            self._desk.pull(ConstantLoad(magnitude=size, direction=_direction(force, size)))
+            self._service.apply_load(ConstantLoad(magnitude=size, direction=_direction(force, size)))
         else:
             self._hand.put(tip + ARROW * self._history.mean("force"))
 

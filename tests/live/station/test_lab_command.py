@@ -27,7 +27,7 @@ from station.devices.zaber.stages import Condition, ZaberStages
 from station.lab.aurora.coil import MOUNT
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
-from station.lab.lab_server import OpenLab
+from station.lab.lab_server import LabServer
 from station.lab.loads import ConstantLoad
 from station.lab.netft.simulated import NetftFaults
 from station.lab.netft.wire import AddressTaken
@@ -228,12 +228,12 @@ def test_a_host_that_does_not_read_holds_nothing_up(start):
 
 def test_the_boxes_can_be_given_their_ports(paper):
     config = LabConfig()
-    with OpenLab(paper, config, 0, np.array(PARK)) as first:
+    with LabServer(paper, config, 0, np.array(PARK)) as first:
         taken = int(urlsplit(first.endpoints["netft"][0]["rdt"]).port or 0)
         with pytest.raises(AddressTaken, match=str(taken)):
-            OpenLab(paper, config, 0, np.array(PARK), netft_port=taken)
+            LabServer(paper, config, 0, np.array(PARK), netft_port=taken)
     base = _two_free_ports()
-    with OpenLab(paper, config, 0, np.array(PARK), netft_port=base) as lab:
+    with LabServer(paper, config, 0, np.array(PARK), netft_port=base) as lab:
         assert [urlsplit(box["rdt"]).port for box in lab.endpoints["netft"]] == [base, base + 1]
         assert lab.lab.boxes[0].faults == NetftFaults()
 
@@ -241,7 +241,7 @@ def test_the_boxes_can_be_given_their_ports(paper):
 @pytest.mark.parametrize("pty", [False, True])
 def test_a_pulled_cable_is_a_dead_port_and_the_same_device_comes_back(paper, tmp_path: Path, pty):
     pulled = LabFault(kind="disconnect", device="tracker")
-    with OpenLab(paper, LabConfig(), 0, np.array(PARK), pty=pty, folder=tmp_path) as lab:
+    with LabServer(paper, LabConfig(), 0, np.array(PARK), pty=pty, folder=tmp_path) as lab:
 
         def run() -> None:
             end = time.monotonic() + 0.05
@@ -268,8 +268,8 @@ def test_a_pulled_cable_is_a_dead_port_and_the_same_device_comes_back(paper, tmp
 
 
 def test_a_robot_that_cannot_follow_is_reported_once(paper, capsys):
-    with OpenLab(paper, LabConfig(), 0, np.array(PARK)) as lab:
-        lab.lab.pull(ConstantLoad.model_construct(magnitude=1e6), 0.0)
+    with LabServer(paper, LabConfig(), 0, np.array(PARK)) as lab:
+        lab.lab.apply_load(ConstantLoad.model_construct(magnitude=1e6), 0.0)
         end = time.monotonic() + 0.05
         lab.run(lambda: time.monotonic() > end)
 

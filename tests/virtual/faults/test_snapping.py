@@ -55,7 +55,7 @@ def test_a_load_that_brings_the_tubes_near_a_snap_holds_the_motion(case) -> None
     at_rest = station.of("stability")[-1, 0]
     station.moving()
     assert at_rest > 0.99
-    station.lab.pull(ConstantLoad(magnitude=0.4, direction=(0.0, 0.0, -1.0)), station.now)
+    station.lab.apply_load(ConstantLoad(magnitude=0.4, direction=(0.0, 0.0, -1.0)), station.now)
     station.becomes(State.HOLD)
 
     assert "the tubes are about to snap: stability 0.9" in station.loop.cause

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import psutil
 
-from station.bench.timer_probe import Witness
+from station.bench.timer_probe import TimerProbe
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -18,15 +18,15 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def test_it_counts_its_wakings_and_how_late_they_are():
-    with Witness(None) as witness:
-        until(lambda: witness.figures()["ticks"] > 100)
-        (process,) = [child for child in psutil.Process().children() if child.name() == "ctr-witness"]
-        witness.clear()
+    with TimerProbe(None) as probe:
+        until(lambda: probe.figures()["ticks"] > 100)
+        (process,) = [child for child in psutil.Process().children() if child.name() == "ctr-probe"]
+        probe.clear()
         os.kill(process.pid, signal.SIGSTOP)
         time.sleep(0.1)
         os.kill(process.pid, signal.SIGCONT)
-        until(lambda: witness.figures()["ticks"] > 10)
-        figures = witness.figures()
+        until(lambda: probe.figures()["ticks"] > 10)
+        figures = probe.figures()
         assert figures["a_period_late"] >= 1
         assert figures["late_us"]["max"] >= 90e3
     assert not process.is_running()

@@ -16,7 +16,7 @@ from station.devices.links.link import DatagramLink, SerialLink
 from station.devices.open_devices import OpenError, open_devices
 from station.lab.config import BaseSensorConfig, LabConfig, TrackerConfig
 from station.lab.faults import LabFault
-from station.lab.lab_server import OpenLab
+from station.lab.lab_server import LabServer
 from station.lab.loads import ConstantLoad
 from tests.harness.running_lab import running
 
@@ -26,7 +26,7 @@ QUIET = BaseSensorConfig(force_noise=0.0, moment_noise=0.0, drift=0.0, force_off
 CONFIG = LabConfig(tracker=TrackerConfig(noise=0.0), sensors=QUIET)
 
 
-def bench_of(lab: OpenLab) -> dict[str, Any]:
+def bench_of(lab: LabServer) -> dict[str, Any]:
     """What a station file would have for a lab's endpoints."""
     tubes = {
         box["tube"]: {
@@ -64,7 +64,7 @@ def come_up(devices: Devices, seconds: float = 30.0) -> list[np.ndarray]:
     return tips
 
 
-def is_free(lab: OpenLab) -> bool:
+def is_free(lab: LabServer) -> bool:
     """Whether every endpoint can be had."""
     for url in (lab.endpoints["zaber"], lab.endpoints["aurora"]):
         SerialLink(url, 9600).close()
@@ -80,8 +80,8 @@ def close(devices: Devices) -> None:
 
 def test_a_bench_comes_up_from_its_file_and_measures_the_truth(paper):
     turned = {"rotation_vector": [0.0, 0.0, 0.5], "position": [0.0, 0.0, 0.01]}
-    with running(OpenLab(paper, CONFIG, 0, PARK, homed=True)) as lab:
-        lab.lab.pull(ConstantLoad(magnitude=0.3), 0.0)
+    with running(LabServer(paper, CONFIG, 0, PARK, homed=True)) as lab:
+        lab.lab.apply_load(ConstantLoad(magnitude=0.3), 0.0)
         told = bench_of(lab)
         told["sensors"]["tubes"]["outer"]["mount"] = turned
         devices = open_devices(BenchFile(**told), paper)
@@ -106,7 +106,7 @@ def test_a_bench_comes_up_from_its_file_and_measures_the_truth(paper):
 
 
 def test_a_device_that_comes_back_as_another_terminal_is_connected_again(paper, tmp_path: Path):
-    with running(OpenLab(paper, CONFIG, 0, PARK, pty=True, homed=True, folder=tmp_path)) as lab:
+    with running(LabServer(paper, CONFIG, 0, PARK, pty=True, homed=True, folder=tmp_path)) as lab:
         devices = open_devices(BenchFile(**bench_of(lab)), paper)
         try:
             assert len(come_up(devices)) == 20
@@ -153,7 +153,7 @@ def no_box(bench: dict[str, Any]) -> str:
 
 @pytest.mark.parametrize("spoil", [no_tracker, one_port_for_two, exchanged_sensors, no_box])
 def test_all_or_nothing(paper, spoil):
-    with running(OpenLab(paper, CONFIG, 0, PARK)) as lab:
+    with running(LabServer(paper, CONFIG, 0, PARK)) as lab:
         bench = bench_of(lab)
         told = spoil(bench)
         with pytest.raises(OpenError, match=told):

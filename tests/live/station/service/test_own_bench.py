@@ -9,8 +9,8 @@ import pytest
 
 from station.control.states import State
 from station.lab.config import LabConfig
-from station.lab.endpoints import lab_bench
-from station.lab.lab_server import OpenLab
+from station.lab.endpoints import devices_at
+from station.lab.lab_server import LabServer
 from station.service.station_file import load_station
 from station.service.supervisor import Supervisor
 from tests.harness.running_lab import running
@@ -24,8 +24,8 @@ def grace() -> float:
 
 
 def test_it_waits_for_a_person_to_home(paper, tmp_path: Path):
-    with running(OpenLab(paper, LabConfig(), 0, PARK)) as lab:
-        told = lab_bench(lab.endpoints, LabConfig())
+    with running(LabServer(paper, LabConfig(), 0, PARK)) as lab:
+        told = devices_at(lab.endpoints, LabConfig())
         patient = told.model_copy(update={"stages": {**told.stages, "deadline": 2.0}})
         supervisor = Supervisor(replace(load_station(None).bench(), devices=patient), tmp_path)
         try:

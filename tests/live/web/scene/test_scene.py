@@ -134,7 +134,7 @@ def test_at_rest_the_robot_stands_where_the_model_says(viewed: Viewed) -> None:
 
 def test_a_motion_shows_its_path_its_setpoint_and_its_load(viewed: Viewed) -> None:
     viewed.make_ready()
-    viewed.desk.start_motion(CircleMotion(radius=0.01, period=10.0), load=ConstantLoad(magnitude=0.2), duration=20.0)
+    viewed.service.start_motion(CircleMotion(radius=0.01, period=10.0), load=ConstantLoad(magnitude=0.2), duration=20.0)
     scene = viewed.view._scene
     until(lambda: scene._path.visible)
     until(lambda: scene._newton.visible and 0.15 < float(scene._newton.text.split()[0]) < 0.25)
@@ -189,9 +189,9 @@ def test_a_simulated_robot_that_cannot_follow_its_stages_is_a_warning(viewed: Vi
     viewed.make_ready()
     before = viewed.supervisor.status().warnings
     # More than may be asked for: no rod stands under it.
-    viewed.supervisor.pull(ConstantLoad.model_construct(magnitude=1e6))
+    viewed.supervisor.apply_load(ConstantLoad.model_construct(magnitude=1e6))
     try:
         until(lambda: any("cannot follow" in text for text in viewed.supervisor.status().warnings))
     finally:
-        viewed.supervisor.pull(NoLoad())
+        viewed.supervisor.apply_load(NoLoad())
     until(lambda: viewed.supervisor.status().warnings == before)

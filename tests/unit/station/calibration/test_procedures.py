@@ -16,7 +16,7 @@ from core.model.statics import Statics
 from station.calibration import commission, procedures
 from station.calibration.outcome import Provenance, write_all
 from station.calibration.plan import Subject
-from station.calibration.static_lab import StillLab, carry_out
+from station.calibration.static_lab import StaticLab, carry_out
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
 from station.control.known_calibration import Calibration
@@ -33,8 +33,8 @@ def subject() -> Subject:
 
 
 @pytest.fixture(scope="module")
-def bench(subject) -> StillLab:
-    return StillLab(subject, load_lab("uncalibrated", subject.file), SEED)
+def bench(subject) -> StaticLab:
+    return StaticLab(subject, load_lab("uncalibrated", subject.file), SEED)
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,7 @@ def test_an_empty_folder_is_no_calibration(subject, tmp_path):
 
 
 def test_the_tracker_alone_says_that_the_tubes_differ(subject):
-    bench = StillLab(subject, load_lab("uncalibrated", subject.file), 1)
+    bench = StaticLab(subject, load_lab("uncalibrated", subject.file), 1)
 
     result = carry_out(procedures.tracker(subject, procedures.Effort(unloaded=16)), bench)
 
@@ -158,7 +158,7 @@ def test_axes_that_run_the_other_way_are_found(subject, mirrored):
     lab = load_lab("uncalibrated", subject.file)
     lab = lab.model_copy(update={"hidden": lab.hidden.model_copy(update={"mirrored": mirrored})})
 
-    result = carry_out(commission.axes(subject), StillLab(subject, lab, 2))
+    result = carry_out(commission.axes(subject), StaticLab(subject, lab, 2))
 
     names = [joint.name for joint in subject.robot.joints]
     assert [name for name, sign in zip(names, result.signs.signs, strict=True) if sign < 0.0] == list(mirrored)
@@ -166,14 +166,14 @@ def test_axes_that_run_the_other_way_are_found(subject, mirrored):
 
 def test_a_still_lab_and_the_same_seed_are_the_same_bench(subject):
     lab = load_lab("uncalibrated", subject.file)
-    first, second = (StillLab(subject, lab, 7) for _ in range(2))
+    first, second = (StaticLab(subject, lab, 7) for _ in range(2))
 
     one, two = (bench.visit(START + 0.1, 0.5) for bench in (first, second))
 
     np.testing.assert_array_equal(one.coil, two.coil)
     np.testing.assert_array_equal(one.wrenches, two.wrenches)
     assert first.true_robot == second.true_robot
-    assert StillLab(subject, lab, 8).true_robot != first.true_robot
+    assert StaticLab(subject, lab, 8).true_robot != first.true_robot
 
 
 def test_a_calibration_reaches_the_controller_of_an_experiment(folder, found):

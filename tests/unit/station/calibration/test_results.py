@@ -14,7 +14,7 @@ from station.calibration.files import carry_over
 from station.calibration.outcome import Provenance, write_all
 from station.calibration.plan import Subject
 from station.calibration.results import NoResultError, Results
-from station.calibration.static_lab import StillLab, carry_out
+from station.calibration.static_lab import StaticLab, carry_out
 from station.control.known_calibration import Calibration
 from station.lab.config import load_lab
 
@@ -85,7 +85,7 @@ def test_files_are_used_by_a_line_that_a_station_file_takes(tmp_path):
 def test_what_was_not_found_anew_is_carried_over(tmp_path, paper):
     """So that the newest folder says everything that is known."""
     subject = Subject.of(paper, START)
-    bench = StillLab(subject, load_lab("uncalibrated", paper), 3)
+    bench = StaticLab(subject, load_lab("uncalibrated", paper), 3)
     first, second = tmp_path / "first", tmp_path / "second"
     write_all(first, carry_out(begin("tracker", subject, 0.5), bench), subject, told("tracker"))
 
@@ -108,7 +108,7 @@ def told(what: str) -> Provenance:
 
 def test_a_real_bench_is_not_called_simulated(tmp_path, paper):
     subject = Subject.of(paper, START)
-    bench = StillLab(subject, load_lab("uncalibrated", paper), 3)
+    bench = StaticLab(subject, load_lab("uncalibrated", paper), 3)
 
     write_all(tmp_path / "one", carry_out(begin("tracker", subject, 0.5), bench), subject, told("tracker"))
 

@@ -8,7 +8,7 @@ import pytest
 from core.control.inverse import SIGMA_FLOOR
 from core.control.step import Tick
 from core.control.trajectories import Setpoint
-from station.control.progress_monitor import FREE, PATIENCE, TOLERANCE, Stall
+from station.control.progress_monitor import FREE, PATIENCE, TOLERANCE, ProgressMonitor
 
 FRAME = 0.025
 
@@ -37,7 +37,7 @@ def tick(error: float, sigma: float = 0.01, at_bound=(0.0, 0.0, 0.0), joints=(0.
 
 def watch(limits, seconds: float, make) -> tuple[float, str]:
     """First time and words of giving up; the whole time and nothing otherwise."""
-    stall = Stall()
+    stall = ProgressMonitor()
     for number in range(round(seconds / FRAME)):
         said = stall.look(number * FRAME, make(number * FRAME), limits)
         if said:

@@ -26,7 +26,7 @@ def test_without_a_lab_there_is_no_truth(ring: Ring) -> None:
 
 def test_the_truth_is_what_the_lab_told_last(ring: Ring) -> None:
     for number in (1.0, 2.0):
-        ring.tell_truth(a_truth(number))
+        ring.publish_ground_truth(a_truth(number))
         truth = ring.truth()
         assert truth is not None
         assert truth.tip.tolist() == [number] * 3
@@ -34,7 +34,7 @@ def test_the_truth_is_what_the_lab_told_last(ring: Ring) -> None:
 
 
 def test_while_the_lab_is_telling_what_it_told_before_holds(ring: Ring) -> None:
-    ring.tell_truth(a_truth(1.0))
+    ring.publish_ground_truth(a_truth(1.0))
     ring.truth()
     # The lab's process is interrupted in the middle of telling.
     ring._truth[0] += 1.0
@@ -45,9 +45,9 @@ def test_while_the_lab_is_telling_what_it_told_before_holds(ring: Ring) -> None:
 
 
 def test_a_robot_that_cannot_follow_is_told(ring: Ring) -> None:
-    ring.tell_truth(a_truth(1.0), stuck=True)
+    ring.publish_ground_truth(a_truth(1.0), stuck=True)
     assert ring.counters[STUCK]
-    ring.tell_truth(a_truth(1.0))
+    ring.publish_ground_truth(a_truth(1.0))
     assert not ring.counters[STUCK]
 
 

@@ -7,14 +7,14 @@ from station.devices.config import Mount
 from station.devices.open_devices import plan
 from station.lab.aurora.coil import MOUNT
 from station.lab.config import LabConfig, TrackerConfig
-from station.lab.endpoints import lab_bench
-from station.lab.lab_server import OpenLab
+from station.lab.endpoints import devices_at
+from station.lab.lab_server import LabServer
 
 
 def test_a_labs_endpoints_make_a_bench_that_can_be_opened(paper):
     config = LabConfig(tracker=TrackerConfig(rate=20.0, latency=0.030))
-    with OpenLab(paper, config, 0, np.array([0.2, 1.2, -0.08])) as lab:
-        bench = lab_bench(lab.endpoints, config)
+    with LabServer(paper, config, 0, np.array([0.2, 1.2, -0.08])) as lab:
+        bench = devices_at(lab.endpoints, config)
         assert set(plan(bench, paper)) == {"stages", "tracker", "sensors"}
         assert bench.stages["port"] == lab.endpoints["zaber"]
         assert list(bench.sensors["tubes"]) == ["inner", "outer"]

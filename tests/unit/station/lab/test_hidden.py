@@ -12,7 +12,7 @@ from station.lab.aurora.coil import MOUNT
 from station.lab.config import HiddenConfig, LabConfig, load_lab
 from station.lab.hidden import HANGING, Hidden
 from station.lab.loads import ConstantLoad, ContactLoad
-from station.lab.simulated_bench import WireLab
+from station.lab.simulated_bench import SimulatedBench
 
 START = np.array([0.0, math.pi / 2, -0.100])
 ALL = HiddenConfig(
@@ -80,7 +80,7 @@ def test_sensors_feel_the_weight_that_hangs_on_them_and_stand_askew(hidden):
 
 def test_the_wire_lab_turns_its_plate_and_shifts_its_coil(paper):
     lab = LabConfig(hidden=HiddenConfig(base_rotation=0.05, base_position=2e-3, coil_offset=(0.0, 0.0, 5e-3)))
-    bench, plain = (WireLab(paper, config, 3, START, homed=True) for config in (lab, LabConfig()))
+    bench, plain = (SimulatedBench(paper, config, 3, START, homed=True) for config in (lab, LabConfig()))
 
     tip = bench.hidden.robot(paper.robot()).base.rotation @ plain.truth.tip
     shift = bench.truth.tip - tip
@@ -93,8 +93,8 @@ def test_a_contact_on_the_shaft_bends_the_true_robot_there_and_its_moment_is_fel
     pull = ContactLoad(magnitude=0.3, place=0.1, direction=(0.0, 1.0, 0.0))
     quiet = {"tubes": {}, "poisson_ratio": 0.30, "play": {}, "friction_force": 0.0, "friction_moment": 0.0}
     config = LabConfig(plant=LabConfig().plant.model_copy(update=quiet))
-    bench = WireLab(paper, config, 0, START, homed=True)
-    bench.pull(pull, 0.0)
+    bench = SimulatedBench(paper, config, 0, START, homed=True)
+    bench.apply_load(pull, 0.0)
     for tick in range(1, 4):
         truth = bench.advance(0.002 * tick)
 

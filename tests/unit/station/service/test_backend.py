@@ -10,11 +10,11 @@ from station.config.strict import ConfigError
 from station.control.process import ring_width
 from station.control.ring import Ring
 from station.lab.config import LabConfig
-from station.lab.endpoints import lab_bench
+from station.lab.endpoints import devices_at
 from station.lab.faults import LabFault
-from station.lab.lab_server import OpenLab
+from station.lab.lab_server import LabServer
 from station.lab.loads import ConstantLoad
-from station.service.backend import BenchSide, Brings
+from station.service.backend import Backend, RunEffects
 from station.service.station_file import load_station
 
 MUTE = LabFault(kind="mute", device="stages")
@@ -28,9 +28,9 @@ def ring(paper) -> Iterator[Ring]:
 
 
 def test_faults_are_for_simulated_devices_only(paper, ring):
-    with OpenLab(paper, LabConfig(), 0, np.array([0.0, np.pi / 2.0, -0.1])) as lab:
-        told = lab_bench(lab.endpoints, LabConfig())
-    side = BenchSide(replace(load_station(None).bench(), devices=told), ring)
+    with LabServer(paper, LabConfig(), 0, np.array([0.0, np.pi / 2.0, -0.1])) as lab:
+        told = devices_at(lab.endpoints, LabConfig())
+    side = Backend(replace(load_station(None).bench(), devices=told), ring)
 
     assert side.alive
     assert side.pid is None
@@ -42,11 +42,11 @@ def test_faults_are_for_simulated_devices_only(paper, ring):
 
 
 def test_a_motion_is_begun_and_ended_once(paper, ring):
-    with OpenLab(paper, LabConfig(), 0, np.array([0.0, np.pi / 2.0, -0.1])) as lab:
-        told = lab_bench(lab.endpoints, LabConfig())
-    side = BenchSide(replace(load_station(None).bench(), devices=told), ring)
-    load = Brings(ConstantLoad(magnitude=0.2))
+    with LabServer(paper, LabConfig(), 0, np.array([0.0, np.pi / 2.0, -0.1])) as lab:
+        told = devices_at(lab.endpoints, LabConfig())
+    side = Backend(replace(load_station(None).bench(), devices=told), ring)
+    load = RunEffects(ConstantLoad(magnitude=0.2))
 
-    assert side.prepare(load) == Brings()
-    assert side.prepare(Brings(None)) == load
+    assert side.prepare(load) == RunEffects()
+    assert side.prepare(RunEffects(None)) == load
     assert [side.motion(start) for start in (None, 1.0, 1.0, None, None)] == [False, True, False, True, False]

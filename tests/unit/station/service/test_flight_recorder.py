@@ -10,7 +10,7 @@ from station.control.ring import Ring
 from station.control.states import State
 from station.control.telemetry import Channels
 from station.service.audit import Audit
-from station.service.flight_recorder import FOLDER, KEPT, ROWS, Chronicle
+from station.service.flight_recorder import FOLDER, KEPT, ROWS, FlightRecorder
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def ring(channels):
 
 def test_a_hold_is_a_line_of_the_log_and_the_last_second_a_file(ring, channels, tmp_path: Path) -> None:
     audit = Audit(tmp_path)
-    chronicle = Chronicle(ring, channels, audit, tmp_path, "session")
+    chronicle = FlightRecorder(ring, channels, audit, tmp_path, "session")
     chronicle.state(State.RUNNING, "")
     chronicle.state(State.HOLD, "the tracker\nhas gone")
     chronicle.note("warning", "SCHED_FIFO is refused")
@@ -55,7 +55,7 @@ def test_a_hold_is_a_line_of_the_log_and_the_last_second_a_file(ring, channels, 
 
 
 def test_only_so_many_are_kept_the_newest(ring, channels, tmp_path: Path) -> None:
-    chronicle = Chronicle(ring, channels, None, tmp_path, "session")
+    chronicle = FlightRecorder(ring, channels, None, tmp_path, "session")
     for number in range(KEPT + 5):
         chronicle.state(State.FAULT, f"number {number}")
     chronicle.close()
@@ -68,7 +68,7 @@ def test_only_so_many_are_kept_the_newest(ring, channels, tmp_path: Path) -> Non
 def test_a_folder_that_cannot_be_written_is_said_in_the_log(ring, channels, tmp_path: Path) -> None:
     (tmp_path / FOLDER).write_text("a file in its place")
     audit = Audit(tmp_path)
-    chronicle = Chronicle(ring, channels, audit, tmp_path, "session")
+    chronicle = FlightRecorder(ring, channels, audit, tmp_path, "session")
     chronicle.state(State.HOLD, "cause")
     chronicle.close()
     (line,) = audit.tail(1)

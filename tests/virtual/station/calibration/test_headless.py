@@ -9,7 +9,7 @@ from station.calibration import commission, procedures
 from station.calibration.headless import carry_out
 from station.calibration.plan import Subject
 from station.calibration.procedure import Ask, GoTo, Guided
-from station.calibration.static_lab import StillLab
+from station.calibration.static_lab import StaticLab
 from station.config.robots import load_robot
 from station.control.clock import VirtualClock
 from station.lab.config import HiddenConfig, LabConfig, load_lab
@@ -35,7 +35,7 @@ def test_visits_on_the_wire_are_those_of_the_still_lab(subject):
 
     texts = []
     seen = carry_out(few(subject), subject, lab, 4, VirtualClock(), lambda done, text: texts.append((done, text)))
-    still = StillLab(subject, lab, 4)
+    still = StaticLab(subject, lab, 4)
 
     for visit in seen:
         expected = still.visit(visit.joints, visit.weight)
@@ -60,7 +60,7 @@ def test_latency_that_nobody_told_is_found(subject):
 
 def test_a_procedure_can_be_walked_through_and_given_up(subject):
     guided = Guided(procedures.tracker(subject, procedures.Effort(unloaded=8)))
-    still = StillLab(subject, LabConfig(), 0)
+    still = StaticLab(subject, LabConfig(), 0)
     done = []
     while isinstance(guided.step, GoTo) and len(done) < 3:
         done.append(guided.done)

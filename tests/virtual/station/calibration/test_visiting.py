@@ -26,7 +26,7 @@ def rows_of(step: GoTo | Swing, controller: Controller, paper, weight: float = 0
     """Telemetry of one step from START on, in the lab `uncalibrated`."""
     lab, devices = virtual_bench(paper, load_lab("uncalibrated", paper), 7, START)
     if weight:
-        lab.pull(ConstantLoad(magnitude=weight), 0.0)
+        lab.apply_load(ConstantLoad(magnitude=weight), 0.0)
     loop, rows, tick, begun = ControlLoop(controller, devices), [], 0, False
     loop.connect(0.0)
     while not (begun and loop.state is State.READY):

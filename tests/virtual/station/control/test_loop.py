@@ -144,7 +144,7 @@ def test_the_tare_takes_the_sensors_offsets_out_of_the_load(case):
     bench.ready()
     bench.loop.start(task(case, HoldMotion(), 2.0))
     bench.until(Phase.MOVING)
-    bench.lab.pull(ConstantLoad(magnitude=0.3, direction=(0.0, 0.6, 0.8)), bench.now + 0.5)
+    bench.lab.apply_load(ConstantLoad(magnitude=0.3, direction=(0.0, 0.6, 0.8)), bench.now + 0.5)
     begin = len(bench.rows)
     bench.tick(900)
 

@@ -16,7 +16,7 @@ from station.devices.zaber.protocol import Message, Parser, encode
 from station.lab.aurora.coil import MOUNT
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
-from station.lab.simulated_bench import WireLab
+from station.lab.simulated_bench import SimulatedBench
 
 TICK = 0.002
 AT = np.array([0.05, 0.30, -0.125])
@@ -27,7 +27,7 @@ class Wire:
     """A lab and, at the other ends of its wires, no driver but for the tracker's, whose frames have to be asked for."""
 
     def __init__(self, robot) -> None:
-        self.lab = WireLab(robot, LabConfig(), 3, AT, homed=True)
+        self.lab = SimulatedBench(robot, LabConfig(), 3, AT, homed=True)
         self.zaber, self.boxes = self.lab.hosts.zaber, self.lab.hosts.netft
         self.tracker = AuroraTracker(self.lab.hosts.aurora, registration=MOUNT)
         self.divisor = self.lab.boxes[0].settings.divisor

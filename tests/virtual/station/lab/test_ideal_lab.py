@@ -19,7 +19,7 @@ def lab(paper):
 
 
 def test_a_load_pulls_from_its_start_on_and_moves_the_tip(lab):
-    lab.pull(ConstantLoad(magnitude=0.5), start=0.010)
+    lab.apply_load(ConstantLoad(magnitude=0.5), start=0.010)
     before, at = lab.advance(0.008), lab.advance(0.010)
 
     assert not before.force.any()
@@ -67,7 +67,7 @@ def test_the_tracker_shows_the_true_tip_forty_times_a_second(lab):
 
 def test_the_bases_feel_the_load_and_nothing_else(lab):
     rest = lab.devices.sensors.poll(0.0).wrenches.copy()
-    lab.pull(ConstantLoad(magnitude=0.5, direction=(0.0, 0.0, 1.0)), start=0.0)
+    lab.apply_load(ConstantLoad(magnitude=0.5, direction=(0.0, 0.0, 1.0)), start=0.0)
     lab.advance(0.0)
     lab.devices.stages.stop(0.0)
 

@@ -18,7 +18,7 @@ from station.devices.zaber.stages import Condition, ZaberStages
 from station.lab.aurora.coil import MOUNT
 from station.lab.config import BaseSensorConfig, LabConfig, PlantConfig, TrackerConfig
 from station.lab.loads import ConstantLoad, NoLoad, RampLoad, SineLoad
-from station.lab.simulated_bench import WireLab
+from station.lab.simulated_bench import SimulatedBench
 
 TICK = 0.002
 PARK = np.array([0.05, 0.30, -0.125])
@@ -35,7 +35,7 @@ class Bench:
     def __init__(
         self, robot: RobotFile, config: LabConfig = CLEAR, seed: int = 0, at: np.ndarray = PARK, homed: bool = False
     ) -> None:
-        self.lab = WireLab(robot, config, seed, at, homed=homed)
+        self.lab = SimulatedBench(robot, config, seed, at, homed=homed)
         hosts = self.lab.hosts
         every = tuple(range(len(robot.joints)))
         self.stages = ZaberStages(self.lab.setups, [Port(hosts.zaber, every)])
@@ -139,10 +139,10 @@ def test_the_tracker_sees_the_true_tip_when_it_was_measured(homed):
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.3, 0.4, 0.5)])
 def test_the_fused_force_is_the_load(homed, paper, direction):
-    homed.lab.pull(ConstantLoad(magnitude=0.4, direction=direction), homed.now)
+    homed.lab.apply_load(ConstantLoad(magnitude=0.4, direction=direction), homed.now)
     homed.run(0.2)
     fused = fuse_at(paper.robot(), homed.joints.positions, homed.wrenches.wrenches)
-    homed.lab.pull(NoLoad(), homed.now)
+    homed.lab.apply_load(NoLoad(), homed.now)
 
     assert homed.sensors.is_usable
     expected = 0.4 * np.array(direction) / np.linalg.norm(direction)
@@ -153,9 +153,9 @@ def test_the_fused_force_is_the_load(homed, paper, direction):
 
 
 def test_the_load_counts_time_from_its_start(homed):
-    homed.lab.pull(SineLoad(amplitude=0.2, frequency=0.5), homed.now)
+    homed.lab.apply_load(SineLoad(amplitude=0.2, frequency=0.5), homed.now)
     homed.run(0.5)
-    homed.lab.pull(NoLoad(), homed.now)
+    homed.lab.apply_load(NoLoad(), homed.now)
 
     assert homed.lab.truth.force == pytest.approx([0.2, 0.0, 0.0], abs=1e-4)
 
@@ -171,7 +171,7 @@ def test_a_sensor_without_tare_reads_its_offset_and_each_its_own(paper):
 def test_a_force_sample_is_timed_to_a_few_tenths_of_a_millisecond(paper):
     bench = Bench(paper, CLEAR.model_copy(update={"plant": PlantConfig(play={})})).run(0.1)
     start, late = bench.now, []
-    bench.lab.pull(RampLoad(times=(0.0, 0.5), magnitudes=(0.0, 0.5)), start)  # 1 N/s: the force tells the time
+    bench.lab.apply_load(RampLoad(times=(0.0, 0.5), magnitudes=(0.0, 0.5)), start)  # 1 N/s: the force tells the time
     for _ in range(200):
         bench.run(TICK)
         force = fuse_at(paper.robot(), bench.lab.positions, bench.wrenches.wrenches).force[0]
@@ -194,14 +194,14 @@ def test_stages_left_on_since_they_were_homed_need_no_homing(paper):
 
 
 def test_where_the_robot_cannot_stand_it_stays_and_the_lab_goes_on(paper):
-    lab = WireLab(paper, CLEAR, 0, PARK)
+    lab = SimulatedBench(paper, CLEAR, 0, PARK)
     tip = lab.advance(0.002).tip
-    lab.pull(ConstantLoad.model_construct(magnitude=1e6), 0.0)
+    lab.apply_load(ConstantLoad.model_construct(magnitude=1e6), 0.0)
     stuck = lab.advance(0.004)
 
     assert lab.trouble
     assert np.array_equal(stuck.tip, tip)
-    lab.pull(NoLoad(), 0.0)
+    lab.apply_load(NoLoad(), 0.0)
     assert lab.advance(0.006).tip == pytest.approx(tip, abs=1e-7)
     assert lab.trouble == ""
 
@@ -220,7 +220,7 @@ def test_the_same_seed_gives_the_same_bench_and_another_seed_another(paper):
 
 
 def test_time_may_go_on_in_steps_of_any_length(paper):
-    lab = WireLab(paper, CLEAR, 0, PARK)
+    lab = SimulatedBench(paper, CLEAR, 0, PARK)
     steps = (0.0, 1e-4, 1e-3, 0.5, 0.5, math.pi)
     for now in steps:
         lab.advance(now)
