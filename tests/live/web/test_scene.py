@@ -18,6 +18,7 @@ from station.motions import CircleMotion, HoldMotion, JointSweepMotion, Motion, 
 from station.robots import load_robot
 from station.states import State
 from station.telemetry import Channels
+from tests.harness.leftovers import nothing_left_behind
 from tests.harness.viewing import Viewed, viewing
 from tests.harness.waiting import until
 from web.history import BIN, SPAN, History
@@ -26,8 +27,15 @@ from web.scene import ARROW, UNIT
 from web.view import RATE
 
 
+@pytest.fixture(autouse=True, scope="module")
+def nothing_is_left_behind() -> Iterator[None]:
+    """Nothing outlives the module: a station that was reset has another process and another thread that hears it."""
+    with nothing_left_behind(30.0):
+        yield
+
+
 @pytest.fixture(scope="module")
-def viewed() -> Iterator[Viewed]:
+def viewed(nothing_is_left_behind: None) -> Iterator[Viewed]:
     with viewing() as viewed:
         yield viewed
 
