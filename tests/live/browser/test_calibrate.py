@@ -83,12 +83,12 @@ def test_a_person_is_asked_for_a_weight_and_says_by_keyboard_that_it_hangs(calib
     page, said = calibrate, []
 
     def asks(route: Route) -> None:
-        route.fulfill(json=route.fetch().json() | {"course": ASKS})
+        course = ASKS | {"stage": "moving", "asked": "", "says": "pose 8"} if said else ASKS
+        route.fulfill(json=route.fetch().json() | {"course": course})
 
     def done(route: Route) -> None:
         said.append(route.request.method)
-        page.unroute("**/api/calibration")
-        route.fulfill(status=200, json={"course": ASKS | {"stage": "moving", "asked": "", "says": "pose 8"}})
+        route.fulfill(json={"course": ASKS})
 
     page.route("**/api/calibration", asks)
     page.route("**/api/calibration/done", done)
