@@ -101,7 +101,7 @@ def kill_recorder(runs: Path, feed: Feed, robot: RobotFile, after: float) -> Lef
 
 def kill_station(data: Path, victim: str, after: float) -> Left:
     """Serve, start a run, kill one process of the station or all of them, recover, and check."""
-    with serving("--data", str(data), calm="") as station:
+    with serving("--data", str(data), rate=None) as station:
         station.ready()
         body = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 5.0}, "duration": 60.0}
         assert station.post("/api/start", body).status_code == 202

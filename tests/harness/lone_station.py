@@ -1,7 +1,7 @@
 """A station without a web server, as a process for tests: `python -m tests.harness.lone_station FOLDER RATE ENDPOINTS`.
 
-It answers each line of its input with a line of JSON: `start`, `stop`, `home`, `reset` and
-`status`; it ends with its input.
+It answers each line of its input with a line of JSON: `start`, `stop`, `home`, `reset`, `gone` (its operator
+has) and `status`; it ends with its input.
 """
 
 import json
@@ -76,7 +76,7 @@ def main() -> None:
     # A fifth of the periods in 10 s: less than other programs take, and little enough to be brought about.
     calm = {"overruns": {**SETTINGS["overruns"], "hold_share": 0.2}}
     bench = load_station(None, calm if rate < 1.0 else {}).bench()
-    bench = replace(bench, clock=StationClock(rate))
+    bench = replace(bench, clock=StationClock(rate), alone="hold")
     if endpoints is not None:
         bench = replace(bench, devices=devices_at(endpoints, bench.lab))
     supervisor = Supervisor(bench, Path(folder))
@@ -110,6 +110,8 @@ def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[
                 _settled(supervisor)
             case "home":
                 supervisor.home()
+            case "gone":
+                supervisor.operator_gone()
     except CtrError as error:
         refused = str(error)
     status, recording = supervisor.status(), supervisor.recording

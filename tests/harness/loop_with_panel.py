@@ -36,7 +36,7 @@ DRAWN, MOVING = 10.0, 5.0
 def _served(settings: str) -> Iterator[tuple[Served, str]]:
     """A station and the name of its shared memory."""
     others = shared_memory()
-    with serving(settings=settings, calm="") as station:
+    with serving(settings=settings, rate=None) as station:
         yield station, (shared_memory() - others).pop()
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import httpx
 import psutil
 
-from tests.harness.calm import SETTINGS
+from tests.harness.calm import RATE, SETTINGS
 from tests.harness.root import ROOT
 from tests.harness.waiting import NET, until
 
@@ -106,20 +106,25 @@ def shared_memory() -> set[str]:
     return {path.name for path in folder.glob("psm_*")}
 
 
-#: As a station's file has it.
-CALM = "".join(
-    f"[{table}]\n" + "".join(f"{key} = {value}\n" for key, value in keys.items()) for table, keys in SETTINGS.items()
-)
+def calm(rate: float) -> str:
+    """Tables of a station's file with which it bears a busy computer."""
+    tables = SETTINGS | {"clock": {"rate": rate}}
+    return "".join(
+        f"[{table}]\n" + "".join(f"{key} = {value}\n" for key, value in keys.items()) for table, keys in tables.items()
+    )
 
 
 @contextmanager
-def serving(*arguments: str, settings: str = "", calm: str = CALM) -> Iterator[Served]:
-    """A station with these settings of its file, which bears a busy computer."""
+def serving(*arguments: str, settings: str = "", rate: float | None = RATE) -> Iterator[Served]:
+    """A station with these settings of its file.
+
+    Its clock goes at `rate` and it bears a busy computer; None: in real time, as strict as a bench's.
+    """
     port = free_port()
     command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", str(port)]
     with tempfile.TemporaryDirectory() as data, Path(data, "said.txt").open("w+", encoding="utf-8") as said:
         config = Path(data, "station.toml")
-        config.write_text(settings + calm, encoding="utf-8")
+        config.write_text(settings + ("" if rate is None else calm(rate)), encoding="utf-8")
         # Into a file: a pipe that nobody empties would stop a station that has much to say.
         process = subprocess.Popen(
             [*command, "--config", str(config), "--data", data, *arguments],

@@ -135,7 +135,7 @@ def measure(presses: int) -> np.ndarray:
         address = there["zaber"].removeprefix("socket://").split(":")
         with (
             relayed((address[0], int(address[1]))) as told,
-            serving(settings=_bench(there, told.recv()), calm="") as station,
+            serving(settings=_bench(there, told.recv()), rate=None) as station,
             sync_playwright() as playwright,
         ):
             station.ready()

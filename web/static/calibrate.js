@@ -185,9 +185,11 @@ function exchange() {
   const robot = make("select", { "aria-label": "robot with the new tubes" }, ...known.robots.map((one) => make("option", { value: one }, one)));
   const file = make("input", { type: "file", accept: ".toml", "aria-label": "robot's file" });
   const list = make("ol", { className: "todo" });
+  let latest = 0; // an answer that comes after a later question is of no use any more
   const ask_ = async (wish) => {
+    const mine = (latest += 1);
     const todo = await press("POST", "/api/calibration/exchange", wish);
-    if (todo === null) return;
+    if (todo === null || mine !== latest) return;
     list.replaceChildren(...todo.map((one) => {
       const offer = known.offers.find((each) => each.name === one.procedure);
       const go = offer === undefined ? null : make("button", { type: "button" }, offer.title);

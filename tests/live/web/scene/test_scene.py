@@ -18,6 +18,7 @@ from station.control.loop import Task
 from station.control.states import State
 from station.control.telemetry import Channels
 from station.lab.loads import ConstantLoad, NoLoad
+from tests.harness.leftovers import nothing_left_behind
 from tests.harness.viewing import Viewed, viewing
 from tests.harness.waiting import until
 from web.scene.history import BIN, SPAN, History
@@ -26,8 +27,15 @@ from web.scene.scene import ARROW, UNIT
 from web.scene.view import RATE
 
 
+@pytest.fixture(autouse=True, scope="module")
+def nothing_is_left_behind() -> Iterator[None]:
+    """Nothing outlives the module: a station that was reset has another process and another thread that hears it."""
+    with nothing_left_behind(30.0):
+        yield
+
+
 @pytest.fixture(scope="module")
-def viewed() -> Iterator[Viewed]:
+def viewed(nothing_is_left_behind: None) -> Iterator[Viewed]:
     with viewing() as viewed:
         yield viewed
 
