@@ -5,7 +5,7 @@ bench fits behind the same few methods. Only `connect` at the very start may rai
 device says what is wrong through `trouble`, and the loop acts on its severity.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple, Protocol
@@ -121,6 +121,23 @@ class Stages(Device, Protocol):
     def stop(self, now: float) -> None:
         """Stop every axis that can be reached, ahead of whatever waits to be sent."""
         ...
+
+
+class Clock(Protocol):
+    """The station's time."""
+
+    def now(self) -> float:
+        """[s]."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Let so much of it pass."""
+        ...
+
+
+#: Stops every stage from another process than the one that drives them, whose ports may still be held for some
+#: milliseconds by what is left of it. Says in words what came of it, and what a person has to do.
+EmergencyStop = Callable[[Clock], str]
 
 
 class Tracker(Device, Protocol):

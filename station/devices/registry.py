@@ -2,6 +2,7 @@
 
 An installed driver is a callable `open(options, robot)` that returns a device as `interfaces.py` has it. `options`
 is its table of the station file without the name of the driver; what it raises ends the opening of all devices.
+That of stages has an attribute `emergency_stop(options, robot, clock)`: it stops them from another process.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,7 +13,8 @@ from typing import Any, Literal
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
 from station.devices.built_in import aurora, netft, nidaq, zaber
-from station.devices.interfaces import BaseSensors, Stages, Tracker
+from station.devices.interfaces import BaseSensors, EmergencyStop, Stages, Tracker
+from station.devices.zaber.emergency_stop import zaber_emergency_stop
 
 GROUP = "ctr_station.devices"
 
@@ -28,6 +30,8 @@ BUILT_IN: dict[DeviceKind, dict[str, Driver]] = {
     "tracker": {"aurora": aurora},
     "sensors": {"netft": netft, "nidaq": nidaq},
 }
+#: Of the stages' own drivers.
+EMERGENCY_STOPS: dict[str, Callable[[Mapping[str, Any], RobotFile], EmergencyStop]] = {"zaber": zaber_emergency_stop}
 
 
 def find(kind: DeviceKind, name: str) -> Driver:
@@ -38,6 +42,32 @@ def find(kind: DeviceKind, name: str) -> Driver:
     """
     if name in BUILT_IN[kind]:
         return BUILT_IN[kind][name]
+    where, opens = _loaded(kind, name)
+
+    def driver(options: Mapping[str, Any], robot: RobotFile) -> Opener:
+        return partial(_opened, kind, where, opens, options, robot)
+
+    return driver
+
+
+def emergency_stop(stages: Mapping[str, Any], robot: RobotFile) -> EmergencyStop | None:
+    """How the stages of `[devices.stages]` are stopped when the process that drives them cannot do it any more.
+
+    None: their driver has no such way.
+
+    Raises:
+        ConfigError: there is no such driver, or it cannot be loaded.
+    """
+    told = dict(stages)
+    name = told.pop("driver")
+    if name in BUILT_IN["stages"]:
+        return EMERGENCY_STOPS[name](told, robot)
+    stop = getattr(_loaded("stages", name)[1], "emergency_stop", None)
+    return None if stop is None else partial(stop, told, robot)
+
+
+def _loaded(kind: DeviceKind, name: str) -> tuple[str, Callable[..., Any]]:
+    """An installed driver: where it comes from, for a person, and its callable."""
     installed = entry_points(group=GROUP)
     found = list(installed.select(name=name))
     if not found:
@@ -51,10 +81,7 @@ def find(kind: DeviceKind, name: str) -> Driver:
             f"devices.{kind}.driver = '{name}' is installed more than once: "
             f"{', '.join(map(_origin, found))}; remove all but one"
         )
-    return _installed(kind, found[0])
-
-
-def _installed(kind: DeviceKind, point: EntryPoint) -> Driver:
+    (point,) = found
     where = f"devices.{kind}.driver = '{point.name}' ({_origin(point)})"
     try:
         opens = point.load()
@@ -62,11 +89,7 @@ def _installed(kind: DeviceKind, point: EntryPoint) -> Driver:
         raise ConfigError(f"{where} cannot be loaded: {type(error).__name__}: {error}") from error
     if not callable(opens):
         raise ConfigError(f"{where} is no callable open(options, robot)")
-
-    def driver(options: Mapping[str, Any], robot: RobotFile) -> Opener:
-        return partial(_opened, kind, where, opens, options, robot)
-
-    return driver
+    return where, opens
 
 
 def _opened(

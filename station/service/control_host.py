@@ -8,13 +8,14 @@ import threading
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from station.control.emergency_stop import Units, stage_units, stop_stages
 from station.control.messages import Command, DeviceReport, Notice, Refused, Reply
 from station.control.process import run_control
 from station.control.realtime import ask_for_fifo
 from station.control.ring import HEARTBEAT, Ring
 from station.control.states import Event, RefusedError
 from station.devices.config import BenchFile
+from station.devices.interfaces import EmergencyStop
+from station.devices.registry import emergency_stop
 from station.lab.host import LabError
 from station.service.bench import Bench
 
@@ -59,8 +60,9 @@ class ControlHost:
         self._answered = threading.Condition(self._lock)
         self._waiting: set[int] = set()
         self._replies: dict[int, str] = {}
-        self._joints = len(bench.robot.joints)
-        self._units: Units = {}
+        self._robot = bench.robot
+        self._stages = ""  # name of their driver, once they may have been opened
+        self._emergency_stop: EmergencyStop | None = None
         self._closing = False
         context: Any = multiprocessing.get_context("spawn")
         self._pipe, child = context.Pipe()
@@ -115,7 +117,14 @@ class ControlHost:
 
     def stop_stages(self) -> str:
         """Stop them without the control process, which is no more: what came of it, in words."""
-        return stop_stages(self._units, self._clock)
+        if not self._stages:
+            return ""
+        if self._emergency_stop is None:
+            return f"driver '{self._stages}' cannot stop its stages from another process: press the emergency stop"
+        try:
+            return self._emergency_stop(self._clock)
+        except Exception as error:  # whatever an installed driver does
+            return f"the stages could not be stopped ({type(error).__name__}: {error}): press the emergency stop"
 
     def kill(self) -> None:
         """End it at once; the stages are stopped then."""
@@ -140,7 +149,8 @@ class ControlHost:
             ask_for_fifo(WATCHER_PRIORITY)  # what is left of a run must not wait for a page to be drawn
         try:
             told = self._registered(self._devices())
-            self._units = stage_units(told.stages, self._joints)
+            self._emergency_stop = emergency_stop(told.stages, self._robot)
+            self._stages = str(told.stages["driver"])
             with self._lock:
                 self._pipe.send(told)
             while True:

@@ -17,8 +17,15 @@ from station.control.margins import Margins, check_design
 from station.control.overruns import OverrunLimits
 from station.devices.config import DevicesFile
 from station.devices.open_devices import plan
+from station.devices.registry import emergency_stop
 from station.lab.config import load_lab
 from station.service.bench import Bench
+
+#: Said at the start, and on the page.
+UNSTOPPABLE = (
+    "stages of driver '{driver}' are stopped by nobody when the control process dies: the driver has no emergency_stop;"
+    " keep a hand at the emergency stop (station/devices/README.md)"
+)
 
 
 class ExperimentsFile(Strict):
@@ -105,16 +112,19 @@ class StationFile(Strict):
             believed = robot if calibration is None else calibration.robot
             self.controller.controller(believed)
             bench = None if self.devices == "virtual" else self.devices
+            unstoppable = ""
             if bench is not None:
                 plan(bench, robot)
+                if emergency_stop(bench.stages, robot) is None:
+                    unstoppable = UNSTOPPABLE.format(driver=bench.stages["driver"])
             snaps = check_design(believed, self.margins)
             clock = self.clock.bears(self.devices)
         except CtrError as error:
             raise ConfigError(f"{self._source}: {error}{on_line(self._table, str(error))}") from None
         return Bench(
             robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns, bench,
-            self.margins, alone=self.alone, warnings=(*self.clock.warnings, *((snaps,) if snaps else ())),
-            calibration=calibration, clock=clock,
+            self.margins, alone=self.alone, calibration=calibration, clock=clock,
+            warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
         )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -57,10 +57,16 @@ class LoneStation:
 
 
 @contextmanager
-def lone_station(folder: Path, lab: WatchedLab | None = None, clock: StationClock = CLOCK) -> Iterator[LoneStation]:
-    """One that is READY: on a lab that somebody watches, in its time, or on a virtual lab of its own."""
+def lone_station(
+    folder: Path, lab: WatchedLab | None = None, clock: StationClock = CLOCK, stages: Mapping[str, Any] | None = None
+) -> Iterator[LoneStation]:
+    """One that is READY: on a lab that somebody watches, in its time, or on a virtual lab of its own.
+
+    With `stages` its `[devices.stages]` are those, and tracker and sensors the lab's.
+    """
     rate, endpoints = (clock.rate, None) if lab is None else (lab.clock.rate, lab.endpoints)
-    command = [sys.executable, "-m", "tests.harness.lone_station", str(folder), str(rate), json.dumps(endpoints)]
+    told = json.dumps({"lab": endpoints, "stages": stages})
+    command = [sys.executable, "-m", "tests.harness.lone_station", str(folder), str(rate), told]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     station = LoneStation(process)
     try:
@@ -72,13 +78,15 @@ def lone_station(folder: Path, lab: WatchedLab | None = None, clock: StationCloc
 
 def main() -> None:
     """The station's side."""
-    folder, rate, endpoints = sys.argv[1], float(sys.argv[2]), json.loads(sys.argv[3])
+    folder, rate, told = sys.argv[1], float(sys.argv[2]), json.loads(sys.argv[3])
     # A fifth of the periods in 10 s: less than other programs take, and little enough to be brought about.
     calm = {"overruns": {**SETTINGS["overruns"], "hold_share": 0.2}}
     bench = load_station(None, calm if rate < 1.0 else {}).bench()
     bench = replace(bench, clock=StationClock(rate), alone="hold")
-    if endpoints is not None:
-        bench = replace(bench, devices=devices_at(endpoints, bench.lab))
+    if told["lab"] is not None:
+        devices = devices_at(told["lab"], bench.lab)
+        changed = {} if told["stages"] is None else {"stages": told["stages"]}
+        bench = replace(bench, devices=devices.model_copy(update=changed))
     supervisor = Supervisor(bench, Path(folder))
     try:
         supervisor.open()

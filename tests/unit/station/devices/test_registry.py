@@ -1,6 +1,7 @@
 """Drivers by name: the station's own, and an installed one, against a real server."""
 
 import socket
+import threading
 import time
 import tomllib
 from collections.abc import Callable
@@ -10,12 +11,14 @@ import numpy as np
 import pytest
 
 from station.config.strict import ConfigError
+from station.control.clock import REAL_TIME
 from station.devices import registry
 from station.devices.config import BenchFile
 from station.devices.interfaces import Condition, Severity, TipReading
 from station.devices.open_devices import plan
-from station.devices.registry import find
-from tests.harness import example_tracker
+from station.devices.registry import emergency_stop, find
+from station.service.station_file import load_station
+from tests.harness import example_stages, example_tracker
 
 
 @pytest.fixture
@@ -150,11 +153,49 @@ class Given:
     def close(self) -> None: ...
 
 
+def test_stages_of_ones_own_say_how_they_are_stopped_from_another_process(install, paper):
+    install("line-stages = tests.harness.example_stages:open_stages")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        stop = emergency_stop({"driver": "line-stages", "host": "127.0.0.1", "port": server.getsockname()[1]}, paper)
+        assert stop is not None
+        said: list[str] = []
+        stopping = threading.Thread(target=lambda: said.append(stop(REAL_TIME)))
+        stopping.start()
+        host, _ = server.accept()
+        with host:
+            assert host.recv(100) == b"stop\n"
+            host.sendall(b"0 0 0\nstopped\n")
+            stopping.join()
+    assert said[0].startswith("3 stages at socket://127.0.0.1:")
+    assert said[0].endswith("say that they have stopped")
+
+
+def test_stages_that_nobody_can_stop_are_told_at_the_start(install, write):
+    install("mute-stages = tests.harness.example_stages:LineStages")
+    path = write(
+        """
+[devices.stages]
+driver = "mute-stages"
+[devices.tracker]
+driver = "aurora"
+port = "/dev/ttyUSB1"
+[devices.sensors]
+driver = "netft"
+tubes.inner.host = "192.168.1.11"
+tubes.outer.host = "192.168.1.12"
+"""
+    )
+    (warning,) = load_station(path).bench().warnings[:1]
+    assert warning.startswith("stages of driver 'mute-stages' are stopped by nobody when the control process dies")
+    assert "emergency stop" in warning
+
+
 README = Path(registry.__file__).with_name("README.md").read_text(encoding="utf-8")
 
 
-def test_the_readme_shows_the_driver_that_is_tried_here():
-    code = Path(example_tracker.__file__).read_text(encoding="utf-8").split("\n", 2)[2]
+@pytest.mark.parametrize("example", [example_tracker, example_stages])
+def test_the_readme_shows_the_driver_that_is_tried_here(example):
+    code = Path(example.__file__).read_text(encoding="utf-8").split("\n", 2)[2]
     assert f"```python\n{code}```" in README
 
 

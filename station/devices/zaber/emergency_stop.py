@@ -5,9 +5,11 @@ it is opened until it opens, and the units are told, and asked what they do, unt
 """
 
 from collections.abc import Mapping, Set
+from functools import partial
 from typing import Any
 
-from station.control.clock import REAL_TIME, StationClock
+from station.config.robots import RobotFile
+from station.devices.interfaces import Clock, EmergencyStop
 from station.devices.links.link import LinkError, SerialLink
 from station.devices.zaber.protocol import BAUD, GAP, MESSAGE_TIME, Command, Message, Parser, Status, encode
 from station.devices.zaber.shifts import IGNORED
@@ -29,10 +31,13 @@ STATUSES = frozenset(int(status) for status in Status)
 Units = Mapping[str, Set[int]]
 
 
+def zaber_emergency_stop(options: Mapping[str, Any], robot: RobotFile) -> EmergencyStop:
+    """That of the chains in `[devices.stages]`."""
+    return partial(stop_stages, stage_units(options, len(robot.joints)))
+
+
 def stage_units(options: Mapping[str, Any], joints: int) -> Units:
-    """What of `[devices.stages]`, for so many joints, a stop can be sent to past its driver; none of another driver."""
-    if options["driver"] != "zaber":
-        return {}
+    """The units that `[devices.stages]` names, for so many joints."""
     found: dict[str, set[int]] = {}
     stages: Any = options.get("joints") or {number: {"device": number} for number in range(1, joints + 1)}
     for stage in stages.values():
@@ -40,7 +45,7 @@ def stage_units(options: Mapping[str, Any], joints: int) -> Units:
     return found
 
 
-def stop_stages(units: Units, clock: StationClock = REAL_TIME, patience: float = PATIENCE) -> str:
+def stop_stages(units: Units, clock: Clock, patience: float = PATIENCE) -> str:
     """Tell these units to stop: what came of it, in words, and how long it took.
 
     Every port is tried, whatever becomes of the others.

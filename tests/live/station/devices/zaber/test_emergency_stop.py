@@ -8,8 +8,9 @@ from contextlib import contextmanager
 
 import pytest
 
-from station.control.emergency_stop import Units, stop_stages
+from station.control.clock import REAL_TIME
 from station.devices.links.link import SerialLink
+from station.devices.zaber.emergency_stop import Units, stop_stages
 from station.devices.zaber.protocol import BAUD, MESSAGE_TIME, SIZE, Command, Message, Status, decode, encode
 from tests.harness.watched_lab import WatchedLab
 
@@ -37,7 +38,7 @@ def set_going(lab: WatchedLab) -> SerialLink:
 def test_every_unit_is_told_and_says_that_it_stops(lab: WatchedLab) -> None:
     set_going(lab).close()
     begin = time.monotonic()
-    said = stop_stages(units(lab))
+    said = stop_stages(units(lab), REAL_TIME)
 
     assert said.startswith(f"3 stages on {lab.endpoints['zaber']} stop, told ")
     assert lab.told(begin) > 0.0
@@ -47,7 +48,7 @@ def test_a_port_that_a_dying_process_still_has_is_tried_until_it_is_free(lab: Wa
     link = set_going(lab)
     release = threading.Timer(0.3, link.close)
     release.start()
-    said = stop_stages(units(lab))
+    said = stop_stages(units(lab), REAL_TIME)
     release.join()
 
     assert said.startswith("3 stages on")
@@ -58,18 +59,18 @@ def test_half_a_message_before_it_does_not_swallow_the_stop(lab: WatchedLab) -> 
     link = set_going(lab)
     link.write(b"\x02\x16\x00")
     link.close()
-    assert stop_stages(units(lab)).startswith("3 stages on")
+    assert stop_stages(units(lab), REAL_TIME).startswith("3 stages on")
     assert not lab.notes()[-1].moving
 
 
 def test_of_what_cannot_be_stopped_a_person_is_told(lab: WatchedLab) -> None:
     set_going(lab).close()
-    said = stop_stages({"/dev/not-there": {1}, **units(lab)})
+    said = stop_stages({"/dev/not-there": {1}, **units(lab)}, REAL_TIME)
 
     assert "the stages on /dev/not-there cannot be told to stop" in said
     assert "press the emergency stop" in said
     assert "3 stages on" in said
-    assert stop_stages({}) == ""
+    assert stop_stages({}, REAL_TIME) == ""
 
 
 @contextmanager
@@ -98,10 +99,10 @@ def chain(third: float | None) -> Iterator[str]:
 
 def test_a_unit_that_answers_late_is_waited_for() -> None:
     with chain(third=0.08) as port:
-        assert stop_stages({port: {1, 2, 3}}).startswith("3 stages on")
+        assert stop_stages({port: {1, 2, 3}}, REAL_TIME).startswith("3 stages on")
 
 
 def test_a_unit_that_says_nothing_is_not_taken_for_stopped() -> None:
     with chain(third=None) as port:
-        said = stop_stages({port: {1, 2, 3}}, patience=0.5)
+        said = stop_stages({port: {1, 2, 3}}, REAL_TIME, patience=0.5)
     assert said == f"of 3 stages on {port} number 3 was told to stop and does not say so: press the emergency stop"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from station.control.emergency_stop import stage_units
+from station.devices.zaber.emergency_stop import stage_units
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,6 @@ from station.control.emergency_stop import stage_units
             {"COM3": {1}, "COM5": {2}},
         ),
         ({"driver": "zaber", "port": "COM5", "joints": {"a": {"device": 4}, "b": {"device": 2}}}, {"COM5": {2, 4}}),
-        ({"driver": "mine", "port": "COM5"}, {}),
     ],
 )
 def test_the_units_on_each_port(options, units):
