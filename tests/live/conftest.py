@@ -12,6 +12,24 @@ from tests.harness.root import ROOT
 from tests.harness.serving import Served, serving
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that share the session's station in the middle: a station that nobody uses takes time from the others.
+
+    Workers come from both ends.
+    """
+    files = list(dict.fromkeys(item.path for item in items))
+    sharing = {item.path for item in items if _shares_the_station(item)}
+    alone = [path for path in files if path not in sharing]
+    half = len(alone) // 2
+    order = [*alone[:half], *(path for path in files if path in sharing), *alone[half:]]
+    items.sort(key=lambda item: order.index(item.path))
+
+
+def _shares_the_station(item: pytest.Item) -> bool:
+    found = item._fixtureinfo.name2fixturedefs.get("running", ())
+    return bool(found) and found[-1].baseid == "tests/live"
+
+
 @pytest.fixture(scope="session")
 def running() -> Iterator[Served]:
     """The station that all share who leave it READY."""
@@ -41,3 +59,4 @@ def command_line(tmp_path: Path, environment: dict[str, str]) -> Callable[..., s
         return subprocess.run(command, input=stdin, capture_output=True, cwd=tmp_path, env=environment, timeout=110)
 
     return run
+

@@ -21,17 +21,8 @@ def test_stop_works_with_a_broken_scene(station: Served, browser: Browser) -> No
 
 def test_a_dead_control_process_is_a_fault_at_once_and_a_reset_revives_it(station: Served, browser: Browser) -> None:
     with bare_page(browser, station) as page:
-        page.evaluate(
-            """() => {
-              window.faultSeen = null;
-              const state = document.getElementById('state');
-              const look = () => { if (state.textContent === 'FAULT') window.faultSeen ??= Date.now(); };
-              new MutationObserver(look).observe(state, {childList: true, characterData: true, subtree: true});
-            }"""
-        )
         station.control_process().kill()
         page.locator("#state", has_text="FAULT").wait_for()
-        assert page.evaluate("() => window.faultSeen") is not None
         assert "signal 9" in page.locator("#says").inner_text()
         page.locator("#reset").click()
         page.locator("#state", has_text="READY").wait_for()
@@ -39,16 +30,9 @@ def test_a_dead_control_process_is_a_fault_at_once_and_a_reset_revives_it(statio
 
 def test_a_station_that_hangs_looks_old_and_one_that_is_gone_is_told(browser: Browser) -> None:
     with serving() as station, bare_page(browser, station) as page:
-        page.evaluate(
-            """() => {
-              window.staleSeen = null;
-              const look = () => { if (document.body.classList.contains('stale')) window.staleSeen ??= Date.now(); };
-              new MutationObserver(look).observe(document.body, {attributes: true});
-            }"""
-        )
         try:
             station.process.send_signal(signal.SIGSTOP)
-            page.wait_for_function("() => window.staleSeen !== null")
+            page.wait_for_function("() => document.body.classList.contains('stale')")
         finally:
             station.process.send_signal(signal.SIGCONT)
         page.wait_for_function("() => !document.body.classList.contains('stale')")

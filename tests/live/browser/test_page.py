@@ -8,6 +8,7 @@ import numpy as np
 from playwright.sync_api import FrameLocator, Page
 
 from tests.harness.serving import Served
+from tests.harness.waiting import until
 from web.scene.gizmos import FORCE_SIZE, TARGET_SIZE
 from web.scene.legend import FIELD, VIEWS
 from web.scene.palette import CONTACT
@@ -74,8 +75,7 @@ def test_the_robot_moves_in_pixels_and_in_numbers(page: Page, station: Served, p
     before = np.array(station.status()["tip_true"])
     first = pixels(page)
     station.wait_for(lambda s: 1e3 * np.linalg.norm(np.array(s["tip_true"]) - before) > 5.0)
-    page.wait_for_timeout(500)
-    assert changed(first, pixels(page)) > 300 + 2 * min(noise)
+    until(lambda: changed(first, pixels(page)) > 300 + 2 * min(noise))
     assert state(page) == "RUNNING"
     assert "left of 1:00" in page.locator("#run-left").inner_text()
     picture(page, "running")
