@@ -8,7 +8,6 @@ import os
 import re
 import tomllib
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -49,7 +48,7 @@ Direction = Annotated[Vector, AfterValidator(_has_length)]
 #: Of tubes, joints and cases, as they stand in column and file names.
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]*$", max_length=60)]
 
-PRESETS = Path(str(files("station"))) / "presets"
+PRESETS = Path(__file__).parent / "presets"
 
 
 #: Environment variable that names the folder of one's own experiments, for child processes too.

@@ -59,4 +59,3 @@ def command_line(tmp_path: Path, environment: dict[str, str]) -> Callable[..., s
         return subprocess.run(command, input=stdin, capture_output=True, cwd=tmp_path, env=environment, timeout=110)
 
     return run
-

@@ -31,6 +31,7 @@ def test_faults_are_for_simulated_devices_only(paper, ring):
     with LabServer(paper, LabConfig(), 0, np.array([0.0, np.pi / 2.0, -0.1])) as lab:
         told = devices_at(lab.endpoints, LabConfig())
     side = Backend(replace(load_station(None).bench(), devices=told), ring)
+    side.open()
 
     assert side.alive
     assert side.pid is None

@@ -9,7 +9,7 @@ import pytest
 
 from station.service.solve import solve_lines
 
-EXACT_TIPS = Path(__file__).parents[1] / "exact_tips.csv"
+EXACT_TIPS = Path(__file__).parents[2] / "exact_tips.csv"
 POSE = {"outer_rotation": 0.0, "inner_rotation": 1.5708, "inner_translation": -0.1}
 
 
