@@ -87,7 +87,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         port = listening.getsockname()[1]
         out.print(f"ctr-station: {bench.title}")
         for warning in bench.warnings:
-            out.print(f"mind: {warning}", markup=False)
+            out.print(f"warning: {warning}", markup=False)
         if station.own_core:
             bench = replace(bench, core=leave_a_core())
         supervisor = Supervisor(bench, data, audit)
@@ -109,7 +109,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
                 page = f"http://{_shown(host)}:{port}/"
                 address = page + (f"?token={tokens.operator}" if tokens else "")
                 if tokens:
-                    out.print(f"for those who only look: {page}?token={tokens.viewer}")
+                    out.print(f"read-only: {page}?token={tokens.viewer}")
                 out.print(f"ctr-station is at {address}   (Ctrl-C ends it)")
                 sys.stdout.flush()
                 if browser and sys.stdout.isatty():

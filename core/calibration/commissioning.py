@@ -110,7 +110,7 @@ def find_latency(times: Array, tips: Array, arrivals: Array, coils: Array) -> La
 
 
 def _rms(vectors: Array) -> float:
-    """Of lengths (k, 3)."""
+    """Root mean square of the lengths of vectors (k, 3)."""
     return float(np.sqrt((vectors * vectors).sum(axis=1).mean()))
 
 

@@ -61,7 +61,7 @@ class Prediction:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Of the fit, in order."""
+        """What the fit finds about the frames, in the order of its numbers."""
         frames = [Parameter(f"frame rotation {axis}", "rad", FRAME_ANGLE) for axis in "xyz"]
         frames += [Parameter(f"frame position {axis}", "m", FRAME_PLACE) for axis in "xyz"]
         frames += [Parameter(f"coil {axis}", "m", COIL, COIL) for axis in "xyz"]

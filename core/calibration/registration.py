@@ -47,7 +47,7 @@ class Registration(NamedTuple):
 
     @property
     def rms(self) -> float:
-        """Of the errors [m]."""
+        """Root mean square of the errors [m]."""
         return float(np.sqrt(np.mean(self.errors**2)))
 
     def error_at(self, points: Array) -> Array:

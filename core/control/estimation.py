@@ -70,7 +70,7 @@ class Estimate:
 
     @property
     def motion(self) -> Motion:
-        """Of the joints."""
+        """Velocities of the joints, and their way until a command of now takes effect."""
         where = self.places
         sent = self.numbers[where.ahead : where.sent].reshape(where.ticks, where.n)
         return Motion(sent, self.numbers[where.state : where.ahead])

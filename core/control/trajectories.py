@@ -52,7 +52,7 @@ class Hold:
 
     @property
     def period(self) -> float:
-        """It never moves."""
+        """0: the tip never moves, so nothing repeats [s]."""
         return 0.0
 
     def setpoint(self, time: float) -> Setpoint:  # noqa: ARG002 - the same at any time
@@ -99,7 +99,7 @@ class Sinusoid:
 
     @property
     def period(self) -> float:
-        """Of the motion [s]."""
+        """Of one oscillation [s]."""
         return 1.0 / self.frequency
 
     @cached_property

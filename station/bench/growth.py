@@ -17,7 +17,7 @@ def resident(pid: int) -> float | None:
 
 
 class Growth:
-    """Of one process."""
+    """How the memory of one process grows."""
 
     def __init__(self) -> None:
         self._times: list[float] = []

@@ -26,7 +26,7 @@ class Offer(NamedTuple):
 
     @property
     def weighs(self) -> bool:
-        """It asks for known weights."""
+        """Whether the procedure asks for known weights."""
         return self.weight_seconds > 0.0
 
     def expected(self, effort: float, weights: int) -> float:

@@ -25,7 +25,7 @@ SWING, PERIOD, DURATION = {"rad": 0.25, "m": 0.006}, 8.0, 16.0
 
 
 class AxesResult(NamedTuple):
-    """Of `axes`."""
+    """What the procedure `axes` has found."""
 
     signs: Signs
     zeros: tuple[tuple[Quantity, float, float], ...]  #: zero angle of a tube and half its 95 % interval [rad]
@@ -33,7 +33,7 @@ class AxesResult(NamedTuple):
 
 
 class LatencyResult(NamedTuple):
-    """Of `latency`."""
+    """What the procedure `latency` has found."""
 
     latency: Latency  #: beyond what the tracker is said to have
 

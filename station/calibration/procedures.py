@@ -15,9 +15,10 @@ from core.calibration.visits import Visit
 from core.robot.robot import Array
 from station.calibration.plan import NOISE, Subject
 from station.calibration.procedure import Ask, GoTo, Procedure
+from station.lab import loads
 
 #: Which way a hung weight pulls, world frame.
-GRAVITY = np.array([1.0, 0.0, 0.0])
+GRAVITY = np.array(loads.GRAVITY)
 #: How well the tip is known from the tracker before the tubes are calibrated [m], and afterwards.
 ROUGH, FINE = 3e-3, 0.1e-3
 
@@ -48,14 +49,14 @@ class Effort:
 
 
 class TrackerResult(NamedTuple):
-    """Of `tracker`."""
+    """What the procedure `tracker` has found."""
 
     registration: Registration
     visits: tuple[Visit, ...]
 
 
 class ForceResult(NamedTuple):
-    """Of `force`."""
+    """What the procedure `force` has found."""
 
     calibration: SensorCalibration
     checks: tuple[tuple[float, WeightCheck], ...]  #: each known weight, as measured
@@ -64,7 +65,7 @@ class ForceResult(NamedTuple):
 
 
 class TubesResult(NamedTuple):
-    """Of `tubes`."""
+    """What the procedure `tubes` has found."""
 
     calibration: TubeCalibration
     sensors: SensorCalibration
@@ -205,6 +206,6 @@ def _checks(
     """Each known weight as the calibrated sensors measure it."""
     found: list[tuple[float, WeightCheck]] = []
     for weight in effort.weights:
-        loads = np.array([sensors.load(subject.robot, visit).force for visit in visits if visit.weight == weight])
-        found.append((weight, check_weight(loads, weight, GRAVITY)))
+        felt = np.array([sensors.load(subject.robot, visit).force for visit in visits if visit.weight == weight])
+        found.append((weight, check_weight(felt, weight, GRAVITY)))
     return tuple(found)

@@ -94,7 +94,7 @@ def findings(result: Result) -> list[str]:
 
 
 def numbers(result: Result, subject: Subject) -> dict[str, Any]:
-    """The same for machines; SI units."""
+    """The result as numbers for scripts; SI units."""
     summary: dict[str, Any] = {
         "found": [row._asdict() for row in rows(result, subject)],
         "findings": findings(result),

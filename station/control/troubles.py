@@ -15,7 +15,7 @@ EVENTS = MappingProxyType({Severity.HOLD: Event.HOLD, Severity.STOP: Event.STOP,
 
 
 def troubles(devices: Devices, now: float) -> Troubles:
-    """Of each device at `now` [s]."""
+    """What is wrong with each device at `now` [s]."""
     return devices.stages.trouble(now), devices.tracker.trouble(now), devices.sensors.trouble(now)
 
 

@@ -40,7 +40,7 @@ class Incident(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Its value."""
+        """How large the fault is; 0 where it has no size."""
         return self.fault.value or 0.0
 
 

@@ -36,7 +36,7 @@ class LabHost:
 
     @property
     def pid(self) -> int:
-        """Of its process."""
+        """Number of the lab's process."""
         return self._process.pid or 0
 
     def devices(self) -> BenchFile:

@@ -71,10 +71,10 @@ class _Faultless:
     ready = True
 
     def connect(self, now: float) -> None:
-        """It is."""
+        """Nothing to do: an ideal device is always connected."""
 
     def home(self, now: float) -> None:
-        """It knows where it is."""
+        """Nothing to do: ideal stages know where they are."""
 
     def trouble(self, now: float) -> Trouble | None:  # noqa: ARG002 - never
         """None."""

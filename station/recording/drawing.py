@@ -12,6 +12,7 @@ from core.errors import CtrError
 from core.model.solution import Solution
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
+from station.config import palette
 from station.control.telemetry import Channel
 from station.recording.data_section import Said, Topic
 from station.recording.foxglove import Colour, FrameTransforms, Line, arrow, json_topic, position_in_frame, scene_update
@@ -20,9 +21,9 @@ from station.recording.foxglove import Colour, FrameTransforms, Line, arrow, jso
 ARROW_SCALE, ARROW_WIDTH = 0.2, 0.002
 #: Below this there is no arrow [N].
 FORCE_SHOWN = 0.005
-#: Colours that stay apart for colour-blind eyes (Okabe and Ito), innermost tube first.
-TUBES = (Colour(0.34, 0.71, 0.91), Colour(0.34, 0.38, 0.44), Colour(0.94, 0.89, 0.26), Colour(0.0, 0.0, 0.0))
-FORCE = Colour(0.80, 0.47, 0.65)
+#: Innermost tube first.
+TUBES = tuple(Colour(*(round(part / 255, 2) for part in colour)) for colour in palette.TUBES)
+FORCE = Colour(*(round(part / 255, 2) for part in palette.FORCE))
 #: Topic by group of channels. The truth is there only where there is one.
 TIPS = {
     "/tip/measured": "tip_measured",

@@ -121,7 +121,7 @@ class Line:
     """A foxglove.LinePrimitive of one look."""
 
     def __init__(self, thickness: float, colour: Colour) -> None:
-        """Of a thickness [m]."""
+        """A polyline of this thickness [m]."""
         self._before = (
             f'{{"type":0,"pose":{{"position":{{"x":0,"y":0,"z":0}},"orientation":{_UPRIGHT}}},'
             f'"thickness":{thickness:.6f},"scale_invariant":false,"points":['

@@ -12,9 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from core.robot.robot import Array
+from station.config import palette
 
-BLACK, GREY = "#000000", "#566270"
-ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00", "#cc79a7"
+BLACK, GREY, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = map(
+    palette.css,
+    (
+        palette.BLACK, palette.SLATE, palette.ORANGE, palette.SKY, palette.GREEN, palette.BLUE, palette.VERMILLION,
+        palette.PURPLE,
+    ),
+)  # fmt: skip
 
 #: What matplotlib is told while figures are drawn and written.
 SETTINGS: dict[Any, Any] = {

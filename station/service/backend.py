@@ -67,7 +67,7 @@ class Backend:
             self._host.apply_load(load, self._bench.clock.now())
 
     def inject(self, faults: Sequence[LabFault]) -> None:
-        """Let these faults happen from now on; none: mend all.
+        """Let these faults happen from now on; none: clear all.
 
         Raises:
             ConfigError: a bench of one's own has faults of its own.

@@ -32,7 +32,7 @@ class Bench:
     devices: BenchFile | None = None  #: None: those of the virtual lab
     margins: Margins = field(default_factory=Margins)
     core: int | None = None  #: processor of the control process; None: any
-    alone: Literal["go_on", "hold"] = "go_on"  #: what a run does when its operator has gone
+    on_operator_loss: Literal["continue", "hold"] = "continue"  #: what a run does when its operator has gone
     warnings: tuple[str, ...] = ()  #: what a person should know before anything moves
     calibration: Calibration | None = None  #: None: everything is taken to be as described
     terminals: Path | None = None  #: folder for the virtual lab's pseudo-terminals; None: TCP

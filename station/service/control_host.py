@@ -82,7 +82,7 @@ class ControlHost:
 
     @property
     def pid(self) -> int:
-        """Of its process."""
+        """Number of the control process."""
         return self._process.pid or 0
 
     def ask(self, what: Any, **about: Any) -> None:

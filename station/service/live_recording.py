@@ -32,7 +32,7 @@ class LiveRecording:
 
     @property
     def pid(self) -> int:
-        """Of the recorder's process."""
+        """Number of the recorder's process."""
         return self._recorder.process.pid or 0
 
     def begin(self, name: str, duration: float, metadata: Mapping[str, Any]) -> None:

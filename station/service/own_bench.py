@@ -26,4 +26,4 @@ class OwnBench:
         """Real devices have faults of their own."""
 
     def close(self) -> None:
-        """It stays."""
+        """Nothing to do: a real bench stays where it is."""

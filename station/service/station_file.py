@@ -5,7 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field, PrivateAttr, model_validator
 
 from core.errors import CtrError
 from station.config.controllers import BEST, ControllerFile
@@ -85,12 +85,24 @@ class StationFile(Strict):
     """how near to a snap a motion may come"""
     own_core: bool = True
     """the control process gets the last processor for itself, where there are two or more"""
-    alone: Literal["go_on", "hold"] = "go_on"
+    on_operator_loss: Literal["continue", "hold"] = "continue"
     """what a run does when its operator has gone: closed the page, or said nothing for 10 s"""
     calibration: str | None = None
     """folder with what `calibrate` found, beside this file"""
     experiments: ExperimentsFile = ExperimentsFile()
     clock: ClockFile = ClockFile()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _earlier_words(cls, table: Any) -> Any:
+        """Files of earlier versions say `alone = "go_on"` or `"hold"`."""
+        if not isinstance(table, Mapping) or "alone" not in table or "on_operator_loss" in table:
+            return table
+        said = table["alone"]
+        return {key: value for key, value in table.items() if key != "alone"} | {
+            "on_operator_loss": "continue" if said == "go_on" else said
+        }
+
     _source: str = PrivateAttr("the default station")
     _folder: Path = PrivateAttr(default_factory=Path)
     _table: Mapping[str, Any] = PrivateAttr(default_factory=dict)
@@ -123,7 +135,7 @@ class StationFile(Strict):
             raise ConfigError(f"{self._source}: {error}{on_line(self._table, str(error))}") from None
         return Bench(
             robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns, bench,
-            self.margins, alone=self.alone, calibration=calibration, clock=clock,
+            self.margins, on_operator_loss=self.on_operator_loss, calibration=calibration, clock=clock,
             warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
         )  # fmt: skip
 

@@ -122,7 +122,7 @@ class Supervisor:
         return (*self.bench.warnings, *self._refused, *stuck)
 
     def pids(self) -> dict[str, int]:
-        """Of every process that lives."""
+        """Number of every process that lives."""
         found = {"station": os.getpid()}
         if self._control is not None and self._control.alive:
             found["control"] = self._control.pid
@@ -280,8 +280,8 @@ class Supervisor:
 
     def operator_gone(self) -> None:
         """Nobody commands any more; as configured, a run that is on goes on or is held."""
-        if self.bench.alone == "hold" and self.status().state is State.RUNNING:
-            cause = "the operator has gone; this station holds a run then (alone = 'hold')"
+        if self.bench.on_operator_loss == "hold" and self.status().state is State.RUNNING:
+            cause = "the operator has gone; this station holds a run then (on_operator_loss = 'hold')"
             with contextlib.suppress(RefusedError):  # it has just ended
                 self._ask(Event.HOLD, cause=cause)
 
@@ -290,7 +290,7 @@ class Supervisor:
         self._lab.apply_load(load)
 
     def inject(self, faults: Sequence[LabFault]) -> None:
-        """Let these faults of the virtual lab's devices happen from now on; none: mend all."""
+        """Let these faults of the virtual lab's devices happen from now on; none: clear all."""
         self._lab.inject(faults)
 
     def close(self) -> None:
@@ -384,7 +384,7 @@ class Supervisor:
             self.recording.end(state, cause)
 
     def _time(self) -> float:
-        """Of the newest telemetry [s]."""
+        """Time of the newest telemetry [s]."""
         row = self.ring.latest()
         return 0.0 if row is None else float(row[0])
 

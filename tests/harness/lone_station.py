@@ -82,7 +82,7 @@ def main() -> None:
     # A fifth of the periods in 10 s: less than other programs take, and little enough to be brought about.
     calm = {"overruns": {**SETTINGS["overruns"], "hold_share": 0.2}}
     bench = load_station(None, calm if rate < 1.0 else {}).bench()
-    bench = replace(bench, clock=StationClock(rate), alone="hold")
+    bench = replace(bench, clock=StationClock(rate), on_operator_loss="hold")
     if told["lab"] is not None:
         devices = devices_at(told["lab"], bench.lab)
         changed = {} if told["stages"] is None else {"stages": told["stages"]}

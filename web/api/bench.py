@@ -7,6 +7,7 @@ from fastapi import APIRouter, Depends, Query
 from pydantic import ConfigDict, Field
 
 from core.control.controllers import INNER_LOOPS, STRATEGIES
+from station.config.controllers import BEST, ControllerFile
 from station.config.strict import Strict
 from station.control.states import RefusedError
 from station.lab.faults import KINDS, LabFault, Part, check_faults
@@ -45,6 +46,8 @@ class BenchOut(Strict):
     """of control"""
     inner: tuple[str, ...]
     """laws of the inner loop"""
+    controller: ControllerFile
+    """of a free motion unless it brings another"""
 
 
 class DeviceDetailsOut(Strict):
@@ -222,6 +225,7 @@ def bench_out(service: StationService) -> BenchOut:
         tip_speed=JOG_TIP_SPEED,
         strategies=tuple(STRATEGIES),
         inner=tuple(INNER_LOOPS),
+        controller=BEST,
     )
 
 

@@ -18,7 +18,7 @@ _PHASES = {
     Phase.NONE: "starting",
     Phase.APPROACHING: "going to the start pose",
     Phase.SETTLING: "at rest: zeroing the force sensors, averaging the start tip",
-    Phase.MOVING: "the motion is on",
+    Phase.MOVING: "executing the trajectory",
     Phase.JOGGING: "moved by hand",
 }
 _QUIET = {

@@ -6,9 +6,9 @@ import numpy as np
 
 from core.control.trajectories import Setpoint
 from core.robot.robot import Array
+from station.config import palette
 from station.control.loop import Task
 from station.experiments.experiment import Case
-from web.scene import palette
 from web.scene.reference import offsets
 
 #: Of the picture [px]; each half is a square.

@@ -4,7 +4,7 @@ import numpy as np
 import viser
 
 from core.robot.robot import Array
-from web.scene import palette
+from station.config import palette
 from web.scene.contact import Felt
 from web.scene.tubes import centre_line
 

@@ -4,7 +4,7 @@ import numpy as np
 import viser
 
 from core.robot.robot import Robot
-from web.scene import palette
+from station.config import palette
 from web.scene.overlays import LARGER, SIGMAS
 
 #: Of the camera, from top to bottom [rad].

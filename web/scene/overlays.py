@@ -7,8 +7,8 @@ from core.errors import CtrError
 from core.model.statics import Solution, Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array
+from station.config import palette
 from station.config.strict import Strict
-from web.scene import palette
 from web.scene.tubes import centre_line
 
 #: Poses drawn from the joints' travel for the cloud of reachable tips.

@@ -10,10 +10,10 @@ import viser
 from core.errors import CtrError
 from core.model.statics import Solution, Statics
 from core.robot.robot import Array
+from station.config import palette
 from station.control.loop import Phase, Task
 from station.service.status import STALE, Status
 from station.service.supervisor import Supervisor
-from web.scene import palette
 from web.scene.contact import Felt
 from web.scene.contact_mark import ContactMark
 from web.scene.history import BIN, SPAN, History

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from core.robot.robot import Array, Robot
-from web.scene import palette
+from station.config import palette
 
 Place = tuple[float, float, float]
 

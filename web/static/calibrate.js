@@ -59,7 +59,7 @@ function show() {
   }
   asking.hidden = !asked;
   put(task, course.asked);
-  put(done, course.hangs > 0 ? "Done, it hangs there" : "Done, it is off");
+  put(done, course.hangs > 0 ? "Weight attached" : "Weight removed");
   put(ended, course.stage === "done" ? `${titles[course.what]}: done in ${clock(course.elapsed)}.`
     : `${titles[course.what]}: ${course.stage === "failed" ? "no result" : "ended"}, nothing was written. The cause: ${course.says}.`);
   look.hidden = course.result === "";

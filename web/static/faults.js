@@ -12,7 +12,7 @@ const kind = make("select", { "aria-label": "fault" }, ...kinds.map((one) => mak
 const device = make("select", { "aria-label": "device" });
 const value = make("input", { type: "number", step: "any", min: 0, "aria-label": "size" }), valueUnit = make("span", { className: "unit" });
 const lasts = make("input", { type: "number", step: "any", min: 0.01, value: 2, "aria-label": "duration [s]", placeholder: "for ever" });
-const inject = make("button", { type: "submit" }, "Inject"), mend = make("button", { type: "button" }, "Mend all");
+const inject = make("button", { type: "submit" }, "Inject"), mend = make("button", { type: "button" }, "Clear faults");
 const row = (label, control, unitText) => [make("label", {}, label), control, unitText instanceof Node ? unitText : make("span", { className: "unit" }, unitText)];
 const sizeRow = row("size", value, valueUnit);
 const lab = make("form", {}, make("fieldset", {}, make("legend", {}, "Let a simulated device fail"),

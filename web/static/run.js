@@ -9,7 +9,6 @@ const FIRST = {
   constant: { magnitude: 0.2 }, sine: { amplitude: 0.2, frequency: 0.05 }, raised_cosine: { peak: 0.3, period: 20 },
   hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
 };
-const BEST = { strategy: "dual_layer", inner: "type_2", feedback: "observer", feedforward: true, filter_bandwidth: 0.5 };
 const MORE = ["deflection_rate", "filter_bandwidth", "observer_bandwidth", "hold", "transport", "sublink", "direction", "max_speed", "max_acceleration"];
 /** A start pose nearer than this needs no confirmation [rad, m]. */
 const NEAR = { rad: 0.02, m: 0.001 };
@@ -111,7 +110,7 @@ function union(all, field, kind, title) {
 async function motion(kind, schema, all) {
   const path = form(schema, { values: FIRST[kind], more: MORE });
   const load = union(all, all.StartIn.properties.load, "none", "Load on the simulated tip");
-  const control = form(all.ControllerFile, { values: BEST, more: MORE, choices: { strategy: bench.strategies, inner: bench.inner } });
+  const control = form(all.ControllerFile, { values: bench.controller, more: MORE, choices: { strategy: bench.strategies, inner: bench.inner } });
   const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: 60 } });
   const { frame, on } = starter("Start motion", () => press("POST", "/api/start", {
     trajectory: path.read(), load: load.read(), controller: control.read(), ...time.read(),

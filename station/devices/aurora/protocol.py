@@ -108,7 +108,7 @@ class ReplyReader:
         return True
 
     def _binary(self, replies: list[str | bytes]) -> bool:
-        """The same for a binary reply."""
+        """Take a binary reply from the buffer, if a whole one is there."""
         if not START.startswith(self._buffer[:2]):
             return self._skip_to_a_start()
         if len(self._buffer) < 6:

@@ -21,7 +21,7 @@ class History:
         self._ends = np.zeros((len(scale), 2), dtype=np.int64)  # the newest row, how many there are
 
     def ring(self, sensor: int) -> "Ring":
-        """That of one sensor."""
+        """The ring of one sensor."""
         return Ring(self.rows[sensor], self._ends[sensor])
 
     def at(self, time: float) -> Array:

@@ -17,7 +17,7 @@ class Port:
 
     @property
     def status(self) -> int:
-        """Its status bits."""
+        """Status bits of the port handle."""
         return (0 if self.gone else IN_PORT) | (INITIALISED * self.initialised) | (ENABLED * self.enabled)
 
 

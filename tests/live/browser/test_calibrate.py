@@ -96,7 +96,7 @@ def test_a_person_is_asked_for_a_weight_and_says_by_keyboard_that_it_hangs(calib
         page.locator("#course .task:visible", has_text="Hang a weight of 0.5 N at the tip.").wait_for()
         picture(page, "calibrate_ask")
         # The button is where the keyboard is: a person's hands are at the tip.
-        page.get_by_role("button", name="Done, it hangs there").wait_for()
+        page.get_by_role("button", name="Weight attached").wait_for()
         page.keyboard.press("Enter")
         page.locator("#course .task").wait_for(state="hidden")
         assert said == ["POST"]

@@ -7,11 +7,11 @@ import imageio.v3 as iio
 import numpy as np
 from playwright.sync_api import FrameLocator, Page
 
+from station.config.palette import CONTACT
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 from web.scene.gizmos import FORCE_SIZE, TARGET_SIZE
 from web.scene.legend import FIELD, VIEWS
-from web.scene.palette import CONTACT
 from web.scene.scene import ARROW, UNIT
 
 Picture = Callable[[Page, str], None]

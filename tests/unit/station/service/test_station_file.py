@@ -94,3 +94,13 @@ def test_what_the_command_line_says_goes_before_the_file(tmp_path):
         load_station(None, {"calibration": str(tmp_path / "nope")}).bench()
     with pytest.raises(ConfigError, match="'nowhere' is not one of the labs"):
         load_station(path, {"lab": "nowhere"}).bench()
+
+
+@pytest.mark.parametrize(("said", "means"), [("go_on", "continue"), ("hold", "hold")])
+def test_the_word_of_earlier_versions_for_a_lost_operator_is_understood(write, said, means):
+    assert load_station(write(f"alone = '{said}'\n")).bench().on_operator_loss == means
+
+
+def test_nobody_is_told_two_words_for_a_lost_operator(write):
+    with pytest.raises(ConfigError, match="alone"):
+        load_station(write("alone = 'hold'\non_operator_loss = 'continue'\n"))

@@ -1,4 +1,4 @@
-"""Colours that stay apart for colour-blind eyes (Okabe and Ito), and what each of them means."""
+"""Colours that stay apart for colour-blind eyes (Okabe and Ito), and what each means on the page and in figures."""
 
 Colour = tuple[int, int, int]
 
