@@ -4,13 +4,14 @@ What holds this one up (the kernel, the host of a virtual machine) no program on
 the loop can at best be as punctual.
 """
 
-import multiprocessing
 import os
 import signal
 import time
+from multiprocessing.connection import Connection
 from typing import Any, Self
 
 from station.config.controllers import PERIOD
+from station.control.child import Child
 from station.control.realtime import ask_for_fifo, be_punctual, show_as
 from station.control.ring import SCHEDULER, Ring
 
@@ -26,16 +27,15 @@ class TimerProbe:
     def __init__(self, core: int | None) -> None:
         """`core`: the control loop's processor; None: any."""
         self._ring = Ring(1)
-        context = multiprocessing.get_context("spawn")
-        self._process = context.Process(target=_watch, args=(self._ring.name, core, os.getpid()), daemon=True)
-        self._process.start()
+        self._child = Child(_watch, self._ring.name, core, name="timer probe")
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.terminate()
-        self._process.join()
+        self._child.terminate()
+        self._child.ended()
+        self._child.pipe.close()
         self._ring.close(remove=True)
 
     def clear(self) -> None:
@@ -53,7 +53,7 @@ class TimerProbe:
         }
 
 
-def _watch(ring_name: str, core: int | None, parent: int) -> None:
+def _watch(ring_name: str, core: int | None, pipe: Connection, parent: int) -> None:  # noqa: ARG001 - nothing to say
     """Main function of the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who asked decides when it ends
     show_as("ctr-probe")

@@ -53,7 +53,7 @@ class Failed(NamedTuple):
 Said = Step | Finished | Failed
 
 
-def run_worker(job: Job, pipe: Connection) -> None:
+def run_worker(job: Job, pipe: Connection, parent: int) -> None:  # noqa: ARG001 - it hears by the pipe
     """Main function of the process: steps go out through `pipe`, an answer to each comes back."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the station process decides when it ends
     show_as("ctr-guide")

@@ -1,11 +1,9 @@
 """The station process's side of the live virtual lab: starts it, asks it."""
 
-import contextlib
-import multiprocessing
-import os
 from collections.abc import Sequence
 
 from core.errors import CtrError
+from station.control.child import Child
 from station.devices.config import BenchFile
 from station.lab.endpoints import devices_at
 from station.lab.faults import LabFault
@@ -21,23 +19,19 @@ class LabHost:
     """Owner of the lab's process."""
 
     def __init__(self, bench: LabBench, ring_name: str, width: int) -> None:
-        context = multiprocessing.get_context("spawn")
         self._config = bench.config
-        self._pipe, child = context.Pipe()
-        # Not a daemon: it has to outlive this process by a few seconds.
-        self._process = context.Process(target=run_lab, args=(bench, ring_name, width, child, os.getpid()), name="lab")
-        self._process.start()
-        child.close()
+        # It has to outlive this process by a few seconds.
+        self._child = Child(run_lab, bench, ring_name, width, name="lab", daemon=False)
 
     @property
     def alive(self) -> bool:
         """Whether its process runs."""
-        return self._process.is_alive()
+        return self._child.alive
 
     @property
     def pid(self) -> int:
         """Number of the lab's process."""
-        return self._process.pid or 0
+        return self._child.pid
 
     def devices(self) -> BenchFile:
         """What the control process has to open, once it is there; waits.
@@ -46,7 +40,7 @@ class LabHost:
             LabError: it did not come up.
         """
         try:
-            opened: Opened = self._pipe.recv()
+            opened: Opened = self._child.pipe.recv()
         except (EOFError, OSError):
             raise LabError("the virtual lab ended before its devices were there") from None
         if opened.problem:
@@ -55,21 +49,12 @@ class LabHost:
 
     def apply_load(self, load: Load, start: float) -> None:
         """Put a load on the tip; its time is 0 at `start` by the station's clock [s]. A lab that is gone has no tip."""
-        with contextlib.suppress(OSError):
-            self._pipe.send(Pull(load, start))
+        self._child.tell(Pull(load, start))
 
     def inject(self, faults: Sequence[LabFault], start: float) -> None:
         """Let these faults happen, instead of those that are on or to come; their time is 0 at `start` [s]."""
-        with contextlib.suppress(OSError):
-            self._pipe.send(Inject(tuple(faults), start))
+        self._child.tell(Inject(tuple(faults), start))
 
     def close(self) -> None:
         """End it."""
-        with contextlib.suppress(OSError):
-            self._pipe.send(None)
-        self._process.join(timeout=2.0)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        self._process.close()
-        self._pipe.close()
+        self._child.close(2.0)

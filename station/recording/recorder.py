@@ -5,7 +5,6 @@ was read is counted. When its parent is gone it finishes the recording as interr
 """
 
 import contextlib
-import multiprocessing
 import os
 import select
 import signal
@@ -18,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from station.config.robots import RobotFile
+from station.control.child import Child
 from station.control.clock import REAL_TIME, StationClock
 from station.control.realtime import show_as
 from station.control.ring import Ring
@@ -85,16 +85,7 @@ class Recorder:
         """
         self._ring, self._clock = ring, clock
         self._trouble = ""
-        context = multiprocessing.get_context("spawn")
-        self.pipe, child = context.Pipe()  #: has something to read when `trouble` has something new
-        self.process = context.Process(
-            target=run_recorder,
-            args=(ring.name, robot, runs, clock, child, os.getpid()),
-            name="recorder",
-            daemon=True,
-        )
-        self.process.start()
-        child.close()
+        self.child = Child(run_recorder, ring.name, robot, runs, clock, name="recorder")
         self._begun = False
 
     def begin(self, name: str, metadata: Mapping[str, Any]) -> Path:
@@ -110,8 +101,7 @@ class Recorder:
 
     def event(self, event: Event) -> None:
         """Note something that happened; without a recording it is forgotten."""
-        with contextlib.suppress(OSError):  # `trouble` says that the recorder is gone
-            self.pipe.send(event)
+        self.child.tell(event)  # `trouble` says when the recorder is gone
 
     def end(self, label: Label, cause: str = "", numbers: Mapping[str, Any] | None = None) -> Path:
         """Finish the recording with the rows so far; the run's folder.
@@ -124,28 +114,22 @@ class Recorder:
     def trouble(self) -> str:
         """Why the recording has ended by itself; empty while all is well. Never waits."""
         try:
-            while self.pipe.poll():
-                self._note(self.pipe.recv())
+            while self.child.pipe.poll():
+                self._note(self.child.pipe.recv())
         except (EOFError, OSError):
             self._trouble = self._trouble or self._gone()
         return self._trouble
 
     def close(self) -> None:
         """End the process; a recording that is on is finished as interrupted."""
-        with contextlib.suppress(OSError):
-            self.pipe.send(None)
-        self.process.join(self._clock.real(ANSWER_TIME))
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
-        self.pipe.close()
+        self.child.close(self._clock.real(ANSWER_TIME))
 
     def _ask(self, question: Begin | End, patience: float) -> Path:
         deadline = self._clock.now() + patience
         try:
-            self.pipe.send(question)
-            while self.pipe.poll(self._clock.real(max(0.0, deadline - self._clock.now()))):
-                message = self.pipe.recv()
+            self.child.pipe.send(question)
+            while self.child.pipe.poll(self._clock.real(max(0.0, deadline - self._clock.now()))):
+                message = self.child.pipe.recv()
                 if isinstance(message, Answer):
                     if message.path is None:
                         raise RecordingError(message.problem)
@@ -154,7 +138,7 @@ class Recorder:
         except (EOFError, OSError):
             raise RecordingError(self._gone()) from None
         # A late answer would be taken for the answer to the next question.
-        self.process.kill()
+        self.child.kill()
         raise RecordingError(f"the recorder did not answer within {patience:g} s and was ended; is the disk very slow?")
 
     def _note(self, message: Answer | Trouble) -> None:
@@ -162,9 +146,7 @@ class Recorder:
             self._trouble = message.text
 
     def _gone(self) -> str:
-        self.process.join(self._clock.real(1.0))
-        code = self.process.exitcode
-        how = f"by signal {-code}" if code is not None and code < 0 else f"with status {code}"
+        how = self.child.ended(self._clock.real(1.0))
         return f"the recorder ended {how}; what it had written is recovered at the next start"
 
 

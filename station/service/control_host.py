@@ -1,13 +1,11 @@
 """The station process's side of control: it starts and hears the control process, and stops the stages after it."""
 
-import contextlib
 import itertools
-import multiprocessing
-import os
 import threading
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from station.control.child import Child
 from station.control.messages import Command, DeviceReport, Notice, Refused, Reply
 from station.control.process import run_control
 from station.control.realtime import ask_for_fifo
@@ -64,26 +62,20 @@ class ControlHost:
         self._stages = ""  # name of their driver, once they may have been opened
         self._emergency_stop: EmergencyStop | None = None
         self._closing = False
-        context: Any = multiprocessing.get_context("spawn")
-        self._pipe, child = context.Pipe()
         ring.numbers[HEARTBEAT] = 0.0
-        self._process = context.Process(
-            target=run_control, args=(bench.control, ring.name, child, os.getpid()), name="control", daemon=True
-        )
-        self._process.start()
-        child.close()
+        self._child = Child(run_control, bench.control, ring.name, name="control")
         self._watcher = threading.Thread(target=self._watch, name="control watcher")
         self._watcher.start()
 
     @property
     def alive(self) -> bool:
         """Whether it runs."""
-        return self._process.is_alive()
+        return self._child.alive
 
     @property
     def pid(self) -> int:
         """Number of the control process."""
-        return self._process.pid or 0
+        return self._child.pid
 
     def ask(self, what: Any, **about: Any) -> None:
         """Have a command carried out, with what else `Command` says about it.
@@ -97,7 +89,7 @@ class ControlHost:
         try:
             try:
                 with self._lock:
-                    self._pipe.send(command)
+                    self._child.pipe.send(command)
             except OSError:
                 raise RefusedError("the control process is gone; reset to start it anew") from None
             with self._answered:
@@ -112,8 +104,8 @@ class ControlHost:
 
     def hold(self, cause: str) -> None:
         """End a motion; does not wait for an answer."""
-        with contextlib.suppress(OSError), self._lock:
-            self._pipe.send(Command(next(self._numbers), Event.HOLD, cause=cause))
+        with self._lock:
+            self._child.tell(Command(next(self._numbers), Event.HOLD, cause=cause))
 
     def stop_stages(self) -> str:
         """Stop them without the control process, which is no more: what came of it, in words."""
@@ -128,19 +120,14 @@ class ControlHost:
 
     def kill(self) -> None:
         """End it at once; the stages are stopped then."""
-        self._process.kill()
+        self._child.kill()
 
     def close(self) -> None:
         """End it, its axes stopped; of one that has ended already only the rest is put away."""
         self._closing = True
-        with contextlib.suppress(OSError):  # it may be gone already
-            self._pipe.send(None)
-        self._process.join(timeout=self._clock.real(3.0))
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+        self._child.end(self._clock.real(3.0))
         self._watcher.join(timeout=self._clock.real(5.0))
-        self._pipe.close()
+        self._child.pipe.close()
 
     def _watch(self) -> None:
         """Give it its devices, take what it says until it ends; its end unasked is a fault."""
@@ -152,21 +139,18 @@ class ControlHost:
             self._emergency_stop = emergency_stop(told.stages, self._robot)
             self._stages = str(told.stages["driver"])
             with self._lock:
-                self._pipe.send(told)
+                self._child.pipe.send(told)
             while True:
-                self._take(self._pipe.recv())
+                self._take(self._child.pipe.recv())
         except LabError as error:
             problem = str(error)
-            self._process.kill()
+            self._child.kill()
         except (EOFError, OSError):
             pass  # it has ended
         if self._closing:
             return
         stopped = self.stop_stages()
-        self._process.join()
-        code = self._process.exitcode
-        how = f"by signal {-code}" if code is not None and code < 0 else f"with status {code}"
-        self._ended(Ending(problem or f"the control process ended {how}", stopped))
+        self._ended(Ending(problem or f"the control process ended {self._child.ended()}", stopped))
 
     def _take(self, message: Reply | Said) -> None:
         if not isinstance(message, Reply):

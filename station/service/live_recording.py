@@ -33,7 +33,7 @@ class LiveRecording:
     @property
     def pid(self) -> int:
         """Number of the recorder's process."""
-        return self._recorder.process.pid or 0
+        return self._recorder.child.pid
 
     def begin(self, name: str, duration: float, metadata: Mapping[str, Any]) -> None:
         """Record from now on, for about `duration` [s].

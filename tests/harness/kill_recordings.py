@@ -83,8 +83,8 @@ def kill_recorder(runs: Path, feed: Feed, robot: RobotFile, after: float) -> Lef
         first = feed.ring.written
         time.sleep(after)
         written = feed.ring.written
-        os.kill(recorder.process.pid or 0, signal.SIGKILL)
-        recorder.process.join()
+        os.kill(recorder.child.pid, signal.SIGKILL)
+        recorder.child.ended()
         assert "signal 9" in recorder.trouble()
     finally:
         recorder.close()

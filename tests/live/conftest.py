@@ -13,16 +13,13 @@ from tests.harness.serving import Served, serving
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that share the session's station in the middle: a station that nobody uses takes time from the others.
+    """The pages first, and files that share the session's station together; workers come from both ends.
 
-    Workers come from both ends.
+    So one worker has the browsers, which take a processor to draw, and no station stands idle for long.
     """
-    files = list(dict.fromkeys(item.path for item in items))
+    pages = {item.path for item in items if "browser" in item.fixturenames}
     sharing = {item.path for item in items if _shares_the_station(item)}
-    alone = [path for path in files if path not in sharing]
-    half = len(alone) // 2
-    order = [*alone[:half], *(path for path in files if path in sharing), *alone[half:]]
-    items.sort(key=lambda item: order.index(item.path))
+    items.sort(key=lambda item: (item.path not in pages, item.path not in sharing))
 
 
 def _shares_the_station(item: pytest.Item) -> bool:

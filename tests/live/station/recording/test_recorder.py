@@ -88,8 +88,8 @@ def test_kill_9_loses_no_row_that_is_older_than_300_ms(feed, paper, tmp_path, af
 
 def test_asked_to_end_it_finishes_the_recording_as_interrupted(recorder, tmp_path):
     path = recorder.begin("one", {})
-    os.kill(recorder.process.pid or 0, signal.SIGTERM)
-    recorder.process.join()
+    os.kill(recorder.child.pid, signal.SIGTERM)
+    recorder.child.ended()
 
     assert read_case(path / "run.mcap").label is Label.INTERRUPTED
     assert "the recorder ended with status 0" in recorder.trouble()
@@ -111,7 +111,7 @@ if __name__ == "__main__":
         recorder = Recorder(feed.ring, robot, Path(sys.argv[1]))
         recorder.begin("one", {})
         time.sleep(0.5)
-        print(recorder.process.pid, feed.ring.written, flush=True)
+        print(recorder.child.pid, feed.ring.written, flush=True)
         time.sleep(60.0)
 """
 
@@ -138,7 +138,7 @@ def test_a_full_disk_ends_the_recording_and_is_told_unasked(recorder, feed, tmp_
     path = recorder.begin("one", {})
     partial = tmp_path / "runs" / "one.partial" / "run.mcap.partial"
     limit = wait_for(lambda: (size := partial.stat().st_size) > 100_000 and size) + 100_000
-    resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    resource.prlimit(recorder.child.pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
     said = wait_for(recorder.trouble)
 
     assert "the disk takes no more of the recording: File too large" in said
@@ -155,7 +155,7 @@ def test_rows_that_were_overwritten_before_they_were_read_are_counted(paper, cha
     recorder = Recorder(ring, paper, tmp_path)
     try:
         path = recorder.begin("one", {})
-        process = psutil.Process(recorder.process.pid)
+        process = psutil.Process(recorder.child.pid)
         process.suspend()
         rows = make_rows(ROWS + 500)
         for row in rows:
