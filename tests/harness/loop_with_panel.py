@@ -35,9 +35,8 @@ DRAWN, MOVING = 10.0, 5.0
 @contextmanager
 def _served(settings: str) -> Iterator[tuple[Served, str]]:
     """A station and the name of its shared memory."""
-    others = shared_memory()
     with serving(settings=settings, rate=None) as station:
-        yield station, (shared_memory() - others).pop()
+        yield station, shared_memory(station.process.pid).pop().name
 
 
 def main() -> None:

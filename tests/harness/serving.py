@@ -101,9 +101,10 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def shared_memory() -> set[str]:
-    folder = Path("/dev/shm")
-    return {path.name for path in folder.glob("psm_*")}
+def shared_memory(process: int) -> set[Path]:
+    """That this process uses."""
+    lines = Path(f"/proc/{process}/maps").read_text(encoding="utf-8").splitlines()
+    return {Path(line.split()[-1]) for line in lines if "/dev/shm/psm_" in line}
 
 
 def calm(rate: float) -> str:

@@ -18,13 +18,14 @@ from tests.harness.watched_lab import WatchedLab
 
 
 def test_the_control_process_stops_the_stages_and_the_next_start_has_the_recording(tmp_path: Path) -> None:
-    before = shared_memory()
     with WatchedLab(CLOCK) as lab:
         with lone_station(tmp_path, lab) as station:
+            used = shared_memory(station.process.pid)
             children = [station.child(name) for name in ("control", "recorder")]
             assert kill(station, lab, "station", 0.4) > 0.0
             assert psutil.wait_procs(children, timeout=NET)[1] == []
-            until(lambda: shared_memory() <= before)
+            assert used
+            until(lambda: not any(path.exists() for path in used))
         with lone_station(tmp_path, lab) as station:
             assert len(station.ask("status")["recovered"]) <= 1  # none, if the recorder could still finish it
             (first,) = runs(tmp_path)
