@@ -47,12 +47,6 @@ def test_two_browsers_and_one_lease(station: Served, browser: Browser) -> None:
         anna.locator("#operator", has_text="No operator").wait_for()
 
 
-def test_a_page_that_has_gone_is_operator_no_longer(station: Served, browser: Browser) -> None:
-    with bare_page(browser, station) as anna:
-        become_operator(anna, "Anna", "Take control")
-    station.wait_for(lambda s: s["operator"]["name"] is None)
-
-
 @pytest.fixture
 def hostile_site() -> Iterator[str]:
     class Site(http.server.BaseHTTPRequestHandler):

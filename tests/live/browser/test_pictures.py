@@ -32,6 +32,10 @@ def robot(page: Page) -> int:
 
 
 def test_every_tab_beside_the_scene_during_a_run(page: Page, station: Served, picture: Picture) -> None:
+    # One that has ended, for the list of runs.
+    assert station.post("/api/start", {"experiment": "demo"}).status_code == 202
+    station.wait_for(lambda s: s["phase"] == "moving")
+    station.ready()
     assert station.post("/api/start", DEMO).status_code == 202
     station.wait_for(lambda s: s["phase"] == "moving" and s["run"]["progress"] > 0.05)
     for name, text in SAYS.items():

@@ -221,3 +221,15 @@ def test_forged_messages_to_the_scene_are_dropped_and_logged(station: Served) ->
         socket.send("text")
         station.wait_for(lambda _: drops() >= {"no message that is known here", "no message of a scene"})
     assert any("not operator" in reason for reason in drops())
+
+
+def test_a_run_goes_on_without_its_operator(station: Served) -> None:
+    operator = {"x-ctr-client": "the-operators-page"}
+    run = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 8.0}, "duration": 60.0}
+    assert station.rest.post("/api/start", json=run, headers=operator).status_code == 202
+    station.wait_for(lambda status: status["phase"] == "moving")
+    # what a page says when it goes; without that the lease lapses
+    assert station.rest.delete("/api/operator", headers=operator).status_code == 200
+    # Its end is looked for a few times a second of the computer.
+    time.sleep(2.0)
+    assert station.status()["state"] == "RUNNING"
