@@ -32,7 +32,7 @@ driver = "netft"
         ('fifo = "yes"\n', "fifo = 'yes': Input should be a valid boolean (line 1)"),
         ("[margins]\nstability = 2.0\n", "margins.stability = 2.0: Input should be less than 1 (line 2)"),
         ("[overruns]\nhold_in_a_row = 0\n", "overruns.hold_in_a_row = 0: Input should be greater than or equal to 1"),
-        ('alone = "stay"\n', "alone = 'stay': Input should be 'go_on' or 'hold' (line 1)"),
+        ('on_operator_loss = "stay"\n', "on_operator_loss = 'stay': Input should be 'continue' or 'hold' (line 1)"),
         (PARK, "inner_translation -100 m is outside -0.13 ... -0.005 m (its travel)"),
         ("[controller]\nk1 = 100.0\n", "K1"),
         (PORTLESS, "devices.stages.port is missing: outer_rotation has neither a port of its own nor"),
