@@ -40,7 +40,7 @@ from web.access.tokens import Tokens, new_tokens
 from web.api.bench import bench_routes
 from web.api.calibration import calibration_routes
 from web.api.commands import commands, operator_routes
-from web.api.motion import api_routes
+from web.api.control import control_routes
 from web.api.operator_watchdog import tell_when_alone
 from web.api.runs import runs_routes
 from web.api.scene import scene_routes
@@ -193,7 +193,7 @@ def build_app(
     )
     of = commands(Lease(service.supervisor.bench.clock.now))
     routes, app.state.scene = viser_routes(view.door, of.lease, audit)
-    app.include_router(api_routes(service, of, stopping, view.felt))
+    app.include_router(control_routes(service, of, stopping, view.felt))
     app.include_router(operator_routes(of))
     app.include_router(bench_routes(service, of, audit))
     app.include_router(scene_routes(view, service, of))

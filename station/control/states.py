@@ -1,4 +1,4 @@
-"""The station's states and the only ways between them: a table, drawn in `README.md`."""
+"""The station's states and the only ways between them: a table, drawn in `station/README.md`."""
 
 from enum import IntEnum, StrEnum
 

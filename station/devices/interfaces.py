@@ -1,7 +1,7 @@
 """What the control loop asks of devices: polled at every tick, never waited for.
 
 A device answers with what has arrived by `now`; a driver on a serial port, a socket or a simulated
-bench fits behind the same few methods. Only `connect` at the very start may raise; from then on a
+bench fits behind the same few methods. Only opening a device may raise; from then on a
 device says what is wrong through `trouble`, and the loop acts on its severity.
 """
 

@@ -1,6 +1,6 @@
 """Writes down every request that would change something, and every one that was refused, with what came of it.
 
-Outermost, so that nothing passes it by: it sees what `access` refuses, too.
+Outermost, so that nothing passes it by: it sees what the gate refuses, too.
 """
 
 import json

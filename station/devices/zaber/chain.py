@@ -63,7 +63,7 @@ class Line:
     #: A reply with a longer silence inside is dropped [s]: not the 10 ms that the manufacturer recommends, since
     #: a USB adapter may hold bytes back for 16 ms.
     silence: float = 0.025
-    pause: float = 0.0  #: after each forward speed; 0.0125 and more excludes any misreading (`zaber_shifts`) [s]
+    pause: float = 0.0  #: after each forward speed; 0.0125 and more excludes any misreading (`shifts.py`) [s]
     refresh: float = 0.25  #: an unchanged velocity is repeated after that, in case it was not heard [s]
     stop_tries: int = 3  #: stops that a homing unit may ignore before it is reset
     restart: float = 1.0  #: a unit says nothing after a reset [s]

@@ -1,4 +1,4 @@
-"""The REST interface: state, runs, motions and the model, for the page and for scripts."""
+"""REST: the state, start, STOP and reset, the next motion, the model, and telemetry."""
 
 import asyncio
 from collections.abc import Callable
@@ -43,7 +43,7 @@ STREAMED = (
 )  # fmt: skip
 
 
-def api_routes(
+def control_routes(
     service: StationService, of: Commands, stopping: ThreadPoolExecutor, felt: Callable[[], Felt | None]
 ) -> APIRouter:
     """Routes under /api for one station.
