@@ -30,6 +30,7 @@ def test_a_run_is_chosen_set_started_stopped_and_reset(station: Served, browser:
         tab_to(page, "duration")
         page.keyboard.press("Control+A")
         page.keyboard.type("45")
+        page.locator("button:enabled", has_text="Start motion").wait_for()
         tab_to(page, "Start motion")
         page.keyboard.press("Enter")
         status = station.wait_for(lambda s: s["state"] == "RUNNING")

@@ -21,13 +21,14 @@ CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforward": Tru
 
 def test_status_says_everything_with_one_call(station: Served) -> None:
     # What is known of the devices is told twice a second.
-    status = station.wait_for(lambda s: {device["condition"] for device in s["devices"].values()} == {"connected"})
+    status = station.wait_for(
+        lambda s: {(one["condition"], one["severity"]) for one in s["devices"].values()} == {("connected", 0)}
+    )
     assert status["state"] == "READY"
     assert status["cause"] == ""
     assert set(status["joints"]) == {"outer_rotation", "inner_rotation", "inner_translation"}
     assert all(math.isfinite(x) for x in (*status["tip_measured"], *status["tip_estimated"], *status["force"]))
     assert set(status["devices"]) == {"stages", "tracker", "sensors"}
-    assert {device["severity"] for device in status["devices"].values()} == {0}
     assert (status["says"], status["next"]) == ("nothing moves", "choose a motion and press Start")
     assert "simulated" in status["lab"]
     assert status["loop"]["ticks"] > 0
