@@ -103,7 +103,7 @@ class Controller:
 
 
 def begin(controller: Controller, sample: Sample) -> ControllerState:
-    """ControllerState before the first tick; the first sample must carry a tracker frame.
+    """State before the first tick; the first sample must carry a tracker frame.
 
     Raises:
         PoseError, NoSolution, NotFinite: the model cannot start from this sample.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from core.control import step as core_step
+import core.control.step as control_step
 from station.bench.bench import table
 from station.control import loop
 from station.control.clock import VirtualClock
@@ -25,9 +25,9 @@ def tick(seconds: float = 20.0) -> dict[str, Any]:
     case = next(case for case in load_experiment("fig10").cases if case.name == "feedforward")
     taken: list[float] = []
 
-    def timed(*arguments: Any) -> core_step.Tick:
+    def timed(*arguments: Any) -> control_step.Tick:
         begin = time.perf_counter()
-        result = core_step.step(*arguments)
+        result = control_step.step(*arguments)
         taken.append(time.perf_counter() - begin)
         return result
 
@@ -38,7 +38,7 @@ def tick(seconds: float = 20.0) -> dict[str, Any]:
             file = case.file.model_copy(update={"duration": duration})
             run_case(case._replace(file=file), 0, VirtualClock(), lambda _: None)
     finally:
-        loop.step = core_step.step
+        loop.step = control_step.step
     # The preparation does not invert.
     moving = 1e6 * np.array(taken[-int(seconds * 500) :])
     part = np.percentile(moving, [50, 99, 99.9])

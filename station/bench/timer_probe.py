@@ -53,7 +53,7 @@ class TimerProbe:
         }
 
 
-def _watch(ring_name: str, core: int | None, pipe: Connection, parent: int) -> None:  # noqa: ARG001 - nothing to say
+def _watch(ring_name: str, core: int | None, _pipe: Connection, parent: int) -> None:
     """Main function of the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who asked decides when it ends
     show_as("ctr-probe")

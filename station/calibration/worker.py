@@ -53,10 +53,10 @@ class Failed(NamedTuple):
 Said = Step | Finished | Failed
 
 
-def run_worker(job: Job, pipe: Connection, parent: int) -> None:  # noqa: ARG001 - it hears by the pipe
+def run_worker(job: Job, pipe: Connection, _parent: int) -> None:
     """Main function of the process: steps go out through `pipe`, an answer to each comes back."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the station process decides when it ends
-    show_as("ctr-guide")
+    show_as("ctr-calibrate")
     if hasattr(os, "nice"):
         os.nice(NICENESS)
     with contextlib.suppress(EOFError, OSError):  # nobody is there any more

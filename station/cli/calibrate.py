@@ -81,8 +81,7 @@ def _calibrate(parsed: argparse.Namespace) -> int:
 
 def _carried_out(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[Any, float]:
     """The result, and how long it would have taken on a bench [s]."""
-    from station.calibration import headless
-    from station.calibration import static_lab as still_lab
+    from station.calibration import headless, static_lab
     from station.calibration.catalogue import begin
     from station.control.clock import RealClock, VirtualClock
 
@@ -96,8 +95,8 @@ def _carried_out(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[An
                 bar.console.print(f"a person is asked: {text} (done by the lab)", markup=False)
 
         if parsed.still:
-            bench = still_lab.StaticLab(subject, lab, parsed.seed)
-            return still_lab.carry_out(procedure, bench, progress), bench.time
+            bench = static_lab.StaticLab(subject, lab, parsed.seed)
+            return static_lab.carry_out(procedure, bench, progress), bench.time
         clock = RealClock() if parsed.realtime else VirtualClock()
         result = headless.carry_out(procedure, subject, lab, parsed.seed, clock, progress)
         visits = getattr(result, "visits", ())

@@ -13,12 +13,7 @@ from rich.console import Console
 
 from core.errors import CtrError
 from core.model.statics import PAPER_SUBLINK
-from station.cli import calibrate as calibrate_command
-from station.cli import export as export_command
-from station.cli import report as report_command
-from station.cli import run as run_command
-from station.cli import soak as soak_command
-from station.cli import sweep as sweep_command
+from station.cli import calibrate, export, report, run, soak, sweep
 from station.cli.options import between, progress_bar
 from station.config.strict import preset_names
 
@@ -40,7 +35,7 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     )
     commands = top.add_subparsers(title="commands", metavar="COMMAND")
 
-    run_command.add(commands)
+    run.add(commands)
 
     solve = commands.add_parser("solve", help="the loaded model: JSON lines in, JSON lines out")
     solve.add_argument("--robot", default="paper", metavar="FILE", help="preset or .toml file (paper)")
@@ -73,11 +68,11 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     bench.add_argument("--json", action="store_true", help="print one JSON object")
     bench.set_defaults(command=_bench)
 
-    calibrate_command.add(commands)
-    export_command.add(commands)
-    report_command.add(commands)
-    sweep_command.add(commands)
-    soak_command.add(commands)
+    calibrate.add(commands)
+    export.add(commands)
+    report.add(commands)
+    sweep.add(commands)
+    soak.add(commands)
 
     doctor = commands.add_parser("doctor", help="what this machine offers, in plain words")
     doctor.set_defaults(command=_doctor)

@@ -21,7 +21,7 @@ from station.recording.foxglove import Colour, FrameTransforms, Line, arrow, jso
 ARROW_SCALE, ARROW_WIDTH = 0.2, 0.002
 #: Below this there is no arrow [N].
 FORCE_SHOWN = 0.005
-#: Innermost tube first.
+#: Innermost tube first; two digits of a colour are enough in a message that is written over and over.
 TUBES = tuple(Colour(*(round(part / 255, 2) for part in colour)) for colour in palette.TUBES)
 FORCE = Colour(*(round(part / 255, 2) for part in palette.FORCE))
 #: Topic by group of channels. The truth is there only where there is one.

@@ -14,13 +14,10 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from core.robot.robot import Array
 from station.config import palette
 
-BLACK, GREY, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = map(
-    palette.css,
-    (
-        palette.BLACK, palette.SLATE, palette.ORANGE, palette.SKY, palette.GREEN, palette.BLUE, palette.VERMILLION,
-        palette.PURPLE,
-    ),
-)  # fmt: skip
+BLACK, GREY = palette.css(palette.BLACK), palette.css(palette.SLATE)
+ORANGE, VERMILLION = palette.css(palette.ORANGE), palette.css(palette.VERMILLION)
+SKY, BLUE = palette.css(palette.SKY), palette.css(palette.BLUE)
+GREEN, PURPLE = palette.css(palette.GREEN), palette.css(palette.PURPLE)
 
 #: What matplotlib is told while figures are drawn and written.
 SETTINGS: dict[Any, Any] = {

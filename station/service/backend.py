@@ -36,7 +36,9 @@ class Backend:
 
     def open(self) -> None:
         """Start a lab, or another one in the place of one that has died."""
-        self.close()
+        if self._host is not None:
+            self._host.close()
+        # Until the new one is there the old one answers: other threads ask meanwhile.
         self._host, self._told = self._start(), None
 
     @property

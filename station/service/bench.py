@@ -59,9 +59,15 @@ class Bench:
     def control(self) -> ControlSetup:
         """What its control process is told."""
         return ControlSetup(
-            self.robot, self.controlled(self.controller), partial(rehearse, self.robot, self.lab, self.seed, self.park),
-            self.margins, self.overruns, self.fifo, self.core, self.clock,
-        )  # fmt: skip
+            robot=self.robot,
+            controller=self.controlled(self.controller),
+            rehearse=partial(rehearse, self.robot, self.lab, self.seed, self.park),
+            margins=self.margins,
+            overruns=self.overruns,
+            fifo=self.fifo,
+            core=self.core,
+            clock=self.clock,
+        )
 
     @property
     def title(self) -> str:

@@ -123,21 +123,31 @@ class StationFile(Strict):
             calibration = None if folder is None else Calibration.load(folder, robot)
             believed = robot if calibration is None else calibration.robot
             self.controller.controller(believed)
-            bench = None if self.devices == "virtual" else self.devices
+            devices = None if self.devices == "virtual" else self.devices
             unstoppable = ""
-            if bench is not None:
-                plan(bench, robot)
-                if emergency_stop(bench.stages, robot) is None:
-                    unstoppable = UNSTOPPABLE.format(driver=bench.stages["driver"])
+            if devices is not None:
+                plan(devices, robot)
+                if emergency_stop(devices.stages, robot) is None:
+                    unstoppable = UNSTOPPABLE.format(driver=devices.stages["driver"])
             snaps = check_design(believed, self.margins)
             clock = self.clock.bears(self.devices)
         except CtrError as error:
             raise ConfigError(f"{self._source}: {error}{on_line(self._table, str(error))}") from None
         return Bench(
-            robot, lab, self.seed, tuple(park.tolist()), self.controller, self.fifo, self.overruns, bench,
-            self.margins, on_operator_loss=self.on_operator_loss, calibration=calibration, clock=clock,
+            robot=robot,
+            lab=lab,
+            seed=self.seed,
+            park=tuple(park.tolist()),
+            controller=self.controller,
+            fifo=self.fifo,
+            overruns=self.overruns,
+            devices=devices,
+            margins=self.margins,
+            on_operator_loss=self.on_operator_loss,
+            calibration=calibration,
+            clock=clock,
             warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
-        )  # fmt: skip
+        )
 
 
 def load_station(path: Path | None, changes: Mapping[str, Any] = MappingProxyType({})) -> StationFile:

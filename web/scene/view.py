@@ -26,7 +26,7 @@ from web.scene.target import Way, way_to
 #: Pictures a second; trace and target come with every third, a look at the load with every tenth.
 RATE = 30.0
 SLOW, LOOK = 3, 10
-#: While nobody looks every sixth is enough, with all that there is in it.
+#: While nobody looks every sixth is enough; a multiple of `SLOW`, so that all is in it.
 UNWATCHED = 6
 
 log = logging.getLogger(__name__)
@@ -105,9 +105,7 @@ class View:
             try:
                 if number % LOOK == 0:
                     self._feel()
-                if number % UNWATCHED == 0:
-                    self._frame(slow=True)
-                elif self._server.get_clients():
+                if number % UNWATCHED == 0 or self._server.get_clients():
                     self._frame(slow=number % SLOW == 0)
             except Exception:
                 # Whatever it was, the next picture is a new chance; once a second is enough in the log.

@@ -19,6 +19,7 @@ from station.devices.open_devices import plan
 from station.devices.registry import emergency_stop, find
 from station.service.station_file import load_station
 from tests.harness import example_stages, example_tracker
+from tests.harness.own_devices import OWN_DEVICES
 
 
 @pytest.fixture
@@ -172,19 +173,7 @@ def test_stages_of_ones_own_say_how_they_are_stopped_from_another_process(instal
 
 def test_stages_that_nobody_can_stop_are_told_at_the_start(install, write):
     install("mute-stages = tests.harness.example_stages:LineStages")
-    path = write(
-        """
-[devices.stages]
-driver = "mute-stages"
-[devices.tracker]
-driver = "aurora"
-port = "/dev/ttyUSB1"
-[devices.sensors]
-driver = "netft"
-tubes.inner.host = "192.168.1.11"
-tubes.outer.host = "192.168.1.12"
-"""
-    )
+    path = write(OWN_DEVICES.replace('driver = "zaber"\nport = "/dev/ttyUSB0"', 'driver = "mute-stages"'))
     (warning,) = load_station(path).bench().warnings[:1]
     assert warning.startswith("stages of driver 'mute-stages' are stopped by nobody when the control process dies")
     assert "emergency stop" in warning

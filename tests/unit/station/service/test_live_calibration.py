@@ -5,27 +5,17 @@ import numpy as np
 from station.lab.aurora.coil import MOUNT
 from station.service.live_calibration import believed_mount
 from station.service.station_file import load_station
+from tests.harness.own_devices import OWN_DEVICES
 
-
-def test_what_a_bench_says_about_its_tracker_is_what_is_assumed(tmp_path):
-    assert believed_mount(load_station(None).bench()) is MOUNT
-    path = tmp_path / "bench.toml"
-    path.write_text(
-        """
-[devices.stages]
-driver = "zaber"
-port = "/dev/ttyUSB0"
-[devices.tracker]
-driver = "aurora"
-port = "/dev/ttyUSB1"
+MOUNTED = """
 mount = { position = [0.1, 0.0, -0.3], rotation_vector = [0.0, 0.0, 1.5707963267948966] }
-[devices.sensors]
-driver = "netft"
-tubes.inner.host = "192.168.1.11"
-tubes.outer.host = "192.168.1.12"
-""",
-        encoding="utf-8",
-    )
+"""
+
+
+def test_what_a_bench_says_about_its_tracker_is_what_is_assumed(write):
+    assert believed_mount(load_station(None).bench()) is MOUNT
+    port = 'port = "/dev/ttyUSB1"\n'
+    path = write(OWN_DEVICES.replace(port, port + MOUNTED))
 
     found = believed_mount(load_station(path).bench())
 

@@ -6,19 +6,7 @@ from station.config.strict import OWN_EXPERIMENTS, ConfigError, preset_names
 from station.control.clock import REAL_TIME, StationClock
 from station.devices.config import BenchFile
 from station.service.station_file import load_station
-
-DEVICES = """
-[devices.stages]
-driver = "zaber"
-port = "/dev/ttyUSB0"
-[devices.tracker]
-driver = "aurora"
-port = "/dev/ttyUSB1"
-[devices.sensors]
-driver = "netft"
-tubes.inner.host = "192.168.1.11"
-tubes.outer.host = "192.168.1.12"
-"""
+from tests.harness.own_devices import OWN_DEVICES
 
 
 def test_without_devices_it_is_the_virtual_lab(write):
@@ -29,7 +17,7 @@ def test_without_devices_it_is_the_virtual_lab(write):
 
 
 def test_with_devices_it_is_a_bench_and_says_so(write):
-    bench = load_station(write(DEVICES)).bench()
+    bench = load_station(write(OWN_DEVICES)).bench()
     assert isinstance(bench.devices, BenchFile)
     assert bench.title == "bench of 'paper': zaber, aurora, netft"
 
@@ -45,7 +33,7 @@ def test_with_devices_it_is_a_bench_and_says_so(write):
 )
 def test_what_cannot_be_is_refused_with_the_file(write, old, new, told):
     with pytest.raises(ConfigError, match=told):
-        load_station(write(DEVICES.replace(old, new))).bench()
+        load_station(write(OWN_DEVICES.replace(old, new))).bench()
 
 
 def test_a_station_keeps_real_time_unless_its_file_says_otherwise(write):
@@ -62,8 +50,8 @@ def test_a_slow_clock_is_a_warning(write):
 
 def test_real_devices_cannot_be_made_slower(write):
     with pytest.raises(ConfigError, match=r"own.toml: clock.rate = 0.5: expected 1 with devices of one's own"):
-        load_station(write(DEVICES + "[clock]\nrate = 0.5\n")).bench()
-    assert load_station(write(DEVICES + "[clock]\nrate = 1.0\n")).bench().clock == REAL_TIME
+        load_station(write(OWN_DEVICES + "[clock]\nrate = 0.5\n")).bench()
+    assert load_station(write(OWN_DEVICES + "[clock]\nrate = 1.0\n")).bench().clock == REAL_TIME
 
 
 @pytest.mark.parametrize("rate", ["0.01", "1.5", "nan", "0"])
