@@ -1,5 +1,5 @@
 // Calibrate: procedures that a person is guided through, what they found, and what to do after tubes were exchanged.
-import { $, ask, confirm, latest, make, mayCommand, note, onStatus, press, Refused } from "./station.js";
+import { $, ask, confirm, fresh, latest, make, mayCommand, note, onStatus, press, Refused } from "./station.js";
 import { isOpen, onTab } from "./tabs.js";
 
 const known = await ask("GET", "/api/calibration");
@@ -134,7 +134,7 @@ function procedure(offer) {
     make("div", { className: "acts sticky" }, starter, why));
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
-    if (document.body.classList.contains("stale")) return;
+    if (!await fresh()) return;
     const sure = make("label", {}, make("input", { type: "checkbox" }), "The way is clear: I have looked.");
     if (!await confirm(`Start ${offer.title}?`, "Start",
       make("p", {}, "The tubes will move through their whole workspace, turn and slide, again and again. Is the way clear of everything?"), sure)) return;

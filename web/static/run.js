@@ -1,5 +1,5 @@
 // Run: experiments that come with the station, and free motions with parameters of one's own.
-import { $, ask, confirm, latest, make, mayCommand, onStatus, press } from "./station.js";
+import { $, ask, confirm, fresh, latest, make, mayCommand, onStatus, press } from "./station.js";
 import { form, schemas, sentence, tidy, unit, variants } from "./form.js";
 
 /** Where a form begins for what has no default. SI. */
@@ -34,11 +34,8 @@ function starter(label, act) {
   const frame = make("div", { className: "acts sticky" }, startButton, refusal);
   return { frame, on: (element) => element.addEventListener("submit", async (event) => {
     event.preventDefault();
-    if (document.body.classList.contains("stale")) return;
-    const button = startButton;
-    starting = true;
-    button.disabled = true;
-    await act(); // the way is tried on the model first, which takes a moment
+    startButton.disabled = starting = true;
+    if (await fresh()) await act(); // the way is tried on the model first, which takes a moment
     starting = false;
   }) };
 }

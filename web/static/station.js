@@ -86,7 +86,7 @@ export function confirm(title, action, ...content) {
 
 const PERIOD = 150, PATIENCE = 1500, STALE = 480; // ms
 const listeners = [];
-let status = null, heard = -Infinity, looking = false, wasStale = null;
+let status = null, heard = -Infinity, question = null, wasStale = null;
 
 /** Call `listener(status, stale)` with each status, and when it becomes stale. */
 export const onStatus = (listener) => { listeners.push(listener); };
@@ -100,17 +100,24 @@ function tell() {
   for (const listener of listeners) listener(status, wasStale);
 }
 
-export async function look() {
-  if (looking) return;
-  looking = true;
+/** Ask for the status, or wait for the answer to the question that is open. */
+export const look = () => (question ??= hear().finally(() => { question = null; }));
+
+async function hear() {
   try {
     status = await ask("GET", "/api/status", undefined, PATIENCE);
     heard = performance.now();
   } catch {
     if (age() > STALE) status = null;
   }
-  looking = false;
   tell();
+}
+
+/** Whether the status is fresh, asked for once more if it is not. When it stays old a person is told that nothing was done. */
+export async function fresh() {
+  if (wasStale) await look();
+  if (wasStale) note("nothing was started: what the page knows of the robot is old. Wait until the state is no longer stale, then press again");
+  return !wasStale;
 }
 
 /** Whether this page may command now: it is operator, or nobody is and it could become so. */

@@ -28,11 +28,16 @@ def test_a_dead_control_process_is_a_fault_at_once_and_a_reset_revives_it(statio
         page.locator("#state", has_text="READY").wait_for()
 
 
-def test_a_station_that_hangs_looks_old_and_one_that_is_gone_is_told(browser: Browser) -> None:
+def test_a_station_that_hangs_looks_old_and_starts_nothing_and_one_that_is_gone_is_told(browser: Browser) -> None:
     with serving() as station, bare_page(browser, station) as page:
+        page.locator(".card", has_text="Keep the tip where it is").click()
+        start = page.locator("button:enabled", has_text="Start motion")
+        start.wait_for()
         try:
             station.process.send_signal(signal.SIGSTOP)
             page.wait_for_function("() => document.body.classList.contains('stale')")
+            start.click()
+            page.locator("#notes", has_text="nothing was started").wait_for()
         finally:
             station.process.send_signal(signal.SIGCONT)
         page.wait_for_function("() => !document.body.classList.contains('stale')")
