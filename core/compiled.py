@@ -1,14 +1,23 @@
 """One way to compile: Numba with a cache on disk, typed like the function it compiles.
 
+The cache knows everything that a function is made of: one that calls a function or is given a type of another file is
+compiled anew when that file has changed.
+
 `error_model="numpy"` drops division checks inside loops. The fast-math flags let the compiler
 fuse and reorder but keep NaN and infinity meaningful, because the loop checks for them.
 """
 
+import hashlib
+import sys
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
+from numba.core.caching import IndexDataCacheFile  # pyright: ignore[reportMissingTypeStubs]
+from numba.core.dispatcher import Dispatcher  # pyright: ignore[reportMissingTypeStubs]
 from numba.cpython.unsafe import tuple as numba_tuple  # pyright: ignore[reportMissingTypeStubs]
 from numpy.typing import NDArray
 
@@ -21,6 +30,9 @@ _OPTIONS: dict[str, Any] = {
     "fastmath": {"contract", "reassoc", "nsz", "arcp"},
 }
 
+#: The files that each compiled function is made of.
+_SOURCES: dict[Any, frozenset[str]] = {}
+
 #: `replaced(numbers, index, value)`: the tuple with one number changed. Compiled code only. Tuples of
 #: known length live in registers; an array would be memory that a loop over columns cannot prove its own.
 replaced = cast(Callable[[tuple[float, ...], int, float], tuple[float, ...]], cast(Any, numba_tuple).tuple_setitem)
@@ -28,12 +40,45 @@ replaced = cast(Callable[[tuple[float, ...], int, float], tuple[float, ...]], ca
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` on first call; later processes load it from the cache."""
-    return cast(Callable[P, R], cast(Any, numba).njit(**_OPTIONS)(function))
+    return _compiled(function)
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """The same for a piece of a loop's body, so that the loop around it is still vectorised."""
-    return cast(Callable[P, R], cast(Any, numba).njit(forceinline=True, **_OPTIONS)(function))
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
+    made = cast(Any, numba).njit(**options, **_OPTIONS)(function)
+    sources, values = _goes_into(function)
+    _SOURCES[made] = sources
+    digest = hashlib.sha256("".join((*map(_content, sorted(sources)), *values)).encode()).hexdigest()[:16]
+    # Numba keeps machine code until the function's own file changes, and would go on with that of a function which
+    # calls one, or is given a type, of another file that has changed: with numbers at their old places, for instance.
+    kept = made._cache
+    kept._cache_file = IndexDataCacheFile(kept.cache_path, f"{kept._impl.filename_base}-{digest}", digest)
+    return made
+
+
+def _goes_into(function: Callable[..., Any]) -> tuple[frozenset[str], list[str]]:
+    """The files of all the project's code that a function is compiled from, and the constants that it names."""
+    code, here = function.__code__, function.__globals__
+    sources, values = {code.co_filename}, list[str]()
+    named: list[Any] = [*map(here.get, code.co_names), *function.__annotations__.values()]
+    for one in named:
+        if isinstance(one, Dispatcher):
+            sources |= _SOURCES.get(one, frozenset())
+        elif isinstance(one, type) and hasattr(one, "_fields"):
+            sources.add(sys.modules[one.__module__].__file__ or "")
+        elif isinstance(one, int | float | str | tuple):
+            values.append(repr(cast(object, one)))
+    return frozenset(sources), values
+
+
+@cache
+def _content(path: str) -> str:
+    """Digest of a file."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 @compiled

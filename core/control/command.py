@@ -1,90 +1,133 @@
-"""From an estimate to joint velocities in one compiled call: outer loop, inner loop, inverse inside the limits.
+"""estimate -> joint velocities, in one compiled call: outer loop, inner loop, inverse inside the limits.
 
-For the project's own strategies without limits beyond single joints; `core.control.step` does the same piece by piece
-for all others.
+Loops of one's own, in Python, take the place of the first two; the inverse and the limits are the same for all.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled, copy
-from core.control.controllers import inner_law, outer_law
-from core.control.estimation import DEFLECTION_RATE, EXACT_RATE, LOAD_RATE, TIP_AHEAD, Estimate
-from core.control.inverse import HUNTING, SIGMA_FLOOR, inverse_law
+from core.compiled import compiled
+from core.control.controllers import OWN, Strategy, View, inner_law, outer_law
+from core.control.estimation import Estimate, known_of
+from core.control.inverse import HUNTING, NO_ROOM, SIGMA_FLOOR, inverse_law, no_rows
 from core.control.trajectories import Setpoint
 from core.errors import NotFinite
-from core.robot.limits import Limits, velocity_bounds
+from core.model.solution import parts
+from core.robot.limits import Limits, Situation, velocity_bounds
 from core.robot.robot import Array
 
 
 class Commanded(NamedTuple):
-    """Joint velocities, what was asked for, and how they were limited; see `Inverse` and `Tick`."""
+    """Joint velocities, what was asked for, and how they were limited."""
 
-    velocity: Array
-    u_int: Array
-    sigma: Array
-    at_bound: Array
+    velocity: Array  #: (n,) [rad/s or m/s]
+    u_int: Array  #: (3,) what the outer loop asked for [m/s]
+    sigma: Array  #: singular values of the Jacobian in use, joints in units of top speed [m/s]
+    at_bound: Array  #: (n,) -1, 0, 1: joint held at its lower bound, free, at its upper
+    at_row: Array  #: (m,) 1 where a limit beyond single joints is active
 
 
-def follow(
-    laws: tuple[float, float, float, int], lead: float, exact_rate: bool, limits: Limits,
-    joints: Array, now: Estimate, setpoint: Setpoint, tip: Array | None, origin: Array,
+class Looks(NamedTuple):
+    """What the loops look at."""
+
+    lead: float  #: the outer loop aims at the setpoint of so much later [s]
+    observes: bool  #: it looks at the observed tip, that much later; else at the latest tracker frame
+    exact_rate: bool  #: Type I takes the deflection's rate from C, J and the filtered force
+
+
+def command(
+    strategy: Strategy, looks: Looks, limits: Limits,
+    joints: Array, now: Estimate, force: Array, setpoint: Setpoint, tip: Array, origin: Array,
 ) -> Commanded:  # fmt: skip
     """Joint velocities for a setpoint.
 
     Args:
-        laws: `Strategy.laws`.
-        lead: the outer loop aims at the setpoint of so much later [s].
-        exact_rate: Type I takes the deflection's rate from C, J and the filtered force.
-        limits: of the joints.
+        strategy: outer and inner loop.
+        looks: what they look at.
+        limits: of the joints, and beyond single joints.
         joints: (n,) [rad or m].
         now: the estimate of this tick.
+        force: (3,) on the tip as measured [N].
         setpoint: from `origin`.
-        tip: (3,) the tip that the outer loop looks at [m]; None for the observed one, that much later.
+        tip: (3,) the latest tracker frame [m].
         origin: (3,) [m].
 
     Raises:
-        NotFinite: something in it is not.
+        NotFinite: what is asked for, or the Jacobian, is not.
 
     """
-    k1, k2, feedforward, number = laws
-    n = joints.size
-    velocity, u_int, sigma, at_bound = np.empty(n), np.empty(3), np.empty(min(3, n)), np.empty(n)
-    if not _follow(
-        k1, k2, feedforward, number, lead, exact_rate, tip is None, limits.packed, joints,
+    rows, room = no_rows(joints.size), NO_ROOM
+    if limits.others:
+        rows, room = limits.rows(Situation(joints, now.loaded.jacobian[:3], now.observed.tip, force))
+    laws = strategy.laws
+    if laws is None:
+        laws, own = _NO_LAWS, _own(strategy, looks, now, setpoint, tip, origin)
+    else:
+        own = _NOTHING
+    velocity, u_int, sigma, at_bound, at_row, finite = _command(
+        *laws, *looks, *own, limits.packed, joints,
         now.loaded.numbers, now.unloaded.numbers, now.numbers,
-        setpoint.position, setpoint.velocity, origin if tip is None else tip, origin, SIGMA_FLOOR, HUNTING,
-        velocity, u_int, sigma, at_bound,
-    ):  # fmt: skip
+        setpoint.position, setpoint.velocity, tip, origin, rows, room, SIGMA_FLOOR, HUNTING,
+    )  # fmt: skip
+    if not finite:
         raise NotFinite(f"wanted tip velocity {u_int.tolist()} m/s or the Jacobian is not finite")
-    return Commanded(velocity, u_int, sigma, at_bound)
+    return Commanded(velocity, u_int, sigma, at_bound, at_row)
+
+
+def _own(
+    strategy: Strategy, looks: Looks, now: Estimate, setpoint: Setpoint, tip: Array, origin: Array
+) -> tuple[Array, Array, Array]:
+    """U_int (3,), and Jacobian (3, n) and velocity (3,) of the equation for the joints, from loops of one's own."""
+    known = now.known
+    aim = _aim(looks.lead, setpoint.position, setpoint.velocity)
+    seen = known.tip_ahead if looks.observes else tip
+    u_int = strategy.outer.tip_velocity(Setpoint(aim, setpoint.velocity), seen - origin)
+    rate = known.deflection_rate_exact if looks.exact_rate else known.deflection_rate
+    task = strategy.inner(u_int, View(now.loaded, now.unloaded, rate, known.load_rate, known.drift))
+    return _plain(u_int), _plain(task.jacobian), _plain(task.velocity)
+
+
+def _plain(numbers: Array) -> Array:
+    """As compiled code takes it, however it was made."""
+    return np.ascontiguousarray(numbers, dtype=np.float64)
 
 
 @compiled
-def _follow(
-    k1: float, k2: float, feedforward: float, number: int, lead: float, exact_rate: bool, observes: bool,
-    limits: Array, joints: Array, loaded: Array, unloaded: Array, estimate: Array,
-    wanted: Array, velocity: Array, tip: Array, origin: Array, least_floor: float, hunting: float,
-    command: Array, u_int: Array, sigma: Array, at_bound: Array,
-) -> bool:  # fmt: skip
-    """`follow`, into the last four; False when what was wanted is not finite."""
-    n, vectors = joints.shape[0], estimate[:39].reshape(13, 3)
-    aim, here = np.empty(3), np.empty(3)
+def _aim(lead: float, wanted: Array, velocity: Array) -> Array:
+    """Where the setpoint will be when a command of now takes effect (3,) [m]."""
+    aim = np.empty(3)
     for i in range(3):
         aim[i] = wanted[i] + lead * velocity[i]
-        here[i] = (vectors[TIP_AHEAD, i] if observes else tip[i]) - origin[i]
-    copy(outer_law(k1, k2, feedforward, aim, velocity, here), u_int)
-    jacobian, asked = np.empty((3, n)), np.empty(3)
-    inner_law(
-        number, u_int, loaded[12 : 12 + 6 * n].reshape(6, n), unloaded[12 : 12 + 6 * n].reshape(6, n),
-        vectors[EXACT_RATE if exact_rate else DEFLECTION_RATE], vectors[LOAD_RATE], estimate[42:45], jacobian, asked,
-    )  # fmt: skip
+    return aim
+
+
+@compiled
+def _command(
+    k1: float, k2: float, feedforward: float, number: int, lead: float, observes: bool, exact_rate: bool,
+    own_u_int: Array, own_jacobian: Array, own_velocity: Array, limits: Array, joints: Array,
+    loaded: Array, unloaded: Array, estimate: Array,
+    wanted: Array, velocity: Array, tip: Array, origin: Array, rows: Array, room: Array,
+    least_floor: float, hunting: float,
+) -> tuple[Array, Array, Array, Array, Array, bool]:  # fmt: skip
+    """`command`; the last answer is whether what was wanted is finite."""
+    if number == OWN:
+        u_int, jacobian, asked = own_u_int, own_jacobian, own_velocity
+    else:
+        now, here = known_of(estimate), np.empty(3)
+        for i in range(3):
+            here[i] = (now.tip_ahead[i] if observes else tip[i]) - origin[i]
+        u_int = outer_law(k1, k2, feedforward, _aim(lead, wanted, velocity), velocity, here)
+        rate = now.deflection_rate_exact if exact_rate else now.deflection_rate
+        jacobian, asked = inner_law(
+            number, u_int, parts(loaded).jacobian, parts(unloaded).jacobian, rate, now.load_rate, now.drift
+        )
     lower, upper = velocity_bounds(joints, limits)
-    found, values, held, _, finite = inverse_law(
-        jacobian, asked, limits[2], lower, upper, np.empty((0, n)), np.empty(0), least_floor, hunting
+    found, sigma, at_bound, at_row, finite = inverse_law(
+        jacobian, asked, limits[2], lower, upper, rows, room, least_floor, hunting
     )
-    copy(found, command)
-    copy(values, sigma)
-    copy(held, at_bound)
-    return finite
+    return found, u_int, sigma, at_bound, at_row, finite
+
+
+_NO_LAWS = (0.0, 0.0, 0.0, OWN)
+_NOTHING = (np.empty(0), np.empty((0, 0)), np.empty(0))

@@ -116,33 +116,38 @@ class InnerLaw(NamedTuple):
 
     def __call__(self, u_int: Array, view: View, /) -> VelocityTask:
         """The equation the joints must solve."""
-        jacobian, velocity = np.empty((3, view.loaded.places.n)), np.empty(3)
-        inner_law(
-            self.number, u_int, view.loaded.jacobian, view.unloaded.jacobian,
-            view.deflection_rate, view.load_rate, view.drift, jacobian, velocity,
+        return VelocityTask(
+            *inner_law(
+                self.number, u_int, view.loaded.jacobian, view.unloaded.jacobian,
+                view.deflection_rate, view.load_rate, view.drift,
+            )
         )  # fmt: skip
-        return VelocityTask(jacobian, velocity)
 
 
-UNLOADED, LOADED, TYPE_1, TYPE_1_EXACT, TYPE_2 = range(5)
+#: Numbers of the inner loops; `OWN` is one that compiled code does not know.
+UNLOADED, LOADED, TYPE_1, TYPE_1_EXACT, TYPE_2, OWN = range(6)
 
 
 @compiled
 def inner_law(
-    number: int, u_int: Array, loaded: Array, unloaded: Array,
-    deflection_rate: Array, load_rate: Array, drift: Array, jacobian: Array, velocity: Array,
-) -> None:  # fmt: skip
-    """The equations of the inner loops, into the last two; `loaded` and `unloaded` are Jacobians (6, n)."""
+    number: int, u_int: Array, loaded: Array, unloaded: Array, deflection_rate: Array, load_rate: Array, drift: Array
+) -> tuple[Array, Array]:
+    """Left and right side of the inner loops' equations; `loaded` and `unloaded` are Jacobians (6, n)."""
+    n = loaded.shape[1]
+    jacobian, velocity = np.empty((3, n)), np.empty(3)
     for i in range(3):
-        for j in range(jacobian.shape[1]):
+        for j in range(n):
             jacobian[i, j] = unloaded[i, j] if number in (UNLOADED, TYPE_1) else loaded[i, j]
-        velocity[i] = u_int[i]
-        if number == TYPE_1:
-            velocity[i] -= deflection_rate[i]
-        elif number == TYPE_1_EXACT:
-            velocity[i] -= load_rate[i]
-        elif number == TYPE_2:
-            velocity[i] -= load_rate[i] + drift[i]
+        if number == TYPE_1:  # (23), (24)
+            by_load = deflection_rate[i]
+        elif number == TYPE_1_EXACT:  # (21)
+            by_load = load_rate[i]
+        elif number == TYPE_2:  # (29): X' - J(q, w) q'
+            by_load = load_rate[i] + drift[i]
+        else:
+            by_load = 0.0
+        velocity[i] = u_int[i] - by_load
+    return jacobian, velocity
 
 
 #: J(q, 0) q' = U_int: the load is ignored.

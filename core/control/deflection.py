@@ -57,19 +57,22 @@ class RateFilter:
         """
         if measured is None:
             return Rate(last.value + self.period * last.rate, last.rate)
-        new = np.empty((2, 3))
-        filtered(np.stack(last), _finite(measured), new, self.period, *self.gain)
-        return Rate(new[0], new[1])
+        new = Rate(np.empty(3), np.empty(3))
+        filtered(*last, _finite(measured), *new, self.period, *self.gain)
+        return new
 
 
 @compiled
-def filtered(last: Array, measured: Array, new: Array, period: float, k_value: float, k_rate: float) -> None:
-    """`RateFilter.update` on arrays: value and rate (2, 3) from `last` to `new`."""
+def filtered(
+    value: Array, rate: Array, measured: Array, new_value: Array, new_rate: Array,
+    period: float, k_value: float, k_rate: float,
+) -> None:  # fmt: skip
+    """`RateFilter.update`, from one pair of value and rate (3,) into the other."""
     for k in range(3):
-        ahead = last[0, k] + period * last[1, k]
+        ahead = value[k] + period * rate[k]
         surprise = measured[k] - ahead
-        new[0, k] = ahead + k_value * surprise
-        new[1, k] = last[1, k] + k_rate * surprise
+        new_value[k] = ahead + k_value * surprise
+        new_rate[k] = rate[k] + k_rate * surprise
 
 
 @cache

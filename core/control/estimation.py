@@ -15,135 +15,86 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled, inlined
-from core.control.actuation import Actuation, Motion, advance
-from core.control.deflection import Rate, RateFilter, filtered
+from core.compiled import compiled
+from core.control.actuation import Actuation, advance
+from core.control.deflection import RateFilter, filtered
 from core.control.observer import Observed, Observer, observe
-from core.model.solution import Solution, places
+from core.model.solution import Solution, parts
 from core.robot.robot import Array
 
-#: Rows of `Estimate.vectors`.
-(
-    DIFFERENCE, DIFFERENCE_RATE, DEFLECTION, DEFLECTION_RATE, FORCE, FORCE_RATE, SMOOTH, LOAD_RATE, EXACT_RATE,
-    DELTA_1, DELTA_2, VELOCITY, TIP_AHEAD,
-) = range(13)  # fmt: skip
+#: Places of the single numbers of an estimate: how many joints, ticks of velocities that are on their way and kept
+#: tips there are; which of these is the newest, and whether the observer has used a frame of this tick.
+JOINTS, TICKS, HISTORY, NEWEST, USED = range(5)
 
 
-class Places(NamedTuple):
-    """Where the parts of an estimate's numbers end; each begins where the one before does."""
+class Known(NamedTuple):
+    """Views of an estimate's numbers. All vectors in the world frame."""
 
-    ticks: int  #: of velocities that are on their way
-    n: int
-    vectors: int
-    state: int
-    ahead: int
-    sent: int
-    tips: int
-    place: int
-    total: int
+    deflection: Array  #: (3,) Delta_total as the models say it now [m]
+    deflection_rate_raw: Array  #: (3,) its difference from the last tick, unfiltered [m/s]
+    deflection_filtered: Array  #: (3,) [m]
+    deflection_rate: Array  #: (3,) of the filtered one [m/s]
+    force_filtered: Array  #: (3,) at the tip [N]
+    force_rate: Array  #: (3,) of the filtered one [N/s]
+    force_smooth: Array  #: (3,) integral of `force_rate` [N]
+    load_rate: Array  #: (3,) C w' [m/s]
+    deflection_rate_exact: Array  #: (3,) C w' + (J(q, w) - J(q, 0)) q' [m/s]
+    delta_1: Array  #: (3,) integral of C dw, eq. (22) [m]
+    delta_2: Array  #: (3,) integral of (J(q, w) - J(q, 0)) dq, eq. (22) [m]
+    velocity_observed: Array  #: (3,) of the tip, J q' + C w' + drift [m/s]
+    tip_ahead: Array  #: (3,) the tip when a command of now takes effect [m]
+    bias: Array  #: (3,) what the tracker sees less what the model says [m]
+    drift: Array  #: (3,) rate of the bias [m/s]
+    bias_covariance: Array  #: (3,) of the bias, of both, of the drift [m^2, m^2/s, m^2/s^2]
+    vectors: Array  #: (16, 3) all of these, one a row
+    ahead: Array  #: (n,) way of the joints until a command of now takes effect [rad or m]
+    sent: Array  #: (ticks, n) velocities that went out, newest first [rad/s or m/s]
+    tips: Array  #: (history, 3) the model's tips of the last ticks [m]
 
 
-@inlined
-def parts(ticks: int, n: int, history: int) -> Places:
-    """For so many ticks of velocities on their way, n joints, and a history of so many tips."""
-    ahead = 39 + 9 + n
-    sent = ahead + ticks * n
-    tips = sent + 3 * history
-    return Places(ticks, n, 39, 48, ahead, sent, tips, tips + 1, tips + 2)
+#: Unit of each vector, in the order of `Known`; telemetry has a channel for each.
+VECTORS = {
+    "deflection": "m", "deflection_rate_raw": "m/s", "deflection_filtered": "m", "deflection_rate": "m/s",
+    "force_filtered": "N", "force_rate": "N/s", "force_smooth": "N",
+    "load_rate": "m/s", "deflection_rate_exact": "m/s", "delta_1": "m", "delta_2": "m",
+    "velocity_observed": "m/s", "tip_ahead": "m", "bias": "m", "drift": "m/s",
+}  # fmt: skip
+
+
+@compiled
+def known_of(numbers: Array) -> Known:
+    """What lies where in an estimate's numbers."""
+    n, ticks, history = int(numbers[JOINTS]), int(numbers[TICKS]), int(numbers[HISTORY])
+    ahead = 5 + 48
+    sent = ahead + n
+    tips = sent + ticks * n
+    v = numbers[5:ahead].reshape(16, 3)
+    return Known(
+        v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13], v[14], v[15], v,
+        numbers[ahead:sent], numbers[sent:tips].reshape(ticks, n), numbers[tips:].reshape(history, 3),
+    )  # fmt: skip
 
 
 class Estimate:
-    """What one tick knows; it is all that the next one needs. One array, and names for what is in it."""
+    """What one tick knows; it is all that the next one needs."""
 
-    __slots__ = ("loaded", "numbers", "places", "unloaded")
-
-    def __init__(self, loaded: Solution, unloaded: Solution, numbers: Array, places: Places) -> None:
+    def __init__(self, loaded: Solution, unloaded: Solution, numbers: Array) -> None:
         self.loaded = loaded  #: F(q, w)
         self.unloaded = unloaded  #: F(q, 0)
-        self.numbers = numbers
-        self.places = places
+        self.numbers = numbers  #: `known` names them
 
-    @property
-    def vectors(self) -> Array:
-        """(13, 3) what follows from here on, up to `tip_ahead`."""
-        return self.numbers[: self.places.vectors].reshape(13, 3)
-
-    @property
-    def motion(self) -> Motion:
-        """Velocities of the joints, and their way until a command of now takes effect."""
-        where = self.places
-        sent = self.numbers[where.ahead : where.sent].reshape(where.ticks, where.n)
-        return Motion(sent, self.numbers[where.state : where.ahead])
-
-    @property
-    def tip(self) -> Array:
-        """(3,) the best estimate of the tip now [m]; `observed.tip`, quicker."""
-        where, numbers = self.places, self.numbers
-        at = where.sent + 3 * int(numbers[where.tips])
-        return numbers[at : at + 3] + numbers[where.vectors : where.vectors + 3]
-
-    @property
-    def drift(self) -> Array:
-        """(3,) rate of what the model lacks, as observed [m/s]."""
-        return self.numbers[self.places.vectors + 3 : self.places.vectors + 6]
+    @cached_property
+    def known(self) -> Known:
+        """Names for the numbers."""
+        return known_of(self.numbers)
 
     @property
     def observed(self) -> Observed:
-        """The tip."""
-        where = self.places
-        state = self.numbers[where.vectors : where.state].reshape(3, 3)
-        tips = self.numbers[where.sent : where.tips].reshape(-1, 3)
-        return Observed(state, tips, int(self.numbers[where.tips]), self.numbers[where.place] > 0.0)
-
-    @property
-    def difference(self) -> Array:
-        """(3,) Delta_total as the models say it now [m]."""
-        return self.vectors[DIFFERENCE]
-
-    @property
-    def difference_rate(self) -> Array:
-        """(3,) its difference from the last tick, unfiltered [m/s]."""
-        return self.vectors[DIFFERENCE_RATE]
-
-    @property
-    def deflection(self) -> Rate:
-        """Delta_total, filtered [m], and its rate [m/s]."""
-        return Rate(self.vectors[DEFLECTION], self.vectors[DEFLECTION_RATE])
-
-    @property
-    def force(self) -> Rate:
-        """At the tip, filtered [N], and its rate [N/s]."""
-        return Rate(self.vectors[FORCE], self.vectors[FORCE_RATE])
-
-    @property
-    def load_rate(self) -> Array:
-        """(3,) C w' [m/s]."""
-        return self.vectors[LOAD_RATE]
-
-    @property
-    def deflection_rate_exact(self) -> Array:
-        """(3,) C w' + (J(q, w) - J(q, 0)) q' [m/s]."""
-        return self.vectors[EXACT_RATE]
-
-    @property
-    def delta_1(self) -> Array:
-        """(3,) integral of C dw, eq. (22) [m]."""
-        return self.vectors[DELTA_1]
-
-    @property
-    def delta_2(self) -> Array:
-        """(3,) integral of (J(q, w) - J(q, 0)) dq, eq. (22) [m]."""
-        return self.vectors[DELTA_2]
-
-    @property
-    def velocity(self) -> Array:
-        """(3,) of the tip, J q' + C w' + drift [m/s]."""
-        return self.vectors[VELOCITY]
-
-    @property
-    def tip_ahead(self) -> Array:
-        """(3,) the tip when a command of now takes effect [m]."""
-        return self.vectors[TIP_AHEAD]
+        """The tip, as the observer knows it."""
+        known, newest = self.known, int(self.numbers[NEWEST])
+        return Observed(
+            known.bias, known.drift, known.bias_covariance, known.tips, newest, self.numbers[USED] > 0.0
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -157,105 +108,91 @@ class Estimator:
     def start(self, loaded: Solution, unloaded: Solution, force: Array, tip: Array) -> Estimate:
         """At rest under `force` (3,) [N], the tracker showing `tip` (3,) [m]."""
         seen, motion = self.observer.start(loaded.tip, tip), self.actuation.start(loaded.joints.size)
-        ticks, joints = motion.sent.shape
-        where = parts(ticks, joints, len(seen.tips))
-        numbers = np.zeros(where.total)
-        now = Estimate(loaded, unloaded, numbers, where)
-        now.vectors[DIFFERENCE] = now.vectors[DEFLECTION] = self.filter.start(loaded.tip - unloaded.tip).value
-        now.vectors[FORCE] = now.vectors[SMOOTH] = self.filter.start(force).value
-        now.vectors[TIP_AHEAD] = tip
-        numbers[where.vectors : where.state] = seen.state.ravel()
-        numbers[where.sent : where.tips] = seen.tips.ravel()
-        numbers[where.place] = seen.used
+        ticks, n = motion.sent.shape
+        history = len(seen.tips)
+        numbers = np.zeros(5 + 48 + n + ticks * n + 3 * history)
+        numbers[JOINTS], numbers[TICKS], numbers[HISTORY], numbers[USED] = n, ticks, history, seen.used
+        now = Estimate(loaded, unloaded, numbers)
+        known = now.known
+        known.deflection[:] = known.deflection_filtered[:] = self.filter.start(loaded.tip - unloaded.tip).value
+        known.force_filtered[:] = known.force_smooth[:] = self.filter.start(force).value
+        known.tip_ahead[:] = tip
+        known.bias[:], known.drift[:], known.bias_covariance[:], known.tips[:] = seen[:4]
         return now
-
-    def update(
-        self, last: Estimate, loaded: Solution, unloaded: Solution,
-        force: Array, sent: Array, tip: Array | None, age: float,
-    ) -> Estimate:  # fmt: skip
-        """One tick on.
-
-        Args:
-            last: of the tick before.
-            loaded, unloaded: the models now.
-            force: (3,) at the tip as measured, the one `loaded` was solved for [N].
-            sent: (n,) velocities that went out to the stages last [rad/s or m/s].
-            tip, age: a tracker frame that has just arrived (3,) [m] and the time since it was measured [s].
-
-        """
-        numbers = estimate(
-            self.settings, loaded.places.q, loaded.numbers, unloaded.numbers,
-            last.loaded.numbers, last.unloaded.numbers, last.numbers, force, sent,
-            sent if tip is None else tip, -1.0 if tip is None else age,
-        )  # fmt: skip
-        return Estimate(loaded, unloaded, numbers, last.places)
 
     @cached_property
     def settings(self) -> Array:
         """What `estimate` is told at every tick."""
         observer, actuation = self.observer, self.actuation
-        ticks = len(actuation.start(1).sent)
-        history = len(observer.start(np.zeros(3), np.zeros(3)).tips)
         return np.array([
             self.filter.period, *self.filter.gain, 0.5 * actuation.hold, actuation.lead,
-            observer.noise**2, observer.wander, observer.gate, ticks, history,
+            observer.noise**2, observer.wander, observer.gate,
         ])  # fmt: skip
 
 
 @compiled
 def estimate(
-    settings: Array, q: int, loaded: Array, unloaded: Array, old_loaded: Array, old_unloaded: Array,
+    settings: Array, loaded: Array, unloaded: Array, old_loaded: Array, old_unloaded: Array,
     last: Array, force: Array, sent_now: Array, frame: Array, age: float,
 ) -> Array:  # fmt: skip
-    """`Estimator.update`; solutions and estimates as their numbers."""
-    period, k_value, k_rate, wait, lead, noise, wander, gate = settings[:8]
-    n = sent_now.shape[0]
-    mine = parts(int(settings[8]), n, int(settings[9]))
-    where = places(q, n)  # where the parts end: each begins where the one before does
-    jacobian, compliance, joints, wrench = where.rotation, where.jacobian, where.sensitivity, where.joints
+    """One tick on: the numbers of the new estimate.
+
+    Args:
+        settings: `Estimator.settings`.
+        loaded, unloaded: the models now, as the numbers of their solutions.
+        old_loaded, old_unloaded, last: the models and the estimate of the tick before.
+        force: (3,) at the tip as measured, the one that `loaded` was solved for [N].
+        sent_now: (n,) velocities that went out to the stages last [rad/s or m/s].
+        frame, age: a tracker frame that has just arrived (3,) [m] and the time since it was taken [s]; below 0: none.
+
+    """
+    period, k_value, k_rate, wait, lead, noise, wander, gate = settings
+    with_load, free, had_load, was_free = parts(loaded), parts(unloaded), parts(old_loaded), parts(old_unloaded)
     numbers = last.copy()
-    old, new, model_tip = last[: mine.vectors].reshape(13, 3), numbers[: mine.vectors].reshape(13, 3), np.empty(3)
-    state = numbers[mine.vectors : mine.state].reshape(3, 3)
-    ahead = numbers[mine.state : mine.ahead]
-    moved = numbers[mine.ahead : mine.sent].reshape(mine.ticks, n)
-    tips = numbers[mine.sent : mine.tips].reshape(int(settings[9]), 3)
-    advance(last[mine.ahead : mine.sent].reshape(mine.ticks, n), sent_now, period, wait, moved, ahead)
-    velocity = moved[-1]
+    old, new = known_of(last), known_of(numbers)
+    advance(old.sent, sent_now, period, wait, new.sent, new.ahead)
+    velocity, model_tip = new.sent[-1], np.empty(3)
     for i in range(3):
-        new[DIFFERENCE, i] = loaded[i] - unloaded[i]
-        new[DIFFERENCE_RATE, i] = (new[DIFFERENCE, i] - old[DIFFERENCE, i]) / period
-    filtered(old[DEFLECTION:FORCE], new[DIFFERENCE], new[DEFLECTION:FORCE], period, k_value, k_rate)
-    filtered(old[FORCE:SMOOTH], force, new[FORCE:SMOOTH], period, k_value, k_rate)
+        new.deflection[i] = with_load.tip[i] - free.tip[i]
+        new.deflection_rate_raw[i] = (new.deflection[i] - old.deflection[i]) / period
+    filtered(
+        old.deflection_filtered, old.deflection_rate, new.deflection,
+        new.deflection_filtered, new.deflection_rate, period, k_value, k_rate,
+    )  # fmt: skip
+    filtered(
+        old.force_filtered, old.force_rate, force, new.force_filtered, new.force_rate, period, k_value, k_rate
+    )  # fmt: skip
     for i in range(3):
-        new[SMOOTH, i] = old[SMOOTH, i] + period * new[FORCE_RATE, i]
+        new.force_smooth[i] = old.force_smooth[i] + period * new.force_rate[i]
     for i in range(3):
         along, extra_way, by_force, by_joints, way, extra_rate = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        model_tip[i] = loaded[i]
+        model_tip[i] = with_load.tip[i]
         for j in range(6):
-            c = compliance + 6 * i + j
-            along += 0.5 * (old_loaded[c] + loaded[c]) * (loaded[wrench + j] - old_loaded[wrench + j])
+            compliance = 0.5 * (had_load.compliance[i, j] + with_load.compliance[i, j])
+            along += compliance * (with_load.wrench[j] - had_load.wrench[j])
         for j in range(3):
-            c = compliance + 6 * i + j
-            by_force += loaded[c] * new[FORCE_RATE, j]
+            by_force += with_load.compliance[i, j] * new.force_rate[j]
             # A single sample's noise would shake the tip by a millimetre. The force taken here moves at the rate
             # that is taken below, so that what both lag behind shows in the bias and in its drift alike.
-            model_tip[i] += loaded[c] * (new[SMOOTH, j] - force[j])
-        for j in range(n):
-            k = jacobian + n * i + j
-            extra, old_extra = loaded[k] - unloaded[k], old_loaded[k] - old_unloaded[k]
-            extra_way += 0.5 * (extra + old_extra) * (loaded[joints + j] - old_loaded[joints + j])
+            model_tip[i] += with_load.compliance[i, j] * (new.force_smooth[j] - force[j])
+        for j in range(velocity.shape[0]):
+            extra = with_load.jacobian[i, j] - free.jacobian[i, j]
+            old_extra = had_load.jacobian[i, j] - was_free.jacobian[i, j]
+            extra_way += 0.5 * (extra + old_extra) * (with_load.joints[j] - had_load.joints[j])
             extra_rate += extra * velocity[j]
-            by_joints += loaded[k] * velocity[j]
-            way += loaded[k] * ahead[j]
-        new[LOAD_RATE, i] = by_force
-        new[EXACT_RATE, i] = by_force + extra_rate
-        new[DELTA_1, i] = old[DELTA_1, i] + along
-        new[DELTA_2, i] = old[DELTA_2, i] + extra_way
-        new[VELOCITY, i] = by_force + by_joints
-        new[TIP_AHEAD, i] = model_tip[i] + way + lead * by_force
-    place, used = observe(state, tips, int(last[mine.tips]), model_tip, frame, age, period, noise, wander, gate)
-    numbers[mine.tips], numbers[mine.place] = place, used
+            by_joints += with_load.jacobian[i, j] * velocity[j]
+            way += with_load.jacobian[i, j] * new.ahead[j]
+        new.load_rate[i] = by_force
+        new.deflection_rate_exact[i] = by_force + extra_rate
+        new.delta_1[i] = old.delta_1[i] + along
+        new.delta_2[i] = old.delta_2[i] + extra_way
+        new.velocity_observed[i] = by_force + by_joints
+        new.tip_ahead[i] = model_tip[i] + way + lead * by_force
+    numbers[NEWEST], numbers[USED] = observe(
+        new.bias, new.drift, new.bias_covariance, new.tips, int(last[NEWEST]),
+        model_tip, frame, age, period, noise, wander, gate,
+    )  # fmt: skip
     for i in range(3):
-        new[VELOCITY, i] += state[1, i]
-        new[TIP_AHEAD, i] += state[0, i] + lead * state[1, i]
+        new.velocity_observed[i] += new.drift[i]
+        new.tip_ahead[i] += new.bias[i] + lead * new.drift[i]
     return numbers

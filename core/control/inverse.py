@@ -26,7 +26,8 @@ SIGMA_FLOOR = 5e-4
 #: out turns round, and a joint that is told so late by the line would otherwise hunt at full speed [m/s].
 HUNTING = 2e-4
 
-_NO_ROOM = np.zeros(0)
+#: Room of limits beyond single joints, where there are none.
+NO_ROOM = np.zeros(0)
 
 
 class Inverse(NamedTuple):
@@ -40,7 +41,7 @@ class Inverse(NamedTuple):
 
 def inverse(
     jacobian: Array, wanted: Array, speed: Array, lower: Array, upper: Array,
-    rows: Array | None = None, room: Array = _NO_ROOM,
+    rows: Array | None = None, room: Array = NO_ROOM,
 ) -> Inverse:  # fmt: skip
     """Joint velocity that best gives the wanted tip velocity inside the limits.
 
@@ -55,7 +56,7 @@ def inverse(
         NotFinite: a NaN or an infinity in what is wanted or in the Jacobian.
 
     """
-    rows = _no_rows(speed.shape[0]) if rows is None else rows
+    rows = no_rows(speed.shape[0]) if rows is None else rows
     velocity, sigma, at_bound, at_row, finite = inverse_law(
         jacobian, wanted, speed, lower, upper, rows, room, SIGMA_FLOOR, HUNTING
     )
@@ -66,10 +67,10 @@ def inverse(
 
 def inverse_at(
     limits: Limits, joints: Array, jacobian: Array, wanted: Array,
-    rows: Array | None = None, room: Array = _NO_ROOM,
+    rows: Array | None = None, room: Array = NO_ROOM,
 ) -> Inverse:  # fmt: skip
     """`inverse` of joints at (n,) [rad or m] that must be able to stop inside their travel."""
-    rows = _no_rows(joints.shape[0]) if rows is None else rows
+    rows = no_rows(joints.shape[0]) if rows is None else rows
     velocity, sigma, at_bound, at_row, finite = _inverse_at(
         limits.packed, joints, jacobian, wanted, rows, room, SIGMA_FLOOR, HUNTING
     )
@@ -95,7 +96,8 @@ def _inverse_at(
 
 
 @cache
-def _no_rows(joints: int) -> Array:
+def no_rows(joints: int) -> Array:
+    """Of limits beyond single joints, where there are none."""
     return np.empty((0, joints))
 
 

@@ -30,25 +30,12 @@ FIRST_DRIFT = 1e-3
 class Observed(NamedTuple):
     """What the observer knows at one tick."""
 
-    state: Array  #: (3, 3) bias, drift and covariance as below
+    bias: Array  #: (3,) tracker minus model [m]
+    drift: Array  #: (3,) rate of the bias [m/s]
+    covariance: Array  #: (3,) equal for all axes: of the bias, of both, of the drift [m^2, m^2/s, m^2/s^2]
     tips: Array  #: (ticks, 3) the model's tips, the newest at `place` [m]
     place: int
     used: bool  #: a frame of this tick passed the gate
-
-    @property
-    def bias(self) -> Array:
-        """(3,) tracker minus model [m]."""
-        return self.state[0]
-
-    @property
-    def drift(self) -> Array:
-        """(3,) rate of the bias [m/s]."""
-        return self.state[1]
-
-    @property
-    def covariance(self) -> Array:
-        """(3,) equal for all axes: of the bias, of both, of the drift [m^2, m^2/s, m^2/s^2]."""
-        return self.state[2]
 
     @property
     def model_tip(self) -> Array:
@@ -58,12 +45,12 @@ class Observed(NamedTuple):
     @property
     def tip(self) -> Array:
         """(3,) the best estimate of the tip now [m]."""
-        return self.tips[self.place] + self.state[0]
+        return self.tips[self.place] + self.bias
 
     @property
     def uncertainty(self) -> float:
         """Standard deviation of the bias in each axis [m]."""
-        return math.sqrt(self.state[2, 0])
+        return math.sqrt(self.covariance[0])
 
 
 @dataclass(frozen=True)
@@ -92,9 +79,8 @@ class Observer:
     def start(self, model_tip: Array, tip: Array) -> Observed:
         """With one frame `tip` (3,) of a robot at rest whose model is at `model_tip` (3,) [m]."""
         tips = np.tile(model_tip, (max(2, math.ceil(self.longest_age / self.period)), 1))
-        state = np.zeros((3, 3))
-        state[0], state[2] = _finite(tip) - model_tip, (self.noise**2, 0.0, FIRST_DRIFT**2)
-        return Observed(state, tips, 0, True)
+        covariance = np.array((self.noise**2, 0.0, FIRST_DRIFT**2))
+        return Observed(_finite(tip) - model_tip, np.zeros(3), covariance, tips, 0, True)
 
     def update(self, last: Observed, model_tip: Array, tip: Array | None, age: float = 0.0) -> Observed:
         """One tick on.
@@ -111,22 +97,21 @@ class Observer:
         """
         if tip is not None:
             _finite(tip)
-        state, tips = last.state.copy(), last.tips.copy()
+        bias, drift, covariance, tips = (part.copy() for part in last[:4])
         place, used = observe(
-            state, tips, last.place, model_tip, last.bias if tip is None else tip,
+            bias, drift, covariance, tips, last.place, model_tip, last.bias if tip is None else tip,
             -1.0 if tip is None else age, self.period, self.noise**2, self.wander, self.gate,
         )  # fmt: skip
-        return Observed(state, tips, place, used)
+        return Observed(bias, drift, covariance, tips, place, used)
 
 
 @compiled
 def observe(
-    state: Array, tips: Array, place: int, model_tip: Array, tip: Array, age: float,
+    bias: Array, drift: Array, covariance: Array, tips: Array, place: int, model_tip: Array, tip: Array, age: float,
     period: float, noise: float, wander: float, gate: float,
 ) -> tuple[int, bool]:  # fmt: skip
     """`Observer.update` in place; an `age` below 0 says that there is no frame. New place, and whether it was used."""
     ticks = tips.shape[0]
-    bias, drift, covariance = state[0], state[1], state[2]
     place = (place + 1) % ticks
     for k in range(3):
         tips[place, k] = model_tip[k]

@@ -1,8 +1,4 @@
-"""From a sample to an estimate in one compiled call: fuse the wrenches, solve both models, estimate.
-
-Each of these is a function of its own elsewhere; here they share one way into compiled code and back,
-which costs as much as the arithmetic.
-"""
+"""sample -> estimate, in one compiled call: fuse the wrenches, solve both models, estimate."""
 
 import math
 from typing import NamedTuple
@@ -11,11 +7,13 @@ import numpy as np
 
 from core.compiled import compiled, copy
 from core.control.estimation import Estimate, Estimator, estimate
-from core.control.force_fusion import Fused, fuse_at, fused_at
+from core.control.force_fusion import Fused, fused_at
 from core.model.newton import CLOSE_ENOUGH, newton
 from core.model.solution import Solution
 from core.model.statics import Statics
 from core.robot.robot import Array, unpack
+
+_NO_LOAD = np.zeros(6)
 
 
 class Perceived(NamedTuple):
@@ -45,18 +43,20 @@ def perceive(
         NotFinite: the measured load is not finite.
 
     """
-    packed, order, sublink, tubes, columns = statics.compiled_arguments
-    places, numbers = last.loaded.places, np.empty(last.places.total)
-    load, loaded, unloaded = np.empty(6), np.empty(places.total), np.empty(places.total)
-    if not _perceive(
-        packed, order, sublink, tubes, columns, estimator.settings,
-        joints, wrenches, sent, sent if tip is None else tip, -1.0 if tip is None else age,
-        last.loaded.numbers, last.unloaded.numbers, last.numbers, places.q, 1, load, loaded, unloaded, numbers,
-    ):  # fmt: skip
-        # A model needs more than the warm start.
-        return _carefully(statics, estimator, last, joints, wrenches, sent, tip, age)
-    now = Estimate(Solution(loaded, places), Solution(unloaded, places), numbers, last.places)
-    return Perceived(Fused(load[:3], load[3:]), now)
+    frame, age = (sent, -1.0) if tip is None else (tip, age)
+    before = (last.loaded.numbers, last.unloaded.numbers, last.numbers)
+    total, *found, numbers = _perceive(
+        *statics.compiled_arguments, estimator.settings, joints, wrenches, sent, frame, age, *before, 1
+    )
+    load, loaded, unloaded = Fused(total[:3], total[3:]), Solution(found[0]), Solution(found[1])
+    if not (loaded.solved and unloaded.solved):
+        # A model needs more than the warm start: in steps, or from the beginning.
+        loaded = statics.solve(joints, point_force(load), last.loaded)
+        unloaded = statics.solve(joints, _NO_LOAD, last.unloaded)
+        numbers = estimate(
+            estimator.settings, loaded.numbers, unloaded.numbers, *before, load.force, sent, frame, age
+        )  # fmt: skip
+    return Perceived(load, Estimate(loaded, unloaded, numbers))
 
 
 def point_force(load: Fused) -> Array:
@@ -66,34 +66,20 @@ def point_force(load: Fused) -> Array:
     return wrench
 
 
-def _carefully(
-    statics: Statics, estimator: Estimator, last: Estimate,
-    joints: Array, wrenches: Array, sent: Array, tip: Array | None, age: float,
-) -> Perceived:  # fmt: skip
-    load = fuse_at(statics.robot, joints, wrenches)
-    loaded = statics.solve(joints, point_force(load), last.loaded)
-    unloaded = statics.solve(joints, np.zeros(6), last.unloaded)
-    return Perceived(load, estimator.update(last, loaded, unloaded, load.force, sent, tip, age))
-
-
 @compiled
 def _perceive(
     packed: Array, order: int, sublink: float, tubes: tuple[float, ...], columns: tuple[float, ...], settings: Array,
     joints: Array, wrenches: Array, sent: Array, frame: Array, age: float,
-    near_loaded: Array, near_unloaded: Array, last: Array, q: int, careful: int,
-    load: Array, loaded: Array, unloaded: Array, now: Array,
-) -> bool:  # fmt: skip
-    """`perceive`, into the last four; False when a model was not solved, and nothing else counts then.
+    near_loaded: Array, near_unloaded: Array, last: Array, careful: int,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """`perceive`: the load (6,), both solutions' numbers and the estimate's, which count if the models are solved.
 
-    `q` and `careful` are always the same, but a constant in here would have the compiler make a second Newton for it.
+    `careful` is always 1, but a constant in here would have the compiler make a second Newton for it.
     """
-    copy(fused_at(unpack(packed), joints, wrenches), load)
+    load = fused_at(unpack(packed), joints, wrenches)
     wrench, nothing, tip, close = np.zeros(6), np.zeros(6), math.inf, CLOSE_ENOUGH
     copy(load[:3], wrench)
-    copy(newton(packed, order, sublink, joints, wrench, near_loaded, tip, careful, close, tubes, columns), loaded)
-    copy(newton(packed, order, sublink, joints, nothing, near_unloaded, tip, careful, close, tubes, columns), unloaded)
-    if not (loaded[-1] > 0.0 and unloaded[-1] > 0.0):
-        return False
-    numbers = estimate(settings, q, loaded, unloaded, near_loaded, near_unloaded, last, load[:3], sent, frame, age)
-    copy(numbers, now)
-    return True
+    loaded = newton(packed, order, sublink, joints, wrench, near_loaded, tip, careful, close, tubes, columns)
+    unloaded = newton(packed, order, sublink, joints, nothing, near_unloaded, tip, careful, close, tubes, columns)
+    now = estimate(settings, loaded, unloaded, near_loaded, near_unloaded, last, load[:3], sent, frame, age)
+    return load, loaded, unloaded, now

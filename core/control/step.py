@@ -8,21 +8,22 @@ No clock, no device, no thread: everything that changes goes in as `ControllerSt
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from core.control.command import follow
-from core.control.controllers import Strategy, View
+from core.control.command import Commanded, Looks, command
+from core.control.controllers import Strategy
 from core.control.corrections import Corrections
 from core.control.estimation import Estimate, Estimator
 from core.control.force_fusion import Fused, fuse_at
-from core.control.inverse import inverse_at
+from core.control.inverse import NO_ROOM
 from core.control.perception import perceive, point_force
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import NotFinite
 from core.model.statics import Statics
-from core.robot.limits import Limits, Situation
+from core.robot.limits import Limits
 from core.robot.robot import Array
 
 
@@ -59,7 +60,7 @@ class Tick(NamedTuple):
     @property
     def delta(self) -> Array:
         """(3,) mismatch of the tip's velocity, eq. (27): observed - U_int [m/s]."""
-        return self.memory.estimate.velocity - self.u_int
+        return self.memory.estimate.known.velocity_observed - self.u_int
 
 
 @dataclass(frozen=True)
@@ -84,10 +85,10 @@ class Controller:
         """Time between ticks [s]."""
         return self.estimator.filter.period
 
-    @property
-    def lead(self) -> float:
-        """Time from a command to its effect, on average [s]."""
-        return self.estimator.actuation.lead
+    @cached_property
+    def looks(self) -> Looks:
+        """What the loops look at."""
+        return Looks(self.estimator.actuation.lead if self.observes else 0.0, self.observes, self.exact_rate)
 
     def tare(self, readings: Array, joints: Array) -> Array:
         """Zero of the base sensors (q, 6) from readings (q, 6) without load at joints (n,)."""
@@ -136,44 +137,38 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         NotFinite: a measurement or the command is not finite; nothing of this tick may be sent.
 
     """
-    statics, limits, last = controller.statics, controller.limits, memory.estimate
+    limits, last = controller.limits, memory.estimate
     if controller.corrections is not None:
         sample = _corrected(controller, sample, last.loaded.rotation)
     load, now = perceive(
-        statics, controller.estimator, last,
+        controller.statics, controller.estimator, last,
         sample.joints, sample.wrenches, sample.sent, sample.tip, sample.tip_age,
     )  # fmt: skip
-    loaded, unloaded = now.loaded, now.unloaded
     tip = memory.tip if sample.tip is None else sample.tip
-
-    at_row = _NO_ROOM
     if isinstance(order, Setpoint):
-        setpoint, laws = order, controller.strategy.laws
-        if laws is not None and not limits.others:
-            lead, seen = (controller.lead, None) if controller.observes else (0.0, tip)
-            command, u_int, sigma, at_bound = follow(
-                laws, lead, controller.exact_rate, limits, sample.joints, now, order, seen, memory.origin
-            )
-        else:
-            u_int = _outer(controller, order, now, tip, memory.origin)
-            rate = now.deflection_rate_exact if controller.exact_rate else now.deflection.rate
-            view = View(loaded, unloaded, rate, now.load_rate, now.drift)
-            jacobian, velocity = controller.strategy.inner(u_int, view)
-            rows, room = None, _NO_ROOM
-            if limits.others:
-                rows, room = limits.rows(Situation(sample.joints, loaded.jacobian[:3], now.tip, load.force))
-            command, sigma, at_bound, at_row = inverse_at(limits, sample.joints, jacobian, velocity, rows, room)
+        found = command(
+            controller.strategy, controller.looks, limits, sample.joints, now, load.force, order, tip, memory.origin
+        )
     else:
         # Nothing is asked of the tip: it is where it should be.
-        setpoint, u_int = Setpoint(tip - memory.origin, np.zeros(3)), np.zeros(3)
-        lower, upper = limits.velocity_bounds(sample.joints)
         asked = np.zeros(sample.joints.size) if order is None else order.velocity
-        command = np.minimum(np.maximum(asked, lower), upper)
-        sigma, at_bound = np.zeros(min(3, asked.size)), np.sign(asked - command)
+        found, order = _as_told(limits, sample.joints, asked), Setpoint(tip - memory.origin, np.zeros(3))
     finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # an older one has been looked at
-    if not (finite and all(map(math.isfinite, command.tolist()))):
-        raise NotFinite(f"joint velocities {command.tolist()} at measured tip {tip.tolist()} m are not finite")
-    return Tick(command, load, u_int, setpoint, sigma, at_bound, at_row, ControllerState(now, tip, memory.origin))
+    if not (finite and all(map(math.isfinite, found.velocity.tolist()))):
+        raise NotFinite(
+            f"joint velocities {found.velocity.tolist()} at measured tip {tip.tolist()} m are not finite"
+        )  # fmt: skip
+    return Tick(
+        found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
+        ControllerState(now, tip, memory.origin),
+    )  # fmt: skip
+
+
+def _as_told(limits: Limits, joints: Array, asked: Array) -> Commanded:
+    """Joints at (n,) that move as asked (n,) [rad/s or m/s], as far as they can stop inside their travel."""
+    lower, upper = limits.velocity_bounds(joints)
+    velocity = np.minimum(np.maximum(asked, lower), upper)
+    return Commanded(velocity, np.zeros(3), np.zeros(min(3, asked.size)), np.sign(asked - velocity), NO_ROOM)
 
 
 def _corrected(controller: Controller, sample: Sample, rotation: Array) -> Sample:
@@ -186,12 +181,4 @@ def _corrected(controller: Controller, sample: Sample, rotation: Array) -> Sampl
     return sample._replace(wrenches=corrections.wrenches(sample.wrenches, alpha), tip=tip)
 
 
-def _outer(controller: Controller, order: Setpoint, now: Estimate, tip: Array, origin: Array) -> Array:
-    """U_int (3,) [m/s]."""
-    if not controller.observes:
-        return controller.strategy.outer.tip_velocity(order, tip - origin)
-    aim = Setpoint(order.position + controller.lead * order.velocity, order.velocity)
-    return controller.strategy.outer.tip_velocity(aim, now.tip_ahead - origin)
-
-
-_NO_LOAD, _NO_ROOM = np.zeros(6), np.zeros(0)
+_NO_LOAD = np.zeros(6)

@@ -12,7 +12,7 @@ import numpy as np
 
 from core.compiled import compiled, copy
 from core.model.propagation import FIXED_ROWS, FRAME_ROWS, Scheme, propagate
-from core.model.solution import Places, places
+from core.model.solution import CONTACT, PASSES, RESIDUAL, STABILITY, Parts, blank, parts
 from core.robot.robot import Array, tube_poses, unpack
 
 #: A pose counts as solved when the end conditions hold to this, in 1/m and N m.
@@ -46,7 +46,7 @@ def newton(
     tubes: tuple[float, ...],
     columns: tuple[float, ...],
 ) -> Array:
-    """Numbers of a `Solution`; the last, the count of passes, is -1 when there is none.
+    """Numbers of a `Solution`; its passes are -1 when there is none.
 
     Args:
         packed: the robot, `Robot.packed`.
@@ -61,19 +61,18 @@ def newton(
     layout = unpack(packed)
     q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
     size, last = q + 3, q + n + 9
-    where = places(q, n)
-    out = np.empty(where.total)
-    out[-1] = -1.0
+    numbers = blank(q, n)
+    found, before = parts(numbers), parts(near)
     alpha, beta, stands = tube_poses(layout, joints)
     length = beta[0] + layout.ends[0, layout.counts[0] - 1]
     if not stands or joints.shape[0] != n or not (contact == np.inf or 0.0 <= contact <= length):
-        return out
+        return numbers
     scheme = Scheme(order, sublink)
     state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * width)
     table = np.zeros((size + 6, width + 8))
     unknowns, step = np.empty(size), np.zeros(size)
-    trial = out[where.compliance : where.unknowns]
-    _predict(near, joints, wrench, contact, n, where, layout.stiffness[0, 0], trial, out[where.wrench : where.move])
+    trial = found.unknowns
+    _predict(before, near[CONTACT] == contact, joints, wrench, layout.stiffness[0, 0], trial, found.move)
     twist = layout.stiffness[0, 1] / layout.stiffness[0, 0]  # 1 / GJ of the tube that carries the tip
     best, fraction = np.inf, 1.0
     for iterations in range(1, MAX_PASSES + 1):
@@ -82,89 +81,83 @@ def newton(
         if not np.isfinite(residual) or (residual > best and residual > TOLERANCE):
             fraction *= 0.5
             if fraction < 1e-4:
-                return out
+                return numbers
             for i in range(size):
                 trial[i] = unknowns[i] - fraction * step[i]
             continue
         best, fraction = residual, 1.0
         determinant = eliminate(table, tubes, columns)
         if determinant == 0.0:
-            return out
+            return numbers
         way = 0.0
         for i in range(size):
             step[i] = table[i, last]
             way = max(way, abs(step[i]) * (length if i < q else length / layout.stiffness[0, 0]))
         if careful and iterations == 1 and not way < FAR:
-            return out
+            return numbers
         for i in range(size):
             unknowns[i] = trial[i]
             trial[i] -= step[i]
         if way < close:
-            if careful and determinant * near[-3] < 0.0:
-                return out
-            _finish(layout.base, state, table, q, n, out)
-            _bend_of_the_way(near, contact, n, where, out)
-            copy(joints, out[where.sensitivity : where.joints])
-            copy(wrench, out[where.joints : where.wrench])
-            out[-4], out[-3], out[-2], out[-1] = contact, determinant, min(residual, LEFT * way * way), iterations
-            return out
-    return out
+            if careful and determinant * near[STABILITY] < 0.0:
+                return numbers
+            _finish(layout.base, state, table, q, n, found)
+            _bend_of_the_way(before, near[PASSES] > 0.0 and near[CONTACT] == contact, found)
+            copy(joints, found.joints)
+            copy(wrench, found.wrench)
+            numbers[CONTACT], numbers[STABILITY] = contact, determinant
+            numbers[RESIDUAL], numbers[PASSES] = min(residual, LEFT * way * way), iterations
+            return numbers
+    return numbers
 
 
 @compiled
 def _predict(
-    near: Array,
-    joints: Array,
-    wrench: Array,
-    contact: float,
-    n: int,
-    where: Places,
-    stiffness: float,
-    trial: Array,
-    move: Array,
+    near: Parts, same_contact: bool, joints: Array, wrench: Array, stiffness: float, trial: Array, move: Array
 ) -> None:
-    """Unknowns at the new pose and load, and the way there (`move`)."""
-    size = trial.shape[0]
+    """Unknowns at the new pose and load (`trial`), and the way there (`move`)."""
+    n, size = joints.shape[0], trial.shape[0]
     for j in range(n):
-        move[j] = joints[j] - near[where.sensitivity + j]
+        move[j] = joints[j] - near.joints[j]
     for j in range(6):
-        move[n + j] = wrench[j] - near[where.joints + j]
+        move[n + j] = wrench[j] - near.wrench[j]
     square, before, along = 0.0, 0.0, 0.0
     for i in range(size):
         now, last = 0.0, 0.0
         for j in range(n + 6):
-            rate = near[where.unknowns + i * (n + 6) + j]
+            rate = near.sensitivity[i, j]
             now += rate * move[j]
-            last += rate * near[where.wrench + j]
-        trial[i] = near[where.compliance + i] + now
+            last += rate * near.move[j]
+        trial[i] = near.unknowns[i] + now
         scale = 1.0 if i < size - 3 else 1.0 / stiffness
         square += scale * scale * now * now
         before += scale * scale * last * last
         along += scale * scale * now * last
     # Only a move along the last one can go on with its cubic.
-    if along * along > 0.99 * square * before and before > 0.0 and near[-4] == contact:
+    if along * along > 0.99 * square * before and before > 0.0 and same_contact:
         t = along / before
         if abs(t) < 3.0:
             for i in range(size):
-                trial[i] += t * t * (near[where.move + i] + t * near[where.move + size + i])
+                trial[i] += t * t * (near.bend[0, i] + t * near.bend[1, i])
 
 
 @compiled
-def _bend_of_the_way(near: Array, contact: float, n: int, where: Places, out: Array) -> None:
-    """Second and third order of the unknowns along the last move, from its ends and their slopes."""
-    size = where.unknowns - where.compliance
-    for i in range(size):
+def _bend_of_the_way(near: Parts, known: bool, found: Parts) -> None:
+    """Second and third order of the unknowns along the last move, from its ends and their slopes.
+
+    `known`: there is a slope at its beginning.
+    """
+    for i in range(found.unknowns.shape[0]):
         here, there = 0.0, 0.0
-        for j in range(n + 6):
-            move = out[where.wrench + j]
-            here += out[where.unknowns + i * (n + 6) + j] * move
-            there += near[where.unknowns + i * (n + 6) + j] * move
-        gap = near[where.compliance + i] - out[where.compliance + i] + here
+        for j in range(found.move.shape[0]):
+            here += found.sensitivity[i, j] * found.move[j]
+            there += near.sensitivity[i, j] * found.move[j]
+        gap = near.unknowns[i] - found.unknowns[i] + here
         curve = there - here
-        if near[-1] <= 0.0 or near[-4] != contact:
+        if not known:
             gap, curve = 0.0, 0.0
-        out[where.move + i] = curve + 3.0 * gap
-        out[where.move + size + i] = curve + 2.0 * gap
+        found.bend[0, i] = curve + 3.0 * gap
+        found.bend[1, i] = curve + 2.0 * gap
 
 
 @compiled
@@ -233,23 +226,22 @@ def _end_conditions(
 
 
 @compiled
-def _finish(base: Array, state: Array, table: Array, q: int, n: int, out: Array) -> None:
+def _finish(base: Array, state: Array, table: Array, q: int, n: int, found: Parts) -> None:
     """Tip and frame with the last step applied, J, C and the sensitivity."""
     size = q + 3
     last = size + n + 6
-    sensitivity = 12 + 6 * n + 36 + size
     for i in range(size):
         for j in range(n + 6):
-            out[sensitivity + i * (n + 6) + j] = -table[i, size + j]
+            found.sensitivity[i, j] = -table[i, size + j]
     for i in range(6):
         for j in range(n):
-            out[12 + i * n + j] = table[size + i, size + j]
+            found.jacobian[i, j] = table[size + i, size + j]
         for j in range(6):
-            out[12 + 6 * n + 6 * i + j] = table[size + i, size + n + j]
+            found.compliance[i, j] = table[size + i, size + n + j]
     cos, sin = np.cos(state[12]), np.sin(state[12])
     n1, n2, n3 = table[size + 3, last], table[size + 4, last], table[size + 5, last]
     for i in range(3):
-        out[i] = state[9 + i] + table[size + i, last] + base[9 + i]
+        found.tip[i] = state[9 + i] + table[size + i, last] + base[9 + i]
     square = n1 * n1 + n2 * n2 + n3 * n3
     for k in range(3):
         # the innermost tube's axes, turned by a rotation too small for its cube to matter
@@ -261,9 +253,9 @@ def _finish(base: Array, state: Array, table: Array, q: int, n: int, out: Array)
             a, b, c = state[2], state[5], state[8]
         along = 0.5 * (n1 * a + n2 * b + n3 * c)
         scale = 1.0 - 0.5 * square
-        out[3 + k] = scale * a + n2 * c - n3 * b + along * n1
-        out[6 + k] = scale * b + n3 * a - n1 * c + along * n2
-        out[9 + k] = scale * c + n1 * b - n2 * a + along * n3
+        found.rotation[0, k] = scale * a + n2 * c - n3 * b + along * n1
+        found.rotation[1, k] = scale * b + n3 * a - n1 * c + along * n2
+        found.rotation[2, k] = scale * c + n1 * b - n2 * a + along * n3
 
 
 @compiled

@@ -1,102 +1,135 @@
-"""A solved shape: one array of numbers, and names for what they are.
+"""A solved shape: one array of numbers, and names for its parts.
 
-The solver writes one array instead of a dozen small ones: making those took as long as the model.
+The solver writes one array instead of a dozen small ones: making those took as long as the model. It begins with a
+few single numbers, at the places named below; behind them lie the `Parts`, in their order.
 """
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import inlined
+from core.compiled import compiled
 from core.robot.robot import Array
 
-
-class Places(NamedTuple):
-    """Where a part of the numbers ends, for q tubes and n joints; each begins where the one before ends."""
-
-    q: int
-    n: int
-    tip: int
-    rotation: int
-    jacobian: int
-    compliance: int
-    unknowns: int
-    sensitivity: int
-    joints: int
-    wrench: int
-    move: int
-    curve: int
-    total: int
+#: Places of the single numbers: how many tubes and joints there are, arc length of the force from the plate [m],
+#: margin of stability, bound of the residual [1/m or N m], and passes along the tubes (-1: not solved).
+TUBES, JOINTS, CONTACT, STABILITY, RESIDUAL, PASSES = range(6)
 
 
-@inlined
-def places(q: int, n: int) -> Places:
-    """For q tubes and n joints."""
+class Parts(NamedTuple):
+    """Views of a solution's numbers for q tubes and n joints. World frame; rows of J and C: position, then rotation."""
+
+    tip: Array  #: (3,) [m]
+    rotation: Array  #: (3, 3) frame of the innermost tube at the tip
+    jacobian: Array  #: (6, n) by the joints [m or rad per rad or m]
+    compliance: Array  #: (6, 6) by force and tip moment [m or rad per N or N m]
+    unknowns: Array  #: (q + 3,) u_iz(0) [1/m] and M(0) about the plate [N m]
+    sensitivity: Array  #: (q + 3, n + 6) of the unknowns by joints, force and moment
+    joints: Array  #: (n,) the pose solved for [rad or m]
+    wrench: Array  #: (6,) the load solved for [N, N m]
+    move: Array  #: (n + 6,) what joints and wrench have changed by since the solution that this one began from
+    bend: Array  #: (2, q + 3) second and third order of the unknowns along `move`
+
+
+@compiled
+def blank(q: int, n: int) -> Array:
+    """Numbers of a solution that is none, for q tubes and n joints."""
     size = q + 3
-    jacobian = 12 + 6 * n
-    compliance = jacobian + 36
-    unknowns = compliance + size
-    sensitivity = unknowns + size * (n + 6)
-    joints = sensitivity + n
-    wrench = joints + 6
-    move = wrench + n + 6
-    curve = move + 2 * size
-    return Places(q, n, 3, 12, jacobian, compliance, unknowns, sensitivity, joints, wrench, move, curve, curve + 4)
+    numbers = np.zeros(6 + 3 + 9 + 6 * n + 36 + size + size * (n + 6) + n + 6 + (n + 6) + 2 * size)
+    numbers[TUBES], numbers[JOINTS], numbers[PASSES] = q, n, -1.0
+    return numbers
+
+
+@compiled
+def parts(numbers: Array) -> Parts:
+    """What lies where in a solution's numbers."""
+    q, n = int(numbers[TUBES]), int(numbers[JOINTS])
+    size = q + 3
+    tip = 6
+    rotation = tip + 3
+    jacobian = rotation + 9
+    compliance = jacobian + 6 * n
+    unknowns = compliance + 36
+    sensitivity = unknowns + size
+    joints = sensitivity + size * (n + 6)
+    wrench = joints + n
+    move = wrench + 6
+    bend = move + n + 6
+    return Parts(
+        numbers[tip:rotation],
+        numbers[rotation:jacobian].reshape(3, 3),
+        numbers[jacobian:compliance].reshape(6, n),
+        numbers[compliance:unknowns].reshape(6, 6),
+        numbers[unknowns:sensitivity],
+        numbers[sensitivity:joints].reshape(size, n + 6),
+        numbers[joints:wrench],
+        numbers[wrench:move],
+        numbers[move:bend],
+        numbers[bend:].reshape(2, size),
+    )
 
 
 class Solution:
-    """The loaded robot at one pose. World frame; rows of J and C: position, then rotation."""
+    """The loaded robot at one pose."""
 
-    __slots__ = ("numbers", "places")
-
-    def __init__(self, numbers: Array, places: Places) -> None:
+    def __init__(self, numbers: Array) -> None:
         self.numbers = numbers
-        self.places = places
+
+    @cached_property
+    def parts(self) -> Parts:
+        """Names for the numbers."""
+        return parts(self.numbers)
 
     @property
     def tip(self) -> Array:
         """(3,) [m]."""
-        return self.numbers[:3]
+        return self.parts.tip
 
     @property
     def rotation(self) -> Array:
         """(3, 3) frame of the innermost tube at the tip."""
-        return self.numbers[3:12].reshape(3, 3)
+        return self.parts.rotation
 
     @property
     def jacobian(self) -> Array:
-        """(6, n) by the joints [m or rad per rad or m]."""
-        return self.numbers[12 : self.places.jacobian].reshape(6, self.places.n)
+        """(6, n) by the joints [m or rad per rad or m]; rows: position, then rotation."""
+        return self.parts.jacobian
 
     @property
     def compliance(self) -> Array:
-        """(6, 6) by force and tip moment [m or rad per N or N m]."""
-        return self.numbers[self.places.jacobian : self.places.compliance].reshape(6, 6)
+        """(6, 6) by force and tip moment [m or rad per N or N m]; rows: position, then rotation."""
+        return self.parts.compliance
 
     @property
     def unknowns(self) -> Array:
         """(q + 3,) u_iz(0) [1/m] and M(0) about the plate [N m]."""
-        return self.numbers[self.places.compliance : self.places.unknowns]
+        return self.parts.unknowns
 
     @property
     def sensitivity(self) -> Array:
         """(q + 3, n + 6) of the unknowns by joints, force and moment."""
-        return self.numbers[self.places.unknowns : self.places.sensitivity].reshape(-1, self.places.n + 6)
+        return self.parts.sensitivity
 
     @property
     def joints(self) -> Array:
-        """(n,) the pose solved for."""
-        return self.numbers[self.places.sensitivity : self.places.joints]
+        """(n,) the pose solved for [rad or m]."""
+        return self.parts.joints
 
     @property
     def wrench(self) -> Array:
         """(6,) the load solved for [N, N m]."""
-        return self.numbers[self.places.joints : self.places.wrench]
+        return self.parts.wrench
+
+    @property
+    def solved(self) -> bool:
+        """Whether the solver has found it."""
+        return bool(self.numbers[PASSES] > 0.0)
 
     @property
     def contact(self) -> float:
         """Arc length from the plate at which the force acts [m]; inf for the tip."""
-        return float(self.numbers[-4])
+        return float(self.numbers[CONTACT])
 
     @property
     def stability(self) -> float:
@@ -104,17 +137,17 @@ class Solution:
 
         It falls to 0 where the shape folds: there the tubes snap, or the load makes them buckle.
         """
-        return float(self.numbers[-3])
+        return float(self.numbers[STABILITY])
 
     @property
     def residual(self) -> float:
         """Bound of the violation of an end condition [1/m or N m]."""
-        return float(self.numbers[-2])
+        return float(self.numbers[RESIDUAL])
 
     @property
     def iterations(self) -> int:
         """Passes along the tubes."""
-        return int(self.numbers[-1])
+        return int(self.numbers[PASSES])
 
     @property
     def singular_values(self) -> Array:
@@ -123,9 +156,8 @@ class Solution:
 
 
 def at_rest(joints: Array, contact: float, q: int) -> Solution:
-    """Where a cold start begins: no twist, no moment, no load."""
-    where = places(q, joints.shape[0])
-    numbers = np.zeros(where.total)
-    numbers[where.sensitivity : where.joints] = joints
-    numbers[-4] = contact
-    return Solution(numbers, where)
+    """Where a cold start begins at joints (n,): no twist, no moment, no load."""
+    rest = Solution(blank(q, joints.shape[0]))
+    rest.joints[:] = joints
+    rest.numbers[CONTACT] = contact
+    return rest

@@ -65,10 +65,10 @@ class Statics:
 
         """
         place = math.inf if contact is None else contact
-        if near is not None and joints.shape == (near.places.n,) and wrench.shape == (6,):
-            numbers = newton(*self._fixed, joints, wrench, near.numbers, place, 1, CLOSE, *self._widths)
-            if numbers[-1] > 0.0:
-                return Solution(numbers, near.places)
+        if near is not None and joints.shape == (len(self.robot.joints),) and wrench.shape == (6,):
+            found = Solution(newton(*self._fixed, joints, wrench, near.numbers, place, 1, CLOSE, *self._widths))
+            if found.solved:
+                return found
         self._check(joints, wrench, contact)
         rest = at_rest(joints, place, len(self.robot.tubes))
         if near is None:
@@ -178,8 +178,8 @@ class Statics:
 
     def _newton(self, joints: Array, wrench: Array, near: Solution, contact: float, careful: int) -> Solution | None:
         close = CLOSE if careful else CLOSEST
-        numbers = newton(*self._fixed, joints, wrench, near.numbers, contact, careful, close, *self._widths)
-        return Solution(numbers, near.places) if numbers[-1] > 0.0 else None
+        found = Solution(newton(*self._fixed, joints, wrench, near.numbers, contact, careful, close, *self._widths))
+        return found if found.solved else None
 
     def _check(self, joints: Array, wrench: Array, contact: float | None) -> None:
         self.robot.check_pose(joints)

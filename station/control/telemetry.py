@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled
-from core.control.estimation import VELOCITY
+from core.control.estimation import NEWEST, USED, VECTORS, known_of
 from core.control.step import Tick
+from core.model.solution import PASSES, STABILITY, parts
 from core.robot.robot import Array, Robot
 from station.control.states import State
 from station.devices.interfaces import JointReading, TipReading, Truth, WrenchReading
@@ -68,7 +69,6 @@ class Channels:
         the severities of what is wrong with stages, tracker and force sensors, 0 where nothing is.
         """
         memory, now = tick.memory, tick.memory.estimate
-        where = now.places
         true_tip, true_force = truth or _UNKNOWN
         new, frame_time = (False, 0.0) if frame is None else (True, frame.time)
         stages, tracker, sensors = troubles
@@ -77,7 +77,7 @@ class Channels:
             row, time, int(state), new, frame_time, stages, tracker, sensors, truth is not None, true_tip, true_force,
             joints.positions, tick.command, joints.sent, wrenches.wrenches, tick.load.force, tick.load.moment,
             memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
-            tick.u_int, tick.sigma, tick.at_bound, now.numbers, where.vectors, where.state, where.sent, where.tips,
+            tick.u_int, tick.sigma, tick.at_bound, now.numbers,
         )  # fmt: skip
         return row
 
@@ -115,13 +115,13 @@ def _fill(
     positions: Array, command: Array, sent: Array, wrenches: Array, force: Array, moment: Array,
     tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
     u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
-    bias: int, bias_end: int, tips: int, tips_end: int,
 ) -> None:  # fmt: skip
     """One row in the order of `_channels`; a call of numpy for each part would take longer than the model."""
     row[0], row[1], row[2], row[3] = time, state, new, frame_time
-    row[4], row[5], row[6], row[7] = loaded[-1], unloaded[-1], estimate[tips_end + 1], loaded[-3]
+    row[4], row[5], row[6], row[7] = loaded[PASSES], unloaded[PASSES], estimate[USED], loaded[STABILITY]
     row[8], row[9], row[10], row[11] = stages, tracker, sensors, known
-    newest, at, n = tips + 3 * int(estimate[tips_end]), 12, positions.shape[0]
+    shape, free, now, at, n = parts(loaded), parts(unloaded), known_of(estimate), 12, positions.shape[0]
+    newest = now.tips[int(estimate[NEWEST])]
     for k in range(3):
         row[at + k], row[at + 3 + k] = true_tip[k], true_force[k]
     at += 6
@@ -134,8 +134,8 @@ def _fill(
     at += 6 * wrenches.shape[0]
     for k in range(3):
         row[at + k], row[at + 3 + k], row[at + 6 + k] = force[k], moment[k], tip[k]
-        row[at + 9 + k], row[at + 12 + k], row[at + 15 + k] = loaded[k], unloaded[k], origin[k] + setpoint[k]
-        row[at + 18 + k], row[at + 21 + k] = u_int[k], estimate[3 * VELOCITY + k] - u_int[k]
+        row[at + 9 + k], row[at + 12 + k], row[at + 15 + k] = shape.tip[k], free.tip[k], origin[k] + setpoint[k]
+        row[at + 18 + k], row[at + 21 + k] = u_int[k], now.velocity_observed[k] - u_int[k]
     at += 24
     for k in range(sigma.shape[0]):
         row[at + k] = sigma[k]
@@ -144,9 +144,10 @@ def _fill(
         row[at + j] = at_bound[j]
     at += n
     for k in range(3):
-        row[at + k] = estimate[newest + k] + estimate[bias + k]
-    for k in range(bias_end):
-        row[at + 3 + k] = estimate[k]
+        row[at + k] = newest[k] + now.bias[k]
+    for i in range(now.vectors.shape[0]):
+        for k in range(3):
+            row[at + 3 + 3 * i + k] = now.vectors[i, k]
 
 
 def _channels(robot: Robot) -> list[Channel]:
@@ -191,23 +192,7 @@ def _channels(robot: Robot) -> list[Channel]:
         *sigma,
         *[Channel(f"at_bound.{joint.name}", "") for joint in robot.joints],
         *vector("tip_observed", "m"),
-        # the rows of `core.estimation.Estimate.vectors`
-        *vector("deflection", "m"),
-        *vector("deflection_rate_raw", "m/s"),
-        *vector("deflection_filtered", "m"),
-        *vector("deflection_rate", "m/s"),
-        *vector("force_filtered", "N"),
-        *vector("force_rate", "N/s"),
-        *vector("force_smooth", "N"),
-        *vector("load_rate", "m/s"),
-        *vector("deflection_rate_exact", "m/s"),
-        *vector("delta_1", "m"),
-        *vector("delta_2", "m"),
-        *vector("velocity_observed", "m/s"),
-        *vector("tip_ahead", "m"),
-        # and of its `observed.state`
-        *vector("bias", "m"),
-        *vector("drift", "m/s"),
+        *[channel for name, unit in VECTORS.items() for channel in vector(name, unit)],
         Channel("bias_covariance.bias", "m^2"),
         Channel("bias_covariance.both", "m^2/s"),
         Channel("bias_covariance.drift", "m^2/s^2"),

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from core.control.command import follow
+from core.control.command import command
 from core.control.trajectories import Setpoint
 from core.model.solution import at_rest
 from station.config.controllers import ControllerFile
@@ -22,13 +22,12 @@ def prepare() -> None:
     robot = load_robot("paper")
     joints = np.array([0.0, 0.5 * math.pi, -0.1])
     controller = ControllerFile().controller(robot)
-    rest, laws = at_rest(joints, math.inf, len(robot.tubes)), controller.strategy.laws
+    rest = at_rest(joints, math.inf, len(robot.tubes))
     estimate = controller.estimator.start(rest, rest, np.zeros(3), np.zeros(3))
     bench = virtual_bench(robot, LabConfig(), 0, joints)
     bench.lab.advance(0.0)
     bench.devices.sensors.connect(0.0)
     bench.lab.advance(0.01)
     bench.devices.sensors.poll(0.01)
-    if laws is not None:
-        still = Setpoint(np.zeros(3), np.zeros(3))
-        follow(laws, 0.0, False, controller.limits, joints, estimate, still, None, np.zeros(3))
+    zero, still = np.zeros(3), Setpoint(np.zeros(3), np.zeros(3))
+    command(controller.strategy, controller.looks, controller.limits, joints, estimate, zero, still, zero, zero)

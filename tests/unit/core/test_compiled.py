@@ -1,8 +1,41 @@
+"""Compiled code sees what is not a number, and is made anew when anything that it is made of has changed."""
+
 import math
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 from core.compiled import compiled
+from tests.harness.root import ROOT
+
+LAYOUT = """
+from typing import NamedTuple
+import numpy as np
+from core.compiled import compiled
+
+STEP = 10
+
+class Parts(NamedTuple):
+    first: np.ndarray
+
+@compiled
+def parts(numbers: np.ndarray) -> Parts:
+    return Parts(numbers[{place}:])
+"""
+USER = """
+import numpy as np
+from core.compiled import compiled
+from layout import STEP, Parts, parts
+
+@compiled
+def first(numbers: np.ndarray) -> float:
+    return parts(numbers).first[0] + STEP
+
+if __name__ == "__main__":
+    print(first(np.arange(4.0)), sum(first.stats.cache_hits.values()))
+"""
 
 
 @compiled
@@ -13,3 +46,27 @@ def _finite(value: float) -> bool:
 @pytest.mark.parametrize(("value", "finite"), [(1.0, True), (math.nan, False), (math.inf, False), (-math.inf, False)])
 def test_compiled_code_still_sees_nan_and_infinity(value, finite):
     assert _finite(value) == finite
+
+
+def answer(folder: Path) -> list[str]:
+    """Of a process of its own: what the function answers, and how much of it came from the cache."""
+    command = [sys.executable, str(folder / "user.py")]
+    return subprocess.run(
+        command, cwd=ROOT, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True
+    ).stdout.split()
+
+
+def test_a_change_of_what_it_calls_in_another_file_is_seen_by_a_later_process(tmp_path: Path) -> None:
+    layout = tmp_path / "layout.py"
+    layout.write_text(LAYOUT.format(place=1))
+    (tmp_path / "user.py").write_text(USER)
+
+    assert answer(tmp_path) == ["11.0", "0"]
+    assert answer(tmp_path) == ["11.0", "1"]
+    layout.write_text(LAYOUT.format(place=2))
+    assert answer(tmp_path) == ["12.0", "0"]
+    layout.write_text(LAYOUT.format(place=2).replace("STEP = 10", "STEP = 20"))
+    assert answer(tmp_path) == ["22.0", "0"]
+    layout.write_text(LAYOUT.format(place=2).replace("Parts", "Views").replace("STEP = 10", "STEP = 20"))
+    (tmp_path / "user.py").write_text(USER.replace("Parts, ", ""))
+    assert answer(tmp_path) == ["22.0", "0"]

@@ -142,28 +142,28 @@ def test_delta_1_and_delta_2_add_up_to_the_whole_deflection(paper_robot):
     )  # fmt: skip
     now = ticks[-1].memory.estimate
 
-    assert np.abs(now.delta_2).max() > 1e-4
-    np.testing.assert_allclose(now.delta_1 + now.delta_2, now.difference, rtol=0, atol=2e-6)
-    np.testing.assert_array_equal(now.difference, now.loaded.tip - now.unloaded.tip)
+    assert np.abs(now.known.delta_2).max() > 1e-4
+    np.testing.assert_allclose(now.known.delta_1 + now.known.delta_2, now.known.deflection, rtol=0, atol=2e-6)
+    np.testing.assert_array_equal(now.known.deflection, now.loaded.tip - now.unloaded.tip)
 
 
 def test_both_rates_of_the_deflection_are_its_derivative(pulled):
-    estimates = [tick.memory.estimate for tick in pulled[0]]
+    known = [tick.memory.estimate.known for tick in pulled[0]]
     middle = 1470
-    true = (estimates[middle + 20].difference - estimates[middle - 20].difference) / (40 * PERIOD)
+    true = (known[middle + 20].deflection - known[middle - 20].deflection) / (40 * PERIOD)
 
-    np.testing.assert_allclose(estimates[middle].difference_rate, true, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(known[middle].deflection_rate_raw, true, rtol=0, atol=2e-5)
     # both come through the 5 Hz filter, 45 ms late
-    np.testing.assert_allclose(estimates[middle].deflection.rate, true, rtol=0, atol=2e-4)
-    np.testing.assert_allclose(estimates[middle].deflection_rate_exact, true, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(known[middle].deflection_rate, true, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(known[middle].deflection_rate_exact, true, rtol=0, atol=2e-4)
 
 
 def test_the_observed_velocity_is_that_of_the_tip_and_delta_is_what_u_int_did_not_ask_for(pulled):
     ticks, tips = (part[:1500] for part in pulled)
     true = (tips[-1] - tips[-41]) / (40 * PERIOD)
 
-    np.testing.assert_allclose(ticks[-20].memory.estimate.velocity, true, rtol=0, atol=1e-4)
-    np.testing.assert_array_equal(ticks[-1].delta, ticks[-1].memory.estimate.velocity - ticks[-1].u_int)
+    np.testing.assert_allclose(ticks[-20].memory.estimate.known.velocity_observed, true, rtol=0, atol=1e-4)
+    np.testing.assert_array_equal(ticks[-1].delta, ticks[-1].memory.estimate.known.velocity_observed - ticks[-1].u_int)
 
 
 def test_between_frames_the_measured_tip_is_held_and_the_observed_one_goes_on(paper_robot):
@@ -200,7 +200,7 @@ def test_standing_still_sends_zero_and_goes_on_estimating(paper_robot):
     tick = step(unit, memory, plant.sample(), None)
 
     assert not tick.command.any()
-    assert tick.memory.estimate.difference[0] > 5e-3
+    assert tick.memory.estimate.known.deflection[0] > 5e-3
     assert (tick.memory.origin + tick.setpoint.position).tolist() == tick.memory.tip.tolist()
 
 
