@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
-from core.control.controllers import OWN, Strategy, View, inner_law, outer_law
+from core.compiled import compiled, copy
+from core.control.controllers import Strategy, VelocityTask, View, inner_law, outer_law
 from core.control.estimation import Estimate, known_of
-from core.control.inverse import HUNTING, NO_ROOM, SIGMA_FLOOR, inverse_law, no_rows
+from core.control.inverse import HUNTING, NO_ROOM, SIGMA_FLOOR, inverse_at, inverse_law, no_rows
 from core.control.trajectories import Setpoint
 from core.errors import NotFinite
 from core.model.solution import parts
@@ -60,37 +60,30 @@ def command(
     rows, room = no_rows(joints.size), NO_ROOM
     if limits.others:
         rows, room = limits.rows(Situation(joints, now.loaded.jacobian[:3], now.observed.tip, force))
-    laws = strategy.laws
-    if laws is None:
-        laws, own = _NO_LAWS, _own(strategy, looks, now, setpoint, tip, origin)
-    else:
-        own = _NOTHING
-    velocity, u_int, sigma, at_bound, at_row, finite = _command(
-        *laws, *looks, *own, limits.packed, joints,
-        now.loaded.numbers, now.unloaded.numbers, now.numbers,
-        setpoint.position, setpoint.velocity, tip, origin, rows, room, SIGMA_FLOOR, HUNTING,
-    )  # fmt: skip
-    if not finite:
-        raise NotFinite(f"wanted tip velocity {u_int.tolist()} m/s or the Jacobian is not finite")
-    return Commanded(velocity, u_int, sigma, at_bound, at_row)
+    if strategy.laws is None:
+        u_int, task = _own_loops(strategy, looks, now, setpoint, tip, origin)
+        jacobian, velocity = (np.ascontiguousarray(side, dtype=np.float64) for side in task)
+        found = inverse_at(limits, joints, jacobian, velocity, rows, room)
+        return Commanded(found.velocity, u_int, found.sigma, found.at_bound, found.at_row)
+    n = joints.size
+    found = Commanded(np.empty(n), np.empty(3), np.empty(min(3, n)), np.empty(n), np.empty(room.size))
+    if not _command(
+        *strategy.laws, *looks, limits.packed, joints, now.loaded.numbers, now.unloaded.numbers, now.numbers,
+        setpoint.position, setpoint.velocity, tip, origin, rows, room, SIGMA_FLOOR, HUNTING, *found,
+    ):  # fmt: skip
+        raise NotFinite(f"wanted tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
+    return found
 
 
-def _own(
+def _own_loops(
     strategy: Strategy, looks: Looks, now: Estimate, setpoint: Setpoint, tip: Array, origin: Array
-) -> tuple[Array, Array, Array]:
-    """U_int (3,), and Jacobian (3, n) and velocity (3,) of the equation for the joints, from loops of one's own."""
+) -> tuple[Array, VelocityTask]:
+    """U_int (3,) and the equation for the joints."""
     known = now.known
-    aim = _aim(looks.lead, setpoint.position, setpoint.velocity)
-    seen = known.tip_ahead if looks.observes else tip
-    u_int = strategy.outer.tip_velocity(Setpoint(aim, setpoint.velocity), seen - origin)
+    aim = Setpoint(_aim(looks.lead, setpoint.position, setpoint.velocity), setpoint.velocity)
+    u_int = strategy.outer.tip_velocity(aim, (known.tip_ahead if looks.observes else tip) - origin)
     rate = known.deflection_rate_exact if looks.exact_rate else known.deflection_rate
-    task = strategy.inner(u_int, View(now.loaded, now.unloaded, rate, known.load_rate, known.drift))
-    return _plain(u_int), _plain(task.jacobian), _plain(task.velocity)
-
-
-def _plain(numbers: Array) -> Array:
-    """As compiled code takes it, however it was made."""
-    return np.ascontiguousarray(numbers, dtype=np.float64)
+    return u_int, strategy.inner(u_int, View(now.loaded, now.unloaded, rate, known.load_rate, known.drift))
 
 
 @compiled
@@ -105,29 +98,26 @@ def _aim(lead: float, wanted: Array, velocity: Array) -> Array:
 @compiled
 def _command(
     k1: float, k2: float, feedforward: float, number: int, lead: float, observes: bool, exact_rate: bool,
-    own_u_int: Array, own_jacobian: Array, own_velocity: Array, limits: Array, joints: Array,
-    loaded: Array, unloaded: Array, estimate: Array,
+    limits: Array, joints: Array, loaded: Array, unloaded: Array, estimate: Array,
     wanted: Array, velocity: Array, tip: Array, origin: Array, rows: Array, room: Array,
     least_floor: float, hunting: float,
-) -> tuple[Array, Array, Array, Array, Array, bool]:  # fmt: skip
-    """`command`; the last answer is whether what was wanted is finite."""
-    if number == OWN:
-        u_int, jacobian, asked = own_u_int, own_jacobian, own_velocity
-    else:
-        now, here = known_of(estimate), np.empty(3)
-        for i in range(3):
-            here[i] = (now.tip_ahead[i] if observes else tip[i]) - origin[i]
-        u_int = outer_law(k1, k2, feedforward, _aim(lead, wanted, velocity), velocity, here)
-        rate = now.deflection_rate_exact if exact_rate else now.deflection_rate
-        jacobian, asked = inner_law(
-            number, u_int, parts(loaded).jacobian, parts(unloaded).jacobian, rate, now.load_rate, now.drift
-        )
+    command: Array, u_int: Array, sigma: Array, at_bound: Array, at_row: Array,
+) -> bool:  # fmt: skip
+    """`command` of the project's own loops, into the last five; False when what was wanted is not finite."""
+    now, here = known_of(estimate), np.empty(3)
+    for i in range(3):
+        here[i] = (now.tip_ahead[i] if observes else tip[i]) - origin[i]
+    copy(outer_law(k1, k2, feedforward, _aim(lead, wanted, velocity), velocity, here), u_int)
+    rate = now.deflection_rate_exact if exact_rate else now.deflection_rate
+    jacobian, asked = inner_law(
+        number, u_int, parts(loaded).jacobian, parts(unloaded).jacobian, rate, now.load_rate, now.drift
+    )
     lower, upper = velocity_bounds(joints, limits)
-    found, sigma, at_bound, at_row, finite = inverse_law(
+    found, values, held, active, finite = inverse_law(
         jacobian, asked, limits[2], lower, upper, rows, room, least_floor, hunting
     )
-    return found, u_int, sigma, at_bound, at_row, finite
-
-
-_NO_LAWS = (0.0, 0.0, 0.0, OWN)
-_NOTHING = (np.empty(0), np.empty((0, 0)), np.empty(0))
+    copy(found, command)
+    copy(values, sigma)
+    copy(held, at_bound)
+    copy(active, at_row)
+    return finite

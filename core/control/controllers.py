@@ -124,8 +124,7 @@ class InnerLaw(NamedTuple):
         )  # fmt: skip
 
 
-#: Numbers of the inner loops; `OWN` is one that compiled code does not know.
-UNLOADED, LOADED, TYPE_1, TYPE_1_EXACT, TYPE_2, OWN = range(6)
+UNLOADED, LOADED, TYPE_1, TYPE_1_EXACT, TYPE_2 = range(5)
 
 
 @compiled

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy, inlined
 from core.control.actuation import Actuation, advance
 from core.control.deflection import RateFilter, filtered
 from core.control.observer import Observed, Observer, observe
@@ -61,7 +61,7 @@ VECTORS = {
 }  # fmt: skip
 
 
-@compiled
+@inlined
 def known_of(numbers: Array) -> Known:
     """What lies where in an estimate's numbers."""
     n, ticks, history = int(numbers[JOINTS]), int(numbers[TICKS]), int(numbers[HISTORY])
@@ -78,15 +78,20 @@ def known_of(numbers: Array) -> Known:
 class Estimate:
     """What one tick knows; it is all that the next one needs."""
 
+    __slots__ = ("_known", "loaded", "numbers", "unloaded")
+
     def __init__(self, loaded: Solution, unloaded: Solution, numbers: Array) -> None:
         self.loaded = loaded  #: F(q, w)
         self.unloaded = unloaded  #: F(q, 0)
         self.numbers = numbers  #: `known` names them
+        self._known: Known | None = None
 
-    @cached_property
+    @property
     def known(self) -> Known:
         """Names for the numbers."""
-        return known_of(self.numbers)
+        if self._known is None:
+            self._known = known_of(self.numbers)
+        return self._known
 
     @property
     def observed(self) -> Observed:
@@ -133,9 +138,9 @@ class Estimator:
 @compiled
 def estimate(
     settings: Array, loaded: Array, unloaded: Array, old_loaded: Array, old_unloaded: Array,
-    last: Array, force: Array, sent_now: Array, frame: Array, age: float,
-) -> Array:  # fmt: skip
-    """One tick on: the numbers of the new estimate.
+    last: Array, force: Array, sent_now: Array, frame: Array, age: float, numbers: Array,
+) -> None:  # fmt: skip
+    """One tick on.
 
     Args:
         settings: `Estimator.settings`.
@@ -144,11 +149,12 @@ def estimate(
         force: (3,) at the tip as measured, the one that `loaded` was solved for [N].
         sent_now: (n,) velocities that went out to the stages last [rad/s or m/s].
         frame, age: a tracker frame that has just arrived (3,) [m] and the time since it was taken [s]; below 0: none.
+        numbers: of the new estimate, as many as of `last`.
 
     """
     period, k_value, k_rate, wait, lead, noise, wander, gate = settings
     with_load, free, had_load, was_free = parts(loaded), parts(unloaded), parts(old_loaded), parts(old_unloaded)
-    numbers = last.copy()
+    copy(last, numbers)
     old, new = known_of(last), known_of(numbers)
     advance(old.sent, sent_now, period, wait, new.sent, new.ahead)
     velocity, model_tip = new.sent[-1], np.empty(3)
@@ -195,4 +201,3 @@ def estimate(
     for i in range(3):
         new.velocity_observed[i] += new.drift[i]
         new.tip_ahead[i] += new.bias[i] + lead * new.drift[i]
-    return numbers

@@ -45,18 +45,20 @@ def perceive(
     """
     frame, age = (sent, -1.0) if tip is None else (tip, age)
     before = (last.loaded.numbers, last.unloaded.numbers, last.numbers)
-    total, *found, numbers = _perceive(
-        *statics.compiled_arguments, estimator.settings, joints, wrenches, sent, frame, age, *before, 1
-    )
-    load, loaded, unloaded = Fused(total[:3], total[3:]), Solution(found[0]), Solution(found[1])
-    if not (loaded.solved and unloaded.solved):
+    loaded, unloaded, numbers, total = *map(np.empty, map(len, before)), np.empty(6)
+    load, now = Fused(total[:3], total[3:]), Estimate(Solution(loaded), Solution(unloaded), numbers)
+    if not _perceive(
+        *statics.compiled_arguments, estimator.settings, joints, wrenches, sent, frame, age, *before, 1,
+        total, loaded, unloaded, numbers,
+    ):  # fmt: skip
         # A model needs more than the warm start: in steps, or from the beginning.
-        loaded = statics.solve(joints, point_force(load), last.loaded)
-        unloaded = statics.solve(joints, _NO_LOAD, last.unloaded)
-        numbers = estimate(
-            estimator.settings, loaded.numbers, unloaded.numbers, *before, load.force, sent, frame, age
+        now.loaded = statics.solve(joints, point_force(load), last.loaded)
+        now.unloaded = statics.solve(joints, _NO_LOAD, last.unloaded)
+        estimate(
+            estimator.settings, now.loaded.numbers, now.unloaded.numbers, *before,
+            load.force, sent, frame, age, numbers,
         )  # fmt: skip
-    return Perceived(load, Estimate(loaded, unloaded, numbers))
+    return Perceived(load, now)
 
 
 def point_force(load: Fused) -> Array:
@@ -71,15 +73,21 @@ def _perceive(
     packed: Array, order: int, sublink: float, tubes: tuple[float, ...], columns: tuple[float, ...], settings: Array,
     joints: Array, wrenches: Array, sent: Array, frame: Array, age: float,
     near_loaded: Array, near_unloaded: Array, last: Array, careful: int,
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """`perceive`: the load (6,), both solutions' numbers and the estimate's, which count if the models are solved.
+    load: Array, loaded: Array, unloaded: Array, now: Array,
+) -> bool:  # fmt: skip
+    """`perceive`, into the last four; False when a model was not solved, and only the load counts then.
 
     `careful` is always 1, but a constant in here would have the compiler make a second Newton for it.
     """
-    load = fused_at(unpack(packed), joints, wrenches)
+    copy(fused_at(unpack(packed), joints, wrenches), load)
     wrench, nothing, tip, close = np.zeros(6), np.zeros(6), math.inf, CLOSE_ENOUGH
     copy(load[:3], wrench)
-    loaded = newton(packed, order, sublink, joints, wrench, near_loaded, tip, careful, close, tubes, columns)
-    unloaded = newton(packed, order, sublink, joints, nothing, near_unloaded, tip, careful, close, tubes, columns)
-    now = estimate(settings, loaded, unloaded, near_loaded, near_unloaded, last, load[:3], sent, frame, age)
-    return load, loaded, unloaded, now
+    if not (
+        newton(packed, order, sublink, joints, wrench, near_loaded, tip, careful, close, tubes, columns, loaded)
+        and newton(
+            packed, order, sublink, joints, nothing, near_unloaded, tip, careful, close, tubes, columns, unloaded
+        )
+    ):
+        return False
+    estimate(settings, loaded, unloaded, near_loaded, near_unloaded, last, load[:3], sent, frame, age, now)
+    return True

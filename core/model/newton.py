@@ -12,7 +12,7 @@ import numpy as np
 
 from core.compiled import compiled, copy
 from core.model.propagation import FIXED_ROWS, FRAME_ROWS, Scheme, propagate
-from core.model.solution import CONTACT, PASSES, RESIDUAL, STABILITY, Parts, blank, parts
+from core.model.solution import CONTACT, JOINTS, PASSES, RESIDUAL, STABILITY, TUBES, Parts, parts
 from core.robot.robot import Array, tube_poses, unpack
 
 #: A pose counts as solved when the end conditions hold to this, in 1/m and N m.
@@ -45,8 +45,9 @@ def newton(
     close: float,
     tubes: tuple[float, ...],
     columns: tuple[float, ...],
-) -> Array:
-    """Numbers of a `Solution`; its passes are -1 when there is none.
+    numbers: Array,
+) -> bool:
+    """Solve; False when there is no solution.
 
     Args:
         packed: the robot, `Robot.packed`.
@@ -56,17 +57,18 @@ def newton(
         careful: 1 for a warm start: refuses a long way and a change of the margin's sign, to keep the branch.
         close: last Newton step that is applied to first order [rad over the whole length].
         tubes, columns: see `propagate`.
+        numbers: those of the `Solution`, to be written.
 
     """
     layout = unpack(packed)
     q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
     size, last = q + 3, q + n + 9
-    numbers = blank(q, n)
+    numbers[TUBES], numbers[JOINTS], numbers[PASSES] = q, n, -1.0
     found, before = parts(numbers), parts(near)
     alpha, beta, stands = tube_poses(layout, joints)
     length = beta[0] + layout.ends[0, layout.counts[0] - 1]
     if not stands or joints.shape[0] != n or not (contact == np.inf or 0.0 <= contact <= length):
-        return numbers
+        return False
     scheme = Scheme(order, sublink)
     state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * width)
     table = np.zeros((size + 6, width + 8))
@@ -81,34 +83,34 @@ def newton(
         if not np.isfinite(residual) or (residual > best and residual > TOLERANCE):
             fraction *= 0.5
             if fraction < 1e-4:
-                return numbers
+                return False
             for i in range(size):
                 trial[i] = unknowns[i] - fraction * step[i]
             continue
         best, fraction = residual, 1.0
         determinant = eliminate(table, tubes, columns)
         if determinant == 0.0:
-            return numbers
+            return False
         way = 0.0
         for i in range(size):
             step[i] = table[i, last]
             way = max(way, abs(step[i]) * (length if i < q else length / layout.stiffness[0, 0]))
         if careful and iterations == 1 and not way < FAR:
-            return numbers
+            return False
         for i in range(size):
             unknowns[i] = trial[i]
             trial[i] -= step[i]
         if way < close:
             if careful and determinant * near[STABILITY] < 0.0:
-                return numbers
+                return False
             _finish(layout.base, state, table, q, n, found)
             _bend_of_the_way(before, near[PASSES] > 0.0 and near[CONTACT] == contact, found)
             copy(joints, found.joints)
             copy(wrench, found.wrench)
             numbers[CONTACT], numbers[STABILITY] = contact, determinant
             numbers[RESIDUAL], numbers[PASSES] = min(residual, LEFT * way * way), iterations
-            return numbers
-    return numbers
+            return True
+    return False
 
 
 @compiled

@@ -4,12 +4,11 @@ The solver writes one array instead of a dozen small ones: making those took as 
 few single numbers, at the places named below; behind them lie the `Parts`, in their order.
 """
 
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import inlined
 from core.robot.robot import Array
 
 #: Places of the single numbers: how many tubes and joints there are, arc length of the force from the plate [m],
@@ -32,16 +31,13 @@ class Parts(NamedTuple):
     bend: Array  #: (2, q + 3) second and third order of the unknowns along `move`
 
 
-@compiled
-def blank(q: int, n: int) -> Array:
-    """Numbers of a solution that is none, for q tubes and n joints."""
+def count(q: int, n: int) -> int:
+    """How many numbers a solution has for q tubes and n joints."""
     size = q + 3
-    numbers = np.zeros(6 + 3 + 9 + 6 * n + 36 + size + size * (n + 6) + n + 6 + (n + 6) + 2 * size)
-    numbers[TUBES], numbers[JOINTS], numbers[PASSES] = q, n, -1.0
-    return numbers
+    return 6 + 3 + 9 + 6 * n + 36 + size + size * (n + 6) + n + 6 + (n + 6) + 2 * size
 
 
-@compiled
+@inlined
 def parts(numbers: Array) -> Parts:
     """What lies where in a solution's numbers."""
     q, n = int(numbers[TUBES]), int(numbers[JOINTS])
@@ -73,13 +69,18 @@ def parts(numbers: Array) -> Parts:
 class Solution:
     """The loaded robot at one pose."""
 
+    __slots__ = ("_parts", "numbers")
+
     def __init__(self, numbers: Array) -> None:
         self.numbers = numbers
+        self._parts: Parts | None = None
 
-    @cached_property
+    @property
     def parts(self) -> Parts:
         """Names for the numbers."""
-        return parts(self.numbers)
+        if self._parts is None:  # many a solution is nothing but the start of the next one
+            self._parts = parts(self.numbers)
+        return self._parts
 
     @property
     def tip(self) -> Array:
@@ -122,11 +123,6 @@ class Solution:
         return self.parts.wrench
 
     @property
-    def solved(self) -> bool:
-        """Whether the solver has found it."""
-        return bool(self.numbers[PASSES] > 0.0)
-
-    @property
     def contact(self) -> float:
         """Arc length from the plate at which the force acts [m]; inf for the tip."""
         return float(self.numbers[CONTACT])
@@ -157,7 +153,8 @@ class Solution:
 
 def at_rest(joints: Array, contact: float, q: int) -> Solution:
     """Where a cold start begins at joints (n,): no twist, no moment, no load."""
-    rest = Solution(blank(q, joints.shape[0]))
+    n = joints.shape[0]
+    rest = Solution(np.zeros(count(q, n)))
+    rest.numbers[[TUBES, JOINTS, CONTACT, PASSES]] = q, n, contact, -1.0
     rest.joints[:] = joints
-    rest.numbers[CONTACT] = contact
     return rest

@@ -66,8 +66,8 @@ class Statics:
         """
         place = math.inf if contact is None else contact
         if near is not None and joints.shape == (len(self.robot.joints),) and wrench.shape == (6,):
-            found = Solution(newton(*self._fixed, joints, wrench, near.numbers, place, 1, CLOSE, *self._widths))
-            if found.solved:
+            found = Solution(np.empty_like(near.numbers))
+            if newton(*self._fixed, joints, wrench, near.numbers, place, 1, CLOSE, *self._widths, found.numbers):
                 return found
         self._check(joints, wrench, contact)
         rest = at_rest(joints, place, len(self.robot.tubes))
@@ -178,8 +178,9 @@ class Statics:
 
     def _newton(self, joints: Array, wrench: Array, near: Solution, contact: float, careful: int) -> Solution | None:
         close = CLOSE if careful else CLOSEST
-        found = Solution(newton(*self._fixed, joints, wrench, near.numbers, contact, careful, close, *self._widths))
-        return found if found.solved else None
+        found = Solution(np.empty_like(near.numbers))
+        arguments = (*self._fixed, joints, wrench, near.numbers, contact, careful, close, *self._widths, found.numbers)
+        return found if newton(*arguments) else None
 
     def _check(self, joints: Array, wrench: Array, contact: float | None) -> None:
         self.robot.check_pose(joints)
