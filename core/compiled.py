@@ -8,10 +8,10 @@ fuse and reorder but keep NaN and infinity meaningful, because the loop checks f
 """
 
 import hashlib
+import inspect
 import sys
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba  # pyright: ignore[reportMissingTypeStubs]
@@ -30,7 +30,7 @@ _OPTIONS: dict[str, Any] = {
     "fastmath": {"contract", "reassoc", "nsz", "arcp"},
 }
 
-#: The files that each compiled function is made of.
+#: The modules that each compiled function is made of.
 _SOURCES: dict[Any, frozenset[str]] = {}
 
 #: `replaced(numbers, index, value)`: the tuple with one number changed. Compiled code only. Tuples of
@@ -61,24 +61,24 @@ def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
 
 
 def _goes_into(function: Callable[..., Any]) -> tuple[frozenset[str], list[str]]:
-    """The files of all the project's code that a function is compiled from, and the constants that it names."""
+    """The modules of all the code that a function is compiled from, and the constants that it names."""
     code, here = function.__code__, function.__globals__
-    sources, values = {code.co_filename}, list[str]()
+    sources, values = {function.__module__}, list[str]()
     named: list[Any] = [*map(here.get, code.co_names), *function.__annotations__.values()]
     for one in named:
         if isinstance(one, Dispatcher):
             sources |= _SOURCES.get(one, frozenset())
         elif isinstance(one, type) and hasattr(one, "_fields"):
-            sources.add(sys.modules[one.__module__].__file__ or "")
+            sources.add(one.__module__)
         elif isinstance(one, int | float | str | tuple):
             values.append(repr(cast(object, one)))
     return frozenset(sources), values
 
 
 @cache
-def _content(path: str) -> str:
-    """Digest of a file."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+def _content(module: str) -> str:
+    """Digest of its source."""
+    return hashlib.sha256(inspect.getsource(sys.modules[module]).encode()).hexdigest()
 
 
 @compiled

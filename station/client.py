@@ -135,7 +135,7 @@ class Station:
         self._ask("POST", "/api/jog", {"space": space, "velocity": velocity})
 
     def wait(self, run: str, timeout: float | None = None) -> dict[str, Any]:
-        """Wait until a run has ended; the status then.
+        """Wait until a run has ended and its recording is finished; the status then.
 
         Raises:
             RunFailed: it was stopped, held or ended by a fault; the text says why.
@@ -147,7 +147,7 @@ class Station:
             on = status["run"]
             if on is None or on["id"] != run:
                 raise RunFailed(f"run {run} is not the station's last one")
-            if status["state"] != "RUNNING":
+            if status["state"] != "RUNNING" and not on["recording"]:
                 if status["state"] != "READY":
                     raise RunFailed(f"run {run} ended with {status['state']}: {status['cause']}")
                 return status

@@ -1,8 +1,7 @@
-"""What stands behind the devices, a virtual lab's process or a bench of one's own, and what a run brings onto it."""
+"""What stands behind the devices: a virtual lab's process, onto which a run brings load and faults, or a real bench."""
 
 import threading
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from station.config.strict import ConfigError
 from station.control.process import ring_width
@@ -14,13 +13,7 @@ from station.lab.loads import Load, NoLoad
 from station.lab.process import LabBench
 from station.service.bench import Bench
 from station.service.own_bench import OwnBench
-
-
-class RunEffects(NamedTuple):
-    """Of a run, onto a virtual lab, while its motion is on."""
-
-    load: Load | None = NoLoad()  #: at the tip; None: what hangs there is left alone
-    faults: tuple[LabFault, ...] = ()  #: their times counted from the motion's start
+from station.service.start import Start
 
 
 class Backend:
@@ -30,7 +23,6 @@ class Backend:
         self._bench, self._ring = bench, ring
         self._lock = threading.Lock()
         self._told: BenchFile | None = None
-        self._effects = RunEffects()
         self._motion_start: float | None = None
         self._host: LabHost | OwnBench | None = None
 
@@ -87,25 +79,23 @@ class Backend:
         if faults and self._bench.devices is not None:
             raise ConfigError("faults can be injected into the virtual lab only; this station has devices of its own")
 
-    def prepare(self, effects: RunEffects) -> RunEffects:
-        """What the next motion brings; what the last one did is the answer."""
-        with self._lock:
-            before, self._effects = self._effects, effects
-        return before
+    def motion(self, start: Start | None, begun: float | None) -> bool:
+        """The motion of a start has begun at `begun` by the station's clock [s], or none is on any more (None).
 
-    def motion(self, start: float | None) -> bool:
-        """A motion has begun at `start` by the station's clock [s], or none is on any more; False if that was known."""
+        Returns:
+            Whether that was news.
+        """
         with self._lock:
-            if start == self._motion_start:
+            if begun == self._motion_start:
                 return False
-            self._motion_start, (load, faults) = start, self._effects
-        if self._host is None:
+            self._motion_start = begun
+        if self._host is None or start is None:
             return True
-        if load is not None:
-            self._host.apply_load(NoLoad() if start is None else load, start or 0.0)
-        if faults:
+        if start.load is not None:
+            self._host.apply_load(NoLoad() if begun is None else start.load, begun or 0.0)
+        if start.faults:
             # What a run has spoilt ends with it.
-            self._host.inject(() if start is None else faults, start or 0.0)
+            self._host.inject(() if begun is None else start.faults, begun or 0.0)
         return True
 
     def close(self) -> None:

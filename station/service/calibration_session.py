@@ -19,6 +19,7 @@ from station.calibration.worker_host import WorkerHost
 from station.control.states import RefusedError, State
 from station.control.task import Task
 from station.lab.loads import ConstantLoad, NoLoad
+from station.service.start import Start
 from station.service.supervisor import Supervisor
 
 #: Between two looks at the station [s].
@@ -178,7 +179,7 @@ class CalibrationSession:
         self._look()
         ring = self._supervisor.ring
         kept, since = list[Array](), ring.written
-        self._supervisor.visit(what, title)
+        self._supervisor.visit(Start(what, title, load=None, recorded=False))
         while True:
             time.sleep(LOOK)
             running = self._look() is State.RUNNING  # before the rows are read: then the last of them are there

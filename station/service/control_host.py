@@ -28,7 +28,7 @@ Said = Notice | DeviceReport | Refused
 class Ending(NamedTuple):
     """The control process has ended, though nobody asked it to."""
 
-    how: str  #: by which signal, with which status; or why its devices were not to be had
+    how: str  #: by which signal, with which status; or why it had to be
     stopped: str  #: what became of the stages
 
 
@@ -62,6 +62,7 @@ class ControlHost:
         self._stages = ""  # name of their driver, once they may have been opened
         self._emergency_stop: EmergencyStop | None = None
         self._closing = False
+        self._killed = ""  # why, if it was
         ring.numbers[HEARTBEAT] = 0.0
         self._child = Child(run_control, bench.control, ring.name, name="control")
         self._watcher = threading.Thread(target=self._watch, name="control watcher")
@@ -118,8 +119,9 @@ class ControlHost:
         except Exception as error:  # whatever an installed driver does
             return f"the stages could not be stopped ({type(error).__name__}: {error}): press the emergency stop"
 
-    def kill(self) -> None:
-        """End it at once; the stages are stopped then."""
+    def kill(self, why: str) -> None:
+        """End it at once; the stages are stopped then, and `why` is told."""
+        self._killed = why
         self._child.kill()
 
     def close(self) -> None:
@@ -131,7 +133,6 @@ class ControlHost:
 
     def _watch(self) -> None:
         """Give it its devices, take what it says until it ends; its end unasked is a fault."""
-        problem = ""
         if self._fifo:
             ask_for_fifo(WATCHER_PRIORITY)  # what is left of a run must not wait for a page to be drawn
         try:
@@ -143,14 +144,13 @@ class ControlHost:
             while True:
                 self._take(self._child.pipe.recv())
         except LabError as error:
-            problem = str(error)
-            self._child.kill()
+            self.kill(str(error))
         except (EOFError, OSError):
             pass  # it has ended
         if self._closing:
             return
         stopped = self.stop_stages()
-        self._ended(Ending(problem or f"the control process ended {self._child.ended()}", stopped))
+        self._ended(Ending(self._killed or f"the control process ended {self._child.ended()}", stopped))
 
     def _take(self, message: Reply | Said) -> None:
         if not isinstance(message, Reply):

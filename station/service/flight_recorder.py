@@ -27,7 +27,7 @@ class FlightRecorder:
     def __init__(self, ring: Ring, channels: Channels, audit: Audit | None, folder: Path | None, session: str) -> None:
         self._ring, self._channels, self._audit, self._folder = ring, channels, audit, folder
         self._session, self._count = session, 0
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="chronicle")
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="flight recorder")
 
     def state(self, state: State, cause: str) -> None:
         """The state has changed; does not wait."""

@@ -28,6 +28,7 @@ class LiveRecording:
         # One thread: the recorder answers one question at a time.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
         self._looking: Future[None] | None = None
+        self._ending: Future[None] | None = None
         self._problem = ""
 
     @property
@@ -48,6 +49,11 @@ class LiveRecording:
         self._ring.clear_timing()
         self._thread.submit(self._recorder.begin, name, metadata).result()
 
+    @property
+    def finishing(self) -> bool:
+        """Whether the last recording has been ended but not been finished yet."""
+        return self._ending is not None and not self._ending.done()
+
     def say(self, time: float, kind: str, text: str, *, bad: bool = False) -> None:
         """Note what happens at `time` of the telemetry [s]."""
         self._thread.submit(self._recorder.event, Event(time, kind, text, ERROR if bad else INFO))
@@ -59,11 +65,11 @@ class LiveRecording:
     def end(self, state: State, cause: str) -> None:
         """The run has ended, in this state; does not wait."""
         label = Label.COMPLETE if state is State.READY else Label.STOPPED
-        self._thread.submit(self._end, label, cause, self._numbers_now())
+        self._ending = self._thread.submit(self._end, label, cause, self._numbers_now())
 
     def interrupted(self, cause: str) -> None:
         """The process that ran it has died; does not wait."""
-        self._thread.submit(self._end, Label.INTERRUPTED, cause, self._numbers_now())
+        self._ending = self._thread.submit(self._end, Label.INTERRUPTED, cause, self._numbers_now())
 
     def problem(self) -> str:
         """Why the recording that was on has ended by itself; empty while all is well. Does not wait."""

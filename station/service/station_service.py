@@ -15,6 +15,8 @@ from station.control.states import State
 from station.control.task import Task
 from station.experiments.experiment import offered
 from station.lab.loads import Load, NoLoad
+from station.recording.tracking_errors import settling_time
+from station.service.start import Start
 from station.service.supervisor import Supervisor
 
 #: Of the tip when it is moved by hand [m/s].
@@ -83,12 +85,9 @@ class StationService:
             RefusedError: the state does not allow it.
             CtrError: the motion or the controller cannot be.
         """
-        settings = self.settings
-        motion = trajectory or settings.trajectory
-        return self._start(
-            motion, controller or settings.controller, load or settings.load,
-            settings.duration if duration is None else duration, f"{motion.kind}, free motion",
-        )  # fmt: skip
+        given = {"trajectory": trajectory, "controller": controller, "load": load, "duration": duration}
+        chosen = {key: value for key, value in given.items() if value is not None}
+        return self._start(self.settings.model_copy(update=chosen))
 
     def start_experiment(self, name: str, case: str | None = None) -> str:
         """Start a case of an experiment (the first when none is named) on this bench. The run's id.
@@ -118,7 +117,15 @@ class StationService:
             "settings": chosen.file.model_dump(mode="json"),
             "source": experiment.source,
         }
-        return self.supervisor.start(task, chosen.file.load, f"{name}, case {chosen.name}", about, chosen.file.faults)
+        start = Start(
+            task=task,
+            title=f"{name}, case {chosen.name}",
+            load=chosen.file.load,
+            faults=tuple(chosen.file.faults),
+            settling=chosen.file.settling,
+            about=about,
+        )
+        return self.supervisor.start(start).id
 
     def jog(self, space: Literal["joints", "tip"], velocity: tuple[float, ...]) -> None:
         """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].
@@ -154,12 +161,19 @@ class StationService:
         if math.isfinite(load.contact) and "joints" in values:
             self.supervisor.robot.check_contact(values["joints"], load.contact)
 
-    def _start(self, motion: TipMotion, controller: ControllerFile, load: Load, duration: float, title: str) -> str:
-        orders = Orders(motion, self.supervisor.robot)
-        task = Task(self.supervisor.bench.controlled(controller), orders, duration)
-        self._check(load)
+    def _start(self, settings: Settings) -> str:
+        """Start a free motion; the run's id."""
+        orders = Orders(settings.trajectory, self.supervisor.robot)
+        task = Task(self.supervisor.bench.controlled(settings.controller), orders, settings.duration)
+        self._check(settings.load)
         status = self.supervisor.status()
         if status.state is State.READY and "joints" in status.values:
-            orders.check(task.controller, status.values["joints"], duration)
-        settings = Settings(trajectory=motion, controller=controller, load=load, duration=duration)
-        return self.supervisor.start(task, load, title, {"settings": settings.model_dump(mode="json")})
+            orders.check(task.controller, status.values["joints"], task.duration)
+        start = Start(
+            task=task,
+            title=f"{settings.trajectory.kind}, free motion",
+            load=settings.load,
+            settling=settling_time(task.duration),
+            about={"settings": settings.model_dump(mode="json")},
+        )
+        return self.supervisor.start(start).id

@@ -122,14 +122,14 @@ def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[
                 supervisor.operator_gone()
     except CtrError as error:
         refused = str(error)
-    status, recording = supervisor.status(), supervisor.recording
+    status = supervisor.status()
     return {
         "state": status.state.name,
         "phase": status.phase.name,
         "cause": status.cause,
-        "run": status.run,
+        "run": "" if status.run is None else status.run.id,
         "refused": refused,
-        "recovered": [path.name for path in recording.recovered] if recording else [],
+        "recovered": [path.name for path in supervisor.recovered],
     }
 
 

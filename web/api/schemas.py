@@ -89,6 +89,8 @@ class RunOut(Strict):
     """part of the motion that is done, 0 ... 1"""
     duration: float
     """of the motion [s]"""
+    recording: bool
+    """it is being recorded, or its recording is being finished"""
 
 
 class LoopOut(Strict):

@@ -21,12 +21,11 @@ def status_out(service: StationService, of: Commands, who: Who, felt: Felt | Non
 
     known = "truth_known" in status.values and bool(status.values["truth_known"][0])
     names, said = supervisor.robot.joint_names, words(status)
-    task = supervisor.task
     run = None
-    if status.run and task is not None:
+    if status.run is not None:
         run = RunOut(
-            id=status.run, title=status.title, phase=status.phase.name.lower(), progress=status.progress,
-            duration=task.duration,
+            id=status.run.id, title=status.run.start.title, phase=status.phase.name.lower(), progress=status.progress,
+            duration=status.run.start.task.duration, recording=status.recording,
         )  # fmt: skip
     return StatusOut(
         state=status.state.name,

@@ -141,7 +141,7 @@ class Scene:
             self._newton.text = f"{size:.2f} N"
 
     def _draw_path(self, status: Status) -> None:
-        task = self._supervisor.task
+        task = None if status.run is None else status.run.start.task
         if task is self._task:
             return
         self._path.visible = False

@@ -14,7 +14,7 @@ NO_TIMING = Timing(0, 0, {}, {}, "")
 
 
 def status(state: State, **changes: Any) -> Status:
-    plain = Status(state, "", "", "", Phase.NONE, 0.0, 0.01, NO_TIMING, {})
+    plain = Status(state, "", None, False, Phase.NONE, 0.0, 0.01, NO_TIMING, {}, (), (), "")
     return plain._replace(**changes)
 
 
