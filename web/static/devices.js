@@ -30,21 +30,12 @@ $("devices").append(make("div", { className: "acts", style: "margin:0 0 8px" }, 
 
 /** Slow enough to let go in time, fast enough to be seen over the tracker's noise. */
 const SPEED = { rad: 0.06, m: 0.002 }, LEAST = 0.8e-3; // [m] that the model's tip must have moved
-/** A joint that has moved by less since is still where it was let go [rad, m]. */
-const NEAR = { rad: 2e-3, m: 2e-4 };
 
 function check(joint, place) {
   const button = make("button", { type: "button", className: "hold" }, `${joint.name.replaceAll("_", " ")} +`);
   const verdict = make("span", { className: "small dim" }, "not tried");
-  let before = null, left = null; // where the check began; where it was let go, too early to tell
-  const begin = () => {
-    const now = latest();
-    const stayed = left !== null && bench.joints.every((one) => Math.abs(now.joints[one.name] - left[one.name]) < NEAR[one.unit]);
-    before = stayed ? before : now; // what was too short is gone on with
-    left = null;
-  };
-  button.addEventListener("pointerdown", begin);
-  button.addEventListener("keydown", (event) => { if (!event.repeat) begin(); });
+  let before = null; // where the check began; what was too short to tell is gone on with
+  for (const press of ["pointerdown", "keydown"]) button.addEventListener(press, () => { before ??= latest(); });
   holdable(button, "joints", () => bench.joints.map((_, i) => (i === place ? SPEED[joint.unit] : 0)), async () => {
     await new Promise((resolve) => setTimeout(resolve, 400)); // the tracker is late
     const from = before, now = latest();
@@ -54,7 +45,7 @@ function check(joint, place) {
     const dot = seen.reduce((sum, x, i) => sum + x * expected[i], 0), size = Math.hypot(...seen), model = Math.hypot(...expected);
     const [shown, scale] = unit(joint.unit);
     const far = `${((now.joints[joint.name] - from.joints[joint.name]) * scale).toFixed(1)} ${shown}: tip ${(1e3 * size).toFixed(1)} mm, model ${(1e3 * model).toFixed(1)} mm`;
-    left = model < LEAST ? now.joints : null;
+    if (model >= LEAST) before = null;
     verdict.textContent = model < LEAST ? `${far}; hold longer, or bend the tubes first`
       : dot > 0.7 * size * model ? `✓ right way (${far})` : `✗ not as the model expects (${far}): check the sign of this axis, its wiring and the tracker's frame`;
   });
