@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from core.errors import CtrError
 from station.calibration.outcome import NUMBERS, VISITS
 from station.calibration.report import NAME as REPORT
+from station.config.strict import Strict
 from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS
 
 #: What the numbers of every calibration say.
@@ -19,12 +20,14 @@ class NoResultError(CtrError):
     """A calibration or a file of it that is not there."""
 
 
-class Use(NamedTuple):
-    """How a result gets to where it is needed."""
+class Use(Strict):
+    """How a result is put to use."""
 
     text: str
-    line: str  #: for the station's file, at its top; empty when nothing is to be put there
-    options: str  #: of `ctr-station serve`, the same for a station without a file
+    line: str = ""
+    """at the top of the station's file; empty when there is none to be put there"""
+    options: str = ""
+    """of ctr-station serve, for a station without a file"""
 
 
 class Kept(NamedTuple):
@@ -103,12 +106,16 @@ def _use(folder: Path, numbers: Mapping[str, Any]) -> Use:
         text = (
             "Put this line at the top of the station's file, or start the station with this option: then it is in use."
         )
-        return Use(text, f"calibration = {json.dumps(str(folder))}", f"--calibration {shlex.quote(str(folder))}")
+        return Use(
+            text=text,
+            line=f"calibration = {json.dumps(str(folder))}",
+            options=f"--calibration {shlex.quote(str(folder))}",
+        )
     if (late := numbers.get("latency_s")) is not None:
         text = f"Add {1e3 * float(late):.1f} ms to `latency` under [devices.tracker] of the station's file."
-        return Use(text, "", "")
+        return Use(text=text)
     wrong = [name for name, sign in numbers.get("signs", {}).items() if sign < 0.0]
     if wrong:
         turned = ", ".join(f"joints.{name}.backwards" for name in wrong)
-        return Use(f"Turn round {turned} under [devices.stages] of the station's file, and do this again.", "", "")
-    return Use("Nothing has to be changed: the axes run as described. 'tubes' finds the zero angles better.", "", "")
+        return Use(text=f"Turn round {turned} under [devices.stages] of the station's file, and do this again.")
+    return Use(text="Nothing has to be changed: the axes run as described. 'tubes' finds the zero angles better.")

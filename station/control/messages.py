@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from core.robot.robot import Array
+from station.config.strict import Strict
 from station.control.states import Event, State
 from station.control.task import Task
 from station.devices.interfaces import Condition
@@ -46,13 +47,15 @@ class Refused(NamedTuple):
 DeviceName = Literal["stages", "tracker", "sensors"]
 
 
-class DeviceStatus(NamedTuple):
-    """How one device is doing."""
+class DeviceStatus(Strict):
+    """Everything that is known of one device."""
 
     name: DeviceName
     condition: Condition
-    severity: int  #: of what is wrong, 0: nothing
-    text: str  #: what is wrong and what to do
+    severity: int
+    """of what is wrong; 0: nothing"""
+    text: str
+    """what is wrong and what to do"""
     details: Mapping[str, Any]
 
 

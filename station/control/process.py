@@ -231,7 +231,9 @@ def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:
     for name, device in zip(names, (devices.stages, devices.tracker, devices.sensors), strict=True):
         trouble = device.trouble(now)
         severity, text = (0, "") if trouble is None else (int(trouble.severity), trouble.text)
-        found.append(DeviceStatus(name, device.condition, severity, text, device.details()))
+        found.append(
+            DeviceStatus(name=name, condition=device.condition, severity=severity, text=text, details=device.details())
+        )
     return tuple(found)
 
 

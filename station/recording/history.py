@@ -5,8 +5,9 @@ import math
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+from station.config.strict import Strict
 from station.recording.label import RecordingError
 from station.recording.run_folder import RECORDING, SUMMARY, write_json
 from station.recording.writer import PARTIAL
@@ -29,18 +30,29 @@ class NoRunError(RunError):
     """A run or case that is not there."""
 
 
-class Run(NamedTuple):
+class Run(Strict):
     """A run at one look."""
 
-    id: str  #: name of its folder
+    id: str
+    """name of its folder"""
     experiment: str
     title: str
-    label: str  #: complete, stopped, interrupted or incomplete
-    cause: str  #: why it is not complete
-    started: float  #: [s] since 1970
-    cases: tuple[str, ...]  #: those with a recording
-    size: int  #: [bytes]
+    label: str
+    """complete, stopped, interrupted or incomplete"""
+    cause: str
+    """why it is not complete"""
+    started: float
+    """[s] since 1970"""
+    cases: tuple[str, ...]
+    """those with a recording"""
+    size: int
+    """[bytes]"""
     notes: str
+
+
+class RunDetails(Run):
+    """A run with its summary: errors, counts, timing, as far as the run has them."""
+
     summary: Mapping[str, Any]
 
 
@@ -50,7 +62,7 @@ class History:
     def __init__(self, runs: Path) -> None:
         self._runs = runs
 
-    def runs(self, experiment: str = "", label: str = "", text: str = "") -> list[Run]:
+    def runs(self, experiment: str = "", label: str = "", text: str = "") -> list[RunDetails]:
         """Runs, newest first.
 
         Args:
@@ -85,7 +97,7 @@ class History:
                 return folder
         raise NoRunError(f"'{name}' is not one of the runs in {self._runs}")
 
-    def run(self, name: str) -> Run:
+    def run(self, name: str) -> RunDetails:
         """One run.
 
         Raises:
@@ -108,7 +120,7 @@ class History:
         wrong = f"'{case}' is not one of the cases" if case else "choose one of the cases" if cases else "no recording"
         raise NoRunError(f"run '{folder.name}': {wrong}{': ' if cases else ''}{', '.join(cases)}")
 
-    def set_notes(self, name: str, notes: str) -> Run:
+    def set_notes(self, name: str, notes: str) -> RunDetails:
         """Replace a run's notes.
 
         Raises:
@@ -164,21 +176,21 @@ def resolve_run(name: str, runs: Path) -> Path:
     return History(runs).find(name)
 
 
-def _look(folder: Path) -> Run:
+def _look(folder: Path) -> RunDetails:
     summary = _json(folder / SUMMARY)
     recordings = sorted(folder.glob(f"*{RECORDING}"))
     told = summary.get("started")
-    return Run(
-        folder.name,
-        str(summary.get("experiment", "")),
-        str(summary.get("title", "")),
-        str(summary.get("label", "complete" if summary.get("completed") else "stopped")),
-        str(summary.get("cause", "")),
-        float(told) if isinstance(told, int | float) else folder.stat().st_mtime,
-        tuple(path.stem for path in recordings),
-        sum(path.stat().st_size for path in folder.iterdir() if path.is_file()),
-        str(_json(folder / NOTES).get("notes", "")),
-        summary,
+    return RunDetails(
+        id=folder.name,
+        experiment=str(summary.get("experiment", "")),
+        title=str(summary.get("title", "")),
+        label=str(summary.get("label", "complete" if summary.get("completed") else "stopped")),
+        cause=str(summary.get("cause", "")),
+        started=float(told) if isinstance(told, int | float) else folder.stat().st_mtime,
+        cases=tuple(path.stem for path in recordings),
+        size=sum(path.stat().st_size for path in folder.iterdir() if path.is_file()),
+        notes=str(_json(folder / NOTES).get("notes", "")),
+        summary=summary,
     )
 
 

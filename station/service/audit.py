@@ -10,9 +10,9 @@ import threading
 from collections import deque
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple
 
 from core.errors import CtrError
+from station.config.strict import Strict
 
 NAME = "audit.jsonl"
 #: Size at which a new file is begun [bytes], and how many old ones stay.
@@ -25,10 +25,11 @@ class AuditError(CtrError):
     """The log cannot be written."""
 
 
-class Entry(NamedTuple):
-    """One line."""
+class Entry(Strict):
+    """One line of the audit log."""
 
-    time: str  #: ISO 8601 with the zone
+    time: str
+    """ISO 8601 with the zone"""
     who: str
     what: str
     where: str
@@ -57,10 +58,11 @@ class Audit:
 
         A full disk does not keep anybody from stopping the robot: what cannot be written is lost.
         """
-        entry = Entry(_now(), *(text[:LONGEST] for text in (who, what, where, outcome)))
+        told = {"who": who, "what": what, "where": where, "outcome": outcome}
+        entry = Entry(time=_now(), **{key: text[:LONGEST] for key, text in told.items()})
         with self._lock:
             try:
-                self._file.write(json.dumps(entry._asdict(), ensure_ascii=True) + "\n")
+                self._file.write(json.dumps(entry.model_dump(), ensure_ascii=True) + "\n")
                 self._file.flush()
                 if self._file.tell() >= self._limit:
                     self._turn_over()

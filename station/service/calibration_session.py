@@ -5,9 +5,10 @@ import shutil
 import threading
 import time
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from pydantic import computed_field
 
 from core.errors import CtrError
 from core.robot.robot import Array
@@ -16,6 +17,7 @@ from station.calibration.procedure import AbortedError, Answer, Ask, GoTo, Step,
 from station.calibration.visiting import SWINGING, measured, still, task
 from station.calibration.worker import Finished, Job
 from station.calibration.worker_host import WorkerHost
+from station.config.strict import Strict
 from station.control.states import RefusedError, State
 from station.control.task import Task
 from station.lab.loads import ConstantLoad, NoLoad
@@ -39,24 +41,37 @@ class Stage(StrEnum):
     FAILED = "failed"  #: what was measured does not tell what was looked for
 
 
-class Report(NamedTuple):
-    """How a procedure is getting on, or how it has ended."""
+class Report(Strict):
+    """The procedure that is on, or the last one: how it is getting on, or how it has ended."""
 
     what: str
     effort: float
+    """so many times the usual number of poses"""
     stage: Stage
-    done: float  #: part of it, 0 ... 1
-    says: str  #: what is going on, or why it has ended
-    asked: str  #: what a person is asked to do; empty when nothing
-    hangs: float  #: known to hang at the tip, or to be hung there now [N]
-    elapsed: float  #: [s]
-    left: float  #: as expected [s]
-    result: str  #: name of the folder with the results; empty while there are none
+    done: float = 0.0
+    """part of it, 0 ... 1"""
+    says: str
+    """what is going on, or why it has ended"""
+    asked: str = ""
+    """what a person is asked to do; empty when nothing"""
+    hangs: float = 0.0
+    """known to hang at the tip, or to be hung there now [N]"""
+    elapsed: float = 0.0
+    """[s]"""
+    left: float = 0.0
+    """as expected [s]"""
+    result: str = ""
+    """name of the folder with what was found; empty while there is nothing"""
 
+    @computed_field
     @property
     def on(self) -> bool:
         """Whether it has not ended."""
         return self.stage in (Stage.THINKING, Stage.MOVING, Stage.ASKING)
+
+    def now(self, **changes: Any) -> "Report":
+        """With these changes."""
+        return self.model_copy(update=changes)
 
 
 class CalibrationSession:
@@ -71,16 +86,16 @@ class CalibrationSession:
         self._zero: float | None = None  # telemetry's time at the first visit [s]
         self._hung = 0.0  # at the tip, on a person's word [N]
         self._visits, self._trouble = 0, self._troubles()
-        self._now = Report(job.what, job.effort, Stage.THINKING, 0.0, "it begins", "", 0.0, 0.0, 0.0, "")
+        self._now = Report(what=job.what, effort=job.effort, stage=Stage.THINKING, says="it begins")
 
     @property
     def report(self) -> Report:
         """How it is getting on."""
         now, elapsed = self._now, (self._ended or self._clock.now()) - self._began
         if not now.on:
-            return now._replace(elapsed=elapsed)
+            return now.now(elapsed=elapsed)
         # Not by the pace so far: it has persons' time in it.
-        return now._replace(elapsed=elapsed, left=self._expected * (1.0 - now.done))
+        return now.now(elapsed=elapsed, left=self._expected * (1.0 - now.done))
 
     def done(self) -> None:
         """A person has done what was asked for.
@@ -131,7 +146,7 @@ class CalibrationSession:
             self._supervisor.apply_load(NoLoad())  # in a virtual lab; from a real tip a person has to take it
             why = f"{why}; a weight of {hangs:g} N may hang at the tip: take it off"
         self._ended = self._clock.now()
-        self._now = self._now._replace(stage=ending, says=why, asked="", hangs=0.0, left=0.0)
+        self._now = self._now.now(stage=ending, says=why, asked="", hangs=0.0, left=0.0)
 
     # Steps
 
@@ -160,7 +175,7 @@ class CalibrationSession:
 
     def _ask(self, step: Ask) -> None:
         self._answered.clear()
-        self._now = self._now._replace(
+        self._now = self._now.now(
             stage=Stage.ASKING, done=step.done, says="waiting for a person", asked=step.text, hangs=step.weight
         )
         while not self._answered.wait(LOOK):
@@ -196,7 +211,7 @@ class CalibrationSession:
     # Looks
 
     def _show(self, stage: Stage, done: float, says: str, result: str = "") -> None:
-        self._now = self._now._replace(stage=stage, done=done, says=says, asked="", result=result)
+        self._now = self._now.now(stage=stage, done=done, says=says, asked="", result=result)
 
     def _look(self) -> State:
         """The station's state.

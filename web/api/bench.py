@@ -1,7 +1,7 @@
 """The bench over REST: devices, homing, tare, moving by hand, and the virtual lab's loads and faults."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query
 from pydantic import ConfigDict, Field
@@ -9,10 +9,11 @@ from pydantic import ConfigDict, Field
 from core.control.controllers import INNER_LOOPS, STRATEGIES
 from station.config.controllers import BEST, ControllerFile
 from station.config.strict import Strict
+from station.control.messages import DeviceStatus
 from station.control.states import RefusedError
 from station.lab.faults import KINDS, LabFault, Part, check_faults
 from station.lab.loads import Load
-from station.service.audit import Audit
+from station.service.audit import Audit, Entry
 from station.service.station_service import JOG_TIP_SPEED, StationService
 from web.api.commands import Commands, aside
 from web.api.schemas import REFUSED, DoneOut
@@ -50,21 +51,10 @@ class BenchOut(Strict):
     """of a free motion unless it brings another"""
 
 
-class DeviceDetailsOut(Strict):
-    """Everything that is known of one device."""
-
-    name: str
-    condition: str
-    severity: int
-    text: str
-    details: dict[str, Any]
-    """who it is and what it has counted"""
-
-
 class DevicesOut(Strict):
     """All devices, and the newest of what they measure."""
 
-    devices: tuple[DeviceDetailsOut, ...]
+    devices: tuple[DeviceStatus, ...]
     raw: Mapping[str, float]
     """by channel, as in recordings, with the unit in the name"""
 
@@ -119,16 +109,6 @@ class FaultKindOut(Strict):
     """it has a duration"""
 
 
-class EntryOut(Strict):
-    """One line of the audit log."""
-
-    time: str
-    who: str
-    what: str
-    where: str
-    outcome: str
-
-
 #: Channels that come straight from a device.
 RAW = ("joints", "velocity_commanded", "velocity_sent", "wrench_raw", "tip_measured", "tip_time", "force", "moment")
 
@@ -157,8 +137,8 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
         return devices_out(service)
 
     @router.get("/log", summary="Commands and refusals, the newest first")
-    def log(count: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[EntryOut]:
-        return [EntryOut(**entry._asdict()) for entry in audit.tail(count)]
+    def log(count: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[Entry]:
+        return list(audit.tail(count))
 
     @router.post("/connect", responses=REFUSED, dependencies=operator, summary="Find the devices")
     async def connect() -> DoneOut:
@@ -238,16 +218,7 @@ def devices_out(service: StationService) -> DevicesOut:
             names = [c.column for c in service.supervisor.channels.all if c.name.rsplit(".", 1)[0] == group]
             raw |= {name: x for name, x in zip(names, status.values[group].tolist(), strict=True) if x == x}
     return DevicesOut(
-        devices=tuple(
-            DeviceDetailsOut(
-                name=device.name,
-                condition=device.condition,
-                severity=device.severity,
-                text=device.text,
-                details=dict(device.details),
-            )
-            for device in status.devices
-        ),
+        devices=status.devices,
         raw=raw,
     )
 

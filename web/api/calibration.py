@@ -7,7 +7,7 @@ from fastapi.responses import FileResponse
 from starlette.exceptions import HTTPException
 
 from station.calibration.catalogue import OFFERS, WEIGHTS
-from station.calibration.exchange import checklist
+from station.calibration.exchange import Todo, checklist
 from station.calibration.report import NAME as REPORT
 from station.calibration.results import Kept, NoResultError, Results
 from station.config.robots import load_robot, robot_of
@@ -16,14 +16,11 @@ from station.service.live_calibration import LiveCalibration
 from web.api.calibration_schemas import (
     CalibrateIn,
     CalibrationOut,
-    CourseOut,
     ExchangeIn,
     KeptDetailsOut,
     KeptOut,
     NowOut,
     OfferOut,
-    TodoOut,
-    UseOut,
 )
 from web.api.commands import Commands, aside
 from web.api.runs import STANDS_ALONE
@@ -40,13 +37,6 @@ def calibration_routes(calibration: LiveCalibration, of: Commands) -> APIRouter:
     operator = [Depends(of.needed)]
     results = Results(calibration.folder)
 
-    def course() -> CourseOut | None:
-        report = calibration.report
-        if report is None:
-            return None
-        told = {key: value for key, value in report._asdict().items() if key not in ("effort", "stage")}
-        return CourseOut(**told, stage=report.stage.value, on=report.on)
-
     @router.get("", summary="Procedures, and the one that is on")
     def calibrations() -> CalibrationOut:
         offers = tuple(
@@ -55,7 +45,11 @@ def calibration_routes(calibration: LiveCalibration, of: Commands) -> APIRouter:
         )
         robots = tuple(preset_names("robots"))
         return CalibrationOut(
-            offers=offers, weights=WEIGHTS, robots=robots, folder=str(calibration.folder.absolute()), course=course()
+            offers=offers,
+            weights=WEIGHTS,
+            robots=robots,
+            folder=str(calibration.folder.absolute()),
+            course=calibration.report,
         )
 
     @router.post(
@@ -63,23 +57,23 @@ def calibration_routes(calibration: LiveCalibration, of: Commands) -> APIRouter:
     )
     async def start(request: CalibrateIn) -> NowOut:
         await aside(calibration.start, request.what, request.effort, request.weights)
-        return NowOut(course=course())
+        return NowOut(course=calibration.report)
 
     @router.post("/done", responses=REFUSED, dependencies=operator, summary="What a person was asked for is done")
     async def done() -> NowOut:
         await aside(calibration.done)
-        return NowOut(course=course())
+        return NowOut(course=calibration.report)
 
     @router.post("/abort", responses=REFUSED, dependencies=operator, summary="End it; nothing of it is kept")
     async def abort() -> NowOut:
         await aside(calibration.abort)
-        return NowOut(course=course())
+        return NowOut(course=calibration.report)
 
     @router.post("/exchange", responses=REFUSED, summary="What has to be done after an exchange of tubes")
-    def exchange(request: ExchangeIn) -> list[TodoOut]:
+    def exchange(request: ExchangeIn) -> list[Todo]:
         file = request.file
         now = load_robot(_preset(request.robot or "")) if file is None else robot_of(file, "file")
-        return [TodoOut(**todo._asdict()) for todo in checklist(calibration.supervisor.bench.robot, now)]
+        return checklist(calibration.supervisor.bench.robot, now)
 
     @router.get("/results", summary="Earlier calibrations, the newest first")
     def kept() -> list[KeptOut]:
@@ -138,5 +132,5 @@ def _details(kept: Kept) -> KeptDetailsOut:
         visits=numbers["visits"],
         robot_s=numbers["robot_s"],
         files=kept.files,
-        use=UseOut(**kept.use._asdict()),
+        use=kept.use,
     )

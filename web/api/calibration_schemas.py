@@ -6,7 +6,9 @@ from typing import Annotated, Literal, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from station.calibration.catalogue import WEIGHTS
+from station.calibration.results import Use
 from station.config.strict import Strict
+from station.service.calibration_session import Report
 
 What = Literal["axes", "latency", "tracker", "force", "tubes"]
 #: Of a known weight [N].
@@ -32,29 +34,6 @@ class OfferOut(Strict):
     """it asks for known weights"""
 
 
-class CourseOut(Strict):
-    """The procedure that is on, or the last one."""
-
-    what: str
-    on: bool
-    """it has not ended"""
-    stage: Literal["thinking", "moving", "asking", "done", "aborted", "failed"]
-    done: float
-    """part of it, 0 ... 1"""
-    says: str
-    """what is going on, or why it has ended"""
-    asked: str
-    """what a person is asked to do; empty when nothing"""
-    hangs: float
-    """known to hang at the tip, or to be hung there now [N]"""
-    elapsed: float
-    """[s]"""
-    left: float
-    """as expected [s]"""
-    result: str
-    """name of what was found; empty while there is nothing"""
-
-
 class CalibrationOut(Strict):
     """What can be found out, and how it is getting on."""
 
@@ -65,7 +44,7 @@ class CalibrationOut(Strict):
     """presets, for an exchange of tubes"""
     folder: str
     """where results go"""
-    course: CourseOut | None
+    course: Report | None
 
 
 class CalibrateIn(Strict):
@@ -88,16 +67,6 @@ class CalibrateIn(Strict):
         if len(set(self.weights)) < len(self.weights):
             raise ValueError("the weights must differ")
         return self
-
-
-class UseOut(Strict):
-    """How a result is put to use."""
-
-    text: str
-    line: str
-    """at the top of the station's file; empty when there is none to be put there"""
-    options: str
-    """of ctr-station serve, for a station without a file"""
 
 
 class KeptOut(Strict):
@@ -124,7 +93,7 @@ class KeptDetailsOut(KeptOut):
     robot_s: float
     """of robot time [s]"""
     files: tuple[str, ...]
-    use: UseOut
+    use: Use
 
 
 class ExchangeIn(Strict):
@@ -144,15 +113,7 @@ class ExchangeIn(Strict):
         return self
 
 
-class TodoOut(Strict):
-    """One line of the checklist."""
-
-    procedure: str
-    """to be carried out; empty: something that a person does"""
-    text: str
-
-
 class NowOut(Strict):
     """The procedure after a request."""
 
-    course: CourseOut | None
+    course: Report | None

@@ -2,7 +2,6 @@
 
 import asyncio
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +11,7 @@ from pydantic import ConfigDict, Field
 from starlette.exceptions import HTTPException
 
 from station.config.strict import Strict
-from station.recording.history import LONGEST, History, NoRunError, Run
+from station.recording.history import LONGEST, History, NoRunError, Run, RunDetails
 from station.recording.label import RecordingError
 from web.api.commands import Commands, aside
 from web.api.schemas import REFUSED, ErrorOut
@@ -24,32 +23,6 @@ STANDS_ALONE = (
     "default-src 'none'; img-src data: blob:; font-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline';"
     " frame-ancestors 'self'"
 )
-
-
-class RunListed(Strict):
-    """A run at one look."""
-
-    id: str
-    """name of its folder"""
-    experiment: str
-    title: str
-    label: str
-    """complete, stopped, interrupted or incomplete"""
-    cause: str
-    """why it is not complete"""
-    started: float
-    """[s] since 1970"""
-    cases: tuple[str, ...]
-    """those with a recording"""
-    size: int
-    """[bytes]"""
-    notes: str
-
-
-class RunDetails(RunListed):
-    """A run with its summary: errors, counts, timing, as far as the run has them."""
-
-    summary: Mapping[str, Any]
 
 
 class NotesIn(Strict):
@@ -79,16 +52,16 @@ def runs_routes(history: History, of: Commands) -> APIRouter:
         label: str = "",
         text: Annotated[str, Query(description="in name, title, cause or notes")] = "",
         limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
-    ) -> list[RunListed]:
-        return [listed(run) for run in (await aside(history.runs, experiment, label, text))[:limit]]
+    ) -> list[Run]:
+        return list((await aside(history.runs, experiment, label, text))[:limit])
 
     @router.get("/{run}", responses=MISSING, summary="One run; `latest` is the newest")
     async def one(run: str) -> RunDetails:
-        return details(await _found(history.run, run))
+        return await _found(history.run, run)
 
     @router.put("/{run}/notes", responses=MISSING, summary="Write down something about a run")
     async def notes(run: str, wish: NotesIn) -> RunDetails:
-        return details(await _found(history.set_notes, run, wish.notes))
+        return await _found(history.set_notes, run, wish.notes)
 
     @router.get(
         "/{run}/recording",
@@ -127,16 +100,6 @@ def runs_routes(history: History, of: Commands) -> APIRouter:
         return FileResponse(path, headers={"content-security-policy": STANDS_ALONE, "cache-control": "no-cache"})
 
     return router
-
-
-def listed(run: Run) -> RunListed:
-    """A run for a reader."""
-    return RunListed(**{key: value for key, value in run._asdict().items() if key != "summary"})
-
-
-def details(run: Run) -> RunDetails:
-    """A run with its summary for a reader."""
-    return RunDetails(**run._asdict())
 
 
 async def _found(function: Any, *arguments: Any) -> Any:

@@ -95,7 +95,7 @@ def test_the_phase_is_that_of_the_run_that_is_shown(watched: Watched, paper: Rob
 
 
 def test_what_others_know_and_what_is_wrong_are_shown_together(watched: Watched) -> None:
-    device = DeviceStatus("tracker", Condition.FAULT, 4, "no frames for 1 s", {})
+    device = DeviceStatus(name="tracker", condition=Condition.FAULT, severity=4, text="no frames for 1 s", details={})
     watched.monitor.hear_devices((device,))
     watched.monitor.hear_refused(("no real-time scheduling",))
     watched.ring.counters[STUCK] = 1
