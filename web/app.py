@@ -192,8 +192,8 @@ def build_app(
         lifespan=lifespan,
     )
     of = commands(Lease(service.supervisor.bench.clock.now))
-    routes, app.state.scene = viser_routes(view.door, of.lease, audit)
-    app.include_router(control_routes(service, of, stopping, view.felt))
+    routes, app.state.scene = viser_routes(view.scene_server, of.lease, audit)
+    app.include_router(control_routes(service, of, stopping, view.side_load))
     app.include_router(operator_routes(of))
     app.include_router(bench_routes(service, of, audit))
     app.include_router(scene_routes(view, service, of))

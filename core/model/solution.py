@@ -4,6 +4,8 @@ The solver writes one array instead of a dozen small ones: making those took as 
 few single numbers, at the places named below; behind them lie the `Parts`, in their order.
 """
 
+from collections.abc import Mapping
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -66,61 +68,70 @@ def parts(numbers: Array) -> Parts:
     )
 
 
+@cache
+def _places(q: int, n: int) -> Mapping[str, tuple[slice, tuple[int, ...]]]:
+    """Where `parts` finds each of them, and its shape."""
+    numbers = np.arange(float(count(q, n)))
+    numbers[[TUBES, JOINTS]] = q, n
+    found = parts(numbers)._asdict()
+    return {name: (slice(int(part.flat[0]), int(part.flat[0]) + part.size), part.shape) for name, part in found.items()}
+
+
 class Solution:
     """The loaded robot at one pose."""
 
-    __slots__ = ("_parts", "numbers")
+    __slots__ = ("_places", "numbers")
 
     def __init__(self, numbers: Array) -> None:
         self.numbers = numbers
-        self._parts: Parts | None = None
+        self._places: Mapping[str, tuple[slice, tuple[int, ...]]] | None = None
 
-    @property
-    def parts(self) -> Parts:
-        """Names for the numbers."""
-        if self._parts is None:  # many a solution is nothing but the start of the next one
-            self._parts = parts(self.numbers)
-        return self._parts
+    def _part(self, name: str) -> Array:
+        """One of the `Parts`: most of them are never looked at."""
+        if self._places is None:
+            self._places = _places(int(self.numbers[TUBES]), int(self.numbers[JOINTS]))
+        where, shape = self._places[name]
+        return self.numbers[where].reshape(shape)
 
     @property
     def tip(self) -> Array:
         """(3,) [m]."""
-        return self.parts.tip
+        return self._part("tip")
 
     @property
     def rotation(self) -> Array:
         """(3, 3) frame of the innermost tube at the tip."""
-        return self.parts.rotation
+        return self._part("rotation")
 
     @property
     def jacobian(self) -> Array:
         """(6, n) by the joints [m or rad per rad or m]; rows: position, then rotation."""
-        return self.parts.jacobian
+        return self._part("jacobian")
 
     @property
     def compliance(self) -> Array:
         """(6, 6) by force and tip moment [m or rad per N or N m]; rows: position, then rotation."""
-        return self.parts.compliance
+        return self._part("compliance")
 
     @property
     def unknowns(self) -> Array:
         """(q + 3,) u_iz(0) [1/m] and M(0) about the plate [N m]."""
-        return self.parts.unknowns
+        return self._part("unknowns")
 
     @property
     def sensitivity(self) -> Array:
         """(q + 3, n + 6) of the unknowns by joints, force and moment."""
-        return self.parts.sensitivity
+        return self._part("sensitivity")
 
     @property
     def joints(self) -> Array:
         """(n,) the pose solved for [rad or m]."""
-        return self.parts.joints
+        return self._part("joints")
 
     @property
     def wrench(self) -> Array:
         """(6,) the load solved for [N, N m]."""
-        return self.parts.wrench
+        return self._part("wrench")
 
     @property
     def contact(self) -> float:

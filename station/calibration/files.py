@@ -3,6 +3,7 @@
 Values are SI; intervals are 95 %. `station.control.known_calibration` reads the files back.
 """
 
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -48,8 +49,8 @@ def write_registration(
     half = 1.96 * fit.errors[first : first + 6]
     text = f"""# Where the tracker stands: p_robot = R(rotation_vector) p_tracker + position.
 # The turn about z is counted from the zero angle of the outermost tube, z from the plate as its straight part has it.
-robot = {_text(robot.name)}
-made = {_text(made)}
+robot = {toml_string(robot.name)}
+made = {toml_string(made)}
 rotation_vector = {_row(vector_of(whole.rotation))}  # [rad]
 position = {_row(whole.position)}  # [m]
 coil = {_row(frames.coil)}  # in the frame of the innermost tube's tip [m]
@@ -64,8 +65,8 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
     """Mounting and hanging weight of each sensor."""
     lines = [
         "# How the base sensors stand and what hangs on them; offsets are tared before every run.",
-        f"robot = {_text(robot.name)}",
-        f"made = {_text(made)}",
+        f"robot = {toml_string(robot.name)}",
+        f"made = {toml_string(made)}",
         f"gravity = {_row(found.sensors.gravity)}  # plate's frame",
     ]
     for i, tube in enumerate(robot.tubes):
@@ -84,7 +85,7 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
 def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made: str) -> Path:
     """The described robot with its tubes as they were found; what it was and how sure beside each number."""
     fit, lines = found.fit, [f"# {line}" for line in made.splitlines()]
-    lines += [f"name = {_text(described.name)}", f"source = {_text(f'calibrated: {made}')}"]
+    lines += [f"name = {toml_string(described.name)}", f"source = {toml_string(f'calibrated: {made}')}"]
     if described.max_force is not None:
         lines.append(f"max_force = {described.max_force!r}")
     lines += ["", "[base]", f"position = {_row(described.base.position)}"]
@@ -100,7 +101,7 @@ def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made
             return f"  # {unit}, +-{abs(scale) * fit.interval(f'{name} {kind}'):.2g} (95 %); described {old:g}"
 
         stiffness = tube.bending_stiffness
-        lines += ["", "[[tubes]]", f"name = {_text(tube.name)}"]
+        lines += ["", "[[tubes]]", f"name = {toml_string(tube.name)}"]
         comment = was("bending_stiffness", stiffness, stiffness, "[N m^2]")
         lines.append(f"bending_stiffness = {new.bending_stiffness:.8g}{comment}")
         if new.torsional_stiffness is None:
@@ -124,8 +125,8 @@ def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made
             lines.append(f"    {{ length = {section.length:.8g}, curvature = {_row(section.curvature)} }},{comment}")
         lines.append("]")
     for joint in described.joints:
-        lines += ["", "[[joints]]", f"name = {_text(joint.name)}", f"tube = {_text(joint.tube)}"]
-        lines.append(f"motion = {_text(joint.motion)}")
+        lines += ["", "[[joints]]", f"name = {toml_string(joint.name)}", f"tube = {toml_string(joint.tube)}"]
+        lines.append(f"motion = {toml_string(joint.motion)}")
         lines += [
             f"{key} = {getattr(joint, key)!r}" for key in ("lower", "upper", "speed", "acceleration", "microstep")
         ]
@@ -141,10 +142,9 @@ def _write(path: Path, text: str) -> Path:
     return path
 
 
-def _text(value: str) -> str:
-    """A TOML string on one line."""
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ")
-    return f'"{escaped}"'
+def toml_string(value: str) -> str:
+    """A TOML string on one line: escaped as in JSON, and the one control character besides that TOML forbids."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _row(values: Sequence[float] | Array, digits: int = 9) -> str:

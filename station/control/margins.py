@@ -76,12 +76,12 @@ def check_design(robot: RobotFile, margins: Margins) -> str:
     try:
         number = design_snap_number(robot.robot(), lower, upper)
     except DescriptionError as error:
-        return f"{error}, so nobody can say beforehand whether its tubes snap: mind its stability"
+        return f"{error}, so nobody can say beforehand whether its tubes snap: watch its stability"
     if number < 1.0:
         return ""
     text = (
         f"robot '{robot.name}': its tubes snap somewhere within their travel (snap number {number:.2f} is not below 1):"
-        " choose shorter or straighter tubes, less travel behind the plate, or mind its stability"
+        " choose shorter or straighter tubes, less travel behind the plate, or watch its stability"
     )
     if margins.design == "refuse":
         raise ConfigError(f"{text}; margins.design = 'warn' takes it all the same")

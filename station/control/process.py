@@ -120,14 +120,14 @@ class _LiveLoop:
             skipped = int((start - due) / PERIOD)
             self._ring.time_late(start - due, skipped)
             tick += skipped
-            self._bear(tick * PERIOD, skipped)
+            self._judge_lateness(tick * PERIOD, skipped)
             if not self._listen(tick * PERIOD):
                 return
             self._tick(tick)
             self._ring.time_work(clock.now() - start)
             tick += 1
 
-    def _bear(self, now: float, skipped: int) -> None:
+    def _judge_lateness(self, now: float, skipped: int) -> None:
         """Too much lateness ends a motion; what was late before it does not count."""
         if self._loop.state not in (State.RUNNING, State.HOMING):
             self._overruns.forget()

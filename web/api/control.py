@@ -34,7 +34,7 @@ from web.api.schemas import (
     TipMotionIn,
 )
 from web.api.status import status_out
-from web.scene.contact import Felt
+from web.scene.contact import SideLoad
 
 #: Groups of telemetry that websocket clients get.
 STREAMED = (
@@ -44,7 +44,7 @@ STREAMED = (
 
 
 def control_routes(
-    service: StationService, of: Commands, stopping: ThreadPoolExecutor, felt: Callable[[], Felt | None]
+    service: StationService, of: Commands, stopping: ThreadPoolExecutor, side_load: Callable[[], SideLoad | None]
 ) -> APIRouter:
     """Routes under /api for one station.
 
@@ -52,7 +52,7 @@ def control_routes(
         service: what requests may do.
         of: who may command.
         stopping: threads that wait for nothing but STOP.
-        felt: tells of a load that does not act at the tip.
+        side_load: tells of a load that does not act at the tip.
     """
     router = APIRouter(prefix="/api", responses={422: REFUSED[422]}, dependencies=[Depends(of.heard)])
     supervisor = service.supervisor
@@ -60,7 +60,7 @@ def control_routes(
 
     @router.get("/status", summary="Everything at one look")
     def status(request: Request) -> StatusOut:
-        return status_out(service, of, who_of(request), felt())
+        return status_out(service, of, who_of(request), side_load())
 
     @router.post(
         "/start", status_code=202, responses=REFUSED, dependencies=operator, summary="Start an experiment or a motion"

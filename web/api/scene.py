@@ -47,7 +47,7 @@ def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter
 
     @router.get("", summary="What is shown beside the robot")
     def get_shown(request: Request) -> ShownOut:
-        return ShownOut(**view.shown.model_dump(), connected=view.door.open[who_of(request).client] > 0)
+        return ShownOut(**view.shown.model_dump(), connected=view.scene_server.open[who_of(request).client] > 0)
 
     @router.put("", responses=REFUSED, dependencies=operator, summary="Show something else")
     def put_shown(shown: Shown, request: Request) -> ShownOut:

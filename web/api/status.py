@@ -7,11 +7,11 @@ from web.access.identity import Who
 from web.api.commands import Commands, operator_out
 from web.api.messages import words
 from web.api.schemas import DeviceOut, LoopOut, RunOut, StatusOut, TouchOut
-from web.scene.contact import Felt
+from web.scene.contact import SideLoad
 
 
-def status_out(service: StationService, of: Commands, who: Who, felt: Felt | None) -> StatusOut:
-    """The station's status; `who` asks, `felt` is a load that does not act at the tip."""
+def status_out(service: StationService, of: Commands, who: Who, side_load: SideLoad | None) -> StatusOut:
+    """The station's status; `who` asks, `side_load` is a load that does not act at the tip."""
     supervisor = service.supervisor
     status = supervisor.status()
     stale = status.age > STALE
@@ -37,7 +37,7 @@ def status_out(service: StationService, of: Commands, who: Who, felt: Felt | Non
         stale=stale,
         age=round(status.age, 3),
         lab=supervisor.bench.title,
-        warnings=(*status.warnings, *(() if felt is None else (felt.warning,))),
+        warnings=(*status.warnings, *(() if side_load is None else (side_load.warning,))),
         run=run,
         devices=_devices(status),
         loop=LoopOut(**status.timing._asdict()),
@@ -47,14 +47,14 @@ def status_out(service: StationService, of: Commands, who: Who, felt: Felt | Non
         tip_desired=vector("tip_desired"),
         tip_true=vector("tip_true") if known else None,
         force=vector("force"),
-        touch=None if felt is None else touch_out(felt),
+        touch=None if side_load is None else touch_out(side_load),
     )
 
 
-def touch_out(felt: Felt) -> TouchOut:
+def touch_out(side_load: SideLoad) -> TouchOut:
     """A load beside the tip for a reader."""
-    x, y, z = felt.force.tolist()
-    contact = felt.contact
+    x, y, z = side_load.force.tolist()
+    contact = side_load.contact
     return TouchOut(
         force=(x, y, z), place=contact.place if contact.located else None, intervals=contact.intervals,
         reason=contact.note,

@@ -31,7 +31,7 @@ AGREED = 3
 STATES = (State.READY, State.RUNNING, State.HOLD, State.STOPPED)
 
 
-class Felt(NamedTuple):
+class SideLoad(NamedTuple):
     """A load that does not act at the tip."""
 
     force: Array  #: (3,) mean, world frame [N]
@@ -53,26 +53,28 @@ class Felt(NamedTuple):
         )
 
 
-class Feeler:
-    """Remembers what the last looks said; `felt` may be read by any thread."""
+class ContactMonitor:
+    """Remembers what the last looks said; `side_load` may be read by any thread."""
 
     def __init__(self, robot: Robot, statics: Statics, channels: Channels) -> None:
         self._statics, self._channels = statics, channels
         self._slow = np.array([SLOW[joint.motion] for joint in robot.joints])
-        self._looks = 0  # running, that say something else than `felt` does
-        self.felt: Felt | None = None  #: the load beside the tip; None: there is none, or it cannot be told now
+        self._looks = 0  # running, that say something else than `side_load` does
+        self.side_load: SideLoad | None = (
+            None  #: the load beside the tip; None: there is none, or it cannot be told now
+        )
 
-    def feel(self, rows: Array) -> None:
+    def look(self, rows: Array) -> None:
         """Look at the newest rows (m, channels) of a station; none when it is silent."""
         found = self._look(rows) if self._can_tell(rows) else None
         if len(rows) == 0:
-            self._looks, self.felt = 0, None
-        elif (found is None) == (self.felt is None):
-            self._looks, self.felt = 0, found
+            self._looks, self.side_load = 0, None
+        elif (found is None) == (self.side_load is None):
+            self._looks, self.side_load = 0, found
         else:
             self._looks += 1
             if self._looks >= AGREED:
-                self._looks, self.felt = 0, found
+                self._looks, self.side_load = 0, found
 
     def _can_tell(self, rows: Array) -> bool:
         """Whether the robot is under control, everything is measured, and neither it nor its load moves fast."""
@@ -86,11 +88,11 @@ class Feeler:
             and bool((np.ptp(of(rows[-ROWS:], "force").reshape(5, -1, 3).mean(axis=1), axis=0) <= STEADY).all())
         )
 
-    def _look(self, rows: Array) -> Felt | None:
+    def _look(self, rows: Array) -> SideLoad | None:
         try:
             touch = look(self._statics, self._channels, rows)
         except CtrError:
             return None  # no shape under this load: what is wrong then is the control loop's to say
         if touch is None or touch.contact is None or float(np.linalg.norm(touch.force)) < LEAST:
             return None
-        return Felt(touch.force, touch.contact)
+        return SideLoad(touch.force, touch.contact)

@@ -5,7 +5,7 @@ import viser
 
 from core.robot.robot import Array
 from station.config import palette
-from web.scene.contact import Felt
+from web.scene.contact import SideLoad
 from web.scene.tubes import centre_line
 
 #: Points along the stretches.
@@ -34,16 +34,16 @@ class ContactMark:
         """There is none."""
         self._marker.visible = self._stretch.visible = self._label.visible = False
 
-    def draw(self, felt: Felt, shape: Array) -> Array:
+    def draw(self, side_load: SideLoad, shape: Array) -> Array:
         """Show it on a shaft with the sections `shape` of the model; where the force most likely acts (3,) [m]."""
-        place = centre_line(shape, np.array([felt.contact.place]))[0][0]
-        size = f"{float(np.linalg.norm(felt.force)):.2f} N"
-        known = felt.contact.located
-        stretches = [_segments(shape, first, last) for first, last in felt.contact.intervals]
+        place = centre_line(shape, np.array([side_load.contact.place]))[0][0]
+        size = f"{float(np.linalg.norm(side_load.force)):.2f} N"
+        known = side_load.contact.located
+        stretches = [_segments(shape, first, last) for first, last in side_load.contact.intervals]
         self._stretch.points = np.concatenate(stretches).astype(np.float32)
         self._marker.position = self._unit * place
         self._label.position = self._unit * (place + BELOW)
-        self._label.text = f"{size} at {felt.place}" if known else f"{size}, place not known"
+        self._label.text = f"{size} at {side_load.place}" if known else f"{size}, place not known"
         self._marker.visible = known
         self._stretch.visible = self._label.visible = True
         return place

@@ -27,7 +27,7 @@ AS = PREFIX + "/as/{client}"
 _KEPT = ("content-type", "content-encoding", "cache-control", "etag", "last-modified", "vary")
 
 
-class SceneDoor(NamedTuple):
+class SceneServer(NamedTuple):
     """Where the scene is, and what of it can be touched."""
 
     port: int  #: viser's, on loopback
@@ -35,10 +35,10 @@ class SceneDoor(NamedTuple):
     open: Counter[str]  #: sockets through it, by their senders' identity
 
 
-def viser_routes(door: SceneDoor, lease: Lease, audit: Audit) -> tuple[APIRouter, httpx.AsyncClient]:
+def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple[APIRouter, httpx.AsyncClient]:
     """Routes that pass everything under `PREFIX` on to viser, and the client to close."""
     router = APIRouter(include_in_schema=False)
-    client = httpx.AsyncClient(base_url=f"http://127.0.0.1:{door.port}", timeout=10.0)
+    client = httpx.AsyncClient(base_url=f"http://127.0.0.1:{scene_server.port}", timeout=10.0)
 
     # The last decorator registers first, and the first route that fits is taken.
     @router.get(PREFIX + "/{path:path}")
@@ -70,7 +70,11 @@ def viser_routes(door: SceneDoor, lease: Lease, audit: Audit) -> tuple[APIRouter
         wanted = [Subprotocol(name) for name in browser.scope.get("subprotocols", [])]
         try:
             scene = await connect(
-                f"ws://127.0.0.1:{door.port}/", subprotocols=wanted or None, max_size=None, compression=None, proxy=None
+                f"ws://127.0.0.1:{scene_server.port}/",
+                subprotocols=wanted or None,
+                max_size=None,
+                compression=None,
+                proxy=None,
             )
         except (OSError, WebSocketException):
             await browser.close(1011, "the scene does not answer")
@@ -80,15 +84,15 @@ def viser_routes(door: SceneDoor, lease: Lease, audit: Audit) -> tuple[APIRouter
         def report(reason: str) -> None:
             audit.write(str(who), "scene message", who.where, f"dropped: {reason}")
 
-        gate = Gate(door.handles, lease, who, time.monotonic, report)
+        gate = Gate(scene_server.handles, lease, who, time.monotonic, report)
         tasks = [asyncio.create_task(_to_scene(browser, scene, gate)), asyncio.create_task(_back(scene, browser))]
-        door.open[who.client] += 1
+        scene_server.open[who.client] += 1
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            door.open[who.client] -= 1
-            if not door.open[who.client]:
-                del door.open[who.client]
+            scene_server.open[who.client] -= 1
+            if not scene_server.open[who.client]:
+                del scene_server.open[who.client]
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)

@@ -14,7 +14,7 @@ from station.config import palette
 from station.control.loop import Phase, Task
 from station.service.status import STALE, Status
 from station.service.supervisor import Supervisor
-from web.scene.contact import Felt
+from web.scene.contact import SideLoad
 from web.scene.contact_mark import ContactMark
 from web.scene.history import BIN, SPAN, History
 from web.scene.legend import FIELD, VIEWS
@@ -79,8 +79,8 @@ class Scene:
             thickness=1.5, thickness_units="screen", scale=UNIT, visible=False,
         )  # fmt: skip
 
-    def update(self, status: Status, history: History, felt: Felt | None = None) -> None:
-        """One frame; what has not changed is not sent again. `felt` is a load that does not act at the tip."""
+    def update(self, status: Status, history: History, side_load: SideLoad | None = None) -> None:
+        """One frame; what has not changed is not sent again. `side_load` is a load that does not act at the tip."""
         live = bool(status.values) and status.age <= STALE and len(history.recent) > 0
         moving = live and status.phase is Phase.MOVING
         self._show_age(status, live)
@@ -94,7 +94,7 @@ class Scene:
         if moving:
             self._desired.position = UNIT * status.values["tip_desired"]
         force = history.mean("force")
-        self._draw_robot(status.values["joints"], force, felt)
+        self._draw_robot(status.values["joints"], force, side_load)
         self._draw_path(status)
 
     def update_trace(self, history: History) -> None:
@@ -105,11 +105,11 @@ class Scene:
             ends = np.concatenate((np.repeat(tips[:1], TRACE_POINTS + 1 - len(tips), axis=0), tips))
             self._trace.points = np.stack((ends[:-1], ends[1:]), axis=1).astype(np.float32)
 
-    def _draw_robot(self, joints: Array, force: Array, felt: Felt | None) -> None:
+    def _draw_robot(self, joints: Array, force: Array, side_load: SideLoad | None) -> None:
         """Tubes as the loaded model has them, and the load where it acts."""
         _, beta = self._supervisor.robot.tube_poses(joints)
         length = float(beta[0]) + self._supervisor.robot.tubes[0].length
-        contact = None if felt is None else min(felt.contact.place, length)
+        contact = None if side_load is None else min(side_load.contact.place, length)
         try:
             self._near = self._statics.solve(joints, np.concatenate((force, np.zeros(3))), self._near, contact)
         except CtrError:
@@ -123,11 +123,11 @@ class Scene:
         self._stage.move(beta)
         self._estimated.position = UNIT * self._near.tip
         self._estimated.visible = True
-        if felt is None:
+        if side_load is None:
             self._contact.hide()
             self._draw_force(self._near.tip, force)
         else:
-            self._draw_force(self._contact.draw(felt, shape), force)
+            self._draw_force(self._contact.draw(side_load, shape), force)
             self._newton.visible = False  # the contact's own words have it
 
     def _draw_force(self, place: Array, force: Array) -> None:

@@ -13,13 +13,13 @@ from core.robot.robot import Array
 from station.lab.loads import GRAVITY, ConstantLoad, NoLoad
 from station.service.station_service import StationService
 from station.service.status import STALE, Status
-from web.scene.contact import ROWS, Feeler, Felt
+from web.scene.contact import ROWS, ContactMonitor, SideLoad
 from web.scene.gizmos import FORCE, FORCE_SIZE, TARGET, TARGET_SIZE, Gizmo, boxes, pull
 from web.scene.history import History
 from web.scene.legend import add_legend
 from web.scene.messages import Handles
 from web.scene.overlays import Overlays, Shown
-from web.scene.proxy import SceneDoor
+from web.scene.proxy import SceneServer
 from web.scene.scene import ARROW, UNIT, Scene
 from web.scene.target import Way, way_to
 
@@ -44,14 +44,16 @@ class View:
         self._history = History(service.supervisor.channels)
         self._limits = service.supervisor.bench.robot.limits()
         self._scene = Scene(server, service.supervisor)
-        self._feeler = Feeler(service.supervisor.robot, service.supervisor.statics, service.supervisor.channels)
+        self._contact_monitor = ContactMonitor(
+            service.supervisor.robot, service.supervisor.statics, service.supervisor.channels
+        )
         self._overlays = Overlays(server.scene, service.supervisor.statics, self._limits, UNIT)
         self._target = Gizmo(server.scene, TARGET, UNIT, TARGET_SIZE)
         self._hand = Gizmo(server.scene, FORCE, UNIT, FORCE_SIZE)
         self._pulls = False
         self._verdict = server.scene.add_label("/handle/verdict", "", anchor="bottom-center", visible=False)
         buttons = add_legend(server, service.supervisor.robot)
-        self.door = SceneDoor(server.get_port(), Handles(buttons, boxes(UNIT)), Counter())
+        self.scene_server = SceneServer(server.get_port(), Handles(buttons, boxes(UNIT)), Counter())
         self._shown = Shown()
         self._way: Way | None = None
         self._end = threading.Event()
@@ -63,9 +65,9 @@ class View:
         """What is shown beside the robot."""
         return self._shown
 
-    def felt(self) -> Felt | None:
+    def side_load(self) -> SideLoad | None:
         """A load that does not act at the tip."""
-        return self._feeler.felt
+        return self._contact_monitor.side_load
 
     def show(self, shown: Shown) -> None:
         """Show something else beside the robot; a target begins at the tip."""
@@ -104,7 +106,7 @@ class View:
         while not self._end.wait(max(0.0, due - time.monotonic())):
             try:
                 if number % LOOK == 0:
-                    self._feel()
+                    self._look_for_contact()
                 if number % UNWATCHED == 0 or self._server.get_clients():
                     self._frame(slow=number % SLOW == 0)
             except Exception:
@@ -114,16 +116,16 @@ class View:
             number += 1
             due = max(due + 1.0 / RATE, time.monotonic())
 
-    def _feel(self) -> None:
+    def _look_for_contact(self) -> None:
         ring = self._supervisor.ring
         rows = ring.read(max(ring.written - ROWS, 0))[0]
-        self._feeler.feel(rows if self._supervisor.status().age <= STALE else rows[:0])
+        self._contact_monitor.look(rows if self._supervisor.status().age <= STALE else rows[:0])
 
     def _frame(self, *, slow: bool) -> None:
         status = self._supervisor.status()
         self._history.read(self._supervisor.ring)
         with self._server.atomic():
-            self._scene.update(status, self._history, self.felt())
+            self._scene.update(status, self._history, self.side_load())
             self._overlay(status)
             if slow:
                 self._scene.update_trace(self._history)

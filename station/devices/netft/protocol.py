@@ -183,7 +183,7 @@ class Stream:
         #: to the next, if those that began the stream agree, or 0; records accepted; how many that are not in line
         #: follow one another; whether there is a last record.
         self._state = np.zeros(7, dtype=np.int64)
-        self._astray: tuple[int, ...] | None = None  # the last one that was not in line
+        self._out_of_order: tuple[int, ...] | None = None  # the last one that was not in line
         self._candidate = 0.0
         self.lost = 0  #: records missing in the sequence so far
         self.resets = 0  #: how often the box's sample counter has begun anew
@@ -206,7 +206,7 @@ class Stream:
     def restart(self) -> None:
         """A new request is sent: its sequence begins at 1."""
         self._state[BEGUN] = self._state[IN_LINE] = 0
-        self._astray = None
+        self._out_of_order = None
 
     @property
     def state(self) -> tuple[Indices, Array]:
@@ -248,12 +248,12 @@ class Stream:
         state = self._state
         state[RDT], state[FT], state[COUNT], state[BEGUN], state[IN_LINE] = fields[0], fields[1], count, 1, 0
         state[ACCEPTED] += 1
-        self._astray = None
+        self._out_of_order = None
         return Sample(self._clock.observe(count, now), fields[2], fields[3:])
 
     def _consider(self, fields: tuple[int, ...], now: float) -> Sample | None:
         """Begin with this record if enough of those that are not in line are in line with one another."""
-        before, self._astray = self._astray, fields
+        before, self._out_of_order = self._out_of_order, fields
         ratio, begun = _ratio(before, fields), bool(self._state[BEGUN])
         in_line = int(self._state[IN_LINE]) + 1 if ratio else 1
         self._state[IN_LINE] = in_line

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from station.devices.zaber.backlog import Backlog
-from station.devices.zaber.dialogue import Answer, Ask, Astray, Complaint, Happening, Lost, ResetDone
-from station.devices.zaber.estimate import ASTRAY, Estimate
+from station.devices.zaber.dialogue import Answer, Ask, Complaint, Happening, Lost, ResetDone, UnexpectedMotion
+from station.devices.zaber.estimate import UNEXPECTED_READINGS, Estimate
 from station.devices.zaber.protocol import (
     ACCELERATION_UNIT,
     ERRORS,
@@ -67,7 +67,7 @@ class Line:
     refresh: float = 0.25  #: an unchanged velocity is repeated after that, in case it was not heard [s]
     stop_tries: int = 3  #: stops that a homing unit may ignore before it is reset
     restart: float = 1.0  #: a unit says nothing after a reset [s]
-    cry: float = 0.25  #: lost units are told to stop so often, in case they hear again [s]
+    repeat_stop: float = 0.25  #: lost units are told to stop so often, in case they hear again [s]
 
 
 @dataclass
@@ -121,7 +121,7 @@ class Chain:
         self._backlog = Backlog()
         self._turn = self._poll_turn = 0
         self._since_poll = 0
-        self._free = self._quiet = self._looked = self._cried = -math.inf
+        self._free = self._quiet = self._looked = self._told_again = -math.inf
 
     # What the driver asks for
 
@@ -207,8 +207,8 @@ class Chain:
         return encode(chosen)
 
     def _next(self, now: float) -> Message | None:
-        if self.lost and not self._urgent and now - self._cried > self.line.cry:
-            self._cried = now
+        if self.lost and not self._urgent and now - self._told_again > self.line.repeat_stop:
+            self._told_again = now
             self._urgent.extend((i, int(Command.STOP)) for i in sorted(self.lost))
         if self._urgent:
             return self._next_urgent(now)
@@ -332,9 +332,9 @@ class Chain:
         self._poll_turn = axis
         if self._sent_at[axis] < math.inf:
             self._sent_at[axis] = -math.inf  # say the velocity again
-        if self.estimates[axis].rejected >= ASTRAY:
+        if self.estimates[axis].rejected >= UNEXPECTED_READINGS:
             self.estimates[axis].forget()
-            happenings.append(Astray(axis))
+            happenings.append(UnexpectedMotion(axis))
 
     def _see_stop(self, axis: int, status: int, happenings: list[Happening]) -> None:
         """What a stopping axis says that it does."""

@@ -31,7 +31,7 @@ class ResetDone(NamedTuple):
     axis: int
 
 
-class Astray(NamedTuple):
+class UnexpectedMotion(NamedTuple):
     """An axis moves as nobody told it to."""
 
     axis: int
@@ -44,4 +44,4 @@ class Complaint(NamedTuple):
     code: int
 
 
-Happening = Answer | Lost | ResetDone | Astray | Complaint
+Happening = Answer | Lost | ResetDone | UnexpectedMotion | Complaint

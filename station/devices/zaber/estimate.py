@@ -13,7 +13,7 @@ SLACK = 16.0  # [microsteps], and so much time at the present speed [s]:
 SLACK_TIME = 0.012
 #: So many readings in a row that fit nothing mean that the axis does not move as it was told, and so do three
 #: that agree on a place farther off than the axis gets in this time at its top speed (a unit that was reset).
-ASTRAY = 8
+UNEXPECTED_READINGS = 8
 JUMP = 0.5  # [s]
 
 
@@ -80,7 +80,7 @@ class Estimate:
                 self.rejected += 1
                 return False
             if abs(delta) > self._jump:
-                self.rejected = ASTRAY
+                self.rejected = UNEXPECTED_READINGS
                 return False
         self._doubts.clear()
         self.rejected = 0

@@ -14,7 +14,7 @@ from core.robot.robot import Array
 from station.devices.interfaces import Condition, JointReading, Severity, Trouble
 from station.devices.links.link import LinkError
 from station.devices.zaber.chain import Axis, Chain, Counts, Line
-from station.devices.zaber.dialogue import Answer, Ask, Astray, Complaint, Happening, Lost
+from station.devices.zaber.dialogue import Answer, Ask, Complaint, Happening, Lost, UnexpectedMotion
 from station.devices.zaber.protocol import SPEED_UNIT, ZaberError, error_text
 from station.devices.zaber.sequences import Script, Sequences
 from station.devices.zaber.setup import Port, StageSetup
@@ -263,7 +263,7 @@ class ZaberStages:
         i = self.ports[which].stages[happening.axis]
         if isinstance(happening, Lost):
             self._lose((i,), f"{self._line.misses} replies are missing")
-        elif isinstance(happening, Astray):
+        elif isinstance(happening, UnexpectedMotion):
             self._end_script()
             self.homed[i] = False
             self._units.home_again.add(i)

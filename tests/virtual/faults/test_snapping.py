@@ -46,7 +46,7 @@ def test_a_design_that_cannot_be_judged_is_taken_and_said_so() -> None:
 
     warning = check_design(helix, Margins())
     assert f"tube '{inner.name}' is not curved in one plane" in warning
-    assert "mind its stability" in warning
+    assert "watch its stability" in warning
 
 
 def test_a_load_that_brings_the_tubes_near_a_snap_holds_the_motion(case) -> None:

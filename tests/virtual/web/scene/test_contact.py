@@ -14,7 +14,7 @@ from station.control.telemetry import Channels
 from station.experiments.experiment import load_experiment
 from station.experiments.runner import Recording
 from tests.harness.cases import a_run
-from web.scene.contact import AGREED, ROWS, Feeler
+from web.scene.contact import AGREED, ROWS, ContactMonitor
 
 RUN = """
 title = "touched"
@@ -51,42 +51,42 @@ def touched(ran: Callable[[str], Recording]) -> Recording:
 
 
 @pytest.fixture
-def feeler() -> Feeler:
+def monitor() -> ContactMonitor:
     robot = load_robot("paper").robot()
-    return Feeler(robot, Statics(robot), Channels(robot))
+    return ContactMonitor(robot, Statics(robot), Channels(robot))
 
 
 def newest(run: Recording) -> Array:
     return run.rows[-ROWS:].copy()
 
 
-def feel(feeler: Feeler, rows: Array, times: int = AGREED) -> None:
+def look(monitor: ContactMonitor, rows: Array, times: int = AGREED) -> None:
     for _ in range(times):
-        feeler.feel(rows)
+        monitor.look(rows)
 
 
 def test_a_contact_is_believed_when_several_looks_agree_and_forgotten_as_slowly(
-    feeler: Feeler, touched: Recording, ran: Callable[[str], Recording]
+    monitor: ContactMonitor, touched: Recording, ran: Callable[[str], Recording]
 ) -> None:
-    feel(feeler, newest(touched), AGREED - 1)
-    assert feeler.felt is None
-    feeler.feel(newest(touched))
-    assert feeler.felt is not None
-    assert feeler.felt.contact.place == pytest.approx(0.1, abs=10e-3)
-    assert np.linalg.norm(feeler.felt.force) == pytest.approx(0.3, abs=0.03)
+    look(monitor, newest(touched), AGREED - 1)
+    assert monitor.side_load is None
+    monitor.look(newest(touched))
+    assert monitor.side_load is not None
+    assert monitor.side_load.contact.place == pytest.approx(0.1, abs=10e-3)
+    assert np.linalg.norm(monitor.side_load.force) == pytest.approx(0.3, abs=0.03)
     free = newest(ran('kind = "none"'))
-    feel(feeler, free, AGREED - 1)
-    assert feeler.felt is not None
-    feeler.feel(free)
-    assert feeler.felt is None
+    look(monitor, free, AGREED - 1)
+    assert monitor.side_load is not None
+    monitor.look(free)
+    assert monitor.side_load is None
 
 
-def test_it_is_said_in_words_with_place_interval_and_what_to_do(feeler: Feeler, touched: Recording) -> None:
-    feel(feeler, newest(touched))
-    assert feeler.felt is not None
-    first, last = feeler.felt.contact.intervals[0]
-    where = f"{1e3 * feeler.felt.contact.place:.0f} mm ({1e3 * first:.0f}-{1e3 * last:.0f}) from the plate"
-    assert feeler.felt.warning.startswith(f"the load does not act at the tip: contact at {where}; ")
+def test_it_is_said_in_words_with_place_interval_and_what_to_do(monitor: ContactMonitor, touched: Recording) -> None:
+    look(monitor, newest(touched))
+    assert monitor.side_load is not None
+    first, last = monitor.side_load.contact.intervals[0]
+    where = f"{1e3 * monitor.side_load.contact.place:.0f} mm ({1e3 * first:.0f}-{1e3 * last:.0f}) from the plate"
+    assert monitor.side_load.warning.startswith(f"the load does not act at the tip: contact at {where}; ")
 
 
 @pytest.mark.parametrize(
@@ -99,27 +99,27 @@ def test_it_is_said_in_words_with_place_interval_and_what_to_do(feeler: Feeler, 
     ],
 )
 def test_a_load_at_the_tip_is_never_called_a_contact(
-    feeler: Feeler, ran: Callable[[str], Recording], load: str
+    monitor: ContactMonitor, ran: Callable[[str], Recording], load: str
 ) -> None:
     run = ran(load)
     for end in range(ROWS, len(run.rows), 167):  # three looks a second
-        feeler.feel(run.rows[end - ROWS : end])
-        assert feeler.felt is None, end
+        monitor.look(run.rows[end - ROWS : end])
+        assert monitor.side_load is None, end
 
 
-def test_nothing_is_said_while_it_cannot_be_told(feeler: Feeler, touched: Recording) -> None:
+def test_nothing_is_said_while_it_cannot_be_told(monitor: ContactMonitor, touched: Recording) -> None:
     of = touched.channels.of
     fast, homing, blind = newest(touched), newest(touched), newest(touched)
     of(fast, "joints")[:, 1] += np.linspace(0.0, np.deg2rad(6.0), ROWS)
     of(homing, "state")[:] = State.HOMING
     of(blind, "trouble")[-1, 2] = 2.0
     for rows in (fast, homing, blind, newest(touched)[: ROWS // 2]):
-        feel(feeler, rows, 2 * AGREED)
-        assert feeler.felt is None
+        look(monitor, rows, 2 * AGREED)
+        assert monitor.side_load is None
 
 
-def test_a_silent_station_feels_nothing_at_once(feeler: Feeler, touched: Recording) -> None:
-    feel(feeler, newest(touched))
-    assert feeler.felt is not None
-    feeler.feel(newest(touched)[:0])
-    assert feeler.felt is None
+def test_a_silent_station_feels_nothing_at_once(monitor: ContactMonitor, touched: Recording) -> None:
+    look(monitor, newest(touched))
+    assert monitor.side_load is not None
+    monitor.look(newest(touched)[:0])
+    assert monitor.side_load is None

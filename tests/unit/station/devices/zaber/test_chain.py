@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from station.devices.zaber.chain import Line
-from station.devices.zaber.dialogue import Answer, Ask, Astray, Complaint, Lost, ResetDone
+from station.devices.zaber.dialogue import Answer, Ask, Complaint, Lost, ResetDone, UnexpectedMotion
 from station.devices.zaber.protocol import BYTE_TIME, MESSAGE_TIME, Message
 from tests.fuzz.zaber import fuzz
 from tests.harness.zaber_host import AXES, TICK, Host, changing
@@ -223,7 +223,7 @@ def test_an_axis_that_moves_by_itself_is_reported(host):
 
     host.run(2.0, drift)
 
-    assert Astray(2) in host.happened
+    assert UnexpectedMotion(2) in host.happened
     assert not any(isinstance(happening, Lost) for happening in host.happened)
 
 
