@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled, copy, inlined
+from core.compiled import compiled, copy
 from core.control.actuation import Actuation, advance
 from core.control.deflection import RateFilter, filtered
 from core.control.observer import Observed, Observer, observe
@@ -61,7 +61,7 @@ VECTORS = {
 }  # fmt: skip
 
 
-@inlined
+@compiled
 def known_of(numbers: Array) -> Known:
     """What lies where in an estimate's numbers."""
     n, ticks, history = int(numbers[JOINTS]), int(numbers[TICKS]), int(numbers[HISTORY])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import inlined
+from core.compiled import compiled
 from core.robot.robot import Array
 
 #: Places of the single numbers: how many tubes and joints there are, arc length of the force from the plate [m],
@@ -39,7 +39,7 @@ def count(q: int, n: int) -> int:
     return 6 + 3 + 9 + 6 * n + 36 + size + size * (n + 6) + n + 6 + (n + 6) + 2 * size
 
 
-@inlined
+@compiled
 def parts(numbers: Array) -> Parts:
     """What lies where in a solution's numbers."""
     q, n = int(numbers[TUBES]), int(numbers[JOINTS])

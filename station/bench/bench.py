@@ -123,15 +123,16 @@ def table(title: str, result: Mapping[str, Any]) -> Table:
     shown = Table(title=f"bench {title}", title_style="")
     shown.add_column("figure")
     shown.add_column("value", justify="right")
-    for figure, value in _flat(result):
+    for figure, value in flat(result):
         shown.add_row(figure, f"{value}")
     return shown
 
 
-def _flat(result: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+def flat(result: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Figures and values of a result, those inside others behind their names."""
     for key, value in result.items():
         if isinstance(value, Mapping):
-            yield from _flat(cast(Mapping[str, Any], value), f"{before}{key} ")
+            yield from flat(cast(Mapping[str, Any], value), f"{before}{key} ")
         else:
             yield f"{before}{key}", value
 

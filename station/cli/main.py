@@ -13,8 +13,8 @@ from rich.console import Console
 
 from core.errors import CtrError
 from core.model.statics import PAPER_SUBLINK
-from station.cli import calibrate, export, report, run, soak, sweep
-from station.cli.options import between, progress_bar
+from station.cli import bench, calibrate, export, report, run, soak, sweep
+from station.cli.options import between
 from station.config.strict import preset_names
 
 
@@ -57,17 +57,7 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     )
     lab.set_defaults(command=_lab)
 
-    bench = commands.add_parser("bench", help="measure this machine")
-    bench.add_argument(
-        "what", choices=("model", "accuracy", "cost", "tick", "wire", "loop", "headless", "cold", "recorder")
-    )
-    bench.add_argument(
-        "--seconds", type=between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of loop, recorder (60)"
-    )
-    bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
-    bench.add_argument("--json", action="store_true", help="print one JSON object")
-    bench.set_defaults(command=_bench)
-
+    bench.add(commands)
     calibrate.add(commands)
     export.add(commands)
     report.add(commands)
@@ -135,48 +125,12 @@ def _lab(parsed: argparse.Namespace) -> int:
     return 0
 
 
-def _bench(parsed: argparse.Namespace) -> int:
-    from station.bench import bench
-
-    if parsed.what == "loop":
-        from station.bench.loop import loop
-
-        with progress_bar() as bar:
-            task = bar.add_task("bench loop", total=1.0)
-            result = loop(parsed.seconds, lambda done: bar.update(task, completed=done), fifo=not parsed.no_fifo)
-    elif parsed.what == "recorder":
-        from station.bench.recorder import recorder
-
-        result = recorder(parsed.seconds)
-    elif parsed.what == "accuracy":
-        from station.bench.accuracy import accuracy
-
-        with progress_bar() as bar:
-            task = bar.add_task("bench accuracy", total=1.0)
-            result = accuracy(lambda done: bar.update(task, completed=done))
-    else:
-        from station.bench.accuracy import cost
-        from station.bench.cold import cold
-        from station.bench.tick import tick
-        from station.bench.wire import wire
-
-        measures = {
-            "model": bench.model, "cost": cost, "tick": tick, "wire": wire, "headless": bench.headless, "cold": cold,
-        }  # fmt: skip
-        result = measures[parsed.what]()
-    if parsed.json:
-        print(json.dumps(result))  # noqa: T201
-    else:
-        Console(highlight=False).print(bench.table(parsed.what, result))
-    return 0
-
-
 def _doctor(parsed: argparse.Namespace) -> int:  # noqa: ARG001 - it takes no options
     from station.cli.doctor import findings
 
     console = Console(highlight=False, soft_wrap=True)
     for finding in findings():
-        mark = "[green]ok  [/]" if finding.good else "[yellow]look[/]"
+        mark = "[green]ok  [/]" if finding.good else "[yellow]WARN[/]"
         console.print(f"{mark} [bold]{finding.subject}[/]: ", end="")
         console.print(finding.text, markup=False)
     return 0

@@ -72,12 +72,12 @@ class Runs:
         return run
 
     def accepted(self, run: Run) -> None:
-        """The control process carries it out."""
+        """The control process has begun to carry it out."""
         with self._lock:
             self._current = run
 
     def refused(self, run: Run) -> None:
-        """It does not."""
+        """The control process has refused it."""
         with self._lock:
             self._asked = None
         if self._recorded is run:
