@@ -44,15 +44,15 @@ def measured(begin: Callable[[str], None]) -> Iterator[tuple[str, dict[str, Any]
         yield name, measure()
 
 
-def text(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """The file, in Markdown."""
+def text(machine: str, found: Mapping[str, Mapping[str, Any]]) -> str:
+    """The file, in Markdown; `machine` as it was before anything was measured on it."""
     lines = [
         "# Measured",
         "",
         "Written by `ctr-station bench report`; do not edit, measure again. Microseconds (`us`) are medians unless a",
         "percentile is named. The devices are simulated.",
         "",
-        f"{datetime.now().astimezone():%Y-%m-%d %H:%M}; {machine()}.",
+        f"{datetime.now().astimezone():%Y-%m-%d %H:%M}; {machine}.",
     ]
     for name, result in found.items():
         lines += ["", f"## `bench {name}`", "", MEASURES[name][0] + ".", "", "| figure | value |", "|---|---|"]

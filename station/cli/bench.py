@@ -72,13 +72,14 @@ def _measured(parsed: argparse.Namespace) -> dict[str, Any]:
 
 
 def _report(out: Path) -> int:
-    from station.bench.report import MEASURES, measured, text
+    from station.bench.report import MEASURES, machine, measured, text
 
+    where = machine()  # the loop keeps to one processor and leaves a load behind
     with progress_bar() as bar:
         task = bar.add_task("bench report", total=len(MEASURES))
         found = dict(measured(lambda name: bar.update(task, advance=1.0, description=f"bench {name}")))
     try:
-        out.write_text(text(found), encoding="utf-8")
+        out.write_text(text(where, found), encoding="utf-8")
     except OSError as error:
         sys.stderr.write(f"{out}: cannot be written: {error.strerror}\n")
         return 1

@@ -3,11 +3,11 @@
 import platform
 from datetime import datetime
 
-from station.bench.report import MEASURES, text
+from station.bench.report import MEASURES, machine, text
 
 
 def test_every_figure_is_a_row_under_its_benchmark() -> None:
-    written = text({"model": {"solves": 3, "solve_us": {"median": 6.5, "p99": 12.0}}, "tick": {"ticks": 7}})
+    written = text("here", {"model": {"solves": 3, "solve_us": {"median": 6.5, "p99": 12.0}}, "tick": {"ticks": 7}})
 
     assert written.index("## `bench model`") < written.index("## `bench tick`")
     assert "| solve_us median | 6.5 |\n| solve_us p99 | 12.0 |\n" in written
@@ -16,7 +16,7 @@ def test_every_figure_is_a_row_under_its_benchmark() -> None:
 
 
 def test_machine_and_date_stand_above_them() -> None:
-    written = text({})
+    written = text(machine(), {})
     assert f"{datetime.now().astimezone():%Y-%m-%d}" in written
     assert f"Python {platform.python_version()}" in written
     assert "processors" in written
