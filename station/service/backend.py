@@ -24,6 +24,7 @@ class Backend:
         self._lock = threading.Lock()
         self._told: BenchFile | None = None
         self._motion_start: float | None = None
+        self._brought: Start | None = None  # by the motion that is on
         self._host: LabHost | OwnBench | None = None
 
     def open(self) -> None:
@@ -88,14 +89,20 @@ class Backend:
         with self._lock:
             if begun == self._motion_start:
                 return False
+            # What a run has brought goes with it: the next one may have been asked for already.
+            ended, self._brought = self._brought, None if begun is None else start
             self._motion_start = begun
-        if self._host is None or start is None:
+        if self._host is None:
             return True
-        if start.load is not None:
-            self._host.apply_load(NoLoad() if begun is None else start.load, begun or 0.0)
-        if start.faults:
-            # What a run has spoilt ends with it.
-            self._host.inject(() if begun is None else start.faults, begun or 0.0)
+        if ended is not None and ended.load is not None:
+            self._host.apply_load(NoLoad(), 0.0)
+        if ended is not None and ended.faults:
+            self._host.inject((), 0.0)
+        if begun is not None and start is not None:
+            if start.load is not None:
+                self._host.apply_load(start.load, begun)
+            if start.faults:
+                self._host.inject(start.faults, begun)
         return True
 
     def close(self) -> None:

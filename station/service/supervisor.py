@@ -254,5 +254,4 @@ class Supervisor:
         cause = self._state.fault(ending.how, ending.stopped)
         self._flight_recorder.state(State.FAULT, cause)
         self._runs.interrupted(cause)
-        run = self._runs.current
-        self._processes.lab.motion(None if run is None else run.start, None)
+        self._processes.lab.motion(None, None)
