@@ -1,6 +1,6 @@
 """One way to compile: Numba with a cache on disk, typed like the function it compiles.
 
-The cache knows everything that a function is made of: one that calls a function or is given a type of another file is
+The cache knows the sources of what a function names: one that calls a function or is given a type of another file is
 compiled anew when that file has changed.
 
 `error_model="numpy"` drops division checks inside loops. The fast-math flags let the compiler

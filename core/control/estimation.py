@@ -25,6 +25,8 @@ from core.robot.robot import Array
 #: Places of the single numbers of an estimate: how many joints, ticks of velocities that are on their way and kept
 #: tips there are; which of these is the newest, and whether the observer has used a frame of this tick.
 JOINTS, TICKS, HISTORY, NEWEST, USED = range(5)
+#: Behind them the vectors begin.
+VECTORS_AT = 5
 
 
 class Known(NamedTuple):
@@ -65,10 +67,10 @@ VECTORS = {
 def known_of(numbers: Array) -> Known:
     """What lies where in an estimate's numbers."""
     n, ticks, history = int(numbers[JOINTS]), int(numbers[TICKS]), int(numbers[HISTORY])
-    ahead = 5 + 48
+    ahead = VECTORS_AT + 48
     sent = ahead + n
     tips = sent + ticks * n
-    v = numbers[5:ahead].reshape(16, 3)
+    v = numbers[VECTORS_AT:ahead].reshape(16, 3)
     return Known(
         v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13], v[14], v[15], v,
         numbers[ahead:sent], numbers[sent:tips].reshape(ticks, n), numbers[tips:].reshape(history, 3),
@@ -115,7 +117,7 @@ class Estimator:
         seen, motion = self.observer.start(loaded.tip, tip), self.actuation.start(loaded.joints.size)
         ticks, n = motion.sent.shape
         history = len(seen.tips)
-        numbers = np.zeros(5 + 48 + n + ticks * n + 3 * history)
+        numbers = np.zeros(VECTORS_AT + 48 + n + ticks * n + 3 * history)
         numbers[JOINTS], numbers[TICKS], numbers[HISTORY], numbers[USED] = n, ticks, history, seen.used
         now = Estimate(loaded, unloaded, numbers)
         known = now.known
