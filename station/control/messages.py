@@ -1,10 +1,10 @@
 """What the station process and the control process say to each other through their pipe."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from core.robot.robot import Array
-from station.config.strict import Strict
 from station.control.states import Event, State
 from station.control.task import Task
 from station.devices.interfaces import Condition
@@ -47,8 +47,9 @@ class Refused(NamedTuple):
 DeviceName = Literal["stages", "tracker", "sensors"]
 
 
-class DeviceStatus(Strict):
-    """Everything that is known of one device."""
+@dataclass(frozen=True)
+class DeviceStatus:
+    """Everything that is known of one device; what an installed driver says is not judged in the control process."""
 
     name: DeviceName
     condition: Condition
