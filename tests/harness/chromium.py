@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from playwright.sync_api import Browser, Page
 
@@ -19,6 +20,22 @@ FLAGS = [
 #: For what a page waits for [ms].
 PATIENCE = 1e3 * NET
 SIZE = {"width": 1280, "height": 720}
+
+
+#: A scene that is drawn without a graphics card takes a whole processor; at four pictures a second it leaves most of it.
+SLOWLY = """
+const now = () => performance.now();
+window.requestAnimationFrame = (draw) => setTimeout(() => draw(now()), 250);
+window.cancelAnimationFrame = (drawing) => clearTimeout(drawing);
+"""
+
+
+def scene_page(browser: Browser, **options: Any) -> Page:
+    """A page whose scene is drawn, slowly."""
+    page = browser.new_page(viewport=SIZE, **options)
+    page.set_default_timeout(PATIENCE)
+    page.add_init_script(SLOWLY)
+    return page
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from tests.harness.chromium import CHROMIUM, FLAGS, PATIENCE, SIZE
+from tests.harness.chromium import CHROMIUM, FLAGS, scene_page
 from tests.harness.serving import Served
 
 HERE = Path(__file__).parent
@@ -44,8 +44,7 @@ def browser() -> Iterator[Browser]:
 def open_page(running: Served, browser: Browser) -> Iterator[Page]:
     """The page with its scene drawn; opened once, software rendering is slow."""
     running.ready()
-    page = browser.new_page(viewport=SIZE)
-    page.set_default_timeout(PATIENCE)
+    page = scene_page(browser)
     page.goto(running.url)
     scene = page.frame_locator("#scene")
     scene.get_by_text("desired tip").first.wait_for()

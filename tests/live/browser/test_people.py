@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, Page
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from tests.harness.chromium import PATIENCE, bare_page
+from tests.harness.chromium import PATIENCE, SLOWLY, bare_page
 from tests.harness.serving import Served, serving
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
@@ -125,6 +125,7 @@ def test_a_raw_client_with_forged_messages_changes_nothing_for_others(station: S
     context.set_default_timeout(PATIENCE)
     try:
         page = context.new_page()
+        page.add_init_script(SLOWLY)
         page.goto(station.url)
         scene = page.frame_locator("#scene")
         scene.get_by_text("desired tip").first.wait_for()

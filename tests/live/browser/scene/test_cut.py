@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Page, sync_playwright
 
-from tests.harness.chromium import CHROMIUM, FLAGS, PATIENCE, SIZE
+from tests.harness.chromium import CHROMIUM, FLAGS, scene_page
 from tests.harness.relay import Relay, relayed
 from tests.harness.serving import Served
 
@@ -24,8 +24,7 @@ def cut_page(station: Served, wire: Relay) -> Iterator[Page]:
     rule = f"--host-resolver-rules=MAP localhost:{station.port} 127.0.0.1:{wire.port}"
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS, rule])
-        page = browser.new_page(viewport=SIZE)
-        page.set_default_timeout(PATIENCE)
+        page = scene_page(browser)
         page.goto(f"http://localhost:{station.port}/")
         page.frame_locator("#scene").get_by_text("desired tip").first.wait_for()
         yield page
