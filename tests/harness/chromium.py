@@ -22,7 +22,7 @@ PATIENCE = 1e3 * NET
 SIZE = {"width": 1280, "height": 720}
 
 
-#: A scene that is drawn without a graphics card takes a whole processor; at four pictures a second it leaves most of it.
+#: Drawn without a graphics card a scene takes a whole processor; at four pictures a second it leaves most of it.
 SLOWLY = """
 const now = () => performance.now();
 window.requestAnimationFrame = (draw) => setTimeout(() => draw(now()), 250);
