@@ -8,8 +8,8 @@ noisy. What the model lacks, its bias, changes slowly with pose and load:
 a Kalman filter of b and b' with one covariance for the three axes. A frame is compared with the
 model's tip *of its own time*, kept in a short history, and corrects the present bias through
 H = [1, -age]. Without frames the covariance grows: that is the uncertainty shown. A frame further
-off than the gate is taken for a jump and left out; as the covariance grows meanwhile, a jump that
-stays is believed in the end.
+off than the gate is taken for a jump and left out. Frames in a row that are off by the same, though,
+are no jump: something has moved the tip that the model does not know of, and the bias begins anew.
 """
 
 import math
@@ -25,6 +25,8 @@ from core.robot.robot import Array
 
 #: Standard deviation of the drift before anything is known of it [m/s].
 FIRST_DRIFT = 1e-3
+#: As many frames in a row that were left out, and that agree with each other, are believed.
+BELIEVED = 8
 
 
 class Observed(NamedTuple):
@@ -36,6 +38,8 @@ class Observed(NamedTuple):
     tips: Array  #: (ticks, 3) the model's tips, the newest at `place` [m]
     place: int
     used: bool  #: a frame of this tick passed the gate
+    refused: Array = np.zeros(3)  #: (3,) by how much the latest frame that was left out surprised [m]
+    in_a_row: int = 0  #: so many frames in a row were left out
 
     @property
     def model_tip(self) -> Array:
@@ -97,20 +101,24 @@ class Observer:
         """
         if tip is not None:
             _finite(tip)
-        bias, drift, covariance, tips = (part.copy() for part in last[:4])
-        place, used = observe(
-            bias, drift, covariance, tips, last.place, model_tip, last.bias if tip is None else tip,
-            -1.0 if tip is None else age, self.period, self.noise**2, self.wander, self.gate,
+        bias, drift, covariance, tips, refused = (part.copy() for part in (*last[:4], last.refused))
+        place, used, in_a_row = observe(
+            bias, drift, covariance, tips, refused, last.place, last.in_a_row, model_tip,
+            last.bias if tip is None else tip, -1.0 if tip is None else age,
+            self.period, self.noise**2, self.wander, self.gate,
         )  # fmt: skip
-        return Observed(bias, drift, covariance, tips, place, used)
+        return Observed(bias, drift, covariance, tips, place, used, refused, in_a_row)
 
 
 @compiled
 def observe(
-    bias: Array, drift: Array, covariance: Array, tips: Array, place: int, model_tip: Array, tip: Array, age: float,
-    period: float, noise: float, wander: float, gate: float,
-) -> tuple[int, bool]:  # fmt: skip
-    """`Observer.update` in place; an `age` below 0 says that there is no frame. New place, and whether it was used."""
+    bias: Array, drift: Array, covariance: Array, tips: Array, refused: Array, place: int, in_a_row: int,
+    model_tip: Array, tip: Array, age: float, period: float, noise: float, wander: float, gate: float,
+) -> tuple[int, bool, int]:  # fmt: skip
+    """`Observer.update` in place; an `age` below 0 says that there is no frame.
+
+    New place, whether the frame was used, and how many in a row were not.
+    """
     ticks = tips.shape[0]
     place = (place + 1) % ticks
     for k in range(3):
@@ -134,14 +142,28 @@ def observe(
             then = (1.0 - part) * tips[later, k] + part * tips[earlier, k]
             surprise[k] = tip[k] - then - (bias[k] - age * drift[k])
             used = used and abs(surprise[k]) <= gate * np.sqrt(expected)
+        if not used:
+            alike = in_a_row > 0
+            for k in range(3):
+                alike = alike and abs(surprise[k] - refused[k]) <= gate * np.sqrt(2.0 * noise)
+                refused[k] = surprise[k]
+            in_a_row = in_a_row + 1 if alike else 1
+            if in_a_row >= BELIEVED:
+                used, far = True, 0.0
+                for k in range(3):
+                    far += surprise[k] * surprise[k]
+                p, c, v = far, 0.0, FIRST_DRIFT**2
+                pc, cv = p, -age * v
+                expected = pc - age * cv + noise
         if used:
+            in_a_row = 0
             gain_bias, gain_drift = pc / expected, cv / expected
             for k in range(3):
                 bias[k] += gain_bias * surprise[k]
                 drift[k] += gain_drift * surprise[k]
             p, c, v = p - gain_bias * pc, c - gain_bias * cv, v - gain_drift * cv
     covariance[0], covariance[1], covariance[2] = p, c, v
-    return place, used
+    return place, used, in_a_row
 
 
 def _finite(tip: Array) -> Array:
