@@ -19,6 +19,7 @@ from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
+from station.recording.tracking_errors import which_count
 from station.recording.writer import CaseWriter
 
 #: Rows that a summary is made of: all of a run of up to half an hour, every n-th of a longer one.
@@ -156,6 +157,7 @@ def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:
             table.add_row(label, *row)
             label = ""
         table.add_section()
+    table.caption = which_count(summary["cases"])
     return table
 
 

@@ -19,12 +19,12 @@ HINDSIGHT = 501
 
 
 def summarise(recording: Recording) -> dict[str, Any]:
-    """Errors after the settling time, in millimetres, and what else the figures need.
+    """Errors from `counted_from_s` on, in millimetres, and what else the figures need.
 
     `true_` is desired minus the plant's tip; without it desired minus the tracker's tip, each frame
     compared with the setpoint of the moment it was taken.
     """
-    channels, rows, settling = recording.channels, recording.rows, recording.case.file.settling
+    channels, rows, first = recording.channels, recording.rows, recording.case.file.counted_from
     summary: dict[str, Any] = {
         "completed": recording.completed,
         "cause": recording.cause,
@@ -34,10 +34,13 @@ def summarise(recording: Recording) -> dict[str, Any]:
     if recording.rates:
         # What each axis really got over its line.
         summary["line_rates"] = {axis: dict(rates) for axis, rates in recording.rates.items()}
-    counted = rows[channels.of(rows, "time")[:, 0] >= settling - 1e-9]
+    if recording.case.warnings:
+        summary["warnings"] = list(recording.case.warnings)
+    counted = rows[channels.of(rows, "time")[:, 0] >= first - 1e-9]
     frames = counted[channels.of(counted, "tip_new")[:, 0] > 0.0]
     if len(counted) == 0 or len(frames) == 0:
         return summary
+    summary["counted_from_s"] = first
     times, frame_times = channels.of(rows, "time")[:, 0], channels.of(frames, "tip_time")[:, 0]
 
     def at_frames(group: str, *, averaged: bool = False) -> Array:
@@ -113,6 +116,6 @@ def _rate_errors(recording: Recording) -> dict[str, Any]:
     true = hindsight_rate(channels.of(rows, "deflection"))
     if true is None:
         return {}
-    first = int(np.searchsorted(channels.of(rows, "time")[:, 0], recording.case.file.settling - 1e-9))
+    first = int(np.searchsorted(channels.of(rows, "time")[:, 0], recording.case.file.counted_from - 1e-9))
     groups = {"raw": "deflection_rate_raw", "filtered": "deflection_rate", "exact": "deflection_rate_exact"}
     return {name: rounded(1e3 * rms(channels.of(rows, group)[first:] - true[first:])) for name, group in groups.items()}

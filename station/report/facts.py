@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from station.recording.tracking_errors import which_count
 from station.report import document
 from station.report.comparison import all_errors, beside_the_paper
 from station.report.run import Run
@@ -68,7 +69,7 @@ def error_table(run: Run) -> Iterator[str]:
     errors = list(all_errors(run))
     if errors:
         yield document.heading("Errors of the tip")
-        yield document.paragraph("Millimetres, after the settling time.")
+        yield document.paragraph(f"Millimetres. {which_count(run.summary.get('cases', {}))}")
         cells = ((row.case, row.kind, *(f"{value:.3f}" for value in row.values)) for row in errors)
         yield document.table(("case", "error", *AXES), cells, texts=2)
 

@@ -62,9 +62,9 @@ class Case:
         return self.of("time")[:, 0]
 
     @property
-    def settling(self) -> float:
-        """Errors count from here on [s]."""
-        return float(self.file.get("settling", 0.0))
+    def counted_from(self) -> float:
+        """Errors count from here on [s]; in older runs that is the settling time, whatever the load did."""
+        return float(self.numbers.get("counted_from_s", self.file.get("settling", 0.0)))
 
     @property
     def truth_known(self) -> bool:

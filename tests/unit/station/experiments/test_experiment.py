@@ -317,6 +317,41 @@ def test_ideal_devices_have_no_faults(write, short):
         load_experiment(str(write('lab = "ideal"\n' + short + FAULT.format("mute", "stages"))))
 
 
+FAST = '[load]\nkind = "trapezoid"\nmagnitude = 0.5\nrise = 0.5\nstart = 0.3\n'
+
+
+def test_a_load_is_warned_of_with_the_time_and_the_limit_and_not_refused(write, short):
+    text = short.replace("duration = 1.0", "duration = 3.0") + '[controller]\nstrategy = "dual_layer"\n' + FAST
+    slow = text.replace("rise = 0.5", "rise = 60.0")
+    (fast,), (steady,) = (load_experiment(str(write(each))).cases for each in (text, slow))
+
+    (warning,) = fast.warnings
+    said = r"load trapezoid is more than the joints can make up for: hold cannot be followed: at 0\.\d+ s .* mm off"
+    assert re.match(said, warning)
+    assert "speed of " in warning
+    assert steady.warnings == ()
+
+
+def test_a_load_on_a_tip_that_is_not_held_is_not_warned_of(write, short):
+    text = short + '[controller]\nstrategy = "unloaded_jacobian"\n' + FAST
+    (case,) = load_experiment(str(write(text))).cases
+
+    assert case.warnings == ()
+
+
+def test_a_motion_that_is_too_fast_is_refused_with_and_without_a_load(write, short):
+    fast = short.replace('kind = "hold"', 'kind = "circle"\nradius = 0.015\nperiod = 3.0').replace("= 1.0", "= 9.0")
+    for load in ("", FAST):
+        with pytest.raises(ConfigError, match=r"circle cannot be followed: at .* because of speed of"):
+            load_experiment(str(write(fast + load)))
+
+
+def test_errors_count_from_the_loads_onset_or_the_settling_time(write, short):
+    for settling, counted in (("0.1", 0.1), ("0.7", 0.3)):
+        (case,) = load_experiment(str(write(short.replace("settling = 0.0", f"settling = {settling}") + FAST))).cases
+        assert case.file.counted_from == counted
+
+
 def test_files_that_an_experiment_names_are_beside_it(write, short, robot_text, tmp_path, monkeypatch):
     place = tmp_path / "deep"
     place.mkdir()
