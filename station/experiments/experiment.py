@@ -1,5 +1,6 @@
 """Experiments as TOML files: a start pose, a motion, a load, a controller, and cases that vary them."""
 
+import itertools
 import math
 from collections.abc import Mapping
 from functools import cache
@@ -99,7 +100,8 @@ class _PaperTable(Strict):
 
 
 class _CasesTable(Strict):
-    cases: Mapping[Name, Mapping[str, Any]]
+    cases: Mapping[Name, Mapping[str, Any]] = {}
+    cross: Mapping[Name, Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]] = {}
 
 
 def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Experiment:
@@ -115,7 +117,8 @@ def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Expe
     path = preset("experiments", name)
     table = read_toml(path)
     paper = check(_PaperTable, {"paper": table.pop("paper", {})}, str(path)).paper
-    variations = check(_CasesTable, {"cases": table.pop("cases", {})}, str(path)).cases or {path.stem: {}}
+    listed = {key: table.pop(key, {}) for key in ("cases", "cross")}
+    variations = variants(check(_CasesTable, listed, str(path)).model_dump()) or {path.stem: {}}
     cases: list[Case] = []
     tried: dict[str, tuple[str, ...]] = {}
     for case, variation in variations.items():
@@ -123,6 +126,27 @@ def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Expe
     if unknown := [case for case in paper if case not in variations]:
         raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
     return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, path.read_text(encoding="utf-8"))
+
+
+def variants(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """What each case of an experiment's table changes, by its name.
+
+    These are its `cases`; and of its `cross`, which has several choices on each of several axes, every combination,
+    named by its choices from the first axis to the last.
+    """
+    found = {name: dict(changes) for name, changes in table.get("cases", {}).items()}
+    axes = [axis.items() for axis in table.get("cross", {}).values()]
+    for choice in itertools.product(*axes) if axes else ():
+        changes: dict[str, Any] = {}
+        for _, part in choice:
+            changes = merged(changes, part)
+        found[crossed(*(name for name, _ in choice))] = changes
+    return found
+
+
+def crossed(*names: str) -> str:
+    """Name of the case that combines these choices."""
+    return "-".join(names)
 
 
 _shipped = cache(load_experiment)

@@ -173,6 +173,11 @@ def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterato
         if key in case:
             x, y, z = (f"{value:.3f}" for value in case[key])
             yield title, x, y, z, beside
+    if "best_possible_mm" in case:
+        for name, part in case["by_change"].items():
+            reached, least = part["true_max_distance_mm"], part["best_possible_mm"]
+            words = f"max distance true from {name} on, best possible [mm]"
+            yield words, "", f"{reached:.3f}", f"{least:.3f}", ""
     if step := case.get("step"):
         fitted = f"{step['rate']:.3f} 1/s, {1e3 * step['dead_time_s']:.0f} ms"
         yield f"fitted rate (eq. 31: {step['expected_rate']:g} 1/s), dead time", "", "", fitted, ""

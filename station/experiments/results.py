@@ -7,6 +7,7 @@ import numpy as np
 from core.robot.robot import Array
 from station.config.controllers import PERIOD
 from station.config.motions import StepMotion
+from station.experiments.changes import window_name, windows
 from station.experiments.runner import Recording
 from station.experiments.step_fit import fit_step, fold
 from station.recording.tracking_errors import errors, rms, rounded
@@ -57,6 +58,7 @@ def summarise(recording: Recording) -> dict[str, Any]:
         true = channels.of(counted, "tip_true")
         if not sweeps:
             summary |= errors("true_", channels.of(counted, "tip_desired") - true)
+            summary |= _by_change(recording)
         for group in ("force", "force_filtered"):
             force_error = channels.of(counted, group) - channels.of(counted, "force_true")
             summary[f"{group}_rms_error_N"] = rounded(rms(force_error), 4)
@@ -72,6 +74,18 @@ def summarise(recording: Recording) -> dict[str, Any]:
         for group in ("deflection", "delta_1", "delta_2")
     }
     return summary
+
+
+def _by_change(recording: Recording) -> dict[str, Any]:
+    """True errors from each change of the load to the next."""
+    channels, rows, file = recording.channels, recording.rows, recording.case.file
+    time, error = channels.of(rows, "time")[:, 0], channels.of(rows, "tip_desired") - channels.of(rows, "tip_true")
+    found: dict[str, Any] = {}
+    for begin, end in windows(file.load, file.duration):
+        within = error[(time >= begin - 1e-9) & (time < end - 1e-9)]
+        if len(within):
+            found[window_name(begin)] = errors("true_", within)
+    return {"by_change": found} if found else {}
 
 
 def averaged_model(tips: Array, ticks: int = AVERAGED) -> Array:
