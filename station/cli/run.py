@@ -62,9 +62,9 @@ def _carry_out(parsed: argparse.Namespace, started: "Processes | None") -> int:
     for robot in {case.robot.name: case.robot for case in experiment.cases}.values():
         if warning := check_design(robot, Margins()):
             sys.stderr.write(f"ctr-station: {warning}\n")
-    for case in experiment.cases:
-        for text in case.warnings:
-            sys.stderr.write(f"ctr-station: case '{case.name}': {text}\n")
+    for text in dict.fromkeys(text for case in experiment.cases for text in case.warnings):
+        names = ", ".join(case.name for case in experiment.cases if text in case.warnings)
+        sys.stderr.write(f"ctr-station: {names}: {text}\n")
     folder, begin = ResultFolder(parsed.out, experiment, parsed.seed), time.perf_counter()
     try:
         assignments = [folder.assignment(case) for case in experiment.cases]

@@ -1,10 +1,11 @@
 """What stages of these speeds could do at best against a load, beside what a controller did.
 
 The bound is computed on the lab's true robot (without play and friction), once for each load: from each moment
-on at which the load begins to change, the whole course is known, and nothing is before it. Only there is it worth
-the seconds where the load is more than the joints can make up for.
+on at which the load begins to change its whole course is known, and nothing is before. It is worth the seconds
+where one of an experiment's loads is more than the joints can make up for; then all of them are bounded.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -38,6 +39,11 @@ class Bounded(NamedTuple):
     seed: int
 
 
+def _follows_a_path(case: Case) -> bool:
+    """Whether the tip is meant to be somewhere, and the load acts on it."""
+    return case.file.trajectory.kind != "joint_sweep" and math.isinf(case.file.load.contact)
+
+
 def same_bound(case: Case) -> str:
     """What the bound of a case depends on, whoever controls it."""
     file = case.file
@@ -45,9 +51,10 @@ def same_bound(case: Case) -> str:
 
 
 def to_bound(cases: Sequence[Case], seed: int) -> dict[str, Bounded]:
-    """One case for each bound that is worth having, by what it depends on."""
-    fast = {same_bound(case) for case in cases if case.warnings}
-    return {key: Bounded(case, seed) for case in cases if (key := same_bound(case)) in fast}
+    """One case for each bound, by what it depends on; none where no load is more than the joints can make up for."""
+    if not any(case.warnings for case in cases):
+        return {}
+    return {same_bound(case): Bounded(case, seed) for case in cases if case.file.load.changes and _follows_a_path(case)}
 
 
 def bound(about: Bounded, progress: Callable[[float], None]) -> Mapping[str, float | None]:
@@ -104,7 +111,7 @@ def _moments(length: float) -> Array:
 
 
 def _held(statics: Statics, limits: Limits, joints: Array, target: Array, force: Array) -> Array:
-    """Joints (n,) near to those given whose tip under a force (3,) [N] is at a target (3,) [m], as the travel lets it."""
+    """Joints (n,) near those given whose tip under a force (3,) [N] is at a target (3,) [m], as the travel lets it."""
     lower, upper = limits.packed[:2]
     inside = np.clip(joints, lower, upper)
     if np.linalg.norm(statics.solve(inside, _wrench(force)).tip - target) < AT:
@@ -121,7 +128,7 @@ def _held(statics: Statics, limits: Limits, joints: Array, target: Array, force:
 def _setpoint(case: Case, time: float) -> Setpoint:
     """Where the tip should be, from the start tip."""
     order = case.orders.at(time)
-    assert isinstance(order, Setpoint), "no load on a swept joint is warned of"  # noqa: S101
+    assert isinstance(order, Setpoint), "swept joints have no bound"  # noqa: S101
     return order
 
 

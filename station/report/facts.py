@@ -74,6 +74,30 @@ def error_table(run: Run) -> Iterator[str]:
         yield document.table(("case", "error", *AXES), cells, texts=2)
 
 
+def bound_table(run: Run) -> Iterator[str]:
+    """Where loads are faster than the joints: what was reached, and the best that was possible."""
+    rows = [
+        (
+            name,
+            begin,
+            f"{part['true_max_distance_mm']:.2f}",
+            f"{least:.2f}",
+            f"{part['true_max_distance_mm'] / least:.2f}",
+        )
+        for name, numbers in run.summary.get("cases", {}).items()
+        for begin, part in numbers.get("by_change", {}).items()
+        if (least := part.get("best_possible_mm"))
+    ]
+    if rows:
+        yield document.heading("Distance from the possible")
+        yield document.paragraph(
+            "Largest distance of the true tip from its path, in millimetres, from each moment on at which the load"
+            " begins to change. Best possible: joints at the speeds and accelerations of these stages, on the true"
+            " tubes, that know the load's course from that moment on."
+        )
+        yield document.table(("case", "load changes at", "reached", "best possible", "ratio"), rows, texts=2)
+
+
 def line_table(run: Run) -> Iterator[str]:
     """What each axis really got over its line, where stages were driven over one."""
     rows = [
