@@ -1,8 +1,9 @@
 """What stages of these speeds could do at best against a load, beside what a controller did.
 
-The bound is computed on the lab's true robot (without play and friction), once for each load: from each moment
-on at which the load begins to change its whole course is known, and nothing is before. It is worth the seconds
-where one of an experiment's loads is more than the joints can make up for; then all of them are bounded.
+The bound is computed on the lab's true robot (without play, friction and delay), once for each load and for each
+of the parts between its changes: at first the tip is where it should be and no joint has moved on account of what
+comes, from then on the load's course is known. It is worth the seconds where one of an experiment's loads is more
+than the joints can make up for; then all of them are bounded.
 """
 
 import math
@@ -64,14 +65,14 @@ def bound(about: Bounded, progress: Callable[[float], None]) -> Mapping[str, flo
     """
     case, load = about.case, about.case.file.load
     lab = virtual_bench(case.robot, case.lab, about.seed, case.start).lab
-    statics, limits = Statics(lab.true_robot), case.robot.limits()
+    statics, limits = Statics(lab.true_robot, integrator="fourth_order"), case.robot.limits()
     parts = windows(load, case.file.duration)
     found: dict[str, float | None] = dict.fromkeys(window_name(begin) for begin, _ in parts)
     joints = lab.true_joints(case.start)
     try:
         tip = statics.solve(joints, np.zeros(6)).tip
         for number, (begin, end) in enumerate(parts, 1):
-            times = begin + _moments(min(end - begin, LONGEST))
+            times = begin + _moments(min(end - begin, LONGEST) - BEFORE)
             setpoints = [_setpoint(case, time) for time in times.tolist()]
             course = Course(
                 times,
@@ -103,10 +104,10 @@ def with_bound(numbers: Mapping[str, Any], least: Mapping[str, float | None]) ->
 
 
 def _moments(length: float) -> Array:
-    """Times since a change (m,), the closer the nearer to it [s]."""
+    """Times since a change (m,), the closer the nearer to it, up to `length` [s]."""
     times = [0.0]
     while times[-1] < length - 0.5 * CLOSEST:
-        times.append(times[-1] + min(max(APART * times[-1], CLOSEST), WIDEST))
+        times.append(min(times[-1] + min(max(APART * times[-1], CLOSEST), WIDEST), length))
     return np.array(times)
 
 

@@ -14,10 +14,11 @@ from station.report.drawn import Drawn
 from station.report.run import Run
 
 #: Looks of the strategies by name; any other gets the next one of the series.
+HELD = "held"
 LOOKS = {
     "regulation": style.Look("dual layer, the live default", style.BLUE, "-", 1.4),
     "type_1": style.Look("dual layer, as in the paper", style.VERMILLION, (0.0, (6.0, 1.5, 1.0, 1.5)), 1.4),
-    "held": style.Look("no joint moves", style.BLACK, (0.0, (1.0, 1.2)), 1.6),
+    HELD: style.Look("no joint moves", style.BLACK, (0.0, (1.0, 1.2)), 1.6),
 }
 BEST = style.Look("best possible", style.GREEN, (0.0, (5.0, 2.0)), 1.6)
 #: How far to the right of the fastest ramp a step stands on the axis of rates.
@@ -47,6 +48,8 @@ def tried(run: Run) -> list[Tried]:
             parts = run.summary.get("cases", {}).get(crossed(strategy, name), {}).get("by_change", {}).values()
             if parts:
                 reached[strategy] = [part["true_max_distance_mm"] for part in parts]
+                if strategy == HELD:  # joints that did nothing about the load are off while it hangs, not as it goes
+                    reached[strategy] = [max(reached[strategy])] * len(parts)
                 best = best or [part.get("best_possible_mm") for part in parts]
         load = merged(run.table, changes[crossed(next(iter(cross["strategy"])), name)])["load"]
         found.append(Tried(name, _rate(load), reached, best))
@@ -71,7 +74,7 @@ def draw(run: Run) -> Iterator[Drawn]:
     grid = figure.subplots(1, 3 if others else 2, sharey=True)
     for side, axes in enumerate(grid[:2]):
         _curves(axes, ramps, looks, side)
-        axes.set_title(f"half a newton {SIDES[side]}" if side == 0 else SIDES[side])
+        axes.set_title(f"load {SIDES[side]}")
     if others:
         _bars(grid[2], others, looks)
     grid[0].set_yscale("log")

@@ -27,8 +27,16 @@ def test_the_bound_of_a_step_is_what_it_does_to_the_true_robot_at_once():
     loaded, rest = (rod.solve(case.start, np.array([pull, 0.0, 0.0, 0.0, 0.0, 0.0])).tip for pull in (0.5, 0.0))
 
     assert list(found) == ["1 s", "11 s"]
-    assert found["1 s"] == pytest.approx(1e3 * np.linalg.norm(loaded - rest), rel=5e-3)
+    assert found["1 s"] == pytest.approx(1e3 * np.linalg.norm(loaded - rest), rel=3e-4)
     assert found["11 s"] == pytest.approx(found["1 s"], rel=0.2)
+
+
+def test_a_drop_is_not_foreseen_while_the_load_is_put_on():
+    lifted = bounded(STEP.model_copy(update={"rise": 1.5}), 16.0)
+    for_ever = bounded(STEP.model_copy(update={"rise": 1.5, "stay": None}), 12.5)
+
+    assert lifted["1 s"] == pytest.approx(for_ever["1 s"], rel=5e-3)
+    assert lifted["1 s"] < 1.5 < 10.0 < lifted["12.5 s"]
 
 
 def test_a_slow_load_can_be_made_up_for():
@@ -41,8 +49,8 @@ def test_a_moving_tip_has_a_bound_too(paper_robot):
     assert bounded(load, 10.0, orders=Orders(motion, paper_robot))["1 s"] < 0.1
 
 
-def test_a_load_that_no_joints_can_bear_has_none():
-    assert bounded(ConstantLoad(magnitude=20.0), 2.0) == {"0 s": None} or bounded(ConstantLoad(magnitude=20.0), 2.0)
+def test_a_load_under_which_the_tubes_have_no_shape_has_none():
+    assert bounded(ConstantLoad.model_construct(magnitude=1000.0), 2.0) == {"0 s": None}
 
 
 def test_each_load_is_bounded_once_where_one_of_them_is_too_fast(write, short):

@@ -120,6 +120,19 @@ def test_a_load_is_no_part_of_the_settling(recording, start, largest):
     assert summary["true_max_distance_mm"] == pytest.approx(largest)
 
 
+def test_true_errors_are_told_from_each_change_of_the_load_to_the_next(recording):
+    # 1 mm at first, 3 mm from 1 s on, 2 mm from 2.6 s on; the load is put on at 1 s and taken off from 2.6 s on
+    x = np.where(TIMES < 1.0 - 1e-9, 0.001, np.where(TIMES < 2.6 - 1e-9, 0.003, 0.002))
+    load = TrapezoidLoad(magnitude=0.5, rise=0.6, stay=1.0, start=1.0)
+    short = {"load": load, "tip_desired": vectors(x), **KNOWN}
+    summary = summarise(recording(**short))
+
+    assert list(summary["by_change"]) == ["1 s", "2.6 s"]
+    assert summary["by_change"]["1 s"]["true_max_distance_mm"] == pytest.approx(3.0)
+    assert summary["by_change"]["2.6 s"]["true_max_abs_error_mm"] == pytest.approx([2.0, 0.0, 0.0])
+    assert "by_change" not in summarise(recording(**(short | {"load": NO_LOAD})))
+
+
 def test_a_sweep_of_a_joint_has_no_tracking_error(recording):
     summary = summarise(recording(experiment="fig6", name="turn", tip_true=vectors(0.1), **KNOWN))
 
