@@ -39,7 +39,8 @@ def check_reach(
         joints: start pose (n,) [rad or m].
         trajectory: offsets from the start tip.
         duration: of the motion [s]; what repeats itself is walked once.
-        force: (3,) at the tip [N] by the time since the start [s]; none when left out.
+        force: (3,) at the tip [N] by the time since the start [s], also what hangs there before it, at
+            negative times; none when left out.
 
     Raises:
         Unreachable: the first time at which the tip is off its path, by how much, and the limit.
@@ -73,7 +74,7 @@ class _Walk:
     def __init__(self, statics: Statics, limits: Limits, joints: Array, force: Callable[[float], Array] | None) -> None:
         self._statics, self._limits, self._force = statics, limits, force
         self._reasons: tuple[str, ...] = ()
-        self.at: Solution = statics.solve(joints, self._wrench(0.0))
+        self.at: Solution = statics.solve(joints, self._wrench(-STEP))
 
     def step(self, target: Array, time: float, length: float) -> float:
         """Go for `length` [s] toward a tip (3,) [m]; how far it then is from it [m]."""

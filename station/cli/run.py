@@ -4,7 +4,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from rich.console import Console
 from station.cli.options import count, progress_bar, seed
 
 if TYPE_CHECKING:
+    from station.experiments.experiment import Experiment
     from station.experiments.output import Assignment, Recorded
     from station.experiments.side_by_side import Processes
 
@@ -49,6 +50,7 @@ def _run(parsed: argparse.Namespace) -> int:
 def _carry_out(parsed: argparse.Namespace, started: "Processes | None") -> int:
     from station.config.strict import use_experiments
     from station.control.margins import Margins, check_design
+    from station.experiments.bound import with_bound
     from station.experiments.experiment import load_experiment
     from station.experiments.output import ResultFolder, result_table
 
@@ -60,9 +62,13 @@ def _carry_out(parsed: argparse.Namespace, started: "Processes | None") -> int:
     for robot in {case.robot.name: case.robot for case in experiment.cases}.values():
         if warning := check_design(robot, Margins()):
             sys.stderr.write(f"ctr-station: {warning}\n")
+    for text in dict.fromkeys(text for case in experiment.cases for text in case.warnings):
+        names = ", ".join(case.name for case in experiment.cases if text in case.warnings)
+        sys.stderr.write(f"ctr-station: {names}: {text}\n")
     folder, begin = ResultFolder(parsed.out, experiment, parsed.seed), time.perf_counter()
     try:
         assignments = [folder.assignment(case) for case in experiment.cases]
+        bounds = _bounds(experiment, parsed.seed, started)
         recorded = _all_of(experiment.name, assignments, started, realtime=parsed.realtime)
         completed = len(recorded) == len(assignments) and all(one.completed for one in recorded)
         summary: dict[str, Any] = {
@@ -73,7 +79,7 @@ def _carry_out(parsed: argparse.Namespace, started: "Processes | None") -> int:
             "simulated_s": round(sum(one.numbers["simulated_s"] for one in recorded), 3),
             "wall_s": round(time.perf_counter() - begin, 3),
             "recording": str(folder.path),
-            "cases": {one.name: one.numbers for one in recorded},
+            "cases": {one.name: with_bound(one.numbers, bounds.get(one.name, {})) for one in recorded},
         }
         folder.finish(summary, [one.label for one in recorded])
     except BaseException:
@@ -91,6 +97,30 @@ def _carry_out(parsed: argparse.Namespace, started: "Processes | None") -> int:
             soft_wrap=True,
         )
     return 0 if completed else 1
+
+
+def _bounds(
+    experiment: "Experiment", seed: int, started: "Processes | None"
+) -> "Mapping[str, Mapping[str, float | None]]":
+    """The bounds of the cases that have one, by case: each load is computed once."""
+    from station.experiments.bound import bound, same_bound, to_bound
+    from station.experiments.side_by_side import one_after_the_other
+
+    wanted = to_bound(experiment.cases, seed)
+    with progress_bar() as bar:
+        task = bar.add_task(f"{experiment.name} bounds", total=max(1.0, len(wanted)), visible=bool(wanted))
+
+        def told(parts: Sequence[float]) -> None:
+            bar.update(task, completed=sum(parts))
+
+        listed = list(wanted.values())
+        found = (
+            started.carry_out(bound, listed, told)
+            if started is not None
+            else one_after_the_other(bound, listed, told, lambda _: True)
+        )
+    by_key = dict(zip(wanted, found, strict=False))  # after Ctrl-C some are missing
+    return {case.name: by_key[key] for case in experiment.cases if (key := same_bound(case)) in by_key}
 
 
 def _all_of(

@@ -1,5 +1,7 @@
 """Experiments as TOML files: a start pose, a motion, a load, a controller, and cases that vary them."""
 
+import itertools
+import math
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -9,7 +11,7 @@ from pydantic import Field
 
 from core.control.controllers import PositionMode
 from core.control.step import Controller
-from core.errors import CtrError
+from core.errors import CtrError, Unreachable
 from core.robot.robot import Array
 from station.config.controllers import ControllerFile
 from station.config.motions import Motion, Orders
@@ -32,6 +34,7 @@ from station.devices.aurora.tracker import Registration
 from station.lab.config import LabConfig, load_lab
 from station.lab.faults import LabFault, check_faults
 from station.lab.loads import Load, NoLoad
+from station.recording.tracking_errors import counted_from
 
 
 class PaperNumbers(Strict):
@@ -53,7 +56,7 @@ class CaseFile(Strict):
     duration: Annotated[float, Field(gt=0.0, le=86400.0)]
     """[s]"""
     settling: NotNegative
-    """errors count from here on [s]"""
+    """errors count from here on, or from the load's onset if that is earlier [s]"""
     trajectory: Motion
     load: Load = NoLoad()
     controller: ControllerFile = ControllerFile()
@@ -61,6 +64,11 @@ class CaseFile(Strict):
     """folder with what `calibrate` found; without, everything is taken to be as described"""
     faults: Annotated[tuple[LabFault, ...], Row] = ()
     """what goes wrong at the simulated devices"""
+
+    @property
+    def counted_from(self) -> float:
+        """When errors begin to count [s]."""
+        return counted_from(self.settling, self.load.onset)
 
 
 class Case(NamedTuple):
@@ -74,6 +82,7 @@ class Case(NamedTuple):
     orders: Orders
     start: Array  #: (n,) [rad or m]
     registration: Registration | None = None  #: of the tracker, from a calibration
+    warnings: tuple[str, ...] = ()  #: what the joints cannot make up for
 
 
 class Experiment(NamedTuple):
@@ -91,7 +100,8 @@ class _PaperTable(Strict):
 
 
 class _CasesTable(Strict):
-    cases: Mapping[Name, Mapping[str, Any]]
+    cases: Mapping[Name, Mapping[str, Any]] = {}
+    cross: Mapping[Name, Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]] = {}
 
 
 def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Experiment:
@@ -107,14 +117,36 @@ def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Expe
     path = preset("experiments", name)
     table = read_toml(path)
     paper = check(_PaperTable, {"paper": table.pop("paper", {})}, str(path)).paper
-    variations = check(_CasesTable, {"cases": table.pop("cases", {})}, str(path)).cases or {path.stem: {}}
+    listed = {key: table.pop(key, {}) for key in ("cases", "cross")}
+    variations = variants(check(_CasesTable, listed, str(path)).model_dump()) or {path.stem: {}}
     cases: list[Case] = []
-    tried: set[str] = set()
+    tried: dict[str, tuple[str, ...]] = {}
     for case, variation in variations.items():
         cases.append(_case(path, case, merged(merged(table, variation), changes or {}), table, tried))
     if unknown := [case for case in paper if case not in variations]:
         raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
     return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, path.read_text(encoding="utf-8"))
+
+
+def variants(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """What each case of an experiment's table changes, by its name.
+
+    These are its `cases`; and of its `cross`, which has several choices on each of several axes, every combination,
+    named by its choices from the first axis to the last.
+    """
+    found = {name: dict(changes) for name, changes in table.get("cases", {}).items()}
+    axes = [axis.items() for axis in table.get("cross", {}).values()]
+    for choice in itertools.product(*axes) if axes else ():
+        changes: dict[str, Any] = {}
+        for _, part in choice:
+            changes = merged(changes, part)
+        found[crossed(*(name for name, _ in choice))] = changes
+    return found
+
+
+def crossed(*names: str) -> str:
+    """Name of the case that combines these choices."""
+    return "-".join(names)
 
 
 _shipped = cache(load_experiment)
@@ -132,9 +164,13 @@ def offered(name: str) -> Experiment:
 
 
 def _case(
-    path: Path, name: str, table: Mapping[str, Any], document: Mapping[str, Any], tried: set[str]
+    path: Path, name: str, table: Mapping[str, Any], document: Mapping[str, Any],
+    tried: dict[str, tuple[str, ...]],
 ) -> Case:  # fmt: skip
-    """One case, whose settings are in `table`, of the file that is `document`; `tried` are motions known to be good."""
+    """One case, whose settings are in `table`, of the file that is `document`.
+
+    `tried` are motions known to be good, and what their loads are warned of.
+    """
     source, within = f"{path}: case '{name}'", f"cases.{name}"
     file = check(CaseFile, _paths_beside(path, table), source, document, within)
     robot = load_robot(file.robot)
@@ -152,18 +188,34 @@ def _case(
         controller.limits.check(start)
         controller.statics.robot.check_pose(start)
         orders = Orders(file.trajectory, controller.statics.robot)
-        # Without feedback the tip is not meant to stay on its path under a load.
-        held = isinstance(controller.strategy.outer, PositionMode) and not isinstance(file.load, NoLoad)
         # Cases that differ in nothing that the way depends on try it once.
         way = repr((file.robot, file.calibration, file.controller.sublink, file.start, file.trajectory, file.duration))
-        way += repr(file.load) if held else ""
         if way not in tried:
-            orders.check(controller, start, file.duration, file.load.force if held else None)
-            tried.add(way)
+            orders.check(controller, start, file.duration)
+            tried[way] = ()
+        if isinstance(controller.strategy.outer, PositionMode) and file.load.changes:
+            way += repr(file.load)
+            if way not in tried:
+                tried[way] = load_warnings(orders, controller, start, file.duration, file.load)
     except CtrError as error:
         raise ConfigError(f"{source}: {error}{on_line(document, str(error), within)}") from None
     registration = None if calibration is None else calibration.registration
-    return Case(name, file, robot, lab, controller, orders, start, registration)
+    return Case(name, file, robot, lab, controller, orders, start, registration, tried[way])
+
+
+def load_warnings(orders: Orders, controller: Controller, start: Array, duration: float, load: Load) -> tuple[str, ...]:
+    """What a person should know of a load: when it is first more than the joints can make up for, and which limit.
+
+    A load is a disturbance, not a wish, and so never refused. Empty when the joints can, where the tip is not
+    controlled in its position anyway, and of a load beside the tip, which is not tried.
+    """
+    if not isinstance(controller.strategy.outer, PositionMode) or math.isfinite(load.contact):
+        return ()
+    try:
+        orders.check(controller, start, duration, load.force)
+    except Unreachable as error:
+        return (f"load {load.kind} is more than the joints can make up for: {error}",)
+    return ()
 
 
 def _paths_beside(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:

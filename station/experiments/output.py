@@ -19,6 +19,7 @@ from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
+from station.recording.tracking_errors import which_count
 from station.recording.writer import CaseWriter
 
 #: Rows that a summary is made of: all of a run of up to half an hour, every n-th of a longer one.
@@ -156,6 +157,7 @@ def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:
             table.add_row(label, *row)
             label = ""
         table.add_section()
+    table.caption = which_count(summary["cases"])
     return table
 
 
@@ -171,6 +173,11 @@ def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterato
         if key in case:
             x, y, z = (f"{value:.3f}" for value in case[key])
             yield title, x, y, z, beside
+    if "best_possible_mm" in case:
+        for name, part in case["by_change"].items():
+            reached, least = part["true_max_distance_mm"], part["best_possible_mm"]
+            words = f"max distance true from {name} on, best possible [mm]"
+            yield words, "", f"{reached:.3f}", f"{least:.3f}", ""
     if step := case.get("step"):
         fitted = f"{step['rate']:.3f} 1/s, {1e3 * step['dead_time_s']:.0f} ms"
         yield f"fitted rate (eq. 31: {step['expected_rate']:g} 1/s), dead time", "", "", fitted, ""

@@ -7,6 +7,7 @@ import numpy as np
 from core.robot.robot import Array
 from station.config.controllers import PERIOD
 from station.config.motions import StepMotion
+from station.experiments.changes import window_name, windows
 from station.experiments.runner import Recording
 from station.experiments.step_fit import fit_step, fold
 from station.recording.tracking_errors import errors, rms, rounded
@@ -19,12 +20,12 @@ HINDSIGHT = 501
 
 
 def summarise(recording: Recording) -> dict[str, Any]:
-    """Errors after the settling time, in millimetres, and what else the figures need.
+    """Errors from `counted_from_s` on, in millimetres, and what else the figures need.
 
     `true_` is desired minus the plant's tip; without it desired minus the tracker's tip, each frame
     compared with the setpoint of the moment it was taken.
     """
-    channels, rows, settling = recording.channels, recording.rows, recording.case.file.settling
+    channels, rows, first = recording.channels, recording.rows, recording.case.file.counted_from
     summary: dict[str, Any] = {
         "completed": recording.completed,
         "cause": recording.cause,
@@ -34,10 +35,13 @@ def summarise(recording: Recording) -> dict[str, Any]:
     if recording.rates:
         # What each axis really got over its line.
         summary["line_rates"] = {axis: dict(rates) for axis, rates in recording.rates.items()}
-    counted = rows[channels.of(rows, "time")[:, 0] >= settling - 1e-9]
+    if recording.case.warnings:
+        summary["warnings"] = list(recording.case.warnings)
+    counted = rows[channels.of(rows, "time")[:, 0] >= first - 1e-9]
     frames = counted[channels.of(counted, "tip_new")[:, 0] > 0.0]
     if len(counted) == 0 or len(frames) == 0:
         return summary
+    summary["counted_from_s"] = first
     times, frame_times = channels.of(rows, "time")[:, 0], channels.of(frames, "tip_time")[:, 0]
 
     def at_frames(group: str, *, averaged: bool = False) -> Array:
@@ -54,6 +58,7 @@ def summarise(recording: Recording) -> dict[str, Any]:
         true = channels.of(counted, "tip_true")
         if not sweeps:
             summary |= errors("true_", channels.of(counted, "tip_desired") - true)
+            summary |= _by_change(recording)
         for group in ("force", "force_filtered"):
             force_error = channels.of(counted, group) - channels.of(counted, "force_true")
             summary[f"{group}_rms_error_N"] = rounded(rms(force_error), 4)
@@ -69,6 +74,18 @@ def summarise(recording: Recording) -> dict[str, Any]:
         for group in ("deflection", "delta_1", "delta_2")
     }
     return summary
+
+
+def _by_change(recording: Recording) -> dict[str, Any]:
+    """True errors from each change of the load to the next."""
+    channels, rows, file = recording.channels, recording.rows, recording.case.file
+    time, error = channels.of(rows, "time")[:, 0], channels.of(rows, "tip_desired") - channels.of(rows, "tip_true")
+    found: dict[str, Any] = {}
+    for begin, end in windows(file.load, file.duration):
+        within = error[(time >= begin - 1e-9) & (time < end - 1e-9)]
+        if len(within):
+            found[window_name(begin)] = errors("true_", within)
+    return {"by_change": found} if found else {}
 
 
 def averaged_model(tips: Array, ticks: int = AVERAGED) -> Array:
@@ -113,6 +130,6 @@ def _rate_errors(recording: Recording) -> dict[str, Any]:
     true = hindsight_rate(channels.of(rows, "deflection"))
     if true is None:
         return {}
-    first = int(np.searchsorted(channels.of(rows, "time")[:, 0], recording.case.file.settling - 1e-9))
+    first = int(np.searchsorted(channels.of(rows, "time")[:, 0], recording.case.file.counted_from - 1e-9))
     groups = {"raw": "deflection_rate_raw", "filtered": "deflection_rate", "exact": "deflection_rate_exact"}
     return {name: rounded(1e3 * rms(channels.of(rows, group)[first:] - true[first:])) for name, group in groups.items()}

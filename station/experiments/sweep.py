@@ -17,6 +17,9 @@ from station.experiments.runner import run_case
 from station.experiments.side_by_side import Processes
 from station.experiments.sweep_settings import Setting, nested
 
+#: Numbers of a run that are the same for all seeds, or the computer's.
+NO_RESULTS = ("wall_s", "simulated_s", "counted_from_s")
+
 
 class Job(NamedTuple):
     """One run of a sweep."""
@@ -140,5 +143,5 @@ def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
     elif isinstance(value, list) and len(value) == 3:
         for axis, inner in zip("xyz", value, strict=True):
             yield from _numbers(f"{name}.{axis}", inner)
-    elif isinstance(value, float | int) and not isinstance(value, bool) and name not in ("wall_s", "simulated_s"):
+    elif isinstance(value, float | int) and not isinstance(value, bool) and name not in NO_RESULTS:
         yield name, float(value)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from core.robot.robot import Array
+from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
 from station.devices.interfaces import Condition, Devices, JointReading, TipReading, Trouble, Truth, WrenchReading
@@ -38,6 +38,15 @@ class IdealLab:
         self._load_start = 0.0
         self.devices = Devices(self._stages, self._tracker, self._sensors)
         self.advance(0.0)
+
+    @property
+    def true_robot(self) -> Robot:
+        """The robot as it really is."""
+        return self._plant.robot
+
+    def true_joints(self, positions: Array) -> Array:
+        """Where the joints really are (n,) when the stages count `positions` (n,): there."""
+        return positions
 
     def apply_load(self, load: Load, start: float) -> None:
         """Put a load on the tip whose time counts from `start` [s]."""

@@ -34,6 +34,16 @@ class _AtTip(Strict):
         """Arc length from the plate at which it acts [m]; inf for the tip."""
         return math.inf
 
+    @property
+    def changes(self) -> tuple[float, ...]:
+        """When it begins to change after it has stood still [s], the first time being its onset; empty: never."""
+        return (0.0,)
+
+    @property
+    def onset(self) -> float:
+        """When it first pulls [s]; inf for never."""
+        return next(iter(self.changes), math.inf)
+
 
 class _Directed(_AtTip):
     direction: Direction = GRAVITY
@@ -46,6 +56,11 @@ class NoLoad(_AtTip):
     """Nothing."""
 
     kind: Literal["none"] = "none"
+
+    @property
+    def changes(self) -> tuple[float, ...]:
+        """Never."""
+        return ()
 
     def force(self, time: float) -> Array:  # noqa: ARG002 - none at any time
         """(3,) [N]."""
@@ -109,6 +124,14 @@ class RampLoad(_Directed):
             raise ValueError("times must rise")
         return self
 
+    @property
+    def changes(self) -> tuple[float, ...]:
+        """Corners after which it changes though it stood still before, or jumps from nothing."""
+        moves = [a != b for a, b in zip((0.0, *self.magnitudes), self.magnitudes, strict=False)]  # up to each point
+        jump = self.times[:1] if moves[0] else ()
+        corners = zip(self.times, moves, (*moves[1:], False), strict=True)
+        return (*jump, *(time for time, until, after in corners if after and not until))
+
     def force(self, time: float) -> Array:
         """(3,) [N] at `time` [s] since the motion's start; nothing before the first point."""
         after = bisect.bisect_right(self.times, time)
@@ -118,6 +141,66 @@ class RampLoad(_Directed):
             return self._along(self.magnitudes[-1])
         (t0, t1), (f0, f1) = self.times[after - 1 : after + 1], self.magnitudes[after - 1 : after + 1]
         return self._along(f0 + (f1 - f0) * (time - t0) / (t1 - t0))
+
+
+class TrapezoidLoad(_Directed):
+    """A load that is put on in a straight line, stays, and is taken off again; in no time at all it is a step."""
+
+    kind: Literal["trapezoid"] = "trapezoid"
+    magnitude: Force
+    """[N]"""
+    rise: NotNegative
+    """time in which it is put on [s]; 0 for a step"""
+    fall: NotNegative = 0.0
+    """time in which it is taken off [s]; 0 for a step"""
+    stay: NotNegative | None = None
+    """time between [s]; for ever when left out"""
+    start: NotNegative = 0.0
+    """when it begins [s]"""
+
+    @property
+    def changes(self) -> tuple[float, ...]:
+        """When it is put on, and when it is taken off."""
+        return (self.start,) if self.stay is None else (self.start, self._off)
+
+    @property
+    def _off(self) -> float:
+        """When it begins to be taken off [s]."""
+        return math.inf if self.stay is None else self.start + self.rise + self.stay
+
+    def force(self, time: float) -> Array:
+        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        on = _part(time - self.start, self.rise)
+        return self._along(self.magnitude * (on - _part(time - self._off, self.fall)))
+
+
+class TapLoad(_Directed):
+    """A tap with a finger: half a sine wave."""
+
+    kind: Literal["tap"] = "tap"
+    peak: Force
+    """[N]"""
+    duration: Time = 0.05
+    """[s]"""
+    start: NotNegative = 0.0
+    """when it begins [s]"""
+
+    @property
+    def changes(self) -> tuple[float, ...]:
+        """When it begins."""
+        return (self.start,)
+
+    def force(self, time: float) -> Array:
+        """(3,) [N] at `time` [s] since the motion's start; nothing before and after."""
+        part = min(max((time - self.start) / self.duration, 0.0), 1.0)
+        return self._along(self.peak * max(math.sin(math.pi * part), 0.0))
+
+
+def _part(time: float, length: float) -> float:
+    """0 before, 1 after, a straight line for `length` [s] between; all of it from time 0 on when there is no length."""
+    if time < 0.0:
+        return 0.0
+    return 1.0 if time >= length else time / length
 
 
 class HungWeightLoad(_Directed):
@@ -135,9 +218,17 @@ class HungWeightLoad(_Directed):
     """of the weight on the band [Hz]"""
     damping: Annotated[float, Field(ge=1e-3, le=0.999)] = 0.05
     """part of the critical one"""
+    start: NotNegative = 0.0
+    """when the lowering begins [s]"""
+
+    @property
+    def changes(self) -> tuple[float, ...]:
+        """When the lowering begins."""
+        return (self.start,)
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the lowering began; nothing before."""
+        """(3,) [N] at `time` [s] since the motion's start; nothing before the lowering begins."""
+        time -= self.start
         return self._along(self.weight * (self._taken_up(time) - self._taken_up(time - self.lowering)) / self.lowering)
 
     def _taken_up(self, time: float) -> float:
@@ -170,6 +261,14 @@ class ContactLoad(_Directed):
 
 
 Load = Annotated[
-    NoLoad | ConstantLoad | SineLoad | RaisedCosineLoad | RampLoad | HungWeightLoad | ContactLoad,
+    NoLoad
+    | ConstantLoad
+    | SineLoad
+    | RaisedCosineLoad
+    | RampLoad
+    | TrapezoidLoad
+    | TapLoad
+    | HungWeightLoad
+    | ContactLoad,
     Field(discriminator="kind"),
 ]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.errors import NoSolution, PoseError
-from core.robot.robot import Array
+from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.devices.interfaces import Truth
 from station.devices.links.link import Link
@@ -123,6 +123,15 @@ class SimulatedBench:
     def positions(self) -> Array:
         """Where the joints really are (n,) [rad or m]."""
         return np.array([at + step * unit.place for at, step, unit in self._axes])
+
+    @property
+    def true_robot(self) -> Robot:
+        """The robot as it really is."""
+        return self._plant.robot
+
+    def true_joints(self, positions: Array) -> Array:
+        """Where the joints really are (n,) when the stages count `positions` (n,), play left out."""
+        return self.hidden.joints(positions)
 
     def apply_load(self, load: Load, start: float) -> None:
         """Put a load on the tip whose time counts from `start` [s]."""

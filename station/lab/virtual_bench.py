@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from core.robot.robot import Array
+from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.devices.aurora.settings import AuroraSettings
 from station.devices.aurora.tracker import AuroraTracker, Registration
@@ -25,6 +25,15 @@ class Lab(Protocol):
     """What goes on at the other side of the devices."""
 
     trouble: str  #: why the true robot has stayed where it was; empty when it follows its stages
+
+    @property
+    def true_robot(self) -> Robot:
+        """The robot as it really is."""
+        ...
+
+    def true_joints(self, positions: Array) -> Array:
+        """Where the joints really are (n,) when the stages count `positions` (n,) [rad or m]."""
+        ...
 
     def apply_load(self, load: Load, start: float) -> None:
         """Put a load on the tip whose time counts from `start` [s]."""

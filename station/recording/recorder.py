@@ -264,7 +264,7 @@ def _errors(path: Path, numbers: Mapping[str, Any]) -> Mapping[str, Any]:
     if "motion_start" not in numbers:
         return {}
     recording = read_case(path, MOST_ROWS)
-    return motion_errors(recording.of, numbers["motion_start"], numbers["settling"])
+    return motion_errors(recording.of, numbers["motion_start"], numbers["counted_from_s"])
 
 
 def _begin(

@@ -1,4 +1,7 @@
-"""How far the tip was from where it should have been, as the paper counts it: per axis, after the settling time."""
+"""How far the tip was from where it should have been, as the paper counts it: per axis, after the settling time.
+
+A load is never part of the settling: errors count from its onset at the latest.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -16,24 +19,41 @@ def settling_time(duration: float) -> float:
     return min(SETTLING, 0.5 * duration)
 
 
+def counted_from(settling: float, onset: float) -> float:
+    """When errors begin to count: after the settling time, or from the load's onset if that is earlier [s]."""
+    return min(settling, onset)
+
+
+def which_count(cases: Mapping[str, Mapping[str, Any]]) -> str:
+    """Which moments errors are taken from, in a sentence; `cases` are those of a summary."""
+    begins = {name: numbers["counted_from_s"] for name, numbers in cases.items() if "counted_from_s" in numbers}
+    if not begins:
+        return "Errors count after the settling time."
+    if len(set(begins.values())) == 1:
+        return f"Errors count from {next(iter(begins.values())):g} s after the motion's start on."
+    each = ", ".join(f"{name} {begin:g} s" for name, begin in begins.items())
+    return f"Errors count from these times after the motion's start on: {each}."
+
+
 def errors(prefix: str, error: Array) -> dict[str, Any]:
-    """Largest, root mean square and mean of tip errors (samples, 3) [m], in millimetres."""
+    """Largest by axis and as a distance, root mean square and mean of tip errors (samples, 3) [m], in millimetres."""
     millimetres = 1e3 * error
     return {
         f"{prefix}max_abs_error_mm": rounded(np.abs(millimetres).max(axis=0)),
+        f"{prefix}max_distance_mm": rounded(np.linalg.norm(millimetres, axis=1).max()),
         f"{prefix}rms_error_mm": rounded(rms(millimetres)),
         f"{prefix}mean_error_mm": rounded(np.linalg.norm(millimetres, axis=1).mean()),
     }
 
 
-def motion_errors(of: Callable[[str], Array], start: float, settling: float) -> Mapping[str, Any]:
-    """Errors of a motion that began at `start` [s] of its rows, from `settling` [s] on; empty when there are none.
+def motion_errors(of: Callable[[str], Array], start: float, first: float) -> Mapping[str, Any]:
+    """Errors of a motion that began at `start` [s] of its rows, from `first` [s] on; empty when there are none.
 
     `of` gives the columns of a group of channels (ticks, k). Each tracker frame is compared with the setpoint of
     the moment at which it was taken; `true_` errors are those of the virtual lab's tip.
     """
     time, desired = of("time")[:, 0] - start, of("tip_desired")
-    counted = time >= settling
+    counted = time >= first
     frames = counted & (of("tip_new")[:, 0] > 0.0)
     if not frames.any():
         return {}

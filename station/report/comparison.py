@@ -1,6 +1,6 @@
 """The paper's number, ours and their ratio, side by side; and all errors of a run.
 
-Numbers are those of the summary, in millimetres after the settling time: `measured` against the tracker,
+Numbers are those of the summary, in millimetres from `counted_from_s` on: `measured` against the tracker,
 as in the paper, `true` against the simulated plant.
 """
 

@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from station.recording.tracking_errors import which_count
 from station.report import document
 from station.report.comparison import all_errors, beside_the_paper
 from station.report.run import Run
@@ -68,9 +69,33 @@ def error_table(run: Run) -> Iterator[str]:
     errors = list(all_errors(run))
     if errors:
         yield document.heading("Errors of the tip")
-        yield document.paragraph("Millimetres, after the settling time.")
+        yield document.paragraph(f"Millimetres. {which_count(run.summary.get('cases', {}))}")
         cells = ((row.case, row.kind, *(f"{value:.3f}" for value in row.values)) for row in errors)
         yield document.table(("case", "error", *AXES), cells, texts=2)
+
+
+def bound_table(run: Run) -> Iterator[str]:
+    """Where loads are faster than the joints: what was reached, and the best that was possible."""
+    rows = [
+        (
+            name,
+            begin,
+            f"{part['true_max_distance_mm']:.2f}",
+            f"{least:.2f}",
+            f"{part['true_max_distance_mm'] / least:.2f}",
+        )
+        for name, numbers in run.summary.get("cases", {}).items()
+        for begin, part in numbers.get("by_change", {}).items()
+        if (least := part.get("best_possible_mm"))
+    ]
+    if rows:
+        yield document.heading("Distance from the possible")
+        yield document.paragraph(
+            "Largest distance of the true tip from its path, in millimetres, from each moment on at which the load"
+            " begins to change. Best possible: joints at the speeds and accelerations of these stages, on the true"
+            " tubes, that know the load's course from that moment on."
+        )
+        yield document.table(("case", "load changes at", "reached", "best possible", "ratio"), rows, texts=2)
 
 
 def line_table(run: Run) -> Iterator[str]:

@@ -30,7 +30,7 @@ def draw(run: Run) -> Iterator[Drawn]:
     """Positions per axis, and the distance of either model."""
     for case in run.cases:
         at, measured, models = compared(case)
-        counted = case.time[case.of("tip_new")[:, 0] > 0.0] >= case.settling - 1e-9
+        counted = case.time[case.of("tip_new")[:, 0] > 0.0] >= case.counted_from - 1e-9
         if not counted.any():
             continue  # it ended before anything counts
         figure, axes = style.stacked([*(f"$X_{axis}$ [mm]" for axis in style.AXES), "distance [mm]"], height=1.3)
@@ -50,7 +50,7 @@ def draw(run: Run) -> Iterator[Drawn]:
             "fig6" if len(run.cases) == 1 else f"fig6_{case.name}", "Fig. 6: model against measurement",
             "Measured tip and the tip of either model at the measured joints, per axis, and how far they are apart."
             f" The models are means over {AVERAGED * PERIOD:.1f} s: single force samples move the loaded one by a"
-            f" millimetre, which says nothing about the model. After {case.settling:g} s, {text}."
+            f" millimetre, which says nothing about the model. From {case.counted_from:g} s on, {text}."
             " The paper calls its numbers mean squared errors and gives them in mm; here it is the mean distance.",
             f"Tip position in x, y and z over time, measured and by both models; {text}.",
             figure,

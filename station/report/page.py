@@ -58,6 +58,7 @@ def _run(folder: Path, out: Path | None) -> Iterator[str]:
     for drawn in figures(run):
         yield _shown(drawn, facts.origin(run), out)
     yield from facts.error_table(run)
+    yield from facts.bound_table(run)
     yield from facts.line_table(run)
     yield from facts.configuration(run)
 

@@ -35,7 +35,7 @@ def rates(case: Case, hindsight: np.ndarray) -> Drawn:
     """Per axis; `hindsight` (ticks, 3) [mm/s]."""
     labels = [rf"$\dot\Delta_{axis}$ [mm/s]" for axis in style.AXES]
     figure, axes = style.stacked([*labels, r"raw $\dot\Delta_x$ [mm/s]"], height=1.25)
-    counted = case.time >= case.settling - 1e-9
+    counted = case.time >= case.counted_from - 1e-9
     shown = case.time >= case.time[-1] - SHOWN
     for column, each in enumerate(axes[:3]):
         for group, look in ESTIMATES:

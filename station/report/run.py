@@ -12,6 +12,7 @@ from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.strict import merged, read_toml
 from station.control.telemetry import Channel
+from station.experiments.experiment import variants
 from station.recording.read import open_case
 
 #: Groups of channels that reports and players show.
@@ -62,9 +63,9 @@ class Case:
         return self.of("time")[:, 0]
 
     @property
-    def settling(self) -> float:
-        """Errors count from here on [s]."""
-        return float(self.file.get("settling", 0.0))
+    def counted_from(self) -> float:
+        """Errors count from here on [s]; in older runs that is the settling time, whatever the load did."""
+        return float(self.numbers.get("counted_from_s", self.file.get("settling", 0.0)))
 
     @property
     def truth_known(self) -> bool:
@@ -142,7 +143,7 @@ def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any])
             rows.append(block[-before % stride :: stride, columns] if stride > 1 else block[:, columns])
             before += len(block)
         channels = [recording.channels[at] for at in columns]
-        file = merged(table, table.get("cases", {}).get(name, {}))
+        file = merged(table, variants(table).get(name, {}))
         numbers = summary.get("cases", {}).get(name, {})
         whole = _from_the_start(np.concatenate(rows), channels, float(numbers.get("motion_start", 0.0)))
         # A live run brings its settings with its recording.

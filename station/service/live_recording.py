@@ -58,9 +58,9 @@ class LiveRecording:
         """Note what happens at `time` of the telemetry [s]."""
         self._thread.submit(self._recorder.event, Event(time, kind, text, ERROR if bad else INFO))
 
-    def moving(self, start: float, settling: float) -> None:
-        """The motion begins at `start` of the telemetry; its errors count from `settling` on [s]."""
-        self._numbers = {"motion_start": start, "settling": settling}
+    def moving(self, start: float, counted_from: float) -> None:
+        """The motion begins at `start` of the telemetry; its errors count from `counted_from` after that on [s]."""
+        self._numbers = {"motion_start": start, "counted_from_s": counted_from}
 
     def end(self, state: State, cause: str) -> None:
         """The run has ended, in this state; does not wait."""

@@ -108,7 +108,7 @@ class Runs:
         """The motion of the run that is on begins at `start` by the station's clock [s]."""
         if self._recording is not None and self._recorded is not None:
             begun = self._time() + start - self._bench.clock.now()
-            self._recording.moving(begun, self._recorded.start.settling)
+            self._recording.moving(begun, self._recorded.start.counted_from)
 
     def interrupted(self, cause: str) -> None:
         """The process that carried out the run has died."""

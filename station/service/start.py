@@ -19,7 +19,8 @@ class Start:
     title: str
     load: Load | None = _NONE  #: at the virtual lab's tip during the motion; None: what hangs there is left alone
     faults: tuple[LabFault, ...] = ()  #: of the virtual lab's devices, their times counted from the motion's start
-    settling: float = 0.0  #: the tip's errors count from so long after the motion's start [s]
+    counted_from: float = 0.0  #: the tip's errors count from so long after the motion's start [s]
+    warnings: tuple[str, ...] = ()  #: what a person should know about it, once it has been accepted
     about: Mapping[str, Any] = field(default_factory=dict[str, Any])  #: what its recording says besides
     recorded: bool = True
 

@@ -13,10 +13,10 @@ from station.config.motions import HoldMotion, Orders, TipMotion
 from station.config.strict import Strict, preset_names
 from station.control.states import State
 from station.control.task import Task
-from station.experiments.experiment import offered
+from station.experiments.experiment import load_warnings, offered
 from station.lab.loads import Load, NoLoad
-from station.recording.tracking_errors import settling_time
-from station.service.start import Start
+from station.recording.tracking_errors import counted_from, settling_time
+from station.service.start import Run, Start
 from station.service.supervisor import Supervisor
 
 #: Of the tip when it is moved by hand [m/s].
@@ -78,8 +78,8 @@ class StationService:
         controller: ControllerFile | None = None,
         load: Load | None = None,
         duration: float | None = None,
-    ) -> str:
-        """Start a free motion from where the robot is; what is not given is as set before. The run's id.
+    ) -> Run:
+        """Start a free motion from where the robot is; what is not given is as set before.
 
         Raises:
             RefusedError: the state does not allow it.
@@ -89,8 +89,8 @@ class StationService:
         chosen = {key: value for key, value in given.items() if value is not None}
         return self._start(self.settings.model_copy(update=chosen))
 
-    def start_experiment(self, name: str, case: str | None = None) -> str:
-        """Start a case of an experiment (the first when none is named) on this bench. The run's id.
+    def start_experiment(self, name: str, case: str | None = None) -> Run:
+        """Start a case of an experiment (the first when none is named) on this bench.
 
         The robot goes to the start pose first. The lab is the one that is there, not the
         experiment's.
@@ -122,10 +122,11 @@ class StationService:
             title=f"{name}, case {chosen.name}",
             load=chosen.file.load,
             faults=tuple(chosen.file.faults),
-            settling=chosen.file.settling,
+            counted_from=chosen.file.counted_from,
+            warnings=chosen.warnings,
             about=about,
         )
-        return self.supervisor.start(start).id
+        return self.supervisor.start(start)
 
     def jog(self, space: Literal["joints", "tip"], velocity: tuple[float, ...]) -> None:
         """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].
@@ -161,19 +162,22 @@ class StationService:
         if math.isfinite(load.contact) and "joints" in values:
             self.supervisor.robot.check_contact(values["joints"], load.contact)
 
-    def _start(self, settings: Settings) -> str:
-        """Start a free motion; the run's id."""
+    def _start(self, settings: Settings) -> Run:
+        """Start a free motion."""
         orders = Orders(settings.trajectory, self.supervisor.robot)
         task = Task(self.supervisor.bench.controlled(settings.controller), orders, settings.duration)
         self._check(settings.load)
-        status = self.supervisor.status()
+        status, warnings = self.supervisor.status(), ()
         if status.state is State.READY and "joints" in status.values:
-            orders.check(task.controller, status.values["joints"], task.duration)
+            joints = status.values["joints"]
+            orders.check(task.controller, joints, task.duration)
+            warnings = load_warnings(orders, task.controller, joints, task.duration, settings.load)
         start = Start(
             task=task,
             title=f"{settings.trajectory.kind}, free motion",
             load=settings.load,
-            settling=settling_time(task.duration),
+            counted_from=counted_from(settling_time(task.duration), settings.load.onset),
+            warnings=warnings,
             about={"settings": settings.model_dump(mode="json")},
         )
-        return self.supervisor.start(start).id
+        return self.supervisor.start(start)

@@ -36,7 +36,7 @@ class Status(NamedTuple):
     timing: Timing
     values: Mapping[str, Array]  #: newest telemetry by group; empty until there is some
     devices: tuple[DeviceStatus, ...]  #: as reported last; empty before
-    warnings: tuple[str, ...]  #: of this machine and this robot
+    warnings: tuple[str, ...]  #: of this machine, this robot and the run that is on
     reserved: str  #: why nobody but a procedure may move anything; empty when everybody may
 
 
@@ -112,6 +112,7 @@ class StateMonitor:
         counters, numbers = ring.counters, ring.numbers
         ours = int(counters[RUN]) == (0 if run is None else run.number)
         stuck = (STUCK_TEXT,) if counters[STUCK] else ()
+        told = run.start.warnings if run is not None and ours and state is State.RUNNING else ()
         return Status(
             state=state,
             cause=self._cause if state in WITH_CAUSE else "",
@@ -123,6 +124,6 @@ class StateMonitor:
             timing=ring.timing(),
             values={} if row is None else {name: self._channels.of(row, name) for name in self._channels.groups},
             devices=self._devices,
-            warnings=(*warnings, *self._refused, *stuck),
+            warnings=(*warnings, *self._refused, *stuck, *told),
             reserved=reserved,
         )

@@ -15,6 +15,7 @@ from station.config.strict import preset_names
 from station.control.states import State
 from station.experiments.experiment import Experiment, offered
 from station.service.solve import model_answer
+from station.service.start import Run
 from station.service.station_service import StationService
 from web.access.identity import who_of
 from web.api.commands import Commands, aside
@@ -67,9 +68,10 @@ def control_routes(
     )
     async def start(request: StartIn) -> StartOut:
         if request.experiment is not None:
-            return StartOut(run_id=await aside(service.start_experiment, request.experiment, request.case))
-        run = await aside(service.start_motion, request.trajectory, request.controller, request.load, request.duration)
-        return StartOut(run_id=run)
+            return started(await aside(service.start_experiment, request.experiment, request.case))
+        return started(
+            await aside(service.start_motion, request.trajectory, request.controller, request.load, request.duration)
+        )
 
     @router.post(
         "/stop",
@@ -150,6 +152,11 @@ def control_routes(
     return router
 
 
+def started(run: Run) -> StartOut:
+    """A run that has begun, for a reader."""
+    return StartOut(run_id=run.id, warnings=run.start.warnings)
+
+
 def experiment_out(experiment: Experiment) -> ExperimentOut:
     """A preset for a reader."""
     return ExperimentOut(
@@ -163,6 +170,7 @@ def experiment_out(experiment: Experiment) -> ExperimentOut:
                 trajectory=case.file.trajectory.kind,
                 load=case.file.load.kind,
                 start=case.file.start,
+                warnings=case.warnings,
             )
             for case in experiment.cases
         ),

@@ -8,6 +8,7 @@ from station.control.states import RefusedError
 from station.service.station_service import StationService
 from web.access.identity import who_of
 from web.api.commands import Commands, aside
+from web.api.control import started
 from web.api.schemas import REFUSED, StartOut
 from web.scene.overlays import Shown
 from web.scene.view import View
@@ -75,6 +76,6 @@ def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter
         way = await aside(view.way_to_target)
         if way.motion is None:
             raise RefusedError(f"the target is out of reach: {way.reason}")
-        return StartOut(run_id=await aside(service.start_motion, way.motion, None, None, way.duration))
+        return started(await aside(service.start_motion, way.motion, None, None, way.duration))
 
     return router

@@ -68,6 +68,8 @@ class StartOut(Strict):
     """A run that has begun."""
 
     run_id: str
+    warnings: tuple[str, ...]
+    """what a person should know about it: from when on its load is more than the joints can make up for, and why"""
 
 
 class DoneOut(Strict):
@@ -204,6 +206,8 @@ class CaseOut(Strict):
     load: str
     start: Mapping[str, float]
     """pose that the robot goes to first [rad or m]"""
+    warnings: tuple[str, ...]
+    """from when on its load is more than the joints can make up for, and why"""
 
 
 class ExperimentOut(Strict):

@@ -1,5 +1,5 @@
 // Run: experiments that come with the station, and free motions with parameters of one's own.
-import { $, ask, confirm, fresh, latest, make, mayCommand, onStatus, press } from "./station.js";
+import { $, ask, confirm, fresh, latest, make, mayCommand, note, onStatus, press } from "./station.js";
 import { form, schemas, sentence, tidy, unit, variants } from "./form.js";
 
 /** Where a form begins for what has no default. SI. */
@@ -7,7 +7,7 @@ const FIRST = {
   circle: { radius: 0.01, period: 20 }, sinusoid: { amplitude: 0.01, frequency: 0.05 }, step: { offset: [0.001, 0, 0] },
   helix: { radius: 0.008, pitch: 0.003, turn: 20, turns: 3 }, waypoints: { points: [[5, 0, 0.01, 0], [10, 0, 0, 0]] },
   constant: { magnitude: 0.2 }, sine: { amplitude: 0.2, frequency: 0.05 }, raised_cosine: { peak: 0.3, period: 20 },
-  hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
+  trapezoid: { magnitude: 0.3, rise: 1, fall: 1, stay: 10, start: 2 }, tap: { peak: 0.5, start: 2 }, hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
 };
 const MORE = ["deflection_rate", "filter_bandwidth", "filter_widest", "force_noise", "observer_bandwidth", "hold", "transport", "sublink", "direction", "max_speed", "max_acceleration"];
 /** A start pose nearer than this needs no confirmation [rad, m]. */
@@ -40,6 +40,12 @@ function starter(label, act) {
   }) };
 }
 
+/** Start, and tell what a person should know about it. */
+async function begin(wish) {
+  const answer = await press("POST", "/api/start", wish);
+  for (const text of answer?.warnings ?? []) note(`started, but ${text}`);
+}
+
 async function overview() {
   const all = await schemas(), motions = Object.entries(variants(all, all.StartIn.properties.trajectory));
   const experiments = make("div", { className: "cards" }, make("p", { className: "dim" }, "being checked on the model …"));
@@ -66,7 +72,7 @@ async function experiment(one) {
   const facts = make("div", { className: "rows" });
   const show = () => {
     const chosen = one.cases.find((each) => each.name === select.value);
-    const lines = [["motion", chosen.trajectory], ["load", chosen.load], ["control", chosen.strategy], ["duration", `${chosen.duration} s`], ["start pose", poseText(chosen.start)]];
+    const lines = [["motion", chosen.trajectory], ["load", chosen.load], ["control", chosen.strategy], ["duration", `${chosen.duration} s`], ["start pose", poseText(chosen.start)], ...chosen.warnings.map((text) => ["warning", text])];
     facts.replaceChildren(...lines.flatMap(([key, text]) => [make("span", { className: "dim" }, key), make("span", { className: "wide" }, text.replaceAll("_", " "))]));
     return chosen;
   };
@@ -77,7 +83,7 @@ async function experiment(one) {
     if (far && !await confirm(`Start ${one.name}?`, "Start",
       make("p", {}, "The robot first goes to the start pose, all joints at the same time:"), make("p", {}, poseText(chosen.start)),
       make("p", { className: "dim" }, `Now: ${poseText(now)}. Look that the way is clear; STOP works all the time.`))) return;
-    await press("POST", "/api/start", { experiment: one.name, case: chosen.name });
+    await begin({ experiment: one.name, case: chosen.name });
   });
   const whole = make("form", {}, back(one.name), make("p", {}, one.title),
     make("img", { src: `/api/experiments/${one.name}/picture.svg`, alt: `path and load of ${one.name}`, width: 288, height: 144, style: "background:#fff;border-radius:6px" }),
@@ -109,7 +115,7 @@ async function motion(kind, schema, all) {
   const load = union(all, all.StartIn.properties.load, "none", "Load on the simulated tip");
   const control = form(all.ControllerFile, { values: bench.controller, more: MORE, choices: { strategy: bench.strategies, inner: bench.inner } });
   const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: 60 } });
-  const { frame, on } = starter("Start motion", () => press("POST", "/api/start", {
+  const { frame, on } = starter("Start motion", () => begin({
     trajectory: path.read(), load: load.read(), controller: control.read(), ...time.read(),
   }));
   const whole = make("form", {}, back(kind.replaceAll("_", " ")), make("p", {}, sentence(schema)),

@@ -90,6 +90,21 @@ def test_a_load_at_the_tip_warns_of_nothing_and_a_touched_shaft_is_named_with_it
     station.wait_for(lambda s: s["touch"] is None and not warned(s))
 
 
+def test_a_load_that_is_too_fast_is_taken_and_warned_of_with_the_time_and_the_limit(station: Served) -> None:
+    load = {"kind": "trapezoid", "magnitude": 0.2, "rise": 0.05, "start": 0.2}
+    body = {"trajectory": {"kind": "hold"}, "controller": CONTROLLER, "duration": 2.0}
+    answer = station.post("/api/start", body | {"load": load})
+    assert answer.status_code == 202
+    (warning,) = answer.json()["warnings"]
+    assert "load trapezoid is more than the joints can make up for: hold cannot be followed: at 0.2" in warning
+    assert "because of speed of " in warning
+    assert warning in station.wait_for(lambda s: s["run"]["phase"] == "moving")["warnings"]
+    # What belongs to a run ends with it.
+    assert warning not in station.wait_for(lambda s: s["state"] == "READY")["warnings"]
+    slow = station.post("/api/start", body | {"load": {**load, "rise": 60.0}})
+    assert slow.json()["warnings"] == []
+
+
 def test_an_experiment_goes_to_its_start_pose_first(station: Served) -> None:
     assert station.post("/api/start", {"experiment": "fig10", "case": "feedforward"}).status_code == 202
     station.wait_for(lambda s: s["run"]["phase"] == "moving")

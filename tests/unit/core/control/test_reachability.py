@@ -105,6 +105,14 @@ def test_a_load_that_cannot_be_held_is_refused(model):
     assert 0.0 < float(said.split(" at ")[1].split(" s ")[0]) < 10.0
 
 
+def test_a_load_that_is_there_from_the_first_moment_on_is_a_load_too(model):
+    """Half a newton at once moves the tip by some 15 mm; what hung there before moves nothing."""
+    said = refusal(model, Hold(), 10.0, force=lambda time: np.array([0.5 * (time >= 0.0), 0.0, 0.0]))
+
+    assert "at 0 s the tip would be 1" in said
+    check_reach(model, LIMITS, POSE, Hold(), 10.0, lambda _: np.array([0.5, 0.0, 0.0]))
+
+
 def test_a_step_is_judged_by_its_end_not_by_its_jump(model):
     assert "at 0 s" in refusal(model, Step((0.05, 0.0, 0.0)))
 

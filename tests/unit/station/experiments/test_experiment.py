@@ -185,6 +185,60 @@ def test_a_case_changes_what_it_names_and_keeps_the_rest(write, short):
     assert "ideal" in two.lab.title
 
 
+CROSS = """
+[cross.strategy.a.controller]
+k1 = 1.0
+[cross.strategy.b]
+[cross.length.short]
+[cross.length.long]
+duration = 3.0
+controller = { k2 = 4.0 }
+"""
+
+
+def test_every_choice_of_one_axis_is_a_case_with_every_choice_of_the_others(write, short):
+    cases = load_experiment(str(write(short + "[cases.first]\n" + CROSS))).cases
+
+    assert [(case.name, case.file.duration, case.file.controller.k1, case.file.controller.k2) for case in cases] == [
+        ("first", 1.0, 2.5, 2.5),
+        ("a-short", 1.0, 1.0, 2.5),
+        ("a-long", 3.0, 1.0, 4.0),
+        ("b-short", 1.0, 2.5, 2.5),
+        ("b-long", 3.0, 2.5, 4.0),
+    ]
+
+
+def test_a_mistake_in_a_choice_is_told_with_the_case(write, short):
+    for wrong, said in (
+        ("[cross.length.odd]\nbogus = 1\n", "case 'a-odd': unknown key 'bogus'"),
+        ("[cross.length]\n", "cross.length = {}: "),
+        ("[cross]\nlength = 3\n", "cross.length = 3: "),
+    ):
+        text = short + "[cross.strategy.a]\n" + wrong if "[cross]" not in wrong else short + wrong
+        with pytest.raises(ConfigError, match=re.escape(said)):
+            load_experiment(str(write(text)))
+
+
+FASTER = ("ramp_1s", "ramp_0_5s", "ramp_0_25s", "ramp_0_1s", "step", "rubber_band", "lift_and_drop", "tap")
+
+
+def test_load_rate_puts_on_and_takes_off_half_a_newton_at_every_rate_under_every_strategy():
+    cases = {case.name: case for case in offered("load_rate").cases}
+    strategies, loads = ("regulation", "type_1", "held"), ("ramp_10s", "ramp_1s", "ramp_0_1s", "step", "tap")
+
+    assert len(cases) == 36
+    assert {f"{strategy}-{load}" for strategy in strategies for load in loads} <= set(cases)
+    for case in cases.values():
+        load, duration = case.file.load, case.file.duration
+        force = [load.force(time)[0] for time in np.arange(0.0, duration, 0.005)]
+        assert max(force) == pytest.approx(0.5, rel=2e-3) or load.kind == "hung_weight"
+        assert load.onset == 2.0
+        assert load.changes[-1] + 8.0 < duration
+    # What is slower than the joints is not warned of, nor is what nobody tries to make up for.
+    warned = {name for name, case in cases.items() if case.warnings}
+    assert warned == {f"{one}-{load}" for one in strategies[:2] for load in FASTER}
+
+
 def test_a_file_without_cases_is_one_case_of_its_own_name(write, short):
     experiment = load_experiment(str(write(short, "my run")))
 
@@ -315,6 +369,41 @@ def test_a_fault_that_cannot_happen_is_refused(write, short, text, said):
 def test_ideal_devices_have_no_faults(write, short):
     with pytest.raises(ConfigError, match="the devices of lab 'ideal' are ideal"):
         load_experiment(str(write('lab = "ideal"\n' + short + FAULT.format("mute", "stages"))))
+
+
+FAST = '[load]\nkind = "trapezoid"\nmagnitude = 0.5\nrise = 0.5\nstart = 0.3\n'
+
+
+def test_a_load_is_warned_of_with_the_time_and_the_limit_and_not_refused(write, short):
+    text = short.replace("duration = 1.0", "duration = 3.0") + '[controller]\nstrategy = "dual_layer"\n' + FAST
+    slow = text.replace("rise = 0.5", "rise = 60.0")
+    (fast,), (steady,) = (load_experiment(str(write(each))).cases for each in (text, slow))
+
+    (warning,) = fast.warnings
+    said = r"load trapezoid is more than the joints can make up for: hold cannot be followed: at 0\.\d+ s .* mm off"
+    assert re.match(said, warning)
+    assert "speed of " in warning
+    assert steady.warnings == ()
+
+
+def test_a_load_on_a_tip_that_is_not_held_is_not_warned_of(write, short):
+    text = short + '[controller]\nstrategy = "unloaded_jacobian"\n' + FAST
+    (case,) = load_experiment(str(write(text))).cases
+
+    assert case.warnings == ()
+
+
+def test_a_motion_that_is_too_fast_is_refused_with_and_without_a_load(write, short):
+    fast = short.replace('kind = "hold"', 'kind = "circle"\nradius = 0.015\nperiod = 3.0').replace("= 1.0", "= 9.0")
+    for load in ("", FAST):
+        with pytest.raises(ConfigError, match=r"circle cannot be followed: at .* because of speed of"):
+            load_experiment(str(write(fast + load)))
+
+
+def test_errors_count_from_the_loads_onset_or_the_settling_time(write, short):
+    for settling, counted in (("0.1", 0.1), ("0.7", 0.3)):
+        (case,) = load_experiment(str(write(short.replace("settling = 0.0", f"settling = {settling}") + FAST))).cases
+        assert case.file.counted_from == counted
 
 
 def test_files_that_an_experiment_names_are_beside_it(write, short, robot_text, tmp_path, monkeypatch):

@@ -8,19 +8,24 @@ import pytest
 from station.control.telemetry import Channels
 from station.experiments.results import summarise
 from station.experiments.runner import Recording
+from station.lab.loads import Load, NoLoad, TrapezoidLoad
 from tests.harness.cases import a_case
 
 #: 4 s at 10 Hz, a frame at every other row, 50 ms old.
 TIMES = np.arange(40) * 0.1
 FRAMES = np.arange(40) % 2 == 0
 AGE = 0.05
+NO_LOAD = NoLoad()
 
 
 @pytest.fixture
 def recording(paper_robot):
     """A recording in which everything is zero but for the groups given, (40,) or (40, n) each."""
 
-    def make(settling: float = 2.0, experiment: str = "fig10", name: str = "paper", **groups: np.ndarray) -> Recording:
+    def make(
+        settling: float = 2.0, experiment: str = "fig10", name: str = "paper", load: Load = NO_LOAD,
+        **groups: np.ndarray,
+    ) -> Recording:  # fmt: skip
         channels = Channels(paper_robot)
         rows = np.zeros((40, len(channels)))
         channels.of(rows, "time")[:, 0] = TIMES
@@ -29,7 +34,8 @@ def recording(paper_robot):
         for group, values in groups.items():
             columns = channels.of(rows, group)
             columns[:] = values.reshape(len(rows), -1)
-        return Recording(a_case(experiment, name, settling=settling), channels, rows, True, "", 6.0, 0.5)
+        case = a_case(experiment, name, settling=settling, load=load)
+        return Recording(case, channels, rows, True, "", 6.0, 0.5)
 
     return make
 
@@ -100,6 +106,31 @@ def test_the_parts_of_the_deflection_are_reported_by_their_largest_value(recordi
     assert summary["deflection_max_mm"]["delta_1"] == pytest.approx([10.0 * np.abs(swing).max(), 0.0, 0.0], abs=1e-4)
     assert summary["deflection_max_mm"]["delta_2"] == pytest.approx([0.0, 1.0, 0.0])
     assert summary["deflection_max_mm"]["deflection"] == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(("start", "largest"), [(0.9, 7.0), (0.3, 9.0), (3.0, 1.0)])
+def test_a_load_is_no_part_of_the_settling(recording, start, largest):
+    # 9 mm until 0.5 s, 7 mm until 1.5 s, 1 mm after that; the settling time is 2 s
+    x = np.where(TIMES < 0.5, 0.009, np.where(TIMES < 1.5, 0.007, 0.001))
+    load = TrapezoidLoad(magnitude=0.5, rise=0.1, start=start)
+    summary = summarise(recording(tip_desired=vectors(x), load=load, **KNOWN))
+
+    assert summary["counted_from_s"] == min(start, 2.0)
+    assert summary["true_max_abs_error_mm"] == pytest.approx([largest, 0.0, 0.0])
+    assert summary["true_max_distance_mm"] == pytest.approx(largest)
+
+
+def test_true_errors_are_told_from_each_change_of_the_load_to_the_next(recording):
+    # 1 mm at first, 3 mm from 1 s on, 2 mm from 2.6 s on; the load is put on at 1 s and taken off from 2.6 s on
+    x = np.where(TIMES < 1.0 - 1e-9, 0.001, np.where(TIMES < 2.6 - 1e-9, 0.003, 0.002))
+    load = TrapezoidLoad(magnitude=0.5, rise=0.6, stay=1.0, start=1.0)
+    short = {"load": load, "tip_desired": vectors(x), **KNOWN}
+    summary = summarise(recording(**short))
+
+    assert list(summary["by_change"]) == ["1 s", "2.6 s"]
+    assert summary["by_change"]["1 s"]["true_max_distance_mm"] == pytest.approx(3.0)
+    assert summary["by_change"]["2.6 s"]["true_max_abs_error_mm"] == pytest.approx([2.0, 0.0, 0.0])
+    assert "by_change" not in summarise(recording(**(short | {"load": NO_LOAD})))
 
 
 def test_a_sweep_of_a_joint_has_no_tracking_error(recording):

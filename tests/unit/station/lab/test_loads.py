@@ -23,6 +23,9 @@ CONSTANT = {"kind": "constant", "magnitude": 0.5}
 SINE = {"kind": "sine", "amplitude": 0.2, "frequency": 0.05}
 RAISED = {"kind": "raised_cosine", "peak": 0.5, "period": 20.0}
 RAMPS = {"kind": "ramps", "times": [5.0, 7.5, 15.0, 17.5], "magnitudes": [0.0, 0.5, 0.5, 0.0]}
+LIFTED = {"kind": "trapezoid", "magnitude": 0.5, "rise": 2.0, "fall": 0.5, "stay": 4.0, "start": 1.0}
+STEP = {"kind": "trapezoid", "magnitude": 0.5, "rise": 0.0}
+TAP = {"kind": "tap", "peak": 0.4, "duration": 0.06, "start": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -35,6 +38,11 @@ RAMPS = {"kind": "ramps", "times": [5.0, 7.5, 15.0, 17.5], "magnitudes": [0.0, 0
         # 0.25 (1 - cos(2 pi t / 20)): 0.5 N at half the period, half of it at a quarter
         (RAISED, {0.0: 0.0, 5.0: 0.25, 10.0: 0.5, 15.0: 0.25, 20.0: 0.0, 30.0: 0.5, 20.0 / 6.0: 0.125}),
         (RAMPS, {0.0: 0.0, 4.99: 0.0, 5.0: 0.0, 6.25: 0.25, 7.5: 0.5, 12.0: 0.5, 16.25: 0.25, 17.5: 0.0, 99.0: 0.0}),
+        (LIFTED, {0.0: 0.0, 1.0: 0.0, 2.0: 0.25, 3.0: 0.5, 6.9: 0.5, 7.0: 0.5, 7.25: 0.25, 7.5: 0.0, 99.0: 0.0}),
+        (STEP, {0.0: 0.5, 1e-9: 0.5, 1e5: 0.5}),
+        ({**STEP, "stay": 1.0, "start": 2.0}, {1.999: 0.0, 2.0: 0.5, 2.999: 0.5, 3.0: 0.0}),
+        # half a sine wave: half of the peak at a sixth and five sixths of the time
+        (TAP, {0.999: 0.0, 1.01: 0.2, 1.03: 0.4, 1.05: 0.2, 1.06: 0.0, 2.0: 0.0}),
         ({"kind": "ramps", "times": [2.0], "magnitudes": [0.3]}, {0.0: 0.0, 1.999: 0.0, 2.0: 0.3, 50.0: 0.3}),
         ({"kind": "ramps", "times": [0.0, 1.0], "magnitudes": [0.4, -0.4]}, {0.0: 0.4, 0.25: 0.2, 0.75: -0.2, 2: -0.4}),
     ],
@@ -44,10 +52,45 @@ def test_a_load_is_its_closed_form_along_gravity(table, by_time):
         assert load(**table).force(time) == pytest.approx([force, 0.0, 0.0], abs=1e-15), f"at {time} s"
 
 
-@pytest.mark.parametrize("table", [{"kind": "none"}, CONSTANT, SINE, RAISED, RAMPS])
+@pytest.mark.parametrize("table", [{"kind": "none"}, CONSTANT, SINE, RAISED, RAMPS, LIFTED, STEP, TAP])
 def test_nothing_pulls_before_the_start(table):
     for time in (-1e-9, -0.5, -13.0):
         assert not load(**table).force(time).any()
+
+
+@pytest.mark.parametrize(
+    ("table", "changes"),
+    [
+        ({"kind": "none"}, ()),
+        (CONSTANT, (0.0,)),
+        (SINE, (0.0,)),
+        (RAISED, (0.0,)),
+        (RAMPS, (5.0, 15.0)),
+        (LIFTED, (1.0, 7.0)),
+        (STEP, (0.0,)),
+        (TAP, (1.0,)),
+        ({"kind": "hung_weight", "weight": 0.2, "start": 3.0}, (3.0,)),
+        # a jump; then still until a ramp begins at 4 s and goes on as another one
+        ({"kind": "ramps", "times": [2.0, 4.0, 5.0, 6.0], "magnitudes": [0.3, 0.3, 0.4, 0.1]}, (2.0, 4.0)),
+        ({"kind": "ramps", "times": [2.0, 4.0], "magnitudes": [0.0, 0.0]}, ()),
+        ({"kind": "ramps", "times": [2.0, 4.0], "magnitudes": [0.1, 0.3]}, (2.0,)),
+    ],
+)
+def test_a_load_says_when_it_begins_to_change(table, changes):
+    found = load(**table)
+
+    assert found.changes == changes
+    assert found.onset == (changes[0] if changes else math.inf)
+    # It stands still right before, and moves soon after.
+    for time in changes:
+        assert found.force(time - 1e-6) == pytest.approx(found.force(time - 1e-3), abs=1e-12)
+        assert np.abs(found.force(time + 0.02) - found.force(time - 1e-6)).max() > 0.0
+
+
+def test_a_weight_may_be_lowered_later() -> None:
+    now, later = HungWeightLoad(weight=0.2, lowering=1.0), HungWeightLoad(weight=0.2, lowering=1.0, start=3.0)
+    for time in (-1.0, 0.0, 0.5, 1.7):
+        assert later.force(time + 3.0) == pytest.approx(now.force(time), abs=1e-12)
 
 
 def test_a_direction_of_any_length_only_points():
@@ -71,6 +114,9 @@ def test_a_direction_of_any_length_only_points():
         ({"kind": "ramps", "times": [1.0, 1.0], "magnitudes": [0.1, 0.2]}, "times must rise"),
         ({"kind": "ramps", "times": [-1.0, 1.0], "magnitudes": [0.1, 0.2]}, "load.times.0 = -1.0: "),
         ({"kind": "ramps", "times": [1.0], "magnitudes": [float("inf")]}, "load.magnitudes.0 = inf: "),
+        ({**LIFTED, "rise": -1.0}, "load.rise = -1.0: "),
+        ({"kind": "trapezoid", "magnitude": 0.5}, "'load.rise' is missing"),
+        ({**TAP, "duration": 0.0}, "load.duration = 0.0: "),
         ({"kind": "wind"}, "load = {'kind': 'wind'}: "),
     ],
 )

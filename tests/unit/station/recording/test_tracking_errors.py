@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from station.recording.tracking_errors import errors, motion_errors, settling_time
+from station.recording.tracking_errors import counted_from, errors, motion_errors, settling_time, which_count
 
 #: A motion that begins at 10 s: the tip runs along x at 1 mm/s, 2 mm behind in x and 1 mm aside in y.
 TIME = np.arange(9.0, 20.0, 0.002)
@@ -47,6 +47,19 @@ def test_errors_count_after_the_settling_time_only():
 
     assert motion_errors(values.__getitem__, 10.0, 2.1)["max_abs_error_mm"][0] == pytest.approx(2.0, abs=1e-6)
     assert motion_errors(values.__getitem__, 10.0, 1.0)["max_abs_error_mm"][0] > 900.0
+
+
+def test_a_load_counts_from_its_onset_however_long_the_motion_takes_to_settle():
+    assert counted_from(20.0, 3.0) == 3.0
+    assert counted_from(2.0, 3.0) == 2.0
+    assert counted_from(2.0, float("inf")) == 2.0
+
+
+def test_a_table_says_which_moments_count():
+    assert which_count({"a": {"counted_from_s": 2.0}, "b": {"counted_from_s": 2.0}}) == (
+        "Errors count from 2 s after the motion's start on."
+    )
+    assert "a 0 s, b 2.5 s" in which_count({"a": {"counted_from_s": 0.0}, "b": {"counted_from_s": 2.5}})
 
 
 def test_nothing_is_said_of_a_motion_that_has_not_settled_nor_of_a_truth_that_nobody_knows():

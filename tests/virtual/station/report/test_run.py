@@ -28,7 +28,7 @@ def test_cases_come_in_their_order_with_the_channels_that_were_recorded(short_ru
 def test_a_case_has_its_own_changes_of_the_file(short_run):
     one, two = read_run(short_run).cases
 
-    assert one.settling == two.settling == 0.5
+    assert one.counted_from == two.counted_from == 0.0  # the load pulls from the first moment on
     assert "controller" not in one.file
     assert two.file["controller"] == {"feedforward": True}
 

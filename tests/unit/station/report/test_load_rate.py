@@ -1,0 +1,91 @@
+"""The figure of error against rate, from a summary whose numbers are known."""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+
+from station.config.strict import PRESETS, read_toml
+from station.report import facts, load_rate, style
+from station.report.run import Run
+
+TABLE = read_toml(PRESETS / "experiments" / "load_rate.toml")
+
+
+@pytest.fixture(autouse=True)
+def settings():
+    with matplotlib.rc_context(style.SETTINGS):
+        yield
+
+
+def summary(value: float) -> dict:
+    """Numbers of every case: the tenth part of `value` is possible; after the second change twice as much."""
+    cases = {}
+    for strategy, factor in (("regulation", 1.0), ("type_1", 2.0), ("held", 15.0)):
+        for load in TABLE["cross"]["load"]:
+            parts = {"2 s": 1.0} if load in ("rubber_band", "tap") else {"2 s": 1.0, "14 s": 2.0}
+            cases[f"{strategy}-{load}"] = {
+                "by_change": {
+                    name: {"true_max_distance_mm": part * factor * value, "best_possible_mm": part * value / 10.0}
+                    for name, part in parts.items()
+                }
+            }
+    return {"cases": cases}
+
+
+def run(cases: dict) -> Run:
+    return Run(Path("x"), "load_rate", cases, TABLE, ())
+
+
+def test_each_load_has_its_rate_and_what_came_of_it():
+    tried = {one.name: one for one in load_rate.tried(run(summary(1.0)))}
+
+    assert tried["ramp_10s"].rate == pytest.approx(0.05)
+    assert tried["ramp_0_1s"].rate == pytest.approx(5.0)
+    assert tried["step"].rate == np.inf
+    assert all(np.isnan(tried[name].rate) for name in ("rubber_band", "lift_and_drop", "tap"))
+    assert tried["ramp_1s"].reached["type_1"] == [2.0, 4.0]
+    assert tried["ramp_1s"].best == [0.1, 0.2]
+    # what hangs on joints that do not move is the error, and not that it goes
+    assert tried["ramp_1s"].reached["held"] == [30.0, 30.0]
+
+
+def test_every_strategy_is_a_curve_beside_the_best_possible_with_units_on_the_axes():
+    (drawn,) = load_rate.draw(run(summary(1.0)))
+    on, off, other = drawn.figure.axes
+
+    assert on.get_ylabel() == "largest true error [mm]"
+    assert on.get_xlabel() == off.get_xlabel() == "rate of the load [N/s]"
+    assert [line.get_label() for line in on.lines] == [
+        "dual layer, the live default", "dual layer, as in the paper", "no joint moves", "best possible",
+    ]  # fmt: skip
+    for axes, part in ((on, 1.0), (off, 2.0)):
+        heights = [float(np.max(line.get_ydata())) for line in axes.lines]
+        assert heights == pytest.approx([part, 2.0 * part, 30.0, 0.1 * part])
+        assert all(len(line.get_ydata()) == 9 for line in axes.lines)
+    assert len(other.patches) == 3 * 4
+    assert "rubber band" in drawn.alt
+    assert "half a newton" not in drawn.caption
+
+
+def test_a_run_that_was_given_up_shows_what_there_is():
+    cases = summary(1.0)
+    for name in list(cases["cases"]):
+        if "step" in name or name.startswith("type_1"):
+            del cases["cases"][name]
+    (drawn,) = load_rate.draw(run(cases))
+
+    assert len(drawn.figure.axes[0].lines) == 3
+    assert list(load_rate.draw(run({}))) == []
+    assert list(load_rate.draw(Run(Path("x"), "load_rate", {}, {}, ()))) == []
+
+
+def test_the_table_has_each_part_with_its_distance_from_the_possible():
+    text = "".join(facts.bound_table(run(summary(3.0))))
+
+    assert "regulation-ramp_1s" in text
+    assert ">14 s</td>" in text
+    # 6 mm of 0.6 mm
+    assert '<td class="number">6.00</td><td class="number">0.60</td><td class="number">10.00</td>' in text
+    assert list(facts.bound_table(run({"cases": {"a": {"by_change": {"0 s": {"true_max_distance_mm": 1.0}}}}}))) == []
