@@ -19,7 +19,7 @@ from core.compiled import compiled, copy
 from core.control.actuation import Actuation, advance
 from core.control.deflection import RateFilter, filtered
 from core.control.observer import FIRST_DRIFT, Observed, Observer, observe
-from core.control.quick_load import Opening, opened
+from core.control.quick_load import CLOSED, Opening, opened
 from core.model.solution import Solution, parts
 from core.robot.robot import Array
 
@@ -117,7 +117,7 @@ class Estimator:
     filter: RateFilter  #: of deflection and force
     observer: Observer
     actuation: Actuation
-    opening: Opening = Opening(widest=1.0)
+    opening: Opening = CLOSED
 
     def start(self, loaded: Solution, unloaded: Solution, force: Array, tip: Array) -> Estimate:
         """At rest under `force` (3,) [N], the tracker showing `tip` (3,) [m]."""

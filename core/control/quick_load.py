@@ -44,6 +44,10 @@ class Opening:
         return weight, bound, self.slope, self.widest, math.exp(-period / self.release)
 
 
+#: Of a filter that never opens.
+CLOSED = Opening(widest=1.0)
+
+
 @compiled
 def opened(
     last: float, old_surprise: Array, force: Array, value: Array, rate: Array, surprise: Array,
