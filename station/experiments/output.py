@@ -175,9 +175,8 @@ def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterato
             yield title, x, y, z, beside
     if "best_possible_mm" in case:
         for name, part in case["by_change"].items():
-            reached, least = part["true_max_distance_mm"], part["best_possible_mm"]
-            words = f"max distance true from {name} on, best possible [mm]"
-            yield words, "", f"{reached:.3f}", f"{least:.3f}", ""
+            words = f"max distance true from {name} on [mm] (best possible: {part['best_possible_mm']:.3f})"
+            yield words, "", "", f"{part['true_max_distance_mm']:.3f}", ""
     if step := case.get("step"):
         fitted = f"{step['rate']:.3f} 1/s, {1e3 * step['dead_time_s']:.0f} ms"
         yield f"fitted rate (eq. 31: {step['expected_rate']:g} 1/s), dead time", "", "", fitted, ""

@@ -104,6 +104,18 @@ def test_a_free_motion_has_units_and_bounds_and_runs_as_set(page: Page, station:
     page.get_by_role("button", name="all motions").click()
 
 
+def test_a_load_that_is_too_fast_is_started_and_warned_of(page: Page, station: Served) -> None:
+    tab(page, "start")
+    page.locator(".card", has_text="Keep the tip where it is").click()
+    page.locator("#start").get_by_label("duration").first.fill("5")
+    page.get_by_label("Load on the simulated tip").select_option("tap")
+    page.get_by_role("button", name="Start motion").click()
+    page.locator(".note", has_text="started, but load tap is more than the joints can make up for").wait_for()
+    station.wait_for(lambda s: s["state"] == "RUNNING" and s["run"]["phase"] == "moving")
+    station.post("/api/stop")
+    page.get_by_role("button", name="all motions").click()
+
+
 def test_what_cannot_be_reached_is_refused_with_the_reason(page: Page, station: Served) -> None:
     tab(page, "start")
     page.locator(".card", has_text="Move the tip along a circle").click()

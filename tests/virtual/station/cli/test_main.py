@@ -39,6 +39,38 @@ def test_the_table_has_units_and_the_papers_number_beside_ours(call, write, shor
     assert str(Path("runs") / "own-seed0-") in done.out
 
 
+FAST = """
+[load]
+kind = "trapezoid"
+magnitude = 0.3
+rise = 0.1
+start = 0.4
+[cases.follows.controller]
+strategy = "dual_layer"
+[cases.stays.controller]
+strategy = "unloaded_jacobian"
+"""
+
+
+def test_a_load_that_is_too_fast_is_run_and_what_was_possible_stands_beside_what_was_reached(call, write, short):
+    path = str(write(short + FAST))
+    done = call("run", path, "--jobs", "1", "--json")
+    assert done.status == 0
+    assert done.err.startswith("ctr-station: follows: load trapezoid is more than the joints can make up for: hold ")
+    assert len(done.err.splitlines()) == 1
+    follows, stays = (json.loads(done.out)["cases"][name] for name in ("follows", "stays"))
+    assert follows["warnings"][0] in done.err
+    least = follows["best_possible_mm"]
+    assert stays["best_possible_mm"] == follows["by_change"]["0.4 s"]["best_possible_mm"] == least
+    # within a tenth of a second stages hardly begin to move: nobody can do much better than nothing
+    assert 0.8 * stays["true_max_distance_mm"] < least < stays["true_max_distance_mm"]
+
+    table = call("run", path, "--jobs", "1").out
+    assert "max distance true from 0.4 s" in table
+    assert f"{least:.3f}" in table
+    assert "Errors count from 0 s" in table
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
