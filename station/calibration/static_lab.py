@@ -21,7 +21,7 @@ from station.lab.aurora.distortion import Distortion
 from station.lab.config import LabConfig
 from station.lab.hidden import Hidden
 from station.lab.loads import GRAVITY
-from station.lab.plant import Plant
+from station.lab.true_plant import true_plant
 
 Result = TypeVar("Result")
 #: The way to a pose is taken in so many steps, so that play and friction turn round as they do on the bench.
@@ -42,7 +42,7 @@ class StaticLab:
         self.time = 0.0  #: [s]
         self._at = subject.start
         description = self.hidden.robot(subject.robot)
-        self._plant = Plant(description, config.plant, plant, self.hidden.joints(subject.start))
+        self._plant = true_plant(description, config.plant, plant, self.hidden.joints(subject.start))
         self.true_robot = self._plant.robot
         felt, q = config.sensors, len(subject.robot.tubes)
         self._offset = np.repeat([felt.force_offset, felt.moment_offset], 3) * sensors.uniform(-1.0, 1.0, (q, 6))
@@ -61,8 +61,8 @@ class StaticLab:
         pull = weight * (np.array(GRAVITY) if direction is None else direction)
         for part in range(1, STEPS):
             stages = self._at + part / STEPS * (joints - self._at)
-            self._plant.advance(self.hidden.joints(stages), pull, contact)
-        state = self._plant.advance(self.hidden.joints(joints), pull, contact)
+            self._plant.advance(self.hidden.joints(stages), pull, contact, self.time)
+        state = self._plant.advance(self.hidden.joints(joints), pull, contact, self.time)
         way = float(np.abs((joints - self._at) / self._subject.limits.speed).max()) / approach.SPEED
         self.time += way + SETTLE + 0.5 * AVERAGE
         came = np.sign(joints - self._at)

@@ -1,6 +1,6 @@
 """A simulated ATI Net F/T box at wire level: requests in, records out, with the sensor's imperfections.
 
-Noise, quantisation, offset and drift on the true base wrench; the box's own counter, its delay, its
+Gain, cross-talk, noise, quantisation, offset and drift on the true base wrench; the box's own counter, its delay, its
 end of range; and what can go wrong on the way. Only the latest that asked for a stream is served.
 """
 
@@ -99,6 +99,13 @@ class SimulatedNetft:
                 np.repeat([own.force_counts, own.torque_counts], 3),
             ]
         )
+        ranges = self._axes[4]
+        #: Of gain and cross-talk: what each axis reads of each, beside itself; None: nothing.
+        self._skew = (
+            config.gain * rng.spawn(1)[0].uniform(-1.0, 1.0, (6, 6)) * ranges[:, None] / ranges
+            if config.gain > 0.0
+            else None
+        )
         self._noise, self._drawn = np.empty((BLOCK, 6)), BLOCK
         self._bytes = np.zeros(RECORD.size, np.uint8)
         self._true = np.zeros(6)
@@ -114,6 +121,8 @@ class SimulatedNetft:
 
     def advance(self, now: float, wrench: Array) -> None:
         """Hear what was asked, feel the wrench (6,) [N, N m] go on to this one until `now` [s], send."""
+        if self._skew is not None:
+            wrench = wrench + self._skew @ wrench
         begin, before = self._now, self._true
         for datagram, sender in self._end.receive():
             if not self.faults.mute:
