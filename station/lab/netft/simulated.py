@@ -99,13 +99,8 @@ class SimulatedNetft:
                 np.repeat([own.force_counts, own.torque_counts], 3),
             ]
         )
-        ranges = self._axes[4]
-        #: Of gain and cross-talk: what each axis reads of each, beside itself; None: nothing.
-        self._skew = (
-            config.gain * rng.spawn(1)[0].uniform(-1.0, 1.0, (6, 6)) * ranges[:, None] / ranges
-            if config.gain > 0.0
-            else None
-        )
+        #: What each axis reads of each beside itself; None: nothing.
+        self._skew = skew(config.gain, own, rng.spawn(1)[0]) if config.gain > 0.0 else None
         self._noise, self._drawn = np.empty((BLOCK, 6)), BLOCK
         self._bytes = np.zeros(RECORD.size, np.uint8)
         self._true = np.zeros(6)
@@ -269,6 +264,12 @@ class SimulatedNetft:
         if self._held is not None:
             self._on_the_way.append((item[0], *self._held[1:]))
             self._held = None
+
+
+def skew(most: float, box: BoxSettings, rng: np.random.Generator) -> Array:
+    """Errors of gain and cross-talk (6, 6): fractions within +-`most` of one axis's range by another's."""
+    ranges = np.repeat([box.force_range, box.torque_range], 3)
+    return most * rng.uniform(-1.0, 1.0, (6, 6)) * ranges[:, None] / ranges
 
 
 @compiled
