@@ -18,7 +18,7 @@ START = np.array([0.0, math.pi / 2, -0.100])
 BARE = PlantConfig(
     rod="rough", tubes={}, poisson_ratio=None, play={}, friction_force=0.0, friction_moment=0.0, step=0.005
 )
-EVERYTHING = {"friction": 0.2, "clearance": 1e-4, "density": 6450.0}
+EVERYTHING = {"friction": 0.15, "clearance": 1e-4, "density": 6450.0}
 MU, COUPLE = 0.2, 0.010
 
 
@@ -288,6 +288,21 @@ def test_a_snap_is_survived(paper_robot):
 def test_a_number_that_would_do_nothing_is_refused(given, wrong):
     with pytest.raises(ValidationError, match=f"{wrong} belongs to rod"):
         PlantConfig(**given)
+
+
+def test_the_realistic_lab_rubs_as_tubes_of_this_size_do(paper):
+    plant = true_plant(paper.robot(), load_lab("realistic", paper).plant, rng(), START)
+    felt = []
+    for ways in (np.array([0.0, 0.5, 0.0]), np.array([0.0, 0.0, 0.01])):
+        for part in (*np.linspace(0.0, 1.0, 101), *np.linspace(1.0, 0.5, 51)):
+            state = plant.advance(START + part * ways, np.zeros(3))
+            if abs(part - 0.5) < 1e-9:
+                felt.append(state.wrenches[:, [5, 2]])
+    (turned, turned_back, slid, slid_back) = felt
+
+    for base in range(2):
+        assert 3e-3 < abs(turned[base, 0] - turned_back[base, 0]) / 2.0 < 8.5e-3  # about z [N m]
+        assert 3.0 < abs(slid[base, 1] - slid_back[base, 1]) / 2.0 < 8.5  # along z [N]
 
 
 def test_the_realistic_lab_has_the_rough_one_and_the_gentle_one_today_s(paper):
