@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from core.control.force_fusion import fuse
 from core.model.cosserat import ExactRod
 from core.robot.robot import Joint, Robot, Section, Tube
+from station.config.robots import load_robot
 from station.lab.config import PlantConfig, load_lab
 from station.lab.rough_plant import STANDARD, RoughPlant
 from station.lab.true_plant import true_plant
@@ -98,6 +99,21 @@ def test_the_bases_together_bear_the_load_and_the_weights_whatever_the_tubes_do_
         assert load.force == pytest.approx(force + np.array([weight, 0.0, 0.0]), abs=1e-6)
         if not weight:
             assert load.moment == pytest.approx(np.cross(state.truth.tip, force), abs=2e-7)
+
+
+def test_the_bases_of_three_tubes_bear_the_load_too():
+    file = load_robot("three_tubes")
+    three_tubes = file.robot()
+    config = BARE.model_copy(update=EVERYTHING)
+    middle = np.array([0.5 * (joint.lower + joint.upper) for joint in file.joints])
+    plant = RoughPlant(three_tubes, config, rng(), middle)
+    weight = sum(heavy(tube) * tube.length for tube in three_tubes.tubes)
+
+    for k in range(100):
+        stages = middle + np.array([0.4, 0.3, 0.5, 0.004, 0.006, 0.008]) * math.sin(0.05 * k)
+        force = np.array([0.2, -0.1, 0.3]) * math.sin(0.08 * k)
+        load = fuse(plant.advance(stages, force).wrenches, *three_tubes.tube_poses(stages))
+        assert load.force == pytest.approx(force + np.array([weight, 0.0, 0.0]), abs=1e-6)
 
 
 def test_friction_is_on_each_base_and_in_the_shape(paper_robot, rough):
