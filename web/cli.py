@@ -15,7 +15,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     serve = commands.add_parser("serve", help="start the virtual lab, the control process and the panel (default)")
     for target in (top, serve):
         target.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
-        target.add_argument("--lab", metavar="LAB", help="virtual lab: preset or .toml file (default)")
+        target.add_argument("--lab", metavar="LAB", help="virtual lab: gentle, realistic, ..., or .toml file (gentle)")
         target.add_argument("--seed", type=seed, metavar="N", help="of everything random in the virtual lab (0)")
         target.add_argument("--calibration", type=Path, metavar="DIR", help="use what 'calibrate' found")
         target.add_argument("--host", default="127.0.0.1", metavar="H", help="address to listen on (127.0.0.1)")

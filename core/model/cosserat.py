@@ -95,7 +95,7 @@ class ExactRod:
             half = 1e-4 * np.eye(size)[k] * (self.robot.layout.stiffness[0, 0] if k < 2 else 1.0)
             for row, unknowns in zip(ends, (rod.unknowns + half, rod.unknowns - half), strict=True):
                 _integrate(
-                    self.robot.layout, alpha, beta, _to_plate(self.robot.layout, wrench), place, unknowns, self.step,
+                    self.robot.layout, alpha, beta, to_plate(self.robot.layout, wrench), place, unknowns, self.step,
                     np.empty(9 + 2 * (size - 2)), row,
                 )  # fmt: skip
             columns.append((ends[0] - ends[1]) / (2.0 * half[k]))
@@ -113,7 +113,7 @@ class ExactRod:
 
 
 @compiled
-def _to_plate(layout: Layout, wrench: Array) -> Array:
+def to_plate(layout: Layout, wrench: Array) -> Array:
     """Force and moment (6,) in the axes of the plate: the rod is solved there."""
     result = np.zeros(6)
     for i in range(3):
@@ -124,7 +124,7 @@ def _to_plate(layout: Layout, wrench: Array) -> Array:
 
 
 @compiled
-def _to_world(layout: Layout, y: Array) -> tuple[Array, Array]:
+def to_world(layout: Layout, y: Array) -> tuple[Array, Array]:
     """Tip (3,) and frame (3, 3) in the world."""
     own, tip, rotation = np.empty((3, 3)), np.empty(3), np.zeros((3, 3))
     _rotation(y, own)
@@ -148,7 +148,7 @@ def _rotation(y: Array, out: Array) -> None:
 
 
 @compiled
-def _slope(
+def slope(
     y: Array, out: Array, turn: Array, bend: Array, twist: Array, ratio: Array, curvature: Array, softness: float,
     force: Array,
 ) -> None:  # fmt: skip
@@ -237,16 +237,16 @@ def _integrate(
         h = (end - start) / max(steps, 1)
         softness = 1.0 / total
         for _ in range(steps):
-            _slope(y, k1, turn, bend, twist, ratio, curvature, softness, force)
+            slope(y, k1, turn, bend, twist, ratio, curvature, softness, force)
             for i in range(y.size):
                 at[i] = y[i] + 0.5 * h * k1[i]
-            _slope(at, k2, turn, bend, twist, ratio, curvature, softness, force)
+            slope(at, k2, turn, bend, twist, ratio, curvature, softness, force)
             for i in range(y.size):
                 at[i] = y[i] + 0.5 * h * k2[i]
-            _slope(at, k3, turn, bend, twist, ratio, curvature, softness, force)
+            slope(at, k3, turn, bend, twist, ratio, curvature, softness, force)
             for i in range(y.size):
                 at[i] = y[i] + h * k3[i]
-            _slope(at, k4, turn, bend, twist, ratio, curvature, softness, force)
+            slope(at, k4, turn, bend, twist, ratio, curvature, softness, force)
             for i in range(y.size):
                 y[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
         start = end
@@ -279,11 +279,11 @@ def shoot(
     """
     q = layout.counts.shape[0]
     size = q + 2
-    wrench = _to_plate(layout, world_wrench)
+    wrench = to_plate(layout, world_wrench)
     y, ends, moved, correction = np.empty(9 + 2 * q), np.empty(size), np.empty(size), np.empty(size)
     unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
     _integrate(layout, alpha, beta, wrench, contact, unknowns, step, y, ends)
-    residual = _largest(ends)
+    residual = largest(ends)
     iterations = 1
     fresh = not inverse.any()
     while residual > tolerance and iterations < 60:
@@ -296,18 +296,18 @@ def shoot(
                 for i in range(size):
                     matrix[i, k] = (moved[i] - ends[i]) / 1e-6
             if not 1e-30 <= abs(_determinant(matrix.copy())) < np.inf:
-                return unknowns, inverse, *_to_world(layout, y), iterations, np.inf
+                return unknowns, inverse, *to_world(layout, y), iterations, np.inf
             renewed = np.linalg.inv(matrix)
             for k in range(size):
                 copy(renewed[k], inverse[k])
-        _times(inverse, ends, correction)
+        times(inverse, ends, correction)
         fraction = 1.0
         while True:
             for i in range(size):
                 trial[i] = unknowns[i] - fraction * correction[i]
             _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved)
             iterations += 1
-            after = _largest(moved)
+            after = largest(moved)
             if after < residual or (not fresh) or fraction < 1e-3:
                 break
             fraction *= 0.5
@@ -320,10 +320,10 @@ def shoot(
             break
         else:
             fresh = True
-    _times(inverse, ends, correction)
+    times(inverse, ends, correction)
     for i in range(size):
         unknowns[i] -= correction[i]
-    return unknowns, inverse, *_to_world(layout, y), iterations, residual
+    return unknowns, inverse, *to_world(layout, y), iterations, residual
 
 
 @compiled
@@ -348,7 +348,7 @@ def _determinant(matrix: Array) -> float:
 
 
 @compiled
-def _largest(values: Array) -> float:
+def largest(values: Array) -> float:
     """The largest magnitude; NaN where there is one."""
     largest = 0.0
     for i in range(values.size):
@@ -360,7 +360,7 @@ def _largest(values: Array) -> float:
 
 
 @compiled
-def _times(matrix: Array, vector: Array, out: Array) -> None:
+def times(matrix: Array, vector: Array, out: Array) -> None:
     """Product of matrix and vector; for so few numbers a library's product takes longer than this."""
     for i in range(out.size):
         out[i] = 0.0

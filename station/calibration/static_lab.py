@@ -21,7 +21,8 @@ from station.lab.aurora.distortion import Distortion
 from station.lab.config import LabConfig
 from station.lab.hidden import Hidden
 from station.lab.loads import GRAVITY
-from station.lab.plant import Plant
+from station.lab.netft.simulated import BoxSettings, skew
+from station.lab.true_plant import true_plant
 
 Result = TypeVar("Result")
 #: The way to a pose is taken in so many steps, so that play and friction turn round as they do on the bench.
@@ -42,10 +43,13 @@ class StaticLab:
         self.time = 0.0  #: [s]
         self._at = subject.start
         description = self.hidden.robot(subject.robot)
-        self._plant = Plant(description, config.plant, plant, self.hidden.joints(subject.start))
+        self._plant = true_plant(description, config.plant, plant, self.hidden.joints(subject.start))
         self.true_robot = self._plant.robot
         felt, q = config.sensors, len(subject.robot.tubes)
         self._offset = np.repeat([felt.force_offset, felt.moment_offset], 3) * sensors.uniform(-1.0, 1.0, (q, 6))
+        # Of each box the stream that it has at wire level, after that of its line.
+        boxes = [box.spawn(2)[1] for box in sensors.spawn(q)]
+        self._skew = np.array([skew(felt.gain, BoxSettings(), box) for box in boxes])
         self._drift = np.zeros((q, 6))
         self._drift[:, :3] = felt.drift * sensors.choice([-1.0, 1.0], (q, 3))
         self.generator = self.hidden.mount(MOUNT)  #: where the tracker really stands
@@ -61,8 +65,8 @@ class StaticLab:
         pull = weight * (np.array(GRAVITY) if direction is None else direction)
         for part in range(1, STEPS):
             stages = self._at + part / STEPS * (joints - self._at)
-            self._plant.advance(self.hidden.joints(stages), pull, contact)
-        state = self._plant.advance(self.hidden.joints(joints), pull, contact)
+            self._plant.advance(self.hidden.joints(stages), pull, contact, self.time)
+        state = self._plant.advance(self.hidden.joints(joints), pull, contact, self.time)
         way = float(np.abs((joints - self._at) / self._subject.limits.speed).max()) / approach.SPEED
         self.time += way + SETTLE + 0.5 * AVERAGE
         came = np.sign(joints - self._at)
@@ -88,7 +92,8 @@ class StaticLab:
     def _felt(self, wrenches: Array) -> Array:
         """Mean of the samples; their noise is larger than a count, so that counts average out with it."""
         felt = self._config.sensors
-        true = self.hidden.felt(wrenches, self.hidden.joints(self._at)) + self._offset + self.time * self._drift
+        true = self.hidden.felt(wrenches, self.hidden.joints(self._at))
+        true = true + np.einsum("ijk,ik->ij", self._skew, true) + self._offset + self.time * self._drift
         count = np.array([felt.force_count, felt.moment_count])
         noise = np.sqrt(np.array([felt.force_noise, felt.moment_noise]) ** 2 + count**2 / 12.0)
         return true + np.repeat(noise, 3) / math.sqrt(500.0 * AVERAGE) * self._rng.standard_normal(true.shape)

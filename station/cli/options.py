@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -55,3 +56,8 @@ def count(most: int) -> Callable[[str], int]:
         return value
 
     return read
+
+
+def from_here(value: Path | str) -> str:
+    """A file or folder given on the command line, which an experiment would look for beside itself."""
+    return str(Path(value).absolute()) if isinstance(value, Path) or value.endswith(".toml") else value

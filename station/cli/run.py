@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from station.cli.options import count, progress_bar, seed
+from station.cli.options import count, from_here, progress_bar, seed
 
 if TYPE_CHECKING:
     from station.experiments.experiment import Experiment
@@ -57,7 +57,7 @@ def _carry_out(parsed: argparse.Namespace, started: "Processes | None") -> int:
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
     given = {"lab": parsed.lab, "calibration": parsed.calibration}
-    changes = {key: _from_here(value) for key, value in given.items() if value is not None}
+    changes = {key: from_here(value) for key, value in given.items() if value is not None}
     experiment = load_experiment(parsed.experiment, changes)
     for robot in {case.robot.name: case.robot for case in experiment.cases}.values():
         if warning := check_design(robot, Margins()):
@@ -144,8 +144,3 @@ def _all_of(
             lambda one, progress: run_recorded(one, progress, RealClock() if realtime else VirtualClock()),
             assignments, told, lambda one: one.completed,
         )  # fmt: skip
-
-
-def _from_here(value: Path | str) -> str:
-    """A file or folder given on the command line, which an experiment would look for beside itself."""
-    return str(Path(value).absolute()) if isinstance(value, Path) or value.endswith(".toml") else value

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import count, progress_bar
+from station.cli.options import count, from_here, progress_bar
 from station.experiments.side_by_side import processors
 
 
@@ -20,6 +20,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         "--set", action="append", default=[], dest="settings", metavar="KEY=A,B,C",
         help="a key of the experiment's file and its values, e.g. controller.k1=1,2.5,5; of several: all combinations",
     )  # fmt: skip
+    sweep.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
     sweep.add_argument("--case", metavar="NAME", help="only this case of the experiment")
     sweep.add_argument(
         "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (one a processor)"
@@ -43,7 +44,8 @@ def _sweep(parsed: argparse.Namespace) -> int:
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
     begin = time.perf_counter()
-    chosen = settings(parsed.settings)
+    lab = [] if parsed.lab is None else [f"lab='{from_here(parsed.lab)}'"]
+    chosen = settings([*parsed.settings, *lab])
     experiment = load_experiment(parsed.experiment)
     listed = jobs(parsed.experiment, chosen, range(parsed.seeds), parsed.case)
     with progress_bar() as bar:

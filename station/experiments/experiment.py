@@ -49,7 +49,7 @@ class CaseFile(Strict):
 
     title: str
     robot: str = "paper"
-    lab: str = "default"
+    lab: str = "gentle"
     """virtual lab: preset or file"""
     start: Mapping[str, float]
     """joint positions [rad or m]"""

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, NotNegative, Strict, Vector, check, preset, read_toml
@@ -32,12 +32,37 @@ class PlantConfig(Strict):
     """draw EI and curvature of each tube within +- this fraction instead, from the seed"""
     play: Mapping[str, NotNegative] = {"inner_rotation": math.radians(0.1)}
     """backlash by joint [rad or m]"""
+    rod: Literal["smooth", "rough"] = "smooth"
+    """`smooth`: tubes that only share their shape; the bases share the load and rub with the two numbers that follow.
+    `rough`: friction, clearance and weight are in the rod, and each base carries its own tube"""
     friction_force: NotNegative = 0.05
-    """between neighbouring tubes, along z [N]"""
+    """smooth: between neighbouring bases, along z [N]"""
     friction_moment: NotNegative = 0.5e-3
-    """between neighbouring tubes, about z [N m]"""
+    """smooth: between neighbouring bases, about z [N m]"""
+    friction: Annotated[float, Field(ge=0.0, le=2.0)] = 0.0
+    """rough: coefficient mu where neighbouring tubes hand over their moment"""
+    couple: Annotated[float, Field(ge=1e-3, le=0.1)] = 0.010
+    """rough: distance of the two forces that hand it over [m]"""
+    stick: Annotated[float, Field(ge=1e-6, le=1e-3)] = 5e-6
+    """rough: path on which friction turns round [m]"""
+    clearance: Annotated[float, Field(ge=0.0, le=1e-3)] = 0.0
+    """rough: difference of the diameters that face each other [m]"""
+    density: Annotated[float, Field(ge=0.0, le=3e4)] = 0.0
+    """rough: of the tubes' material; their weight bends them along +x [kg/m^3]"""
+    walk: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """rough: random walk of each tube's precurvature, standard deviation after an hour, as a fraction"""
     step: Annotated[float, Field(ge=1e-4, le=0.05)] = 0.020
     """of the exact rod's integration [m]"""
+
+    @model_validator(mode="after")
+    def _of_its_rod(self) -> Self:
+        """Refuse numbers that this rod would not look at."""
+        smooth, rough = ("friction_force", "friction_moment"), ("friction", "clearance", "density", "walk")
+        for name in smooth if self.rod == "rough" else rough:
+            if getattr(self, name) > 0.0:
+                other = "smooth" if self.rod == "rough" else "rough"
+                raise ValueError(f"{name} belongs to rod = '{other}'; here it must be 0")
+        return self
 
     def check_names(self, robot: RobotFile) -> None:
         """Refuse tubes and joints that were given by name and that the robot does not have."""
@@ -63,6 +88,8 @@ class TrackerConfig(Strict):
     """standard deviation an axis [m]"""
     distortion: Annotated[float, Field(ge=0.0, le=0.02)] = 0.0
     """of the field by metal nearby, RMS over the measured cube [m]; its form is drawn from the seed"""
+    direction_noise: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    """standard deviation of the coil's axis about each of two others [rad]; None: the axis is not told"""
 
 
 class BaseSensorConfig(Strict):
@@ -82,6 +109,9 @@ class BaseSensorConfig(Strict):
     """largest reading without load before the tare [N]"""
     moment_offset: NotNegative = 10e-3
     """[N m]"""
+    gain: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
+    """largest error of each axis's gain, either way, and of the cross-talk from each other axis, as fractions of the
+    ranges; drawn from the seed"""
 
 
 class HiddenConfig(Strict):
@@ -131,13 +161,17 @@ class LabConfig(Strict):
     hidden: HiddenConfig = HiddenConfig()
 
 
+#: Labs that had another name.
+FORMER_NAMES = {"default": "gentle"}
+
+
 def load_lab(name: str, robot: RobotFile) -> LabConfig:
     """A virtual lab for a robot, by preset name or by file.
 
     Raises:
         ConfigError: with file, key, value and what was expected.
     """
-    path = preset("labs", name)
+    path = preset("labs", FORMER_NAMES.get(name, name))
     lab = check(LabConfig, read_toml(path), str(path))
     try:
         lab.plant.check_names(robot)

@@ -16,7 +16,7 @@ from station.devices.interfaces import Condition, Devices, JointReading, TipRead
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.loads import Load, NoLoad
-from station.lab.plant import Plant
+from station.lab.true_plant import true_plant
 
 
 class IdealLab:
@@ -30,7 +30,7 @@ class IdealLab:
         Raises:
             PoseError, NoSolution: the true robot cannot stand there.
         """
-        self._plant = Plant(robot.robot(), config.plant, np.random.default_rng(seed), positions)
+        self._plant = true_plant(robot.robot(), config.plant, np.random.default_rng(seed), positions)
         self._stages = IdealStages(robot, positions)
         self._tracker = IdealTracker(config.tracker.rate)
         self._sensors = IdealSensors()
@@ -68,7 +68,8 @@ class IdealLab:
             PoseError, NoSolution: the true robot cannot stand so.
         """
         self._stages.advance(now)
-        truth, wrenches = self._plant.advance(self._stages.positions, self._load.force(now - self._load_start))
+        force = self._load.force(now - self._load_start)
+        truth, wrenches = self._plant.advance(self._stages.positions, force, now=now)
         self._tracker.tip, self._sensors.reading = truth.tip, WrenchReading(now, wrenches)
         return truth
 

@@ -1,7 +1,8 @@
 """The true robot: exact rods with their own parameters, play in the drive, friction between tubes.
 
-It answers to stage positions and a tip force with the tip and with what each base sensor would
-feel. Quasi-static: the tubes are light and stiff against 500 Hz.
+The smooth one; `rough_plant` is as hard as a real bench. It answers to stage positions and a tip
+force with the tip and with what each base sensor would feel. Quasi-static: the tubes are light and
+stiff against 500 Hz.
 """
 
 from dataclasses import replace
@@ -66,7 +67,13 @@ class Plant:
         """Frame of the innermost tube at the tip (3, 3), world frame."""
         return self._memory.rotation.copy()
 
-    def advance(self, positions: Array, force: Array, contact: float = np.inf) -> PlantState:
+    def advance(
+        self,
+        positions: Array,
+        force: Array,
+        contact: float = np.inf,
+        now: float = 0.0,  # noqa: ARG002 - nothing here changes by itself
+    ) -> PlantState:
         """Move the joints to `positions` (n,) with `force` (3,) [N] at arc length `contact` [m], inf for the tip.
 
         Raises:

@@ -27,7 +27,7 @@ from station.lab.hidden import Hidden
 from station.lab.loads import Load, NoLoad
 from station.lab.netft.simulated import BoxSettings, SimulatedNetft
 from station.lab.netft.wire import DeviceEnd, MemoryDatagrams, MemoryEnd
-from station.lab.plant import Plant
+from station.lab.true_plant import true_plant
 from station.lab.zaber import simulated as simulated_zaber
 from station.lab.zaber.simulated import SimulatedChain
 from station.lab.zaber.unit import Unit, UnitKind
@@ -114,7 +114,8 @@ class SimulatedBench:
         self._load: Load = NoLoad()
         self._load_start = 0.0
         at = self.hidden.joints(positions)
-        self._plant = Plant(self.hidden.robot(robot.robot()), config.plant, plant, at)
+        self._plant = true_plant(self.hidden.robot(robot.robot()), config.plant, plant, at)
+        self._tells_axis = config.tracker.direction_noise is not None
         self.truth: Truth
         self.truth, self._wrenches = self._plant.advance(at, np.zeros(3))
         self._coil_at = self._coil()
@@ -154,7 +155,7 @@ class SimulatedBench:
         force = self._load.force(now - self._load_start)
         try:
             at = self.hidden.joints(self.positions)
-            self.truth, self._wrenches = self._plant.advance(at, force, self._load.contact)
+            self.truth, self._wrenches = self._plant.advance(at, force, self._load.contact, now)
             self.trouble = ""
             self._coil_at = self._coil()
             if not self.hidden.felt_as_is:
@@ -162,7 +163,8 @@ class SimulatedBench:
         except (PoseError, NoSolution) as error:
             # A bench goes on: the robot stays as it was until the stages are back where it can stand.
             self.trouble = str(error)
-        self.aurora.advance(self.time, now, before, self._coil_at)
+        axis = self._plant.rotation[:, 2] if self._tells_axis else None
+        self.aurora.advance(self.time, now, before, self._coil_at, axis)
         aurora_wire.pump(self._wires.aurora, self.aurora, now)
         for number, box in enumerate(self.boxes):
             box.advance(now, self._wrenches[number])

@@ -67,7 +67,7 @@ class StationFile(Strict):
 
     robot: str = "paper"
     """preset or file"""
-    lab: str = "default"
+    lab: str = "gentle"
     """virtual lab: preset or file"""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """of everything random in the virtual lab"""

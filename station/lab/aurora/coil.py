@@ -45,6 +45,8 @@ class Coil:
             if config.distortion > 0.0
             else None
         )
+        # Likewise the noise of the direction.
+        self._wobble = None if config.direction_noise is None else rng.spawn(1)[0]
         self._noise: list[list[float]] = []  # of the frames to come, the next one last [m]
         self._frames: deque[Seen] = deque(maxlen=400)
         self._count, self._count_base = 0, 0
@@ -63,7 +65,7 @@ class Coil:
                 place += self._distortion.at(place)
             position = (1e3 * place).tolist()
             beyond = max(max(low - x, x - high) for x, (low, high) in zip(position, VOLUME, strict=True))
-            axis = None if direction is None else self._mount.rotation.T @ direction
+            axis = None if direction is None else self._mount.rotation.T @ self._wobbling(direction)
             # The configured latency ends with the arrival of the reply.
             available = self.due + max(0.0, self._config.latency - USUAL_REPLY)
             frame = (self._count - self._count_base) & 0xFFFFFFFF
@@ -72,6 +74,14 @@ class Coil:
             )
             self._count += 1
             self.due = self._count / self._config.rate
+
+    def _wobbling(self, direction: Array) -> Array:
+        """The axis as it is measured: a little off in the two directions across, not of unit length."""
+        noise = self._config.direction_noise
+        if self._wobble is None or not noise:
+            return direction
+        off = noise * self._wobble.standard_normal(3)
+        return direction + off - (off @ direction) * direction
 
     def count_anew(self) -> None:
         """The next frame is number 0."""

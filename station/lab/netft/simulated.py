@@ -1,6 +1,6 @@
 """A simulated ATI Net F/T box at wire level: requests in, records out, with the sensor's imperfections.
 
-Noise, quantisation, offset and drift on the true base wrench; the box's own counter, its delay, its
+Gain, cross-talk, noise, quantisation, offset and drift on the true base wrench; the box's own counter, its delay, its
 end of range; and what can go wrong on the way. Only the latest that asked for a stream is served.
 """
 
@@ -99,6 +99,8 @@ class SimulatedNetft:
                 np.repeat([own.force_counts, own.torque_counts], 3),
             ]
         )
+        #: What each axis reads of each beside itself; None: nothing.
+        self._skew = skew(config.gain, own, rng.spawn(1)[0]) if config.gain > 0.0 else None
         self._noise, self._drawn = np.empty((BLOCK, 6)), BLOCK
         self._bytes = np.zeros(RECORD.size, np.uint8)
         self._true = np.zeros(6)
@@ -114,6 +116,8 @@ class SimulatedNetft:
 
     def advance(self, now: float, wrench: Array) -> None:
         """Hear what was asked, feel the wrench (6,) [N, N m] go on to this one until `now` [s], send."""
+        if self._skew is not None:
+            wrench = wrench + self._skew @ wrench
         begin, before = self._now, self._true
         for datagram, sender in self._end.receive():
             if not self.faults.mute:
@@ -260,6 +264,12 @@ class SimulatedNetft:
         if self._held is not None:
             self._on_the_way.append((item[0], *self._held[1:]))
             self._held = None
+
+
+def skew(most: float, box: BoxSettings, rng: np.random.Generator) -> Array:
+    """Errors of gain and cross-talk (6, 6): fractions within +-`most` of one axis's range by another's."""
+    ranges = np.repeat([box.force_range, box.torque_range], 3)
+    return most * rng.uniform(-1.0, 1.0, (6, 6)) * ranges[:, None] / ranges
 
 
 @compiled

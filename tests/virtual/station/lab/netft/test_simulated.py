@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from station.lab.config import BaseSensorConfig
-from tests.harness.netft_bench import STREAM, TICK, WRENCH, Bench
+from tests.harness.netft_bench import PERFECT, STREAM, TICK, WRENCH, Bench
 
 
 def test_a_record_is_the_worked_one():
@@ -183,3 +183,20 @@ def test_beyond_the_calibrations_range_the_sensor_saturates_and_says_so(axis, va
     assert records[-1][2] == 0x80020000
     assert records[-1][3 + axis] == end
     assert bench.run(0.1, 0.5 * wrench)[-1][2] == 0
+
+
+def test_gain_and_cross_talk_are_parts_of_the_ranges_and_add_up_linearly():
+    ranges = np.array([18.0, 18.0, 18.0, 0.25, 0.25, 0.25])
+
+    def read(wrench: np.ndarray, gain: float = 0.01) -> np.ndarray:
+        bench = Bench(PERFECT.model_copy(update={"gain": gain}))
+        bench.ask(STREAM)
+        return np.array(bench.run(0.05, wrench)[-1][3:]) * 1e-6
+
+    response = np.column_stack([(read(0.5 * r * axis) - 0.5 * r * axis) / (0.5 * r)
+                                for axis, r in zip(np.eye(6), ranges, strict=True)])  # fmt: skip
+    parts = response * ranges / ranges[:, None]
+    assert 0.005 < np.abs(parts).max() <= 0.01 + 1e-4
+    assert np.abs(parts[:3, 3:]).max() > 0.003  # a moment is seen as a force
+    assert read(WRENCH) == pytest.approx(WRENCH + response @ WRENCH, abs=5e-6)
+    assert read(WRENCH, 0.0) == pytest.approx(WRENCH, abs=2e-6)

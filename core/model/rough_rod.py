@@ -1,0 +1,446 @@
+"""The exact rod with what a bench adds: friction and clearance between the tubes, their weight, a share for each base.
+
+Tubes that bend each other hand over their moment by couples: at the end of a tube, and where the
+precurvature of one changes, the bending moment that one carries jumps by dM. The couple's two forces
+dM / d, a length d apart, rub: a friction force of at most
+
+    T = 2 mu |dM| / d                                   (Lock and Dupont 2011: |tau| <= c |dM|, c = 2 mu r / d)
+
+between neighbours, shared by turning (a torque r T about the tangent) and sliding. It is Dahl's: along
+a path x of the one on the other dT/dx = (T_most e - T |dx|) / x_s, with history over motion and none over time.
+The torque enters the torsion of both tubes as a jump of GJ u_z, so it is found with the shape, not before.
+
+Clearance (Ha, Fagogenis and Dupont 2019): where a tube ends the inner ones are free to take their own curvature
+over the last d = sqrt(6 g / du) of it, in which tubes that want to bend apart by du cross the gap g;
+they leave it turned by du_bundle d / 2.
+
+Each base carries its own tube: the bending moment K_i (u - u_i^) and the torque GJ_i u_iz at the plate, the shear
+t x m_i' that goes with them, and along z what follows from n_i . t + m_i . u_i - W_i, which stays the same along a
+tube that its neighbours push only across, but for its end, its own steps of precurvature, friction and weight.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from core.compiled import compiled, copy
+from core.model.cosserat import largest, slope, times, to_plate, to_world
+from core.robot.robot import Array, Indices, Layout
+
+
+class Contact(NamedTuple):
+    """How the tubes touch and what they weigh."""
+
+    grip: float  #: 2 mu / d: friction force for each newton metre that is handed over [1/m]
+    stick: float  #: x_s, path on which friction turns round [m]
+    gap: float  #: difference of the diameters that face each other [m]
+    radius: Array  #: (q,) at which a tube touches the one around it [m]
+    weight: Array  #: (q,) [N/m]
+    gravity: Array  #: (3,) unit vector, axes of the plate
+
+
+@compiled
+def slots(layout: Layout) -> int:
+    """How many places of friction there may be: for each pair of neighbours the ends of all sections of all tubes."""
+    q, k = layout.ends.shape
+    return max(q - 1, 1) * q * k
+
+
+@compiled
+def _bend(y: Array, curvature: Array, bend: Array, softness: float, u: Array, moments: Array) -> None:
+    """Curvature u (2,) of the bundle and bending moment (q, 2) of each tube that is there, axes of the innermost."""
+    q = bend.shape[0]
+    u[0], u[1] = y[7], y[8]
+    for i in range(q):
+        if bend[i] > 0.0:
+            cos, sin = np.cos(y[9 + q + i]), np.sin(y[9 + q + i])
+            moments[i, 0] = cos * curvature[i, 0] - sin * curvature[i, 1]
+            moments[i, 1] = sin * curvature[i, 0] + cos * curvature[i, 1]
+            u[0] += bend[i] * moments[i, 0]
+            u[1] += bend[i] * moments[i, 1]
+    u[0] *= softness
+    u[1] *= softness
+    for i in range(q):
+        for k in range(2):
+            moments[i, k] = bend[i] * (u[k] - moments[i, k])
+
+
+@compiled
+def _present(layout: Layout, beta: Array, section: Indices, bend: Array, twist: Array, ratio: Array, curvature: Array,
+    ) -> tuple[float, int, float]:  # fmt: skip
+    """Stiffness and curvature of the tubes that are there; where and of which tube the next section ends; sum of EI."""
+    end, end_tube, total = np.inf, -1, 0.0
+    for i in range(bend.shape[0]):
+        bend[i] = twist[i] = ratio[i] = 0.0
+        if section[i] < layout.counts[i]:
+            place = beta[i] + layout.ends[i, section[i]]
+            if place < end:
+                end, end_tube = place, i
+            bend[i], ratio[i] = layout.stiffness[i, 0], layout.stiffness[i, 1]
+            twist[i] = bend[i] / ratio[i]
+            curvature[i, 0] = layout.curvatures[i, section[i], 0]
+            curvature[i, 1] = layout.curvatures[i, section[i], 1]
+            total += bend[i]
+    return end, end_tube, total
+
+
+@compiled
+def _tangent(y: Array, along: Array) -> float:
+    """Component of a vector (3,) along the rod, both in the plate's axes."""
+    w, a, b, c = y[0], y[1], y[2], y[3]
+    scale = 2.0 / (w * w + a * a + b * b + c * c)
+    return (
+        along[0] * scale * (a * c + w * b)
+        + along[1] * scale * (b * c - w * a)
+        + along[2] * (1.0 - scale * (a * a + b * b))
+    )
+
+
+@compiled
+def _kink(y: Array, about_x: float, about_y: float, twist: Array, moments: Array) -> None:
+    """Turn the frame by a small rotation about its own axes; every tube's moment stays what it is in the world.
+
+    `moments` (q, 2) are the tubes' bending moments before.
+    """
+    angle = np.sqrt(about_x * about_x + about_y * about_y)
+    if angle < 1e-12:
+        return
+    half_cos, half_sin = np.cos(0.5 * angle), np.sin(0.5 * angle) / angle
+    dx, dy = half_sin * about_x, half_sin * about_y
+    w, a, b, c = y[0], y[1], y[2], y[3]
+    y[0] = w * half_cos - a * dx - b * dy
+    y[1] = w * dx + a * half_cos - c * dy
+    y[2] = w * dy + b * half_cos + c * dx
+    y[3] = c * half_cos + a * dy - b * dx
+    # Components after that: Rodrigues' formula, backwards.
+    kx, ky, cos, sin = about_x / angle, about_y / angle, np.cos(angle), np.sin(angle)
+    mx, my, mz = y[7], y[8], 0.0
+    for i in range(twist.shape[0]):
+        if twist[i] > 0.0:
+            own = twist[i] * y[9 + i]
+            mz += own
+            y[9 + i] = (cos * own + sin * (ky * moments[i, 0] - kx * moments[i, 1])) / twist[i]
+    dot = (1.0 - cos) * (kx * mx + ky * my)
+    y[7] = cos * mx - sin * ky * mz + kx * dot
+    y[8] = cos * my + sin * kx * mz + ky * dot
+
+
+@compiled
+def _rub(most: float, stick: float, radius: float, turned: float, slid: float, old: Array, new: Array) -> None:
+    """Dahl's friction after a path: `old` and `new` are force about and along the tangent [N], relative angle, seen.
+
+    `turned` is the relative angle now [rad], `slid` the way since the tick before [m], of the inner tube on the outer.
+    """
+    new[2], new[3] = turned, 1.0
+    if old[3] == 0.0:
+        new[0] = new[1] = 0.0
+        return
+    about, along = radius * (turned - old[2]), slid
+    way = np.sqrt(about * about + along * along)
+    left, toward = np.exp(-way / stick), 0.0
+    if way > 0.0:
+        toward = most * (1.0 - left) / way
+    new[0], new[1] = toward * about + left * old[0], toward * along + left * old[1]
+    # What presses has become less: friction is never more than what it can hold.
+    size = np.sqrt(new[0] * new[0] + new[1] * new[1])
+    if size > most:
+        new[0] *= most / size
+        new[1] *= most / size
+
+
+@compiled
+def integrate(
+    layout: Layout, rough: Contact, alpha: Array, beta: Array, tip_force: Array, contact: float, unknowns: Array,
+    step: float, slid: Array, old: Array, new: Array, y: Array, ends: Array, bases: Array,
+) -> None:  # fmt: skip
+    """From the plate to the tip, in the plate's axes; `ends` (q + 2) receives what must vanish.
+
+    Args:
+        layout: tubes as they are now.
+        rough: friction, clearance, weight.
+        alpha: rotations (q,) [rad].
+        beta: proximal ends (q,) [m].
+        tip_force: (3,) [N].
+        contact: arc length at which it acts, inf for the tip [m].
+        unknowns: m_x, m_y [N m] and u_iz [1/m] at the plate (q + 2,).
+        step: longest [m].
+        slid: way that each tube has gone along z since the tick before (q,) [m].
+        old: friction at the tick before (slots, 4), as `_rub` has it.
+        new: the same now.
+        y: (9 + 2 q,) the state at the tip, as in `cosserat`.
+        ends: (q + 2,).
+        bases: (q, 6) what each tube exerts at the plate: force [N], and moment about the plate's origin [N m].
+
+    """
+    q, most_sections = layout.counts.shape[0], layout.ends.shape[1]
+    theta = alpha[0] - beta[0] * unknowns[2]
+    y[:] = 0.0
+    y[0], y[3] = np.cos(0.5 * theta), np.sin(0.5 * theta)
+    y[7] = np.cos(theta) * unknowns[0] + np.sin(theta) * unknowns[1]
+    y[8] = np.cos(theta) * unknowns[1] - np.sin(theta) * unknowns[0]
+    section, memory = np.zeros(q, np.int64), np.zeros((3, q))
+    bend, twist, ratio = memory[0], memory[1], memory[2]
+    curvature, turn = np.zeros((q, 2)), np.empty((q, 2))
+    before, after, u = np.zeros((q, 2)), np.zeros((q, 2)), np.zeros(2)
+    bent, step_u = np.zeros(2), np.zeros(2)
+    pull = np.zeros(q)
+    remaining = 0.0  # weight beyond the plate [N]
+    for i in range(q):
+        y[9 + i] = unknowns[2 + i]
+        y[9 + q + i] = alpha[i] - beta[i] * unknowns[2 + i] - theta
+        while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
+            section[i] += 1
+        remaining += rough.weight[i] * max(beta[i] + layout.ends[i, layout.counts[i] - 1], 0.0)
+    new[:] = 0.0
+    force, load = np.zeros(3), tip_force.copy()
+    stages = np.empty((5, y.size))
+    k1, k2, k3, k4, at = stages[0], stages[1], stages[2], stages[3], stages[4]
+    start, first = 0.0, True
+    end, end_tube, total = _present(layout, beta, section, bend, twist, ratio, curvature)
+    while end_tube >= 0:
+        ending = end_tube
+        if contact < end:
+            end, ending = contact, -1
+        steps = int(np.ceil((end - start) / step))
+        h = (end - start) / max(steps, 1)
+        heavy = 0.0
+        for i in range(q):
+            if bend[i] > 0.0:
+                heavy += rough.weight[i]
+        for number in range(steps):
+            for k in range(3):
+                force[k] = load[k] + (remaining - number * h * heavy) * rough.gravity[k]
+            slope(y, k1, turn, bend, twist, ratio, curvature, 1.0 / total, force)
+            if first:
+                first = False
+                _at_plate(bases, y, k1, unknowns, theta, bend, twist, curvature, 1.0 / total, pull)
+            for i in range(y.size):
+                at[i] = y[i] + 0.5 * h * k1[i]
+            for k in range(3):
+                force[k] -= 0.5 * h * heavy * rough.gravity[k]
+            slope(at, k2, turn, bend, twist, ratio, curvature, 1.0 / total, force)
+            for i in range(y.size):
+                at[i] = y[i] + 0.5 * h * k2[i]
+            slope(at, k3, turn, bend, twist, ratio, curvature, 1.0 / total, force)
+            for i in range(y.size):
+                at[i] = y[i] + h * k3[i]
+            for k in range(3):
+                force[k] -= 0.5 * h * heavy * rough.gravity[k]
+            slope(at, k4, turn, bend, twist, ratio, curvature, 1.0 / total, force)
+            for i in range(y.size):
+                y[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+        remaining -= (end - start) * heavy
+        start = end
+        if ending < 0:
+            # The outermost tube that is there takes the force.
+            touched = 0
+            for i in range(q):
+                if bend[i] > 0.0:
+                    touched = i
+            pull[touched] += _tangent(y, load)
+            contact = np.inf
+            load[:] = 0.0
+            end, end_tube, total = _present(layout, beta, section, bend, twist, ratio, curvature)
+            continue
+        # The end of a section: what each tube bends with before and after.
+        part, stiffness = section[ending], total
+        own = curvature[ending].copy()
+        angle = y[9 + q + ending]
+        for k in range(3):
+            force[k] = load[k] + remaining * rough.gravity[k]
+        kept = _kept(y, force, bend, twist, curvature, total, u, before)
+        copy(u, bent)
+        neighbours = 0
+        for i in range(q):
+            if bend[i] > 0.0:
+                neighbours = i
+        section[ending] += 1
+        finished = section[ending] == layout.counts[ending]
+        ended = bend[ending]
+        weight = rough.weight[ending]
+        end, end_tube, total = _present(layout, beta, section, bend, twist, ratio, curvature)
+        if finished:
+            for k in range(3):
+                pull[ending] += weight * y[4 + k] * rough.gravity[k]
+        if end_tube < 0:
+            pull[ending] += _tangent(y, load)
+            break
+        _bend(y, curvature, bend, 1.0 / total, u, after)
+        step_u[0], step_u[1] = u[0] - bent[0], u[1] - bent[1]
+        if finished:
+            # Its edge presses across the tubes inside it; what they have not taken along z it has.
+            pull[ending] += kept
+        else:
+            cos, sin = np.cos(angle), np.sin(angle)
+            dx, dy = curvature[ending, 0] - own[0], curvature[ending, 1] - own[1]
+            mx, my = 0.5 * (before[ending, 0] + after[ending, 0]), 0.5 * (before[ending, 1] + after[ending, 1])
+            pull[ending] -= mx * (cos * dx - sin * dy) + my * (sin * dx + cos * dy)
+        handed_x, handed_y = 0.0, 0.0
+        for p in range(neighbours):
+            handed_x += after[p, 0] - before[p, 0]
+            handed_y += after[p, 1] - before[p, 1]
+            slot = (p * q + ending) * most_sections + part
+            most = rough.grip * np.sqrt(handed_x * handed_x + handed_y * handed_y)
+            turned = float(y[9 + q + p] - y[9 + q + p + 1])
+            _rub(most, rough.stick, rough.radius[p], turned, slid[p] - slid[p + 1], old[slot], new[slot])
+            torque, along = rough.radius[p] * new[slot, 0], new[slot, 1]
+            # Of the inner tube on the outer; back on the inner the other way.
+            for i, sign in ((p, 1.0), (p + 1, -1.0)):
+                jump = sign * torque * layout.stiffness[i, 1] / layout.stiffness[i, 0]
+                energy = sign * torque * (y[9 + i] + 0.5 * jump)  # taken up by its torsion
+                pull[i] -= energy + sign * along
+                if finished:
+                    pull[ending] += energy
+                y[9 + i] += jump
+        if finished:
+            size = np.sqrt(step_u[0] * step_u[0] + step_u[1] * step_u[1])
+            if rough.gap > 0.0 and size > 0.0:
+                # Smooth where nothing is handed over: there a kink has no direction.
+                half = 0.5 * np.sqrt(6.0 * rough.gap * ended / (stiffness * np.sqrt(size * size + 1e-4)))
+                # Over that length half of what they hand over has not turned them on yet.
+                for i in range(neighbours + 1):
+                    less = (after[i, 0] - before[i, 0]) * bent[1] - (after[i, 1] - before[i, 1]) * bent[0]
+                    y[9 + i] += half * less * layout.stiffness[i, 1] / layout.stiffness[i, 0]
+                _kink(y, half * step_u[0], half * step_u[1], twist, after)
+            pull[ending] -= _kept(y, force, bend, twist, curvature, total, u, after)
+    for i in range(2):
+        ends[i] = y[7 + i]
+    for i in range(q):
+        ends[2 + i] = y[9 + i]
+        bases[i, 2] = pull[i]
+
+
+@compiled
+def _kept(
+    y: Array, force: Array, bend: Array, twist: Array, curvature: Array, total: float, u: Array, moments: Array
+) -> float:
+    """What the bundle keeps, n . t + sum of m_i . u_i - W_i [N]; what it bends with goes to `u` and `moments`."""
+    result = _tangent(y, force)
+    _bend(y, curvature, bend, 1.0 / total, u, moments)
+    for i in range(bend.shape[0]):
+        if bend[i] > 0.0:
+            mx, my = moments[i, 0], moments[i, 1]
+            result += mx * u[0] + my * u[1] - 0.5 * (mx * mx + my * my) / bend[i]
+            result += 0.5 * twist[i] * y[9 + i] * y[9 + i]
+    return result
+
+
+@compiled
+def _at_plate(
+    bases: Array, y: Array, rate: Array, unknowns: Array, theta: float, bend: Array, twist: Array, curvature: Array,
+    softness: float, pull: Array,
+) -> None:  # fmt: skip
+    """Moment and shear of each tube at the plate (q, 6); begins the account of what is along z."""
+    q = bend.shape[0]
+    u, moments = np.zeros(2), np.zeros((q, 2))
+    _bend(y, curvature, bend, softness, u, moments)
+    # u' of the bundle: the moment's, and that of the precurvatures which turn with their tubes.
+    du = np.array((rate[7], rate[8]))
+    own = np.zeros((q, 2))
+    for i in range(q):
+        if bend[i] > 0.0:
+            cos, sin = np.cos(y[9 + q + i]), np.sin(y[9 + q + i])
+            own[i, 0] = -rate[9 + q + i] * (sin * curvature[i, 0] + cos * curvature[i, 1])
+            own[i, 1] = rate[9 + q + i] * (cos * curvature[i, 0] - sin * curvature[i, 1])
+            du[0] += bend[i] * own[i, 0]
+            du[1] += bend[i] * own[i, 1]
+    turn_cos, turn_sin = np.cos(theta), np.sin(theta)
+    for i in range(q):
+        bases[i, :] = 0.0
+        if bend[i] == 0.0:
+            continue
+        mx, my, mz = moments[i, 0], moments[i, 1], twist[i] * unknowns[2 + i]
+        # m_i' in the frame of the innermost tube, which turns with u.
+        rate_x = bend[i] * (softness * du[0] - own[i, 0]) + u[1] * mz - unknowns[2] * my
+        rate_y = bend[i] * (softness * du[1] - own[i, 1]) + unknowns[2] * mx - u[0] * mz
+        nx, ny = -rate_y, rate_x
+        bases[i, 0], bases[i, 1] = turn_cos * nx - turn_sin * ny, turn_sin * nx + turn_cos * ny
+        bases[i, 3], bases[i, 4] = turn_cos * mx - turn_sin * my, turn_sin * mx + turn_cos * my
+        bases[i, 5] = mz
+        pull[i] -= mx * u[0] + my * u[1] - 0.5 * (mx * mx + my * my) / bend[i]
+        pull[i] -= 0.5 * mz * mz / twist[i]
+
+
+@compiled
+def settle(
+    layout: Layout, rough: Contact, alpha: Array, beta: Array, world_force: Array, contact: float, guess: Array,
+    chord: Array, step: float, tolerance: float, slid: Array, old: Array, new: Array, bases: Array,
+) -> tuple[Array, Array, Array, Array, float]:  # fmt: skip
+    """The shape by Newton with Broyden's updates: friction that begins to slide changes the derivative at once.
+
+    Answers with unknowns for the next guess, chord, tip, frame, and what the end conditions lack; more than
+    `tolerance` means failure. `new` and `bases` are those of the shape, in the plate's axes.
+    """
+    q = layout.counts.shape[0]
+    size = q + 2
+    wrench = np.zeros(6)
+    copy(world_force, wrench)
+    force = to_plate(layout, wrench)
+    y, ends, moved, way = np.empty(9 + 2 * q), np.empty(size), np.empty(size), np.empty(size)
+    change, along = np.empty(size), np.empty(size)
+    unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
+    integrate(layout, rough, alpha, beta, force, contact, unknowns, step, slid, old, new, y, ends, bases)
+    residual = largest(ends)
+    fresh, stale = False, not inverse.any()
+    tries = 0
+    while residual > tolerance and tries < 80:
+        if stale:
+            matrix = np.empty((size, size))
+            for k in range(size):
+                copy(unknowns, trial)
+                # So small that on one side of a turn of friction all of it stays there.
+                trial[k] += 1e-8
+                integrate(layout, rough, alpha, beta, force, contact, trial, step, slid, old, new, y, moved, bases)
+                for i in range(size):
+                    matrix[i, k] = (moved[i] - ends[i]) / 1e-8
+            if not 1e-30 <= abs(np.linalg.det(matrix)) < np.inf:
+                residual = np.inf
+                break
+            renewed = np.linalg.inv(matrix)
+            for k in range(size):
+                copy(renewed[k], inverse[k])
+            fresh, stale = True, False
+        times(inverse, ends, way)
+        fraction = 1.0
+        while True:
+            for i in range(size):
+                trial[i] = unknowns[i] - fraction * way[i]
+            integrate(layout, rough, alpha, beta, force, contact, trial, step, slid, old, new, y, moved, bases)
+            tries += 1
+            reached = largest(moved)
+            if reached < residual or not fresh or fraction < 0.02:
+                break
+            fraction *= 0.5
+        if not reached < residual and not fresh:
+            stale = True
+            continue
+        if not reached < np.inf:
+            residual = np.inf
+            break
+        # Broyden: H += (s - H y) (s^T H) / (s^T H y)
+        for i in range(size):
+            along[i] = moved[i] - ends[i]
+        times(inverse, along, change)
+        product = 0.0
+        for i in range(size):
+            product -= fraction * way[i] * change[i]
+        if abs(product) > 1e-300:
+            for k in range(size):
+                along[k] = 0.0
+                for i in range(size):
+                    along[k] -= fraction * way[i] * inverse[i, k]
+            for i in range(size):
+                scale = (-fraction * way[i] - change[i]) / product
+                for k in range(size):
+                    inverse[i, k] += scale * along[k]
+        stale = reached > 0.3 * residual
+        fresh = False
+        # A short step on from a fresh derivative is taken even uphill: the next derivative is another one.
+        copy(trial, unknowns)
+        copy(moved, ends)
+        residual = reached
+    times(inverse, ends, way)
+    for i in range(size):
+        unknowns[i] -= way[i]
+    tip, rotation = to_world(layout, y)
+    return unknowns, inverse, tip, rotation, residual
