@@ -18,17 +18,16 @@ import numpy as np
 from core.compiled import compiled, copy
 from core.control.actuation import Actuation, advance
 from core.control.deflection import RateFilter, filtered
-from core.control.observer import FIRST_DRIFT, Observed, Observer, observe
-from core.control.quick_load import CLOSED, Opening, opened
+from core.control.observer import Observed, Observer, observe
 from core.model.solution import Solution, parts
 from core.robot.robot import Array
 
 #: Places of the single numbers of an estimate: how many joints, ticks of velocities that are on their way and kept
-#: tips there are; which of these is the newest, whether the observer has used a frame of this tick, how many in a row
-#: it has left out, and how wide the force's filter is open.
-JOINTS, TICKS, HISTORY, NEWEST, USED, REFUSED, OPEN = range(7)
+#: tips there are; which of these is the newest, whether the observer has used a frame of this tick, and how many in a
+#: row it has left out.
+JOINTS, TICKS, HISTORY, NEWEST, USED, REFUSED = range(6)
 #: Behind them the vectors begin.
-VECTORS_AT = 7
+VECTORS_AT = 6
 
 
 class Known(NamedTuple):
@@ -40,8 +39,7 @@ class Known(NamedTuple):
     deflection_rate: Array  #: (3,) of the filtered one [m/s]
     force_filtered: Array  #: (3,) at the tip [N]
     force_rate: Array  #: (3,) of the filtered one [N/s]
-    force_smooth: Array  #: (3,) moves at `force_rate`, and so lags behind [N]
-    force_surprise: Array  #: (3,) force less what its filter predicts, averaged over some 20 ms [N]
+    force_smooth: Array  #: (3,) integral of `force_rate` [N]
     load_rate: Array  #: (3,) C w' [m/s]
     deflection_rate_exact: Array  #: (3,) C w' + (J(q, w) - J(q, 0)) q' [m/s]
     delta_1: Array  #: (3,) integral of C dw, eq. (22) [m]
@@ -52,7 +50,7 @@ class Known(NamedTuple):
     drift: Array  #: (3,) rate of the bias [m/s]
     refused: Array  #: (3,) by how much the latest frame that was left out surprised [m]
     bias_covariance: Array  #: (3,) of the bias, of both, of the drift [m^2, m^2/s, m^2/s^2]
-    vectors: Array  #: (18, 3) all of these, one a row
+    vectors: Array  #: (17, 3) all of these, one a row
     ahead: Array  #: (n,) way of the joints until a command of now takes effect [rad or m]
     sent: Array  #: (ticks, n) velocities that went out, newest first [rad/s or m/s]
     tips: Array  #: (history, 3) the model's tips of the last ticks [m]
@@ -61,7 +59,7 @@ class Known(NamedTuple):
 #: Unit of each vector, in the order of `Known`; telemetry has a channel for each.
 VECTORS = {
     "deflection": "m", "deflection_rate_raw": "m/s", "deflection_filtered": "m", "deflection_rate": "m/s",
-    "force_filtered": "N", "force_rate": "N/s", "force_smooth": "N", "force_surprise": "N",
+    "force_filtered": "N", "force_rate": "N/s", "force_smooth": "N",
     "load_rate": "m/s", "deflection_rate_exact": "m/s", "delta_1": "m", "delta_2": "m",
     "velocity_observed": "m/s", "tip_ahead": "m", "bias": "m", "drift": "m/s", "refused": "m",
 }  # fmt: skip
@@ -71,13 +69,13 @@ VECTORS = {
 def known_of(numbers: Array) -> Known:
     """What lies where in an estimate's numbers."""
     n, ticks, history = int(numbers[JOINTS]), int(numbers[TICKS]), int(numbers[HISTORY])
-    ahead = VECTORS_AT + 54
+    ahead = VECTORS_AT + 51
     sent = ahead + n
     tips = sent + ticks * n
-    v = numbers[VECTORS_AT:ahead].reshape(18, 3)
+    v = numbers[VECTORS_AT:ahead].reshape(17, 3)
     return Known(
         v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13], v[14], v[15], v[16],
-        v[17], v,
+        v,
         numbers[ahead:sent], numbers[sent:tips].reshape(ticks, n), numbers[tips:].reshape(history, 3),
     )  # fmt: skip
 
@@ -117,16 +115,14 @@ class Estimator:
     filter: RateFilter  #: of deflection and force
     observer: Observer
     actuation: Actuation
-    opening: Opening = CLOSED
 
     def start(self, loaded: Solution, unloaded: Solution, force: Array, tip: Array) -> Estimate:
         """At rest under `force` (3,) [N], the tracker showing `tip` (3,) [m]."""
         seen, motion = self.observer.start(loaded.tip, tip), self.actuation.start(loaded.joints.size)
         ticks, n = motion.sent.shape
         history = len(seen.tips)
-        numbers = np.zeros(VECTORS_AT + 54 + n + ticks * n + 3 * history)
-        numbers[JOINTS], numbers[TICKS], numbers[HISTORY] = n, ticks, history
-        numbers[USED], numbers[OPEN] = seen.used, 1.0
+        numbers = np.zeros(VECTORS_AT + 51 + n + ticks * n + 3 * history)
+        numbers[JOINTS], numbers[TICKS], numbers[HISTORY], numbers[USED] = n, ticks, history, seen.used
         now = Estimate(loaded, unloaded, numbers)
         known = now.known
         known.deflection[:] = known.deflection_filtered[:] = self.filter.start(loaded.tip - unloaded.tip).value
@@ -141,7 +137,7 @@ class Estimator:
         observer, actuation = self.observer, self.actuation
         return np.array([
             self.filter.period, *self.filter.gain, 0.5 * actuation.hold, actuation.lead,
-            observer.noise**2, observer.wander, observer.gate, *self.opening.settings(self.filter.period),
+            observer.noise**2, observer.wander, observer.gate,
         ])  # fmt: skip
 
 
@@ -162,7 +158,7 @@ def estimate(
         numbers: of the new estimate, as many as of `last`.
 
     """
-    period, k_value, k_rate, wait, lead, noise, wander, gate, weight, bound, slope, widest, kept = settings
+    period, k_value, k_rate, wait, lead, noise, wander, gate = settings
     with_load, free, had_load, was_free = parts(loaded), parts(unloaded), parts(old_loaded), parts(old_unloaded)
     copy(last, numbers)
     old, new = known_of(last), known_of(numbers)
@@ -175,21 +171,13 @@ def estimate(
         old.deflection_filtered, old.deflection_rate, new.deflection,
         new.deflection_filtered, new.deflection_rate, period, k_value, k_rate,
     )  # fmt: skip
-    wide = opened(
-        last[OPEN], old.force_surprise, force, old.force_filtered, old.force_rate, new.force_surprise,
-        period, weight, bound, slope, widest, kept,
-    )  # fmt: skip
-    numbers[OPEN] = wide
     filtered(
-        old.force_filtered, old.force_rate, force, new.force_filtered, new.force_rate,
-        period, wide * k_value, wide * wide * k_rate,
+        old.force_filtered, old.force_rate, force, new.force_filtered, new.force_rate, period, k_value, k_rate
     )  # fmt: skip
-    behind = (k_value / k_rate / wide - period) / wide
-    shift = behind - (k_value / k_rate / last[OPEN] - period) / last[OPEN]
     for i in range(3):
-        new.force_smooth[i] = new.force_filtered[i] - behind * new.force_rate[i]
+        new.force_smooth[i] = old.force_smooth[i] + period * new.force_rate[i]
     for i in range(3):
-        along, extra_way, by_force, by_joints, way, extra_rate, taken_up = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        along, extra_way, by_force, by_joints, way, extra_rate = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         model_tip[i] = with_load.tip[i]
         for j in range(6):
             compliance = 0.5 * (had_load.compliance[i, j] + with_load.compliance[i, j])
@@ -199,12 +187,6 @@ def estimate(
             # A single sample's noise would shake the tip by a millimetre. The force taken here moves at the rate
             # that is taken below, so that what both lag behind shows in the bias and in its drift alike.
             model_tip[i] += with_load.compliance[i, j] * (new.force_smooth[j] - force[j])
-            taken_up += with_load.compliance[i, j] * shift * new.force_rate[j]
-        if taken_up != 0.0:
-            # The smoothed force lags behind more, or less, than before: the bias makes up for it, then as now.
-            new.bias[i] += taken_up
-            for k in range(new.tips.shape[0]):
-                new.tips[k, i] -= taken_up
         for j in range(velocity.shape[0]):
             extra = with_load.jacobian[i, j] - free.jacobian[i, j]
             old_extra = had_load.jacobian[i, j] - was_free.jacobian[i, j]
@@ -218,16 +200,6 @@ def estimate(
         new.delta_2[i] = old.delta_2[i] + extra_way
         new.velocity_observed[i] = by_force + by_joints
         new.tip_ahead[i] = model_tip[i] + way + lead * by_force
-    lag, size = 0.0, 0.0
-    for i in range(3):
-        behind = 0.0
-        for j in range(3):
-            behind += with_load.compliance[i, j] * new.force_surprise[j]
-        lag += behind * behind
-        size += new.force_surprise[i] * new.force_surprise[i]
-    if size > bound * bound and lag > new.bias_covariance[0]:
-        # What the force's filter has not followed yet is wrong with the model's tip, too: the bias begins anew.
-        new.bias_covariance[0], new.bias_covariance[1], new.bias_covariance[2] = lag, 0.0, FIRST_DRIFT**2
     numbers[NEWEST], numbers[USED], numbers[REFUSED] = observe(
         new.bias, new.drift, new.bias_covariance, new.tips, new.refused, int(last[NEWEST]), int(last[REFUSED]),
         model_tip, frame, age, period, noise, wander, gate,

@@ -9,7 +9,6 @@ from core.control.controllers import strategy
 from core.control.deflection import RateFilter
 from core.control.estimation import Estimator
 from core.control.observer import Observer
-from core.control.quick_load import Opening
 from core.control.step import Controller
 from core.model.statics import PAPER_SUBLINK, Statics
 from station.config.robots import RobotFile
@@ -38,10 +37,6 @@ class ControllerFile(Strict):
     """for type_1: the filtered derivative of Delta_total as in the paper, or C w' + (J(q, w) - J(q, 0)) q'"""
     filter_bandwidth: float = 1.0
     """of the deflection's and the force's rate [Hz]"""
-    filter_widest: float = 1.0
-    """by how much the force's filter may widen while the load moves quickly; 1 never"""
-    force_noise: float = 0.03
-    """of one sample of the fused force, standard deviation an axis: what is beyond it moves [N]"""
     observer_bandwidth: float = 2.0
     """of the model's bias [Hz]"""
     hold: float = 0.025
@@ -65,12 +60,11 @@ class ControllerFile(Strict):
                 RateFilter(PERIOD, self.filter_bandwidth),
                 Observer(PERIOD, bandwidth=self.observer_bandwidth),
                 Actuation(PERIOD, self.hold, self.transport),
-                Opening(self.force_noise, self.filter_widest),
             ),
             observes=self.feedback == "observer",
             exact_rate=self.deflection_rate == "exact",
         )
 
 
-#: What follows best in the virtual lab; the paper's own choices are the defaults above.
-BEST = ControllerFile(inner="type_2", feedback="observer", feedforward=True, filter_bandwidth=0.5, filter_widest=16.0)
+#: What follows best in the virtual lab, whatever the load does; the paper's own choices are the defaults above.
+BEST = ControllerFile(inner="type_1_exact", feedback="observer", feedforward=True, k1=4.0, k2=4.0)
