@@ -186,7 +186,7 @@ def _check_units(path: Path, robot: RobotFile, rows: Sequence[_Row]) -> None:
             raise PosesError(
                 f"{path}: {limit.name} is {farthest:g} {limit.unit}, outside {limit.lower:.4g} ... {limit.upper:.4g}"
                 f" {limit.unit} (its travel), and so are {int(beyond.sum())} of {len(column)} rows: are these {other}?"
-                f" Give {unit}; if they are, widen lower and upper in the robot's file"
+                f" Give {unit}; if they are {unit}, widen lower and upper in the robot's file"
             )
     tips = np.array([row.tip for row in rows])
     length = max(tube.length for tube in robot.robot().tubes)

@@ -11,19 +11,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from core.calibration.fit import Unobservable
 from core.calibration.measured import Asked, Extent, Match, Spread, askable, match, suspicions
 from core.calibration.rigid import vector_of
+from core.calibration.tubes import TubeCalibration
 from core.calibration.visits import Visit
 from core.errors import CtrError
 from core.robot.robot import Array, Robot
 from station.calibration.poses import Poses
+from station.calibration.summary import Row, frame_rows, tube_rows
 from station.config.robots import RobotFile
 
 EXTENTS: tuple[Extent, ...] = ("none", "frames", "tubes")
 WORDS = {
-    "none": "as described, nothing fitted",
-    "frames": "frames and offset fitted",
-    "tubes": "tubes, frames and offset fitted",
+    "none": "nothing fitted",
+    "frames": "frames fitted",
+    "tubes": "tubes fitted",
 }
 #: More values of a joint than this are put into so many bins.
 VALUES, BINS = 12, 6
@@ -325,3 +328,24 @@ def _mm(spread: Spread) -> dict[str, float | int | None]:
 
 def _bin_numbers(each: Bin) -> dict[str, Any]:
     return {"joint": each.joint, "where": each.where, **_mm(each.spread), "along_mm": [1e3 * a for a in each.along]}
+
+
+def found_rows(validation: Validation) -> list[Row]:
+    """Tubes, lags and frames that the best match found, as a person reads them."""
+    best = validation.best
+    if best.fit is None:
+        return []
+    return [*tube_rows(calibration(validation), validation.robot), *frame_rows(best.fit, best.frames)]
+
+
+def calibration(validation: Validation) -> TubeCalibration:
+    """The best match as a calibration of the robot.
+
+    Raises:
+        Unobservable: nothing was fitted, or the tubes could not be.
+    """
+    best = validation.best
+    if best.fit is None or validation.failed:
+        raise Unobservable(validation.failed or "nothing was fitted")
+    distances: Array = np.linalg.norm(validation.errors[-1], axis=1)
+    return TubeCalibration(best.robot, best.frames, best.asked.quantities, best.fit, distances)

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -55,3 +56,20 @@ def count(most: int) -> Callable[[str], int]:
         return value
 
     return read
+
+
+def new_folder(out: Path, name: str) -> Path:
+    """A folder in `out` that was not there before."""
+    from station.config.strict import ConfigError
+
+    number = 1
+    while True:
+        path = out / (name if number == 1 else f"{name}-{number}")
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            number += 1
+            continue
+        except OSError as error:
+            raise ConfigError(f"{out}: cannot write results there: {error.strerror}") from None
+        return path
