@@ -3,7 +3,8 @@
 The fit is that of `prediction`, with three differences. How well the points were measured is not asked for: what a
 fit leaves over is taken as the standard deviation of each axis, and the fit repeated until both agree, so that what
 is known beforehand weighs as much as it should where the model itself is wrong. Where neighbouring poses are wrong
-alike (`alike`) they count as fewer. The point on the tip may be centimetres from it. And a joint may stay behind the way that it came by much more than a drive's play: friction
+alike (`alike`) they count as fewer. Single poses far from all others' errors are not fitted: tubes that snapped to
+another shape, slips of the measurement. The point on the tip may be centimetres from it. And a joint may stay behind the way that it came by much more than a drive's play: friction
 between the tubes winds them up.
 
 Only what the poses can say is asked for (`askable`); what of it they do not tell is in the fit's account.
@@ -16,9 +17,10 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.calibration.fit import Fit, Parameter, Unobservable, fit
-from core.calibration.prediction import Frames, Lag, Prediction
+from core.calibration.prediction import Frames, Lag, NoShape, Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
 from core.calibration.rigid import Rigid
@@ -40,6 +42,8 @@ NOISE, LEAST_NOISE = 0.5e-3, 1e-6
 ROUNDS, SETTLED = 8, 0.02
 #: Neighbours are never taken to be more alike than this.
 MOST_ALIKE = 0.9
+#: Poses off by more than this many times the median are not fitted, as long as they are no more than that part.
+FAR, FEW = 4.0, 0.1
 #: A load below does not count as one [N].
 LOADED = 0.05
 #: A tube's end must be this far from its neighbours' for its length, or its lag, to be asked for [m].
@@ -91,21 +95,14 @@ class Match:
     alike: float  #: correlation of the errors of neighbouring poses, 0 ... `MOST_ALIKE`
     asked: Asked
     fit: Fit | None  #: None: nothing was fitted
+    fitted: tuple[bool, ...]  #: which of the poses the fit saw
 
     def errors(self, visits: Sequence[Visit], forces: Array) -> Array:
         """Measured minus predicted point (m, 3), robot's frame [m], of any poses under tip forces (m, 3) [N].
 
         NaN where this model has no shape.
         """
-        model, found = Statics(self.robot, integrator="fourth_order"), np.full((len(visits), 3), math.nan)
-        for k, visit in enumerate(visits):
-            joints = visit.joints if visit.came is None else visit.joints - 0.5 * self.plays * visit.came
-            try:
-                pose = model.solve(joints, np.concatenate((forces[k], np.zeros(3))))
-            except CtrError:
-                continue
-            found[k] = self.frames.registration.apply(visit.coil) - pose.tip - pose.rotation @ self.frames.coil
-        return found
+        return _errors(self.robot, self.frames, self.plays, visits, forces)
 
     @property
     def surprising(self) -> tuple[tuple[Parameter, float], ...]:
@@ -138,7 +135,8 @@ def match(robot: Robot, visits: Sequence[Visit], forces: Array, extent: Extent, 
     """
     if extent == "none":
         frames = Frames(Rigid(np.eye(3), np.zeros(3)), np.zeros(3), np.zeros(3))
-        return Match(extent, robot, frames, np.zeros(len(robot.joints)), 0.0, 0.0, Asked(), None)
+        nothing = (False,) * len(visits)
+        return Match(extent, robot, frames, np.zeros(len(robot.joints)), 0.0, 0.0, Asked(), None, nothing)
     what = asked.quantities if extent == "tubes" else ()
     unknown = len(what) + len(asked.lags) + 9
     if 3 * len(visits) < unknown + 3:
@@ -146,20 +144,53 @@ def match(robot: Robot, visits: Sequence[Visit], forces: Array, extent: Extent, 
             f"{len(visits)} usable poses for {unknown} unknowns ({extent}); at least {unknown // 3 + 1} are needed"
         )
     start, noise, values = closed_form(robot, visits, forces), NOISE, None
-    joints = np.array([visit.joints for visit in visits])
-    for _ in range(ROUNDS):
-        problem = Prediction(robot, what, visits, forces, Noise(coil=noise), start, OFFSET, asked.lags)
-        found = fit(problem, problem.parameters, values)
-        values, before = found.values, noise
+    joints, lost = np.array([visit.joints for visit in visits]), np.zeros(len(visits), bool)
+    kept, most = ~lost, max(1, int(FEW * len(visits)))
+    for _ in range(ROUNDS + most):
+        seen = np.flatnonzero(kept)
+        near = [visits[k] for k in seen.tolist()]
+        problem = Prediction(robot, what, near, forces[kept], Noise(coil=noise), start, OFFSET, asked.lags)
+        try:
+            found = fit(problem, problem.parameters, values)
+        except NoShape as error:
+            # Beside a fold the smallest change of the tubes leaves no shape: such a pose tells nothing of them.
+            lost[seen[error.visit]] = True
+            kept = kept & ~lost
+            if np.count_nonzero(lost) > most:
+                raise
+            continue
+        values, before, fitted = found.values, noise, kept
         left = max(noise * math.sqrt(found.variance_factor), LEAST_NOISE)
-        correlation = alike(joints, problem.errors(values))
+        errors = _errors(problem.tubes(values), problem.frames(values), problem.plays(values), visits, forces)
+        correlation = alike(joints[kept], errors[kept])
         noise = left * math.sqrt((1.0 + correlation) / (1.0 - correlation))
-        if abs(noise - before) <= SETTLED * before:
+        kept = _near(errors, most) & ~lost
+        if abs(noise - before) <= SETTLED * before and (kept == fitted).all():
             break
     return Match(
         extent, problem.tubes(values), problem.frames(values), problem.plays(values), left,
-        correlation, asked._replace(quantities=what), found,
+        correlation, asked._replace(quantities=what), found, tuple(fitted.tolist()),
     )  # fmt: skip
+
+
+def _near(errors: Array, most: int) -> NDArray[np.bool_]:
+    """Which errors (m, 3) are no more than `FAR` times the median; all when more than `most` were left out."""
+    lengths = np.linalg.norm(errors, axis=1)
+    near = lengths <= FAR * float(np.nanmedian(lengths))
+    return near if np.count_nonzero(~near) <= most else np.isfinite(lengths)
+
+
+def _errors(robot: Robot, frames: Frames, plays: Array, visits: Sequence[Visit], forces: Array) -> Array:
+    """Measured minus predicted point (m, 3), robot's frame [m]; NaN where the model has no shape."""
+    model, found = Statics(robot, integrator="fourth_order"), np.full((len(visits), 3), math.nan)
+    for k, visit in enumerate(visits):
+        joints = visit.joints if visit.came is None else visit.joints - 0.5 * plays * visit.came
+        try:
+            pose = model.solve(joints, np.concatenate((forces[k], np.zeros(3))))
+        except CtrError:
+            continue
+        found[k] = frames.registration.apply(visit.coil) - pose.tip - pose.rotation @ frames.coil
+    return found
 
 
 def alike(joints: Array, errors: Array) -> float:

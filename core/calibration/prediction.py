@@ -25,6 +25,7 @@ from core.calibration.fit import Parameter
 from core.calibration.quantities import Quantity, changed
 from core.calibration.rigid import Rigid, rotation_of
 from core.calibration.visits import Noise, Visit
+from core.errors import NoSolution
 from core.model.solution import Solution
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
@@ -35,6 +36,14 @@ FRAME_ANGLE, FRAME_PLACE, COIL = 1e-2, 1e-3, 3e-3
 PLAY = {"rad": 3e-3, "m": 50e-6}
 #: What is known of the coil's direction beforehand [rad].
 COIL_TILT = 0.2
+
+
+class NoShape(NoSolution):
+    """The model has no shape at a visit."""
+
+    def __init__(self, visit: int, text: str) -> None:
+        super().__init__(text)
+        self.visit = visit  #: its number
 
 
 class Lag(NamedTuple):
@@ -136,13 +145,21 @@ class Prediction:
         return changed(self.robot, self.what, values)
 
     def solutions(self, values: Array) -> list[Solution]:
-        """The model at every visit."""
+        """The model at every visit.
+
+        Raises:
+            NoShape: it has none at one of them.
+
+        """
         model, plays = Statics(self.tubes(values), integrator="fourth_order"), self.plays(values)
         found: list[Solution] = []
         for k, visit in enumerate(self.visits):
             wrench = np.concatenate((self.forces[k], np.zeros(3)))
             joints = visit.joints if visit.came is None else visit.joints - 0.5 * plays * visit.came
-            found.append(model.solve(joints, wrench, self._nominal[k]))
+            try:
+                found.append(model.solve(joints, wrench, self._nominal[k]))
+            except NoSolution as error:
+                raise NoShape(k, str(error)) from None
         return found
 
     def errors(self, values: Array) -> Array:

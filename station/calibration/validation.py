@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from core.calibration.fit import Unobservable
-from core.calibration.measured import Asked, Extent, Match, Spread, askable, match, suspicions
+from core.calibration.fit import Fit, Unobservable
+from core.calibration.measured import FAR, Asked, Extent, Match, Spread, askable, match, suspicions
 from core.calibration.rigid import vector_of
 from core.calibration.tubes import TubeCalibration
 from core.calibration.visits import Visit
@@ -34,8 +34,6 @@ VALUES, BINS = 12, 6
 FITTED = 1500
 #: Correlation of neighbouring errors that is said.
 ALIKE = 0.3
-#: Times the median error from which on a pose is named.
-FAR = 4.0
 
 
 class Unseen(NamedTuple):
@@ -222,12 +220,13 @@ def findings(validation: Validation) -> list[str]:
     lengths = np.linalg.norm(errors, axis=1)
     if lost := int(np.count_nonzero(~np.isfinite(lengths))):
         said.append(f"This model has no shape at {lost} of the poses: they are not counted.")
-    far = np.flatnonzero(lengths > FAR * np.nanmedian(lengths)) if np.isfinite(lengths).any() else np.empty(0, int)
-    if far.size:
-        lines = ", ".join(str(validation.poses.lines[k]) for k in far[np.argsort(-lengths[far])][:10].tolist())
+    if best.fit is not None and (out := [k for k, seen in enumerate(best.fitted) if not seen]):
+        apart = sorted(out, key=lambda k: -np.nan_to_num(lengths[validation.stride * k], nan=math.inf))
+        lines = ", ".join(str(validation.poses.lines[validation.stride * k]) for k in apart[:10])
         said.append(
-            f"{far.size} poses are off by more than {FAR:g} times the median, the farthest in line {lines}: another"
-            " shape of tubes that snap, or a slip of the measurement?"
+            f"{len(out)} poses were not fitted, for their errors are more than {FAR:g} times the median or the model is"
+            f" about to snap there (lines {lines}): another shape of the tubes, or a slip of the measurement? Their"
+            " errors count."
         )
     if validation.test is None and best.extent != "none" and not any(u.extent == best.extent for u in validation.unseen):
         said.append("Too few poses to test with every second of them.")
@@ -335,17 +334,22 @@ def found_rows(validation: Validation) -> list[Row]:
     best = validation.best
     if best.fit is None:
         return []
-    return [*tube_rows(calibration(validation), validation.robot), *frame_rows(best.fit, best.frames)]
+    tubes = _calibration(best, best.fit, validation.errors[-1])
+    return [*tube_rows(tubes, validation.robot), *frame_rows(best.fit, best.frames)]
 
 
 def calibration(validation: Validation) -> TubeCalibration:
-    """The best match as a calibration of the robot.
+    """The tubes that were found, and all else with them.
 
     Raises:
-        Unobservable: nothing was fitted, or the tubes could not be.
+        Unobservable: the tubes could not be fitted, or were not to be.
     """
     best = validation.best
-    if best.fit is None or validation.failed:
-        raise Unobservable(validation.failed or "nothing was fitted")
-    distances: Array = np.linalg.norm(validation.errors[-1], axis=1)
-    return TubeCalibration(best.robot, best.frames, best.asked.quantities, best.fit, distances)
+    if best.fit is None or best.extent != "tubes":
+        raise Unobservable(validation.failed or "the tubes were not fitted")
+    return _calibration(best, best.fit, validation.errors[-1])
+
+
+def _calibration(best: Match, fit: Fit, errors: Array) -> TubeCalibration:
+    distances: Array = np.linalg.norm(errors, axis=1)
+    return TubeCalibration(best.robot, best.frames, best.asked.quantities, fit, distances)
