@@ -1,11 +1,11 @@
 """Poses that were measured anywhere, held against the model: as described, with the best frames, with the best tubes.
 
-The fit is that of `prediction`, with three differences. How well the points were measured is not asked for: what a
+The fit is that of `prediction`, with these differences. How well the points were measured is not asked for: what a
 fit leaves over is taken as the standard deviation of each axis, and the fit repeated until both agree, so that what
 is known beforehand weighs as much as it should where the model itself is wrong. Where neighbouring poses are wrong
 alike (`alike`) they count as fewer. Single poses far from all others' errors are not fitted: tubes that snapped to
-another shape, slips of the measurement. The point on the tip may be centimetres from it. And a joint may stay behind the way that it came by much more than a drive's play: friction
-between the tubes winds them up.
+another shape, slips of the measurement. The point on the tip may be centimetres from it. And a joint may stay behind
+the way that it came by much more than a drive's play: friction between the tubes winds them up.
 
 Only what the poses can say is asked for (`askable`); what of it they do not tell is in the fit's account.
 """
@@ -107,14 +107,20 @@ class Match:
     @property
     def surprising(self) -> tuple[tuple[Parameter, float], ...]:
         """What came out more than two standard deviations from what was known beforehand, and where [unit of it]."""
-        pairs = [] if self.fit is None else zip(self.fit.parameters, self.fit.values.tolist(), strict=True)
-        return tuple((p, value) for p, value in pairs if abs(value) > 2.0 * p.prior)
+        if self.fit is None:
+            return ()
+        values: list[float] = self.fit.values.tolist()
+        pairs = zip(self.fit.parameters, values, strict=True)
+        return tuple((parameter, value) for parameter, value in pairs if abs(value) > 2.0 * parameter.prior)
 
     @property
     def held(self) -> tuple[str, ...]:
         """Of what the poses tell less than was known beforehand: the data shrink the variance by less than half."""
-        pairs = [] if self.fit is None else zip(self.fit.parameters, self.fit.errors.tolist(), strict=True)
-        return tuple(p.name for p, error in pairs if error * error > 0.5 * p.prior * p.prior)
+        if self.fit is None:
+            return ()
+        errors: list[float] = self.fit.errors.tolist()
+        pairs = zip(self.fit.parameters, errors, strict=True)
+        return tuple(parameter.name for parameter, error in pairs if error * error > 0.5 * parameter.prior**2)
 
 
 def match(robot: Robot, visits: Sequence[Visit], forces: Array, extent: Extent, asked: Asked) -> Match:
@@ -145,10 +151,10 @@ def match(robot: Robot, visits: Sequence[Visit], forces: Array, extent: Extent, 
         )
     start, noise, values = closed_form(robot, visits, forces), NOISE, None
     joints, lost = np.array([visit.joints for visit in visits]), np.zeros(len(visits), bool)
-    kept, most = ~lost, max(1, int(FEW * len(visits)))
-    for _ in range(ROUNDS + most):
-        seen = np.flatnonzero(kept)
-        near = [visits[k] for k in seen.tolist()]
+    kept, most, rounds = ~lost, max(1, int(FEW * len(visits))), 0
+    while True:
+        seen: list[int] = np.flatnonzero(kept).tolist()
+        near = [visits[k] for k in seen]
         problem = Prediction(robot, what, near, forces[kept], Noise(coil=noise), start, OFFSET, asked.lags)
         try:
             found = fit(problem, problem.parameters, values)
@@ -159,18 +165,16 @@ def match(robot: Robot, visits: Sequence[Visit], forces: Array, extent: Extent, 
             if np.count_nonzero(lost) > most:
                 raise
             continue
-        values, before, fitted = found.values, noise, kept
+        values, rounds = found.values, rounds + 1
+        tubes, frames, plays = problem.tubes(values), problem.frames(values), problem.plays(values)
+        errors = _errors(tubes, frames, plays, visits, forces)
         left = max(noise * math.sqrt(found.variance_factor), LEAST_NOISE)
-        errors = _errors(problem.tubes(values), problem.frames(values), problem.plays(values), visits, forces)
         correlation = alike(joints[kept], errors[kept])
-        noise = left * math.sqrt((1.0 + correlation) / (1.0 - correlation))
-        kept = _near(errors, most) & ~lost
-        if abs(noise - before) <= SETTLED * before and (kept == fitted).all():
-            break
-    return Match(
-        extent, problem.tubes(values), problem.frames(values), problem.plays(values), left,
-        correlation, asked._replace(quantities=what), found, tuple(fitted.tolist()),
-    )  # fmt: skip
+        before, noise = noise, left * math.sqrt((1.0 + correlation) / (1.0 - correlation))
+        fitted, kept = kept, _near(errors, most) & ~lost
+        if rounds == ROUNDS or (abs(noise - before) <= SETTLED * before and (kept == fitted).all()):
+            own = asked._replace(quantities=what)
+            return Match(extent, tubes, frames, plays, left, correlation, own, found, tuple(fitted.tolist()))
 
 
 def _near(errors: Array, most: int) -> NDArray[np.bool_]:
@@ -240,7 +244,9 @@ def askable(
         if not ((came > 0.0).any() and (came < 0.0).any()):
             left.append(f"lag of {joint.name}: it never came from both sides")
         elif joint.motion == "translation" and rooms[joint.tube] < ROOM:
-            left.append(f"lag of {joint.name}: in some pose the tube is within {1e3 * ROOM:g} mm of its neighbour's end")
+            left.append(
+                f"lag of {joint.name}: in some pose the tube is within {1e3 * ROOM:g} mm of its neighbour's end"
+            )
         else:
             lags.append(Lag(k, LAG[joint.unit]))
     return Asked(tuple(kept), tuple(lags), tuple(left))
@@ -268,7 +274,7 @@ def suspicions(robot: Robot, visits: Sequence[Visit], forces: Array) -> tuple[tu
 
     Axes that run the other way, and degrees that were meant as radians; with the frames alone fitted.
     """
-    some = np.unique(np.linspace(0, len(visits) - 1, min(TRIED, len(visits))).astype(int)).tolist()
+    some: list[int] = np.unique(np.linspace(0, len(visits) - 1, min(TRIED, len(visits))).astype(int)).tolist()
     visits, forces = [visits[k] for k in some], forces[some]
     joints = np.array([visit.joints for visit in visits])
     turns = [k for k, joint in enumerate(robot.joints) if joint.motion == "rotation" and np.ptp(joints[:, k]) > 0.0]

@@ -94,7 +94,9 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
     came = ways(np.array([row.joints for row in useful])) if timed else None
     nothing = np.zeros((len(robot.tubes), 6))
     visits = [
-        Visit(row.time, row.joints, row.tip, nothing, None if row.force.any() else 0.0, None if came is None else came[k])
+        Visit(
+            row.time, row.joints, row.tip, nothing, None if row.force.any() else 0.0, None if came is None else came[k]
+        )
         for k, row in enumerate(useful)
     ]
     forces = np.array([row.force for row in useful])

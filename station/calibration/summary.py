@@ -165,7 +165,7 @@ def tube_rows(calibration: TubeCalibration, described: Robot) -> list[Row]:
         if parameter.name.endswith(" play"):
             factor, unit = (1e6, "um") if parameter.unit == "m" else (180.0 / math.pi, "deg")
             value, half = factor * fit.value(parameter.name), factor * fit.interval(parameter.name)
-            found.append(Row(parameter.name, "0", f"{value:.2g}", f"{half:.2g} {unit}"))
+            found.append(Row(parameter.name, "0", f"{value:.4g}", f"{half:.2g} {unit}"))
     return found
 
 

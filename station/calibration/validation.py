@@ -7,6 +7,7 @@ none, of every second pose after a fit to the others.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +33,8 @@ WORDS = {
 VALUES, BINS = 12, 6
 #: More poses than this are thinned out for the fits; errors are those of all.
 FITTED = 1500
+#: Part of the median error by which rising and falling must differ to be named.
+WORTH = 0.25
 #: Correlation of neighbouring errors that is said.
 ALIKE = 0.3
 
@@ -162,11 +165,16 @@ def by_joint(validation: Validation) -> list[Bin]:
 
 
 def by_direction(validation: Validation) -> list[Bin]:
-    """Errors of the best match, by which way each joint came; empty where the order is not known."""
-    came = [visit.came for visit in validation.poses.visits]
+    """Errors of the best match, by which way each joint came; empty where the order is not known.
+
+    Without the poses that are far off: a single one of them would be most of a mean.
+    """
     if not validation.poses.timed:
         return []
-    ways_, errors = np.array(came), validation.errors[-1]
+    lengths = np.linalg.norm(validation.errors[-1], axis=1)
+    near = lengths <= FAR * np.nanmedian(lengths)
+    errors = validation.errors[-1][near]
+    ways_ = np.array([visit.came for visit in validation.poses.visits])[near]
     return [
         _bin(joint.name, text, errors[ways_[:, k] == way])
         for k, joint in enumerate(validation.robot.joints)
@@ -213,6 +221,8 @@ def findings(validation: Validation) -> list[str]:
     elif best.extent == "frames":
         said += [f"Not asked for: {reason}." for reason in best.asked.left if reason.startswith("lag")]
     for joint, apart in _apart(by_direction(validation)):
+        if not apart > WORTH * Spread.of(errors).median:
+            continue
         said.append(
             f"{joint}: between rising and falling the mean error differs by {1e3 * apart:.2f} mm"
             + ("." if best.asked.lags else "; --hysteresis fits a lag.")
@@ -228,7 +238,11 @@ def findings(validation: Validation) -> list[str]:
             f" about to snap there (lines {lines}): another shape of the tubes, or a slip of the measurement? Their"
             " errors count."
         )
-    if validation.test is None and best.extent != "none" and not any(u.extent == best.extent for u in validation.unseen):
+    if (
+        validation.test is None
+        and best.extent != "none"
+        and not any(u.extent == best.extent for u in validation.unseen)
+    ):
         said.append("Too few poses to test with every second of them.")
     for poses in (validation.poses, validation.test):
         if poses is not None and poses.left_out:
@@ -262,7 +276,7 @@ def _open(best: Match) -> list[str]:
 def _apart(bins: Sequence[Bin]) -> list[tuple[str, float]]:
     """Joints, and how far the mean errors of both directions are apart [m]; pairs of bins only."""
     found: list[tuple[str, float]] = []
-    for first, second in zip(bins, bins[1:], strict=False):
+    for first, second in pairwise(bins):
         if first.joint == second.joint:
             found.append((first.joint, math.dist(first.along, second.along)))
     return found

@@ -50,8 +50,10 @@ def _parts(title: str, validation: Validation, facts: Sequence[tuple[str, str]])
     yield f"<h1>{title}</h1>"
     yield document.table(("", ""), facts, texts=2)
     yield document.heading("Errors")
-    yield document.paragraph("Distance of the measured point from the model's, millimetres. Frames: a rigid motion, and a constant offset of"
-        " the point in the frame of the tip. Tubes: these, and what can be wrong about the tubes.")
+    yield document.paragraph(
+        "Distance of the measured point from the model's, millimetres. Frames: a rigid motion, and a constant offset of"
+        " the point in the frame of the tip. Tubes: these, and what can be wrong about the tubes."
+    )
     yield document.table(("", "at", "poses", "mean", "median", "95 %", "largest"), error_rows(validation), texts=2)
     yield document.heading("What to know")
     for sentence in findings(validation):

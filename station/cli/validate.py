@@ -24,11 +24,14 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     validate.add_argument("poses", type=Path, metavar="POSES.csv")
     validate.add_argument(
         "--fit", choices=("none", "frames", "tubes"), default="frames",
-        help="none: the tips are in the robot's frame; frames: find a rigid motion and a constant offset of the measured"
-        " point from the tip; tubes: find the tubes, too (frames)",
+        help="none: the tips are in the robot's frame; frames: find a rigid motion and a constant offset of the"
+        " measured point from the tip; tubes: find the tubes, too (frames)",
     )  # fmt: skip
     validate.add_argument(
-        "--test", type=Path, metavar="OTHER.csv", help="poses to test with (every second of POSES after a fit to the others)"
+        "--test",
+        type=Path,
+        metavar="OTHER.csv",
+        help="poses to test with (every second of POSES after a fit to the others)",
     )
     validate.add_argument(
         "--hysteresis", action="store_true", help="each joint may lag behind the way that it came; needs a column time"

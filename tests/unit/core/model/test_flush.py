@@ -11,6 +11,7 @@ from core.model.statics import Statics
 from core.robot.robot import Joint, Robot, Section, Tube
 
 INTEGRATORS = [("paper", 0.0025, 1e-5), ("fourth_order", None, 2e-6)]
+SLIDE = np.array([0.0, 0.0, 1.0])
 WRENCH = np.array([0.2, -0.1, 0.15, 0.01, -0.005, 0.004])
 
 
@@ -18,7 +19,7 @@ WRENCH = np.array([0.2, -0.1, 0.15, 0.01, -0.005, 0.004])
 def drawn_in(paper_robot):
     """The inner tube drawn in until both tubes end at 165 mm; the sum of its lengths rounds to less than that."""
     joints = np.array([0.4, 1.9, 0.165 - 0.303])
-    alpha, beta = paper_robot.tube_poses(joints)
+    _, beta = paper_robot.tube_poses(joints)
     assert abs(beta[0] + paper_robot.tubes[0].length - paper_robot.tubes[1].length) < 1e-15
     return joints
 
@@ -26,7 +27,7 @@ def drawn_in(paper_robot):
 @pytest.mark.parametrize(("integrator", "sublink", "tolerance"), INTEGRATORS)
 @pytest.mark.parametrize("rounding", [-1e-16, 0.0, 1e-16])
 def test_the_tip_is_the_exact_rod_s(paper_robot, drawn_in, integrator, sublink, tolerance, rounding):
-    joints = drawn_in + [0.0, 0.0, rounding]
+    joints = drawn_in + rounding * SLIDE
     tip = ExactRod(paper_robot).solve(joints, WRENCH).tip
     np.testing.assert_allclose(
         Statics(paper_robot, sublink, integrator).solve(joints, WRENCH).tip, tip, rtol=0, atol=tolerance
@@ -36,9 +37,9 @@ def test_the_tip_is_the_exact_rod_s(paper_robot, drawn_in, integrator, sublink, 
 @pytest.mark.parametrize(("integrator", "sublink", "tolerance"), INTEGRATORS)
 @pytest.mark.parametrize("rounding", [-1e-16, 0.0, 1e-16])
 def test_its_jacobian_is_that_of_coming_out(paper_robot, drawn_in, integrator, sublink, tolerance, rounding):
-    found = Statics(paper_robot, sublink, integrator).solve(drawn_in + [0.0, 0.0, rounding], WRENCH)
+    found = Statics(paper_robot, sublink, integrator).solve(drawn_in + rounding * SLIDE, WRENCH)
     exact, step = ExactRod(paper_robot, tolerance=1e-12), 1e-4
-    at = [exact.solve(drawn_in + [0.0, 0.0, k * step], WRENCH).tip for k in range(3)]
+    at = [exact.solve(drawn_in + k * step * SLIDE, WRENCH).tip for k in range(3)]
     slide = (-3.0 * at[0] + 4.0 * at[1] - at[2]) / (2.0 * step)  # one-sided, second order
     np.testing.assert_allclose(found.jacobian[:3, 2], slide, rtol=0, atol=2e-3)
     for k in (0, 1):
