@@ -136,7 +136,8 @@ def fit(problem: Problem, parameters: Sequence[Parameter], start: Array | None =
     has_prior = np.array([math.isfinite(p.prior) for p in parameters])
     weight = np.array([1.0 / p.prior for p in parameters])[has_prior]
     rows = np.diag([1.0 / p.prior for p in parameters])[has_prior]
-    begin = np.zeros(len(parameters)) if start is None else start
+    lower, upper = np.array([p.bounds for p in parameters]).T
+    begin: Array = np.clip(np.zeros(len(parameters)) if start is None else start, lower, upper)
     size = problem.residuals(begin).size
 
     def residuals(values: Array) -> Array:
@@ -151,7 +152,7 @@ def fit(problem: Problem, parameters: Sequence[Parameter], start: Array | None =
 
     found: Any = cast(Any, least_squares)(
         residuals, begin, jacobian,
-        bounds=tuple(np.array([p.bounds for p in parameters]).T), x_scale=[p.size for p in parameters],
+        bounds=(lower, upper), x_scale=[p.size for p in parameters],
         xtol=1e-9, ftol=1e-10, gtol=1e-10, max_nfev=60,
     )  # fmt: skip
     values = np.asarray(found.x, dtype=np.float64)

@@ -39,7 +39,7 @@ LAG = {"rad": 0.05, "m": 1e-3}
 #: Standard deviation of a measured point where the repetition begins, and what it never goes below [m].
 NOISE, LEAST_NOISE = 0.5e-3, 1e-6
 #: Repetitions, and the part by which the last may still differ.
-ROUNDS, SETTLED = 8, 0.02
+ROUNDS, SETTLED = 8, 0.05
 #: Neighbours are never taken to be more alike than this.
 MOST_ALIKE = 0.9
 #: Poses off by more than this many times the median are not fitted, as long as they are no more than that part.
@@ -105,6 +105,12 @@ class Match:
         return _errors(self.robot, self.frames, self.plays, visits, forces)
 
     @property
+    def lost(self) -> frozenset[str]:
+        """Parameters of which the poses say nothing and nothing was known beforehand."""
+        weak = () if self.fit is None else self.fit.weak
+        return frozenset(name for each in weak if math.isinf(each.open) and not each.held for name, _ in each.parts)
+
+    @property
     def surprising(self) -> tuple[tuple[Parameter, float], ...]:
         """What came out more than two standard deviations from what was known beforehand, and where [unit of it]."""
         if self.fit is None:
@@ -147,7 +153,7 @@ def match(robot: Robot, visits: Sequence[Visit], forces: Array, extent: Extent, 
     unknown = len(what) + len(asked.lags) + 9
     if 3 * len(visits) < unknown + 3:
         raise Unobservable(
-            f"{len(visits)} usable poses for {unknown} unknowns ({extent}); at least {unknown // 3 + 1} are needed"
+            f"usable poses: {len(visits)}, for {unknown} unknowns ({extent}); at least {unknown // 3 + 1} are needed"
         )
     start, noise, values = closed_form(robot, visits, forces), NOISE, None
     joints, lost = np.array([visit.joints for visit in visits]), np.zeros(len(visits), bool)
@@ -284,7 +290,8 @@ def suspicions(robot: Robot, visits: Sequence[Visit], forces: Array) -> tuple[tu
         factor[turns] = signs
         if any(sign < 0.0 for sign in signs):
             names = " and ".join(robot.joints[k].name for k, s in zip(turns, signs, strict=True) if s < 0.0)
-            readings.append((f"{names} running the other way", factor))
+            handed = " (or tips in a left-handed frame)" if all(sign < 0.0 for sign in signs) else ""
+            readings.append((f"{names} running the other way{handed}", factor))
     if turns:
         factor = np.ones(len(robot.joints))
         factor[turns] = math.pi / 180.0

@@ -97,10 +97,10 @@ class Prediction:
         """By the quantities: central differences of the solved model; by the frames: in closed form."""
         columns: list[Array] = []
         for k, parameter in enumerate(self.parameters[: self._first]):
-            half = np.zeros_like(values)
-            half[k] = 1e-3 * parameter.size
-            up, down = (self._errors(v, self.solutions(v)) for v in (values + half, values - half))
-            difference = tuple((a - b) / (2.0 * half[k]) for a, b in zip(up, down, strict=True))
+            ends = np.stack((values, values))
+            ends[:, k] = np.clip(values[k] + 1e-3 * parameter.size * np.array([1.0, -1.0]), *parameter.bounds)
+            up, down = (self._errors(v, self.solutions(v)) for v in ends)
+            difference = tuple((a - b) / (ends[0, k] - ends[1, k]) for a, b in zip(up, down, strict=True))
             columns.append(self._weighted(difference[0], difference[1]))
         frames = self.frames(values)
         solved = self.solutions(values)

@@ -133,7 +133,9 @@ def _check_columns(path: Path, header: Sequence[str], joints: Sequence[str]) -> 
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
             meant = f", did you mean '{near[0]}'?" if near else ""
-            raise PosesError(f"{path}: unknown column '{name}'{meant}; columns: {_columns(joints)}")
+            raise PosesError(
+                f"{path}: unknown column '{name}'{meant}; rename or remove it; columns: {_columns(joints)}"
+            )
         if header.count(name) > 1:
             raise PosesError(f"{path}: column '{name}' is there {header.count(name)} times")
     some_force = any(name in header for name in FORCE)

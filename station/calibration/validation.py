@@ -207,7 +207,7 @@ def findings(validation: Validation) -> list[str]:
         names = ", ".join(name.replace("_", " ") for name in best.held)
         said.append(f"The data say less than was known beforehand of: {names}.")
     if open_ := _open(best):
-        said.append(f"They cannot tell {len(open_)} combinations, weakest first: {'; '.join(open_[:2])}.")
+        said.append(f"Combinations that they cannot tell: {len(open_)}, weakest first: {'; '.join(open_[:2])}.")
     if best.alike > ALIKE:
         said.append(
             f"Errors of neighbouring poses are alike (correlation {best.alike:.2f}): they are the model's, not the"
@@ -234,9 +234,9 @@ def findings(validation: Validation) -> list[str]:
         apart = sorted(out, key=lambda k: -np.nan_to_num(lengths[validation.stride * k], nan=math.inf))
         lines = ", ".join(str(validation.poses.lines[validation.stride * k]) for k in apart[:10])
         said.append(
-            f"{len(out)} poses were not fitted, for their errors are more than {FAR:g} times the median or the model is"
-            f" about to snap there (lines {lines}): another shape of the tubes, or a slip of the measurement? Their"
-            " errors count."
+            f"Not fitted: {len(out)} of {len(best.fitted)} poses (lines {lines}), with errors of more than {FAR:g} times"
+            " the median, or where the model is about to snap: another shape of the tubes, or a slip of the"
+            " measurement? Their errors count."
         )
     if (
         validation.test is None
@@ -246,7 +246,7 @@ def findings(validation: Validation) -> list[str]:
         said.append("Too few poses to test with every second of them.")
     for poses in (validation.poses, validation.test):
         if poses is not None and poses.left_out:
-            said.append(f"{len(poses.left_out)} rows of {poses.path.name} were left out; each is listed.")
+            said.append(f"Rows of {poses.path.name} that were left out: {len(poses.left_out)}; each is listed.")
     return said
 
 
@@ -324,13 +324,17 @@ def numbers(validation: Validation) -> dict[str, Any]:
 def _parameters(best: Match) -> dict[str, dict[str, Any]]:
     if best.fit is None:
         return {}
+    values, errors = best.fit.values.tolist(), best.fit.errors.tolist()
     return {
         p.name: {
-            "value": value, "standard_deviation": error, "unit": p.unit,
-            "known_beforehand": p.prior if math.isfinite(p.prior) else None, "told": p.name not in best.held,
+            "value": value,
+            "standard_deviation": None if p.name in best.lost else error,
+            "unit": p.unit,
+            "known_beforehand": p.prior if math.isfinite(p.prior) else None,
+            "told": p.name not in best.held and p.name not in best.lost,
         }
-        for p, value, error in zip(best.fit.parameters, best.fit.values.tolist(), best.fit.errors.tolist(), strict=True)
-    }  # fmt: skip
+        for p, value, error in zip(best.fit.parameters, values, errors, strict=True)
+    }
 
 
 def _mm(spread: Spread) -> dict[str, float | int | None]:
@@ -349,7 +353,8 @@ def found_rows(validation: Validation) -> list[Row]:
     if best.fit is None:
         return []
     tubes = _calibration(best, best.fit, validation.errors[-1])
-    return [*tube_rows(tubes, validation.robot), *frame_rows(best.fit, best.frames)]
+    rows = [*tube_rows(tubes, validation.robot), *frame_rows(best.fit, best.frames)]
+    return [row._replace(interval="not known") if row.name in best.lost else row for row in rows]
 
 
 def calibration(validation: Validation) -> TubeCalibration:

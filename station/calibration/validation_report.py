@@ -60,8 +60,8 @@ def _parts(title: str, validation: Validation, facts: Sequence[tuple[str, str]])
         yield document.paragraph(sentence)
     if best.fit is not None:
         yield document.heading("What was found")
-        rows = [(r.name, r.before, r.found, f"+- {r.interval}" if r.interval else "") for r in found_rows(validation)]
-        yield document.table(("", "before", "found", "95 %"), rows)
+        rows = [(row.name, row.before, row.found, row.interval) for row in found_rows(validation)]
+        yield document.table(("", "before", "found", "+- (95 %)"), rows)
         if told := cannot_tell(best):
             yield document.heading("What the data cannot tell")
             yield document.table(("",), [(text,) for text in told])

@@ -173,7 +173,7 @@ def test_a_tube_that_stands_flush_is_not_asked_for_its_length_nor_its_lag(paper_
 
 def test_too_few_poses_are_refused_with_the_number_that_is_needed(paper_robot):
     visits, forces = measured(paper_robot, poses(1, 3))
-    with pytest.raises(Unobservable, match=r"3 usable poses for 9 unknowns \(frames\); at least 4 are needed"):
+    with pytest.raises(Unobservable, match=r"usable poses: 3, for 9 unknowns \(frames\); at least 4 are needed"):
         match(paper_robot, visits, forces, "frames", Asked())
 
 
