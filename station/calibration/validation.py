@@ -234,8 +234,8 @@ def findings(validation: Validation) -> list[str]:
         apart = sorted(out, key=lambda k: -np.nan_to_num(lengths[validation.stride * k], nan=math.inf))
         lines = ", ".join(str(validation.poses.lines[validation.stride * k]) for k in apart[:10])
         said.append(
-            f"Not fitted: {len(out)} of {len(best.fitted)} poses (lines {lines}), with errors of more than {FAR:g} times"
-            " the median, or where the model is about to snap: another shape of the tubes, or a slip of the"
+            f"Not fitted: {len(out)} of {len(best.fitted)} poses (lines {lines}), with errors of more than {FAR:g}"
+            " times the median, or where the model is about to snap: another shape of the tubes, or a slip of the"
             " measurement? Their errors count."
         )
     if (
@@ -293,6 +293,7 @@ def numbers(validation: Validation) -> dict[str, Any]:
         "left_out": [each._asdict() for each in validation.poses.left_out],
         "test_left_out": [] if validation.test is None else [each._asdict() for each in validation.test.left_out],
         "fit": best.extent,
+        "failed": validation.failed or None,
         "errors_mm": {
             found.extent: _mm(Spread.of(errors))
             for found, errors in zip(validation.matches, validation.errors, strict=True)
@@ -344,7 +345,12 @@ def _mm(spread: Spread) -> dict[str, float | int | None]:
 
 
 def _bin_numbers(each: Bin) -> dict[str, Any]:
-    return {"joint": each.joint, "where": each.where, **_mm(each.spread), "along_mm": [1e3 * a for a in each.along]}
+    return {
+        "joint": each.joint,
+        "where": each.where,
+        **_mm(each.spread),
+        "along_mm": [1e3 * a if math.isfinite(a) else None for a in each.along],
+    }
 
 
 def found_rows(validation: Validation) -> list[Row]:

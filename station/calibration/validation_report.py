@@ -1,6 +1,7 @@
 """The report of a validation: errors, where they are, what the poses told; one HTML file with everything in it."""
 
 from collections.abc import Iterator, Sequence
+from html import escape
 from pathlib import Path
 
 import matplotlib
@@ -47,7 +48,7 @@ def write_report(folder: Path, title: str, validation: Validation, facts: Sequen
 
 def _parts(title: str, validation: Validation, facts: Sequence[tuple[str, str]]) -> Iterator[str]:
     best = validation.best
-    yield f"<h1>{title}</h1>"
+    yield f"<h1>{escape(title)}</h1>"
     yield document.table(("", ""), facts, texts=2)
     yield document.heading("Errors")
     yield document.paragraph(
@@ -209,6 +210,8 @@ def _places(validation: Validation) -> Drawn:
             there[:, across], there[:, up], LONGER * errors[:, across], LONGER * errors[:, up], angles="xy",
             scale_units="xy", scale=1.0, width=0.003, color=style.VERMILLION,
         )  # fmt: skip
+        ends = there + LONGER * errors
+        axes.plot(ends[:, across], ends[:, up], linewidth=0)  # so that no arrow leaves the picture
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel(f"{style.AXES[across]} [mm]")
         axes.set_ylabel(f"{style.AXES[up]} [mm]")

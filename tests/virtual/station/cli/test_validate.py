@@ -11,6 +11,7 @@ import pytest
 from core.calibration.quantities import changed, quantities
 from core.calibration.rigid import Rigid, rotation_of
 from core.model.cosserat import ExactRod
+from station.calibration.results import Results
 from station.config.robots import load_robot
 from station.control.known_calibration import Calibration
 
@@ -93,6 +94,9 @@ def test_three_tubes_under_load_are_found_and_a_station_takes_them(call, generat
     for tube, described in zip(found.robot.tubes, load_robot("three_tubes").tubes, strict=True):
         ratio = math.hypot(*tube.sections[1].curvature) / math.hypot(*described.sections[1].curvature)
         assert ratio == pytest.approx(1.04, abs=0.01)
+    (kept,) = Results(tmp_path / "calibrations").all()
+    assert "--calibration" in kept.use.options
+    assert "registration.toml" in kept.files
     back = TRACKER.inverse()
     np.testing.assert_allclose(found.registration.position, back.position, atol=0.5e-3)
     np.testing.assert_allclose(found.corrections.coil, [0.0, 1e-3, 8e-3], atol=0.5e-3)
