@@ -33,6 +33,8 @@ WORDS = {
 VALUES, BINS = 12, 6
 #: More poses than this are thinned out for the fits; errors are those of all.
 FITTED = 1500
+#: Part of the robot's length from which on a median error is asked about.
+LARGE = 0.05
 #: Part of the median error by which rising and falling must differ to be named.
 WORTH = 0.25
 #: Correlation of neighbouring errors that is said.
@@ -135,11 +137,13 @@ def _unseen(
     if test is not None:
         fitted = Spread.of(found.errors(visits, forces))
         return [Unseen(found.extent, fitted, Spread.of(found.errors(test.visits, test.forces)))]
-    first, second = ((visits[start::2], forces[start::2]) for start in (0, 1))
-    unknown = 9 + len(asked.lags) + (len(asked.quantities) if found.extent == "tubes" else 0)
-    if found.extent == "none" or 3 * len(second[0]) < unknown + 3:
+    if found.fit is None:
         return []
-    half = match(robot, *first, found.extent, asked)
+    first, second = ((visits[start::2], forces[start::2]) for start in (0, 1))
+    try:
+        half = match(robot, *first, found.extent, asked)
+    except CtrError:
+        return []  # said in the findings
     return [Unseen(found.extent, *(Spread.of(half.errors(*each)) for each in (first, second)))]
 
 
@@ -195,59 +199,78 @@ def _shown(unit: str) -> tuple[float, str]:
 
 def findings(validation: Validation) -> list[str]:
     """What a person should know, in sentences."""
-    best, errors = validation.best, validation.errors[-1]
-    said = [validation.failed] if validation.failed else []
+    return [
+        *([validation.failed] if validation.failed else []),
+        *_size_words(validation),
+        *_prior_words(validation.best),
+        *_told_words(validation),
+        *_direction_words(validation),
+        *_pose_words(validation),
+    ]
+
+
+def _size_words(validation: Validation) -> Iterator[str]:
+    """Errors that no tubes explain, and readings of the joints with which they would be less."""
+    median, length = Spread.of(validation.errors[-1]).median, max(tube.length for tube in validation.robot.tubes)
+    if median > LARGE * length:
+        ask = "is the tips' frame the robot's? --fit frames finds it" if validation.best.fit is None else (
+            "are joints, signs, units and zeros what the columns say?"
+        )  # fmt: skip
+        yield f"The median error is {1e3 * median:.1f} mm on a robot of {1e3 * length:.0f} mm: {ask}"
     for what, other, given in validation.suspicious[:1]:
-        said.append(
+        yield (
             f"The poses fit much better with {what}: {1e3 * other:.2f} mm mean with the frames fitted instead of"
             f" {1e3 * given:.2f} mm. Is that how they were written down?"
         )
-    said += _prior_words(best)
+
+
+def _told_words(validation: Validation) -> Iterator[str]:
+    """How much the poses say."""
+    best, count = validation.best, len(validation.poses.visits)
     if best.held:
         names = ", ".join(name.replace("_", " ") for name in best.held)
-        said.append(f"The data say less than was known beforehand of: {names}.")
+        yield f"The data say less than was known beforehand of: {names}."
     if open_ := _open(best):
-        said.append(f"Combinations that they cannot tell: {len(open_)}, weakest first: {'; '.join(open_[:2])}.")
+        yield f"Combinations that they cannot tell: {len(open_)}, weakest first: {'; '.join(open_[:2])}."
     if best.alike > ALIKE:
-        said.append(
+        yield (
             f"Errors of neighbouring poses are alike (correlation {best.alike:.2f}): they are the model's, not the"
-            f" measurement's. {len(validation.poses.visits)} poses were counted as"
-            f" {len(validation.poses.visits) * (1.0 - best.alike) / (1.0 + best.alike):.0f}."
+            f" measurement's. {count} poses were counted as {count * (1.0 - best.alike) / (1.0 + best.alike):.0f}."
         )
     if validation.stride > 1:
-        said.append(f"Every {validation.stride}th pose was fitted; the errors are those of all.")
-    if best.extent == "tubes":
-        said += [f"Not asked for: {reason}." for reason in best.asked.left]
-    elif best.extent == "frames":
-        said += [f"Not asked for: {reason}." for reason in best.asked.left if reason.startswith("lag")]
+        yield f"Every {validation.stride}th pose was fitted; the errors are those of all."
+    for reason in best.asked.left:
+        if best.extent == "tubes" or reason.startswith("lag"):
+            yield f"Not asked for: {reason}."
+
+
+def _direction_words(validation: Validation) -> Iterator[str]:
+    """Joints whose way matters."""
     for joint, apart in _apart(by_direction(validation)):
-        if not apart > WORTH * Spread.of(errors).median:
-            continue
-        said.append(
-            f"{joint}: between rising and falling the mean error differs by {1e3 * apart:.2f} mm"
-            + ("." if best.asked.lags else "; --hysteresis fits a lag.")
-        )
-    lengths = np.linalg.norm(errors, axis=1)
+        if apart > WORTH * Spread.of(validation.errors[-1]).median:
+            yield f"{joint}: between rising and falling the mean error differs by {1e3 * apart:.2f} mm" + (
+                "." if validation.best.asked.lags else "; --hysteresis fits a lag."
+            )
+
+
+def _pose_words(validation: Validation) -> Iterator[str]:
+    """Poses that were not used, one way or another."""
+    best, lengths = validation.best, np.linalg.norm(validation.errors[-1], axis=1)
     if lost := int(np.count_nonzero(~np.isfinite(lengths))):
-        said.append(f"This model has no shape at {lost} of the poses: they are not counted.")
+        yield f"Poses at which this model has no shape: {lost}; they are not counted."
     if best.fit is not None and (out := [k for k, seen in enumerate(best.fitted) if not seen]):
-        apart = sorted(out, key=lambda k: -np.nan_to_num(lengths[validation.stride * k], nan=math.inf))
-        lines = ", ".join(str(validation.poses.lines[validation.stride * k]) for k in apart[:10])
-        said.append(
+        far = sorted(out, key=lambda k: -np.nan_to_num(lengths[validation.stride * k], nan=math.inf))
+        lines = ", ".join(str(validation.poses.lines[validation.stride * k]) for k in far[:10])
+        yield (
             f"Not fitted: {len(out)} of {len(best.fitted)} poses (lines {lines}), with errors of more than {FAR:g}"
             " times the median, or where the model is about to snap: another shape of the tubes, or a slip of the"
             " measurement? Their errors count."
         )
-    if (
-        validation.test is None
-        and best.extent != "none"
-        and not any(u.extent == best.extent for u in validation.unseen)
-    ):
-        said.append("Too few poses to test with every second of them.")
+    if best.fit is not None and all(unseen.extent != best.extent for unseen in validation.unseen):
+        yield "Not tested: every second pose is too few for a fit."
     for poses in (validation.poses, validation.test):
         if poses is not None and poses.left_out:
-            said.append(f"Rows of {poses.path.name} that were left out: {len(poses.left_out)}; each is listed.")
-    return said
+            yield f"Rows of {poses.path.name} that were left out: {len(poses.left_out)}; each is listed."
 
 
 def _prior_words(best: Match) -> Iterator[str]:
