@@ -23,7 +23,7 @@ from core.calibration.fit import Fit, Parameter, Unobservable, fit
 from core.calibration.prediction import Frames, Lag, NoShape, Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
-from core.calibration.rigid import Rigid
+from core.calibration.rigid import Rigid, cross_matrix
 from core.calibration.tubes import LEAST_LOADED
 from core.calibration.visits import Noise, Visit
 from core.errors import CtrError
@@ -96,6 +96,7 @@ class Match:
     asked: Asked
     fit: Fit | None  #: None: nothing was fitted
     fitted: tuple[bool, ...]  #: which of the poses the fit saw
+    middle: Array  #: (3,) about which the fit turned the points, robot's frame [m]
 
     def errors(self, visits: Sequence[Visit], forces: Array) -> Array:
         """Measured minus predicted point (m, 3), robot's frame [m], of any poses under tip forces (m, 3) [N].
@@ -103,6 +104,20 @@ class Match:
         NaN where this model has no shape.
         """
         return _errors(self.robot, self.frames, self.plays, visits, forces)
+
+    @property
+    def position_errors(self) -> Array:
+        """Standard deviations (3,) of the registration's position [m].
+
+        The fit's own are those of the middle of the points. What stands far from there, as the origin of the points'
+        frame may, also moves by the error of the rotation.
+        """
+        if self.fit is None:
+            return np.zeros(3)
+        first = [parameter.name for parameter in self.fit.parameters].index("frame rotation x")
+        covariance = self.fit.covariance[first : first + 6, first : first + 6]
+        carry = np.hstack((-cross_matrix(self.frames.registration.position - self.middle), np.eye(3)))
+        return np.sqrt(np.diag(carry @ covariance @ carry.T))
 
     @property
     def lost(self) -> frozenset[str]:
@@ -148,7 +163,7 @@ def match(robot: Robot, visits: Sequence[Visit], forces: Array, extent: Extent, 
     if extent == "none":
         frames = Frames(Rigid(np.eye(3), np.zeros(3)), np.zeros(3), np.zeros(3))
         nothing = (False,) * len(visits)
-        return Match(extent, robot, frames, np.zeros(len(robot.joints)), 0.0, 0.0, Asked(), None, nothing)
+        return Match(extent, robot, frames, np.zeros(len(robot.joints)), 0.0, 0.0, Asked(), None, nothing, np.zeros(3))
     what = asked.quantities if extent == "tubes" else ()
     unknown = len(what) + len(asked.lags) + 9
     if 3 * len(visits) < unknown + 3:
@@ -180,7 +195,8 @@ def match(robot: Robot, visits: Sequence[Visit], forces: Array, extent: Extent, 
         fitted, kept = kept, _near(errors, most) & ~lost
         if rounds == ROUNDS or (abs(noise - before) <= SETTLED * before and (kept == fitted).all()):
             own = asked._replace(quantities=what)
-            return Match(extent, tubes, frames, plays, left, correlation, own, found, tuple(fitted.tolist()))
+            saw = tuple(fitted.tolist())
+            return Match(extent, tubes, frames, plays, left, correlation, own, found, saw, problem.middle)
 
 
 def _near(errors: Array, most: int) -> NDArray[np.bool_]:

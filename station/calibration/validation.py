@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from core.calibration.fit import Fit, Unobservable
+from core.calibration.fit import INTERVAL, Fit, Unobservable
 from core.calibration.measured import FAR, Asked, Extent, Match, Spread, askable, match, suspicions
 from core.calibration.rigid import vector_of
 from core.calibration.tubes import TubeCalibration
@@ -335,6 +335,7 @@ def numbers(validation: Validation) -> dict[str, Any]:
             "rotation_vector": vector_of(best.frames.registration.rotation).tolist(),
             "position": best.frames.registration.position.tolist(),
             "offset": best.frames.coil.tolist(),
+            "position_standard_deviation": best.position_errors.tolist(),
         },
         "parameters": _parameters(best),
         "cannot_tell": cannot_tell(best),
@@ -382,7 +383,11 @@ def found_rows(validation: Validation) -> list[Row]:
     if best.fit is None:
         return []
     tubes = _calibration(best, best.fit, validation.errors[-1])
-    rows = [*tube_rows(tubes, validation.robot), *frame_rows(best.fit, best.frames)]
+    places = {f"frame position {a}": e for a, e in zip("xyz", best.position_errors.tolist(), strict=True)}
+    rows = [
+        row._replace(interval=f"{1e3 * INTERVAL * places[row.name]:.2g} mm") if row.name in places else row
+        for row in (*tube_rows(tubes, validation.robot), *frame_rows(best.fit, best.frames))
+    ]
     return [row._replace(interval="not known") if row.name in best.lost else row for row in rows]
 
 

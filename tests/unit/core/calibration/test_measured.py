@@ -52,6 +52,18 @@ def test_base_and_offset_are_found_again_with_the_described_tubes(paper_robot):
     )  # fmt: skip
 
 
+def test_how_well_the_base_is_known_is_how_far_it_scatters(paper_robot):
+    """Over repeated measurements of the same poses, the tracker's origin half a metre away."""
+    found = [
+        match(paper_robot, *measured(paper_robot, poses(1, 20), seed=seed), "frames", Asked()) for seed in range(30)
+    ]
+    places = np.array([each.frames.registration.position for each in found])
+    said = np.mean([each.position_errors for each in found], axis=0)
+    # The deviation of 30 is known to 13 %; three times that.
+    np.testing.assert_allclose(places.std(axis=0, ddof=1), said, rtol=0.4)
+    np.testing.assert_allclose(places.mean(axis=0), BASE.position, rtol=0, atol=4.0 * said.max() / math.sqrt(30.0))
+
+
 def test_tips_that_are_given_in_the_robot_s_frame_need_no_fit(paper_robot):
     visits, forces = measured(paper_robot, poses(1, 3), noise=0.0)
     at_tip = [v._replace(coil=ExactRod(paper_robot).solve(v.joints, np.zeros(6)).tip) for v in visits]
