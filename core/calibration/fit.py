@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
-from core.errors import CtrError
+from core.errors import CtrError, NoSolution, PoseError
 from core.robot.robot import Array
 
 #: A combination is told by the data when they leave less than this part of its size open.
@@ -123,22 +123,36 @@ def weak_combinations(jacobian: Array, parameters: Sequence[Parameter]) -> tuple
 
 
 def fit(problem: Problem, parameters: Sequence[Parameter], start: Array | None = None) -> Fit:
-    """Minimise the squared residuals and priors from `start` (p,), zeros when left out."""
+    """Minimise the squared residuals and priors from `start` (p,), zeros when left out.
+
+    A step to where the model has no shape is a step too far: it is shortened.
+
+    Raises:
+        PoseError, NoSolution: the model has no shape where the fit starts, or just beside where it is.
+
+    """
     from scipy.optimize import least_squares  # pyright: ignore  - slow to import
 
     has_prior = np.array([math.isfinite(p.prior) for p in parameters])
     weight = np.array([1.0 / p.prior for p in parameters])[has_prior]
     rows = np.diag([1.0 / p.prior for p in parameters])[has_prior]
+    lower, upper = np.array([p.bounds for p in parameters]).T
+    begin: Array = np.clip(np.zeros(len(parameters)) if start is None else start, lower, upper)
+    size = problem.residuals(begin).size
 
     def residuals(values: Array) -> Array:
-        return np.concatenate((problem.residuals(values), weight * values[has_prior]))
+        try:
+            seen = problem.residuals(values)
+        except (NoSolution, PoseError):
+            seen = np.full(size, math.inf)  # which the search takes for a step that is too long
+        return np.concatenate((seen, weight * values[has_prior]))
 
     def jacobian(values: Array) -> Array:
         return np.vstack((problem.jacobian(values), rows))
 
     found: Any = cast(Any, least_squares)(
-        residuals, np.zeros(len(parameters)) if start is None else start, jacobian,
-        bounds=tuple(np.array([p.bounds for p in parameters]).T), x_scale=[p.size for p in parameters],
+        residuals, begin, jacobian,
+        bounds=(lower, upper), x_scale=[p.size for p in parameters],
         xtol=1e-9, ftol=1e-10, gtol=1e-10, max_nfev=60,
     )  # fmt: skip
     values = np.asarray(found.x, dtype=np.float64)

@@ -7,7 +7,8 @@ tube by the model, c the coil in that frame. R is turned about the middle of the
 and translation do not get in each other's way. A coil that tells directions adds R a_k - A d for each.
 
 A drive with play stays behind by half of it: q_k is the stage's position less half the play, times the way the joint
-came (`Visit.came`). With tubes to be found the plays are found, too; otherwise they add to the noise.
+came (`Visit.came`). With tubes to be found the plays are found, too, unless `lags` says otherwise; else they add to
+the noise.
 
 The load is measured, too: its error reaches the residual through the compliance, so that a visit counts with
 sigma_p^2 1 + sigma_F^2 C C^T.
@@ -24,6 +25,7 @@ from core.calibration.fit import Parameter
 from core.calibration.quantities import Quantity, changed
 from core.calibration.rigid import Rigid, rotation_of
 from core.calibration.visits import Noise, Visit
+from core.errors import NoSolution
 from core.model.solution import Solution
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
@@ -34,6 +36,21 @@ FRAME_ANGLE, FRAME_PLACE, COIL = 1e-2, 1e-3, 3e-3
 PLAY = {"rad": 3e-3, "m": 50e-6}
 #: What is known of the coil's direction beforehand [rad].
 COIL_TILT = 0.2
+
+
+class NoShape(NoSolution):
+    """The model has no shape at a visit."""
+
+    def __init__(self, visit: int, text: str) -> None:
+        super().__init__(text)
+        self.visit = visit  #: its number
+
+
+class Lag(NamedTuple):
+    """How far a joint is expected to stay behind the way that it came."""
+
+    joint: int
+    play: float  #: expected beforehand, one standard deviation [rad or m]
 
 
 class Frames(NamedTuple):
@@ -58,16 +75,19 @@ class Prediction:
     forces: Array  #: (m, 3) at the tip, world frame [N]
     noise: Noise
     start: Frames
+    coil: float = COIL  #: how far from `start` the coil may be, one standard deviation [m]
+    lags: tuple[Lag, ...] | None = None  #: whose plays are found; None: all with the tubes, as a drive's
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """What the fit finds about the frames, in the order of its numbers."""
         frames = [Parameter(f"frame rotation {axis}", "rad", FRAME_ANGLE) for axis in "xyz"]
         frames += [Parameter(f"frame position {axis}", "m", FRAME_PLACE) for axis in "xyz"]
-        frames += [Parameter(f"coil {axis}", "m", COIL, COIL) for axis in "xyz"]
+        frames += [Parameter(f"coil {axis}", "m", COIL, self.coil) for axis in "xyz"]
         frames += [Parameter(f"coil tilt {axis}", "rad", COIL_TILT, COIL_TILT) for axis in "xyz"[: self._tilts]]
-        plays = [Parameter(f"{j.name} play", j.unit, PLAY[j.unit], PLAY[j.unit]) for j in self.robot.joints]
-        return (*(quantity.parameter(self.robot) for quantity in self.what), *plays[: self._plays], *frames)
+        joints = self.robot.joints
+        plays = [Parameter(f"{joints[k].name} play", joints[k].unit, play, play) for k, play in self._plays]
+        return (*(quantity.parameter(self.robot) for quantity in self.what), *plays, *frames)
 
     def residuals(self, values: Array) -> Array:
         """(3 m,) in standard deviations; with directions, 3 more for each."""
@@ -77,10 +97,10 @@ class Prediction:
         """By the quantities: central differences of the solved model; by the frames: in closed form."""
         columns: list[Array] = []
         for k, parameter in enumerate(self.parameters[: self._first]):
-            half = np.zeros_like(values)
-            half[k] = 1e-3 * parameter.size
-            up, down = (self._errors(v, self.solutions(v)) for v in (values + half, values - half))
-            difference = tuple((a - b) / (2.0 * half[k]) for a, b in zip(up, down, strict=True))
+            ends = np.stack((values, values))
+            ends[:, k] = np.clip(values[k] + 1e-3 * parameter.size * np.array([1.0, -1.0]), *parameter.bounds)
+            up, down = (self._errors(v, self.solutions(v)) for v in ends)
+            difference = tuple((a - b) / (ends[0, k] - ends[1, k]) for a, b in zip(up, down, strict=True))
             columns.append(self._weighted(difference[0], difference[1]))
         frames = self.frames(values)
         solved = self.solutions(values)
@@ -125,28 +145,47 @@ class Prediction:
         return changed(self.robot, self.what, values)
 
     def solutions(self, values: Array) -> list[Solution]:
-        """The model at every visit."""
-        model, play = Statics(self.tubes(values), integrator="fourth_order"), values[len(self.what) : self._first]
+        """The model at every visit.
+
+        Raises:
+            NoShape: it has none at one of them.
+
+        """
+        model, plays = Statics(self.tubes(values), integrator="fourth_order"), self.plays(values)
         found: list[Solution] = []
         for k, visit in enumerate(self.visits):
             wrench = np.concatenate((self.forces[k], np.zeros(3)))
-            behind = 0.5 * play * visit.came if self._plays and visit.came is not None else 0.0
-            found.append(model.solve(visit.joints - behind, wrench, self._nominal[k]))
+            joints = visit.joints if visit.came is None else visit.joints - 0.5 * plays * visit.came
+            try:
+                found.append(model.solve(joints, wrench, self._nominal[k]))
+            except NoSolution as error:
+                raise NoShape(k, str(error)) from None
         return found
 
     def errors(self, values: Array) -> Array:
         """Measured minus predicted coil (m, 3), robot's frame [m]."""
         return self._errors(values, self.solutions(values))[0]
 
-    @property
-    def _plays(self) -> int:
-        """How many plays are asked for."""
-        return len(self.robot.joints) if self.what and any(visit.came is not None for visit in self.visits) else 0
+    def plays(self, values: Array) -> Array:
+        """Of every joint (n,) at parameters (p,) [rad or m]; 0 where none is asked for."""
+        found = np.zeros(len(self.robot.joints))
+        for lag, play in zip(self._plays, values[len(self.what) :], strict=False):
+            found[lag.joint] = play
+        return found
+
+    @cached_property
+    def _plays(self) -> tuple[Lag, ...]:
+        """The plays that are asked for."""
+        if self.lags is not None:
+            return self.lags
+        if not self.what or all(visit.came is None for visit in self.visits):
+            return ()
+        return tuple(Lag(k, PLAY[joint.unit]) for k, joint in enumerate(self.robot.joints))
 
     @property
     def _first(self) -> int:
         """Where the frames' parameters begin."""
-        return len(self.what) + self._plays
+        return len(self.what) + len(self._plays)
 
     @cached_property
     def _nominal(self) -> list[Solution]:

@@ -43,7 +43,7 @@ class Quantity:
         unit, expected = EXPECTED[self.kind]
         bounds = (-math.inf, math.inf)
         if self.kind == "poisson_ratio":
-            bounds = (-0.999 - tube.poisson_ratio, 0.5 - tube.poisson_ratio)
+            bounds = (-0.999 - tube.poisson_ratio, 0.5 - 1e-9 - tube.poisson_ratio)
         elif self.kind == "straight_length":
             bounds = (-0.99 * tube.sections[0].length, math.inf)
         elif self.kind != "zero_angle":

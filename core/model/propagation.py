@@ -15,7 +15,7 @@ import numpy as np
 from core.compiled import compiled
 from core.model.fourth_order import fourth_order
 from core.model.second_order import second_order
-from core.robot.robot import Array, Layout
+from core.robot.robot import FLUSH, Array, Layout
 
 #: Rows of a derivative column before the tubes': rotation (3) and position (3), world frame.
 FRAME_ROWS = 6
@@ -106,7 +106,9 @@ def propagate(
         for i in range(q):
             if section[i] < layout.counts[i]:
                 place = beta[i] + layout.ends[i, section[i]]
-                if place < end:
+                # Of ends that are flush the outermost comes first, so that the innermost tube has the tip: its
+                # slide moves that, as it does once the tube has come out.
+                if place < end + FLUSH:
                     end, end_tube = place, i
                 total += layout.stiffness[i, 0]
         if end_tube < 0:

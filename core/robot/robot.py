@@ -21,6 +21,9 @@ from core.errors import DescriptionError, PoseError
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+#: Ends of tubes that are no further apart are flush: sums of lengths and positions round [m].
+FLUSH = 1e-9
+
 
 @dataclass(frozen=True)
 class Section:
@@ -173,7 +176,7 @@ class Robot:
         bound, around = 0.0, "the plate"
         for tube in fixed:
             end = tube.translation + tube.length
-            if end <= bound:
+            if not ends_beyond(end, bound):
                 raise DescriptionError(
                     f"tube '{tube.name}' ends at {1e3 * end:g} mm, not beyond {around} at {1e3 * bound:g} mm"
                 )
@@ -230,7 +233,8 @@ class Robot:
 
         Raises:
             PoseError: not finite, a proximal end in front of the plate or of the next outer
-                tube's, or a tube that ends behind the plate or inside the tube around it.
+                tube's, or a tube that ends behind the plate or inside the tube around it;
+                flush with it is far enough.
 
         """
         if joints.shape != (len(self.joints),):
@@ -249,7 +253,7 @@ class Robot:
         bound, around = 0.0, "the plate"
         for tube, start in zip(reversed(self.tubes), reversed(beta), strict=True):
             end = start + tube.length
-            if end <= bound:
+            if not ends_beyond(end, bound):
                 raise PoseError(
                     f"tube '{tube.name}' ends at {1e3 * end:g} mm, not beyond {around} at {1e3 * bound:g} mm"
                 )
@@ -295,6 +299,15 @@ def unpack(packed: Array) -> Layout:
 
 
 @compiled
+def ends_beyond(end: float, bound: float) -> bool:
+    """Whether a tube that ends at `end` comes out of what ends at `bound`: the plate, at 0, or a tube [m].
+
+    It may be flush with a tube, but not with the plate: there would be nothing of it.
+    """
+    return end > bound or (bound > 0.0 and end >= bound - FLUSH)
+
+
+@compiled
 def tube_poses(layout: Layout, joints: Array) -> tuple[Array, Array, bool]:
     """Rotation alpha (q,) [rad] and proximal end beta (q,) [m] of every tube at `joints` (n,).
 
@@ -310,7 +323,7 @@ def tube_poses(layout: Layout, joints: Array) -> tuple[Array, Array, bool]:
     start, end, stands = 0.0, 0.0, True
     for i in range(q - 1, -1, -1):
         far = beta[i] + layout.ends[i, layout.counts[i] - 1]
-        stands = stands and beta[i] <= start and far > end and np.isfinite(alpha[i])
+        stands = stands and beta[i] <= start and ends_beyond(far, end) and np.isfinite(alpha[i])
         start, end = beta[i], far
     return alpha, beta, stands
 

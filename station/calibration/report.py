@@ -7,6 +7,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from core.calibration.fit import Fit
 from core.robot.robot import Array
 from station.calibration.plan import Subject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
@@ -71,7 +72,7 @@ def _figures(result: Result) -> Iterator[Drawn]:
     if isinstance(result, TubesResult):
         yield _held_out(result)
         yield _errors(result.calibration.errors, "after the calibration")
-        yield _intervals(result)
+        yield intervals(result.calibration.fit, len(result.calibration.what))
     elif isinstance(result, TrackerResult):
         yield _errors(result.registration.errors, "after the registration")
     elif isinstance(result, ForceResult):
@@ -115,9 +116,8 @@ def _errors(errors: Array, when: str) -> Drawn:
     return Drawn("errors", f"Residuals {when}", text, text, figure)
 
 
-def _intervals(result: TubesResult) -> Drawn:
-    """Each quantity in units of what was known of it beforehand."""
-    fit, count = result.calibration.fit, len(result.calibration.what)
+def intervals(fit: Fit, count: int) -> Drawn:
+    """The first `count` parameters, those of the tubes, in units of what was known of them beforehand."""
     figure = Figure(figsize=(style.WIDTH, 0.8 + 0.27 * count))
     axes = figure.subplots()
     names = [parameter.name.replace("_", " ") for parameter in fit.parameters[:count]]

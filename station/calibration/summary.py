@@ -10,6 +10,7 @@ from core.calibration.fit import Fit
 from core.calibration.force import SensorCalibration, WeightCheck
 from core.calibration.prediction import Frames
 from core.calibration.rigid import vector_of
+from core.calibration.tubes import TubeCalibration
 from core.calibration.visits import Visit
 from core.robot.robot import Array, Robot
 from station.calibration.commission import AxesResult, LatencyResult
@@ -45,13 +46,13 @@ def rows(result: Result, subject: Subject) -> list[Row]:
         late = result.latency
         return [Row("tracker later than it says", "0", f"{1e3 * late.latency:.1f}", f"{1.96e3 * late.error:.1f} ms")]
     if isinstance(result, TrackerResult):
-        return _frames(result.registration.fit, result.registration.frames)
+        return frame_rows(result.registration.fit, result.registration.frames)
     if isinstance(result, ForceResult):
         return _sensors(result.calibration, subject.robot)
     tubes = result.calibration
     return [
-        *_tubes(result, subject.robot),
-        *_frames(tubes.fit, tubes.frames),
+        *tube_rows(tubes, subject.robot),
+        *frame_rows(tubes.fit, tubes.frames),
         *_sensors(result.sensors, subject.robot),
     ]
 
@@ -136,10 +137,11 @@ def recorded(visits: Sequence[Visit]) -> list[dict[str, Any]]:
     ]
 
 
-def _tubes(result: TubesResult, described: Robot) -> list[Row]:
+def tube_rows(calibration: TubeCalibration, described: Robot) -> list[Row]:
+    """The tubes' numbers and the joints' plays."""
     found: list[Row] = []
-    fit = result.calibration.fit
-    for quantity in result.calibration.what:
+    fit = calibration.fit
+    for quantity in calibration.what:
         tube, name = described.tubes[quantity.tube], quantity.parameter(described).name
         value, half = fit.value(name), fit.interval(name)
         if quantity.kind == "bending_stiffness":
@@ -163,11 +165,11 @@ def _tubes(result: TubesResult, described: Robot) -> list[Row]:
         if parameter.name.endswith(" play"):
             factor, unit = (1e6, "um") if parameter.unit == "m" else (180.0 / math.pi, "deg")
             value, half = factor * fit.value(parameter.name), factor * fit.interval(parameter.name)
-            found.append(Row(parameter.name, "0", f"{value:.2g}", f"{half:.2g} {unit}"))
+            found.append(Row(parameter.name, "0", f"{value:.4g}", f"{half:.2g} {unit}"))
     return found
 
 
-def _frames(fit: Fit, frames: Frames) -> list[Row]:
+def frame_rows(fit: Fit, frames: Frames) -> list[Row]:
     """The tracker's frame as a correction of where it was believed to stand."""
     turn, shift = np.degrees(vector_of(frames.registration.rotation)), 1e3 * frames.registration.position
     found: list[Row] = []

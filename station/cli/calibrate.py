@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import between, progress_bar, seed
+from station.cli.options import between, new_folder, progress_bar, seed
 
 PROCEDURES = {
     "axes": "which way each axis runs, and the tubes' zero angles roughly",
@@ -33,6 +33,13 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         "--effort", type=between(0.5, 5.0, "a factor", ""), default=1.0, metavar="X", help="more or fewer poses (1)"
     )
     calibrate.add_argument(
+        "--from", type=Path, dest="poses", metavar="POSES.csv",
+        help="tubes: of poses that were measured elsewhere, columns as in validate --help; nothing is moved",
+    )  # fmt: skip
+    calibrate.add_argument(
+        "--hysteresis", action="store_true", help="with --from: each joint may lag behind the way that it came"
+    )
+    calibrate.add_argument(
         "--still", action="store_true", help="leave the ways between the poses out: averages at once, no wires"
     )
     calibrate.add_argument("--realtime", action="store_true", help="at the pace of the clock")
@@ -44,6 +51,8 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 
 
 def _calibrate(parsed: argparse.Namespace) -> int:
+    if parsed.poses is not None or parsed.hysteresis:
+        return _from_poses(parsed)
     from rich.console import Console
 
     from station.calibration.outcome import Provenance, write_all
@@ -62,7 +71,7 @@ def _calibrate(parsed: argparse.Namespace) -> int:
         sys.stderr.write(f"ctr-station: {error}\n")
         return 130
     stamp = datetime.now().astimezone()
-    folder = _new_folder(parsed.out, f"{parsed.what}-seed{parsed.seed}-{stamp:%Y%m%d-%H%M%S}")
+    folder = new_folder(parsed.out, f"{parsed.what}-seed{parsed.seed}-{stamp:%Y%m%d-%H%M%S}")
     provenance = Provenance(parsed.what, stamp.isoformat(timespec="seconds"), lab.title, parsed.seed, simulated)
     summary = write_all(folder, result, subject, provenance)
     summary["wall_s"] = round(time.perf_counter() - begin, 3)
@@ -77,6 +86,19 @@ def _calibrate(parsed: argparse.Namespace) -> int:
             out.print(sentence, soft_wrap=True)
         out.print(f"{simulated:.0f} s simulated in {summary['wall_s']:.1f} s\n{folder}", soft_wrap=True)
     return 0
+
+
+def _from_poses(parsed: argparse.Namespace) -> int:
+    from station.calibration.validation_output import write_calibration
+    from station.cli.validate import held
+    from station.config.strict import ConfigError
+
+    if parsed.poses is None:
+        raise ConfigError("--hysteresis goes with --from POSES.csv: at a bench the drives' play is always found")
+    if parsed.what != "tubes":
+        raise ConfigError(f"--from goes with 'calibrate tubes', not with 'calibrate {parsed.what}'")
+    parsed.test = None
+    return held(parsed, "tubes", parsed.robot, "tubes", write_calibration)
 
 
 def _carried_out(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[Any, float]:
@@ -109,20 +131,3 @@ def robot_start(robot: Any) -> Any:
 
     usual = {"outer_rotation": 0.0, "inner_rotation": np.pi / 2, "inner_translation": -0.100}
     return np.array([usual.get(joint.name, 0.5 * (joint.lower + joint.upper)) for joint in robot.joints])
-
-
-def _new_folder(out: Path, name: str) -> Path:
-    """A folder that was not there before."""
-    from station.config.strict import ConfigError
-
-    number = 1
-    while True:
-        path = out / (name if number == 1 else f"{name}-{number}")
-        try:
-            path.mkdir(parents=True)
-        except FileExistsError:
-            number += 1
-            continue
-        except OSError as error:
-            raise ConfigError(f"{out}: cannot write results there: {error.strerror}") from None
-        return path

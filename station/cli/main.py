@@ -13,7 +13,7 @@ from rich.console import Console
 
 from core.errors import CtrError
 from core.model.statics import PAPER_SUBLINK
-from station.cli import bench, calibrate, export, report, run, soak, sweep
+from station.cli import bench, calibrate, export, report, run, soak, sweep, validate
 from station.cli.options import between
 from station.config.strict import preset_names
 
@@ -63,6 +63,7 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     report.add(commands)
     sweep.add(commands)
     soak.add(commands)
+    validate.add(commands)
 
     doctor = commands.add_parser("doctor", help="what this machine offers, in plain words")
     doctor.set_defaults(command=_doctor)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from core.calibration.fit import Parameter, fit
+from core.errors import NoSolution
 
 
 @dataclass
@@ -85,3 +86,28 @@ def test_bounds_are_kept():
     found = fit(Line(np.eye(1), np.array([2.0])), [Parameter("a", "", 1.0, bounds=(-0.5, 0.5))])
 
     assert found.value("a") == pytest.approx(0.5)
+
+
+@dataclass
+class Cliff:
+    """Residuals of log(1 - x) = b, with no shape from x = 1 on: the first Gauss-Newton step leads there."""
+
+    target: float
+
+    def residuals(self, values):
+        if values[0] >= 1.0:
+            raise NoSolution("no shape")
+        return np.array([math.log(1.0 - values[0]) - self.target])
+
+    def jacobian(self, values):
+        return np.array([[-1.0 / (1.0 - values[0])]])
+
+
+def test_a_step_to_where_there_is_no_shape_is_shortened():
+    found = fit(Cliff(-3.0), [Parameter("a", "", 1.0)])
+    assert found.value("a") == pytest.approx(1.0 - math.exp(-3.0), abs=1e-6)
+
+
+def test_a_start_without_a_shape_is_said():
+    with pytest.raises(NoSolution, match="no shape"):
+        fit(Cliff(-3.0), [Parameter("a", "", 1.0)], np.array([2.0]))

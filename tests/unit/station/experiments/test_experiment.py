@@ -288,7 +288,7 @@ def test_a_file_without_cases_is_one_case_of_its_own_name(write, short):
         ('kind = "hold"', 'kind = "hold"\n[cases.fast]\nbogus = 1', "case 'fast': unknown key 'bogus'"),
         ('kind = "hold"', 'kind = "hold"\n[paper.slow]', "paper.slow is not one of the cases: own"),
         ('kind = "hold"', 'kind = "hold"\n[paper.own]\nmax = 1', "unknown key 'paper.own.max'"),
-        ('title = "short"', 'title = "short"\nrobot = "snake"', "'snake' is not one of the robots: paper"),
+        ('title = "short"', 'title = "short"\nrobot = "snake"', "'snake' is not one of the robots: nylon, paper"),
         (
             'title = "short"',
             'title = "short"\nlab = "moon"',

@@ -1,0 +1,119 @@
+"""What a validation leaves behind: numbers, the error of every pose, the report; and the robot as it was found."""
+
+import csv
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from station.calibration import files
+from station.calibration.outcome import NUMBERS
+from station.calibration.poses import Poses, recorded
+from station.calibration.validation import Validation, calibration, findings, found_rows, numbers
+from station.config.strict import ConfigError
+from station.devices.aurora.tracker import Registration
+
+ERRORS = "errors.csv"
+#: Rows that were left out are printed up to here; the report has more.
+PRINTED = 10
+#: Measured points are taken as they are: their frame is that of the tracker.
+AS_MEASURED = Registration(np.eye(3), np.zeros(3))
+
+
+def write_validation(folder: Path, validation: Validation, when: str) -> dict[str, Any]:
+    """report.html, report.json and errors.csv in `folder`; the numbers are the answer.
+
+    Raises:
+        ConfigError: the folder cannot be written to.
+    """
+    return _written(folder, f"Model of '{validation.robot.name}' and measured poses", validation, when, {}, ())
+
+
+def write_calibration(folder: Path, validation: Validation, when: str) -> dict[str, Any]:
+    """The same, and robot.toml and registration.toml, as `--calibration` of other commands takes them.
+
+    Raises:
+        Unobservable: the tubes could not be fitted.
+        ConfigError: the folder cannot be written to.
+    """
+    found = calibration(validation)
+    made = f"'calibrate tubes --from {validation.poses.path.name}' of {when}; errors in {ERRORS}"
+    written = [
+        files.write_registration(
+            folder, validation.robot, found.frames, found.fit, found.errors, AS_MEASURED, made
+        ),
+        files.write_robot(folder, validation.file, found, made),
+    ]  # fmt: skip
+    kept = {
+        "procedure": "tubes", "made": when, "lab": f"poses of {validation.poses.path.name}", "simulated": False,
+        "visits": len(validation.poses.visits), "robot_s": 0.0, "found": [r._asdict() for r in found_rows(validation)],
+    }  # fmt: skip
+    title = f"Tubes of '{validation.robot.name}' from measured poses"
+    return _written(folder, title, validation, when, kept, [path.name for path in written])
+
+
+def _written(
+    folder: Path, title: str, validation: Validation, when: str, more: dict[str, Any], names: Sequence[str]
+) -> dict[str, Any]:
+    # Imported here: the figures' library takes a second.
+    from station.calibration.validation_report import write_report
+
+    said = {**numbers(validation), **more, "folder": str(folder), "files": [*names, ERRORS]}
+    facts = [
+        ("made", when),
+        ("robot", validation.robot.name),
+        ("poses", _where(validation.poses)),
+        *([] if validation.test is None else [("tested with", _where(validation.test))]),
+        ("source of the description", validation.file.source or "not said"),
+    ]
+    joints = validation.robot.joint_names
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / ERRORS).open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file).writerows(recorded(validation.poses, validation.errors[-1], joints))
+        (folder / NUMBERS).write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+        write_report(folder, title, validation, facts)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
+    return said
+
+
+def _where(poses: Poses) -> str:
+    return f"{poses.path}: {len(poses.visits)} poses" + (f", {len(poses.left_out)} left out" if poses.left_out else "")
+
+
+def tables(validation: Validation) -> list[Table]:
+    """Errors and what was found, on the screen."""
+    from station.calibration.validation_report import error_rows
+
+    title = f"{validation.robot.name}: {_where(validation.poses)}"
+    errors = Table(title=Text(title), title_style="", title_justify="left")
+    for column in ("distance [mm]", "at"):
+        errors.add_column(column)
+    for column in ("poses", "mean", "median", "95 %", "largest"):
+        errors.add_column(column, justify="right")
+    for row in error_rows(validation):
+        errors.add_row(*row)
+    found = Table()
+    found.add_column("")
+    for column in ("before", "found", "+- (95 %)"):
+        found.add_column(column, justify="right")
+    rows = found_rows(validation)
+    for row in rows:
+        found.add_row(*row)
+    return [errors, found] if rows else [errors]
+
+
+def sentences(validation: Validation) -> list[str]:
+    """Findings, and the first of the rows that were left out."""
+    said = findings(validation)
+    for poses in (validation.poses, validation.test):
+        left = () if poses is None else poses.left_out
+        said += [f"line {each.line} left out: {each.reason}" for each in left[:PRINTED]]
+        if len(left) > PRINTED:
+            said.append(f"and {len(left) - PRINTED} more, in the report")
+    return said

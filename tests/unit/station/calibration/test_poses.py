@@ -1,0 +1,125 @@
+"""Files of measured poses: what is taken, what is left out with its line, what is refused with a word of help."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.calibration.poses import Poses, PosesError, read_poses
+from station.config.robots import load_robot
+
+HEADER = "outer_rotation,inner_rotation,inner_translation,tip_x,tip_y,tip_z"
+GOOD = ("0.1,1.5,-0.1,0.01,0.02,0.2", "0.2,1.4,-0.09,0.02,0.02,0.2", "0.3,1.3,-0.08,0.03,0.02,0.2")
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(*lines: str, robot: str = "paper", encoding: str = "utf-8") -> Poses:
+        path = tmp_path / "poses.csv"
+        path.write_text("\n".join(lines) + "\n", encoding=encoding)
+        return read_poses(path, load_robot(robot))
+
+    return read
+
+
+def test_columns_go_by_name_in_any_order_with_comments_and_spaces(read):
+    found = read(
+        "# made by hand", "tip_z, tip_x, tip_y, inner_translation, outer_rotation, inner_rotation",
+        "0.2, 0.01, 0.02, -0.1, 0.1, 1.5", "", encoding="utf-8-sig",
+    )  # fmt: skip
+    (visit,) = found.visits
+    assert visit.joints.tolist() == [0.1, 1.5, -0.1]
+    assert visit.coil.tolist() == [0.01, 0.02, 0.2]
+    assert (found.lines, found.timed, visit.came, found.forces.tolist()) == ((3,), False, None, [[0.0, 0.0, 0.0]])
+
+
+def test_forces_and_times_are_read_and_times_give_the_order(read):
+    found = read(
+        f"time,{HEADER},force_x,force_y,force_z",
+        "3.0,0.3,1.5,-0.10,0,0,0.2,0.1,0.2,0.3",
+        "1.0,0.1,1.5,-0.12,0,0,0.2,0,0,0",
+        "2.0,0.2,1.5,-0.11,0,0,0.2,0,0,0",
+    )  # fmt: skip
+    assert found.lines == (3, 4, 2)
+    assert found.timed
+    assert [visit.came.tolist() for visit in found.visits] == [[0, 0, 0], [1, 0, 1], [1, 0, 1]]
+    assert found.forces[-1].tolist() == [0.1, 0.2, 0.3]
+    assert [visit.weight for visit in found.visits] == [0.0, 0.0, None]
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("nan,1.5,-0.1,0,0,0.2", ["outer_rotation", "no finite number"]),
+        ("0.1,1.5,-0.1,,inf,0.2", ["tip_x, tip_y", "no finite number"]),
+        ("0.1,1.5,-0.132,0,0,0.2", ["inner_translation -0.132 m", "-0.13 ... -0.005 m", "travel"]),
+        ("7.1,1.5,-0.1,0,0,0.2", ["outer_rotation 7.1 rad", "6.283 rad", "travel"]),
+    ],
+)
+def test_a_row_of_no_use_is_left_out_with_its_line(read, row, words):
+    found = read(HEADER, *GOOD, *GOOD, row)
+    assert len(found.visits) == 6
+    (left,) = found.left_out
+    assert left.line == 8
+    for word in words:
+        assert word in left.reason
+
+
+def test_a_pose_in_which_the_tubes_cannot_stand_is_left_out(read):
+    rows = ["0,-0.09121,0.1,-0.161,0,0.05,0.1", "0,-0.05,0.1,-0.161,0,0.05,0.1"]
+    found = read("outer_rotation,outer_translation,inner_rotation,inner_translation,tip_x,tip_y,tip_z", *rows,
+                 robot="nylon")  # fmt: skip
+    assert len(found.visits) == 1  # flush with the outer tube
+    assert "'inner' ends at 50 mm, not beyond the end of tube 'outer' at 91.21 mm" in found.left_out[0].reason
+
+
+def test_a_load_that_no_shape_carries_is_left_out(read):
+    header = f"{HEADER},force_x,force_y,force_z"
+    found = read(header, f"{GOOD[0]},0,0,0", f"{GOOD[1]},0,0,1e9")
+    assert len(found.visits) == 1
+    assert "no shape found" in found.left_out[0].reason
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ([], ["empty", "tip_x"]),
+        ([HEADER], ["no row"]),
+        (["1,2,3,4,5,6"], ["first line is numbers", "outer_rotation"]),
+        ([HEADER.replace(",", ";"), GOOD[0]], ["separated by commas"]),
+        ([HEADER.replace("inner_rotation", "inner_rot"), GOOD[0]], ["'inner_rot'", "did you mean 'inner_rotation'"]),
+        ([HEADER.replace(",tip_z", ""), "0,0,-0.1,0,0"], ["no column 'tip_z'", "force_x"]),
+        ([HEADER.replace("inner_rotation,", ""), "0,-0.1,0,0,0.2"], ["no column 'inner_rotation'"]),
+        ([HEADER + ",force_x", "0,0,-0.1,0,0,0.2,0"], ["no column 'force_y', 'force_z'"]),
+        ([HEADER + ",tip_x", GOOD[0] + ",0"], ["'tip_x' is there 2 times"]),
+        ([HEADER, GOOD[0] + ",0"], ["line 2 has 7 columns", "the header 6"]),
+        ([HEADER, GOOD[0], "0,zero,-0.1,0,0,0.2"], ["line 3", "inner_rotation is 'zero'"]),
+        ([HEADER, "nan,nan,nan,nan,nan,nan"], ["no row with a number in every column", "line 2"]),
+        ([HEADER, "0,45,-0.1,0,0,0.2", "0,90,-0.1,0,0,0.2"], ["inner_rotation is 90 rad", "degrees", "2 of 2 rows"]),
+        ([HEADER, "0,1,-100,0,0,0.2", "0,1,-90,0,0,0.2"], ["inner_translation is -100 m", "millimetres"]),
+        ([HEADER, "0,1,-0.1,10,0,200", "0,1,-0.1,-90,0,250"], ["111.8 m apart", "0.303 m long", "millimetres"]),
+        ([HEADER, "0,1,0.1,0,0,0.2"], ["inner_translation is 0.1 m", "outside"]),
+    ],
+)  # fmt: skip
+def test_what_is_no_file_of_poses_is_refused_with_what_was_expected(read, lines, words):
+    with pytest.raises(PosesError) as refused:
+        read(*lines)
+    for word in words:
+        assert word in str(refused.value)
+
+
+def test_other_files_are_refused_by_name(tmp_path):
+    robot, picture = load_robot("paper"), tmp_path / "picture.csv"
+    picture.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
+    with pytest.raises(PosesError, match="not UTF-8 text"):
+        read_poses(picture, robot)
+    with pytest.raises(PosesError, match=r"gone\.csv: cannot be read: No such file"):
+        read_poses(tmp_path / "gone.csv", robot)
+
+
+def test_the_measured_nylon_robot_is_read_whole():
+    found = read_poses(Path(__file__).parents[3] / "measured_nylon.csv", load_robot("nylon"))
+    assert len(found.visits) == 25
+    assert found.left_out == ()
+    np.testing.assert_allclose(found.visits[0].joints, [0.0, -0.09121, -math.pi / 4.0, -0.161], atol=1e-6)
