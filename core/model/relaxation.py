@@ -8,7 +8,7 @@ bend by k_e (2) about axes that do not twist, and tube i turns to theta_i at the
     E = sum_e h (1/2 sum_i EI_i |k_e|^2 - k_e . sum_i EI_i w_i(theta_i)) + sum 1/2 GJ_i (d theta_i)^2 / h
         + sum_i 1/2 GJ_i (theta_i(0) - alpha_i)^2 / -beta_i - F . r(k).
 
-Steps are Newton's with the curvatures of the energy taken positive, so that they go down where it is a saddle; each is
+Steps are Newton's, with as much stiffness added as makes them go down where the energy is a saddle; each is
 shortened until the energy falls. What is left of the ends' conditions is of second order in the elements' length: good
 enough for Newton on the base unknowns to begin from.
 """
@@ -23,7 +23,7 @@ from core.robot.robot import Array, Indices, Robot
 #: Steps before it is given up, and the most a step turns or bends anything [rad].
 STEPS, LONGEST = 200, 0.6
 #: It has come to rest when the next step is below this [rad].
-REST = 1e-7
+REST = 1e-4
 #: A push off a shape that is balanced but not stable [rad].
 PUSH = 1e-2
 
@@ -82,17 +82,15 @@ def relax(chain: Chain, theta: Array, moment: Array) -> tuple[Array, Array] | No
     at = np.concatenate(((k * h[:, None]).ravel(), theta.ravel()[moved]))
     energy, slope, curve = _energy(chain, at, theta, moved)
     for _ in range(STEPS):
-        values, vectors = np.linalg.eigh(curve)
-        size = np.maximum(np.abs(values), 1e-9 * values[-1])
-        step = -vectors @ ((vectors.T @ slope) / size)
+        step, firm = _down(slope, curve)
         longest = float(np.abs(step).max())
         if longest < REST:
-            if values[0] > 0.0:
+            if firm:
                 theta = theta.copy()
                 theta.ravel()[moved] = at[2 * h.size :]
                 return at[: 2 * h.size].reshape(-1, 2) / h[:, None], theta
-            step = vectors[:, 0] * (PUSH / np.abs(vectors[:, 0]).max())
-            longest = PUSH
+            weakest = np.linalg.eigh(curve)[1][:, 0]
+            step, longest = weakest * (PUSH / np.abs(weakest).max()), PUSH
         step *= min(1.0, LONGEST / longest)
         fraction = 1.0
         while True:
@@ -106,6 +104,20 @@ def relax(chain: Chain, theta: Array, moment: Array) -> tuple[Array, Array] | No
         at = at + fraction * step
         energy, slope, curve = trial
     return None
+
+
+def _down(slope: Array, curve: Array) -> tuple[Array, bool]:
+    """Newton's step, and whether the energy curves upward in every direction; else so much is added that it does."""
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve  # pyright: ignore  - slow to import
+
+    added, index = 0.0, np.arange(slope.size)
+    while True:
+        stiffened = curve.copy()
+        stiffened[index, index] += added
+        try:
+            return -cho_solve(cho_factor(stiffened), slope), added == 0.0  # pyright: ignore
+        except LinAlgError:
+            added = max(4.0 * added, 1e-7 * float(np.abs(curve).max()))
 
 
 def base_unknowns(robot: Robot, chain: Chain, k: Array, theta: Array) -> Array:
