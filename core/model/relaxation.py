@@ -21,7 +21,7 @@ from core.model.second_variation import precurvature
 from core.robot.robot import Array, Indices, Robot
 
 #: Steps before it is given up, and the most a step turns or bends anything [rad].
-STEPS, LONGEST = 200, 0.6
+STEPS, LONGEST = 80, 0.6
 #: It has come to rest when the next step is below this [rad].
 REST = 1e-4
 #: A push off a shape that is balanced but not stable [rad].

@@ -33,6 +33,8 @@ SUBLINKS = {"paper": PAPER_SUBLINK, "fourth_order": 0.030}
 TURN, LOAD = 0.5, 0.25
 #: A step that has become shorter than this part of the way has met the end of its branch.
 SHORTEST = 1e-3
+#: Steps of one way before it is given up: a load that is out of all reach.
+MOST_STEPS = 200
 #: Then the tubes are let go so far beyond it, in parts of the way.
 BEYOND = (1e-3, 1e-2, 3e-2, 0.1, 0.3)
 #: So often at most on one way.
@@ -206,7 +208,9 @@ class Statics:
         moved, loaded = joints - start.joints, wrench - start.wrench
         longest = 1.0 / max(1.0, np.abs(moved).max(initial=0.0) / TURN, float(loaded.any()) / LOAD)
         at, done, step = start, 0.0, longest
-        while done < 1.0:
+        for _ in range(MOST_STEPS):
+            if done == 1.0:
+                return at
             to = min(1.0, done + step)
             pose, load = joints - (1.0 - to) * moved, wrench - (1.0 - to) * loaded
             found = self._newton(pose, load, at, contact, careful=1)
@@ -214,12 +218,10 @@ class Statics:
                 at, done, step = found, to, min(2.0 * step, longest)
             elif step > SHORTEST:
                 step *= 0.25
-            elif snaps == 0:
-                return None
             else:
                 break
-        else:
-            return at
+        if snaps == 0:
+            return None
         # Elements fold a little sooner or later than sub-links do: a snap shows a little beyond the end of the branch.
         for beyond in BEYOND:
             to = done + beyond
@@ -244,7 +246,7 @@ class Statics:
                 moment = _at(path, bending, 0.5 * (chain.ends[1:] + chain.ends[:-1]))
             relaxed = relax(chain, theta, moment)
             if relaxed is None:
-                continue
+                return None
             guess = at_rest(joints, contact, len(self.robot.tubes))
             guess.wrench[:] = force
             guess.unknowns[:] = base_unknowns(self.robot, chain, *relaxed)
