@@ -16,12 +16,12 @@ from core.robot.robot import Array, Robot
 
 #: Half step of the differences [rad].
 HALF = 2e-3
-#: An eigenvalue is negative when below this part of the largest: what the differences leave of one that is zero.
-NOTHING = 1e-9
+#: What elements and differences leave of an eigenvalue that is zero.
+NOTHING = 1e-6
 
 
 def lowest(robot: Robot, solution: Solution, longest: float = 0.005) -> float:
-    """Smallest eigenvalue of the energy's second derivatives over the largest; negative when the shape is unstable.
+    """Smallest eigenvalue of the energy's second derivatives over the stiffest entry; negative for an unstable shape.
 
     Args:
         robot: the tubes.
@@ -31,17 +31,12 @@ def lowest(robot: Robot, solution: Solution, longest: float = 0.005) -> float:
     """
     from scipy.linalg import eigvals_banded  # pyright: ignore  - slow to import
 
-    bands = _bands(robot, solution, longest)
-    count = bands.shape[1]
-    least, most = (
-        float(eigvals_banded(bands, select="i", select_range=(i, i))[0])  # pyright: ignore
-        for i in (0, count - 1)
-    )
-    return least / most
+    bands, stiffest = _bands(robot, solution, longest)
+    return float(eigvals_banded(bands, select="i", select_range=(0, 0))[0]) / stiffest  # pyright: ignore
 
 
-def _bands(robot: Robot, solution: Solution, longest: float) -> Array:
-    """Second derivatives by (x, y, psi_1 ... psi_q) at every node, upper bands."""
+def _bands(robot: Robot, solution: Solution, longest: float) -> tuple[Array, float]:
+    """Second derivatives by (x, y, psi_1 ... psi_q) at every node, upper bands; and the stiffest entry."""
     q = len(robot.tubes)
     size = q + 2
     path = Statics(robot, longest, "fourth_order").shape(solution)
@@ -49,7 +44,7 @@ def _bands(robot: Robot, solution: Solution, longest: float) -> Array:
     nodes, h = path[:, 0], np.diff(path[:, 0])
     frames = np.array([_quaternion(row[1:10].reshape(3, 3)) for row in path])
     theta = path[:, 13 : 13 + q]
-    alpha, beta = robot.tube_poses(solution.joints)
+    beta = robot.tube_poses(solution.joints)[1]
     middle = 0.5 * (nodes[1:] + nodes[:-1])
     bend, free = _tubes(robot, beta, middle)
     force = np.where(middle[:, None] < solution.contact, solution.wrench[:3], 0.0)
@@ -89,8 +84,7 @@ def _bands(robot: Robot, solution: Solution, longest: float) -> Array:
         beyond = np.flatnonzero(bend[0][:, i] == 0.0) + 1
         bands[-1, size * beyond + 2 + i] = stiffest
     bands[-1, :2] += 1e3 * stiffest  # clamped at the plate
-    del alpha
-    return bands
+    return bands, stiffest
 
 
 def _tubes(robot: Robot, beta: Array, places: Array) -> tuple[Array, Array]:
