@@ -21,7 +21,7 @@ from core.model.second_variation import precurvature
 from core.robot.robot import Array, Indices, Robot
 
 #: Steps before it is given up, and the most a step turns or bends anything [rad].
-STEPS, LONGEST = 80, 0.6
+STEPS, LONGEST = 50, 0.6
 #: It has come to rest when the next step is below this [rad].
 REST = 1e-4
 #: A push off a shape that is balanced but not stable [rad].
@@ -83,15 +83,15 @@ def relax(chain: Chain, theta: Array, moment: Array) -> tuple[Array, Array] | No
     energy, slope, curve = _energy(chain, at, theta, moved)
     for _ in range(STEPS):
         step, firm = _down(slope, curve)
-        longest = float(np.abs(step).max())
-        if longest < REST:
-            if firm:
+        if np.abs(step).max() < REST:
+            weakest = step if firm else np.linalg.eigh(curve)[1][:, 0]
+            step = weakest * (PUSH / np.abs(weakest).max(initial=1e-300))
+            # What costs nothing, as a straight tube that is bent to one side or another, is no way down.
+            if firm or not _energy(chain, at + step, theta, moved)[0] < energy - 1e-9 * abs(energy):
                 theta = theta.copy()
                 theta.ravel()[moved] = at[2 * h.size :]
                 return at[: 2 * h.size].reshape(-1, 2) / h[:, None], theta
-            weakest = np.linalg.eigh(curve)[1][:, 0]
-            step, longest = weakest * (PUSH / np.abs(weakest).max()), PUSH
-        step *= min(1.0, LONGEST / longest)
+        step *= min(1.0, LONGEST / float(np.abs(step).max()))
         fraction = 1.0
         while True:
             trial = _energy(chain, at + fraction * step, theta, moved)

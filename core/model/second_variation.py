@@ -23,6 +23,9 @@ from core.robot.robot import Array, Robot
 
 #: What holds a clamped end, over the bending stiffness it holds [1/m].
 CLAMP = 1e9
+#: Energy falls when it does by more than this part of EI / length^2 and the force, times the square of the change: the
+#: elements see no less, and a direction that costs nothing (a straight tube bent to one side, or to another) is none.
+LEVEL = 2e-3
 
 
 def precurvature(robot: Robot, beta: Array, places: Array) -> tuple[Array, Array]:
@@ -80,14 +83,15 @@ def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Ar
     form = np.zeros((h.size, 2 * size, 2 * size))
     a, b, da, db = 0, 1, size, size + 1
     form[:, da, da] = form[:, db, db] = total
-    form[:, a, a] = pull - k[:, 1] * moment[:, 1]
-    form[:, b, b] = pull - k[:, 0] * moment[:, 0]
+    level = LEVEL * (total / path[-1, 0] ** 2 + np.linalg.norm(wrench[:3]))
+    form[:, a, a] = pull - k[:, 1] * moment[:, 1] + level
+    form[:, b, b] = pull - k[:, 0] * moment[:, 0] + level
     form[:, a, b] = form[:, b, a] = 0.5 * (k[:, 0] * moment[:, 1] + k[:, 1] * moment[:, 0])
     form[:, a, db] = form[:, db, a] = -0.5 * moment[:, 2]
     form[:, b, da] = form[:, da, b] = 0.5 * moment[:, 2]
     for i in range(q):
         psi, dpsi = 2 + i, size + 2 + i
-        form[:, psi, psi] = bend[:, i] * np.einsum("mk,mk->m", k, w[:, i])
+        form[:, psi, psi] = bend[:, i] * (np.einsum("mk,mk->m", k, w[:, i]) + LEVEL / path[-1, 0] ** 2)
         form[:, da, psi] = form[:, psi, da] = bend[:, i] * w[:, i, 1]
         form[:, db, psi] = form[:, psi, db] = -bend[:, i] * w[:, i, 0]
         strain = np.zeros((h.size, 2 * size))

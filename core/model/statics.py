@@ -31,16 +31,18 @@ PAPER_SUBLINK = 0.010
 SUBLINKS = {"paper": PAPER_SUBLINK, "fourth_order": 0.030}
 #: Along a branch a step turns no tube by more [rad], and takes no more than this part of a load.
 TURN, LOAD = 0.5, 0.25
+#: Nor may its two ends disagree by more about where the other one is [rad over the whole length].
+BESIDE = 0.25
 #: A step that has become shorter than this part of the way has met the end of its branch.
 SHORTEST = 1e-3
 #: Steps of one way before it is given up: a load that is out of all reach.
 MOST_STEPS = 200
 #: Then the tubes are let go so far beyond it, in parts of the way.
-BEYOND = (1e-3, 1e-2, 3e-2, 0.1, 0.3)
+BEYOND = (1e-3, 2e-2, 0.2)
 #: So often at most on one way.
-SNAPS = 8
+SNAPS = 4
 #: Elements that tubes are cut into when they are let go, until Newton goes on from what comes out [m].
-ELEMENTS = (0.02, 0.01, 0.005)
+ELEMENTS = (0.02, 0.005)
 #: Between two cross-sections when directions are counted [m].
 SECTION = 0.005
 #: Two ways to a shape have come to the same one when their tips are this close [m].
@@ -214,7 +216,7 @@ class Statics:
             to = min(1.0, done + step)
             pose, load = joints - (1.0 - to) * moved, wrench - (1.0 - to) * loaded
             found = self._newton(pose, load, at, contact, careful=1)
-            if found is not None:
+            if found is not None and self._beside(at, found) < BESIDE:
                 at, done, step = found, to, min(2.0 * step, longest)
             elif step > SHORTEST:
                 step *= 0.25
@@ -232,9 +234,21 @@ class Statics:
                     return self._follow(found, joints, wrench, contact, snaps - 1)
         return None
 
+    def _beside(self, here: Solution, there: Solution) -> float:
+        """How far the slopes of two solutions miss the other one [rad over the whole length]: far on two branches."""
+        move = np.concatenate((there.joints - here.joints, there.wrench - here.wrench))
+        change = there.unknowns - here.unknowns
+        q = len(self.robot.tubes)
+        length = float(self.robot.tube_poses(there.joints)[1][0]) + self.robot.tubes[0].length
+        misses = np.abs([change - here.sensitivity @ move, change - there.sensitivity @ move]).max(axis=0)
+        misses[q:] /= self.robot.layout.stiffness[0, 0]
+        return length * float(misses.max())
+
     def _let_go(self, near: Solution | None, joints: Array, wrench: Array, contact: float) -> Solution | None:
         """The stable shape that the energy falls to from `near`, or from untwisted tubes; None if it was not found."""
         force = np.append(wrench[:3], np.zeros(3))
+        if np.linalg.norm(force) * ELEMENTS[-1] ** 2 > self.robot.layout.stiffness[0, 0]:
+            return None  # it bends the innermost tube within an element, and a sub-link
         for longest in ELEMENTS:
             chain = cut(self.robot, joints, wrench[:3], contact, longest)
             theta, moment = np.tile(chain.alpha, (chain.ends.size, 1)), np.zeros((chain.ends.size - 1, 2))
@@ -246,7 +260,7 @@ class Statics:
                 moment = _at(path, bending, 0.5 * (chain.ends[1:] + chain.ends[:-1]))
             relaxed = relax(chain, theta, moment)
             if relaxed is None:
-                return None
+                continue
             guess = at_rest(joints, contact, len(self.robot.tubes))
             guess.wrench[:] = force
             guess.unknowns[:] = base_unknowns(self.robot, chain, *relaxed)
