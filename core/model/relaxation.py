@@ -1,8 +1,8 @@
 """A stable shape by letting go: the elastic energy of a chain, made as small as it will go from a shape nearby.
 
-Where Newton on the base unknowns has nothing to hold on to (a shape that has just lost its stability, a fold, long tubes
-whose ends hang on the last digit of their base torsion), the energy still falls toward a shape. It has a smallest value
-for every pose and every force, so that there is always one to be found. The tubes are cut into elements that
+Where Newton on the base unknowns has nothing to hold on to (a shape that has just lost its stability, a fold, long
+tubes whose ends hang on the last digit of their base torsion), the energy still falls toward a shape. It has a smallest
+value for every pose and every force, so that there is always one to be found. The tubes are cut into elements that
 bend by k_e (2) about axes that do not twist, and tube i turns to theta_i at their ends:
 
     E = sum_e h (1/2 sum_i EI_i |k_e|^2 - k_e . sum_i EI_i w_i(theta_i)) + sum 1/2 GJ_i (d theta_i)^2 / h
@@ -13,6 +13,7 @@ shortened until the energy falls. What is left of the ends' conditions is of sec
 enough for Newton on the base unknowns to begin from.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -50,9 +51,9 @@ def cut(robot: Robot, joints: Array, force: Array, contact: float, longest: floa
     reach = min(contact, float(tips[0]))
     marks = np.unique(np.concatenate(([0.0, reach], ends[ends > 0.0])))
     marks = marks[np.append(np.diff(marks) > 1e-9, True)]
-    parts = [
+    parts: list[Array] = [
         np.linspace(start, end, max(1, int(np.ceil((end - start) / longest))) + 1)[1:]
-        for start, end in zip(marks, marks[1:], strict=False)
+        for start, end in pairwise(marks.tolist())
     ]
     nodes = np.concatenate((marks[:1], *parts))
     bend, free = precurvature(robot, beta, 0.5 * (nodes[1:] + nodes[:-1]))
@@ -110,10 +111,9 @@ def _down(slope: Array, curve: Array) -> tuple[Array, bool]:
     """Newton's step, and whether the energy curves upward in every direction; else so much is added that it does."""
     from scipy.linalg import LinAlgError, cho_factor, cho_solve  # pyright: ignore  - slow to import
 
-    added, index = 0.0, np.arange(slope.size)
+    added = 0.0
     while True:
-        stiffened = curve.copy()
-        stiffened[index, index] += added
+        stiffened = curve + added * np.eye(slope.size)
         try:
             return -cho_solve(cho_factor(stiffened), slope), added == 0.0  # pyright: ignore
         except LinAlgError:
@@ -127,7 +127,7 @@ def base_unknowns(robot: Robot, chain: Chain, k: Array, theta: Array) -> Array:
     twisted = chain.bend * h[:, None] * np.einsum("mk,mik->mi", k, _sideways(chain, theta))
     places, _, _ = _curve(k * h[:, None], h)
     base = robot.layout.base[:9].reshape(3, 3)
-    return np.concatenate((twisted.sum(axis=0) / chain.twist[0], base @ np.cross(places[chain.pulled], chain.force)))
+    return np.concatenate((twisted.sum(axis=0) / chain.twist[0], base @ _cross(places[chain.pulled], chain.force)))
 
 
 def _moved(chain: Chain) -> Indices:
@@ -164,7 +164,7 @@ def _curve(bent: Array, h: Array) -> tuple[Array, Array, Array]:
 
 
 def _rotations(bent: Array) -> Array:
-    """exp of rotation vectors (x, y, 0): (m, 3, 3)."""
+    """Rotations by vectors (x, y, 0) [rad]: (m, 3, 3)."""
     cross, size = _crosses(bent)
     first = np.sinc(size / np.pi)
     second = 0.5 * np.sinc(0.5 * size / np.pi) ** 2
@@ -205,7 +205,7 @@ def _energy(chain: Chain, at: Array, rest: Array, moved: Indices) -> tuple[float
     count = 2 * m + theta.size
     slope, curve = np.zeros(count), np.zeros((count, count))
     slope[: 2 * m] = (total[:, None] / h[:, None] * bent - pulls).ravel()
-    index = np.arange(2 * m)
+    index = np.arange(2 * m, dtype=np.int64)
     curve[index, index] = np.repeat(total / h, 2)
     node = 2 * m + np.arange(theta.size).reshape(m + 1, q)
     stiff = chain.twist / h[:, None]
@@ -217,7 +217,7 @@ def _energy(chain: Chain, at: Array, rest: Array, moved: Indices) -> tuple[float
     np.add.at(curve, (node[:-1], node[:-1]), stiff + hard)
     np.add.at(curve, (node[1:], node[:-1]), hard - stiff)
     np.add.at(curve, (node[:-1], node[1:]), hard - stiff)
-    element = np.arange(m)[:, None]
+    element = np.arange(m, dtype=np.int64)[:, None]
     for axis in range(2):
         both = -0.5 * chain.bend * aside[..., axis]
         for nodes in (node[1:], node[:-1]):
@@ -235,22 +235,27 @@ def _energy(chain: Chain, at: Array, rest: Array, moved: Indices) -> tuple[float
         energy -= lost
         slope[:n] -= arms
         curve[:n, :n] -= forms
-    kept = np.concatenate((index, 2 * m + moved))
+    kept = np.append(index, 2 * m + moved)
     return energy, slope[kept], curve[np.ix_(kept, kept)]
 
 
 def _work(force: Array, bent: Array, h: Array) -> tuple[float, Array, Array]:
     """F . r at the end of the elements, its slope (2 m) and curvature by their bends."""
     places, frames, middles = _curve(bent, h)
-    whole = frames[:-1] @ _spins(bent)
-    half = frames[:-1] @ (0.5 * _spins(0.5 * bent))
-    arm = places[-1] - places[1:]
-    columns = np.cross(whole, arm[:, :, None], axis=1) + np.cross(half, middles[:, :, None], axis=1)
+    turns = (frames[:-1] @ _spins(bent)).transpose(0, 2, 1)
+    halves = (frames[:-1] @ (0.5 * _spins(0.5 * bent))).transpose(0, 2, 1)
+    arms = (places[-1] - places[1:])[:, None, :]
+    levers = _cross(turns, arms) + _cross(halves, middles[:, None, :])
     m = h.size
-    turns, lever = whole.transpose(0, 2, 1).reshape(2 * m, 3), columns.transpose(0, 2, 1).reshape(2 * m, 3)
+    turns, lever = turns.reshape(2 * m, 3), levers.reshape(2 * m, 3)
     # F . (turn_e x lever_f) for f behind e; within an element the mean of both orders.
-    form = np.cross(force, turns) @ lever.T
-    order = np.repeat(np.arange(m), 2)
+    form = _cross(force, turns) @ lever.T
+    order = np.repeat(np.arange(m, dtype=np.int64), 2)
     upper = np.where(order[:, None] < order[None, :], form, 0.0)
     within = np.where(order[:, None] == order[None, :], 0.5 * (form + form.T), 0.0)
     return float(force @ places[-1]), lever @ force, upper + upper.T + within
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Their product; numpy's is typed for complex numbers, too."""
+    return np.asarray(np.cross(a, b), dtype=np.float64)

@@ -56,8 +56,8 @@ def negative_directions(robot: Robot, joints: Array, wrench: Array, contact: flo
     try:
         cholesky_banded(matrix, check_finite=False)
     except LinAlgError:
-        negative = eigvals_banded(matrix, select="v", select_range=(-np.inf, 0.0), check_finite=False)
-        return max(1, int(np.size(negative)))  # pyright: ignore
+        negative: Array = eigvals_banded(matrix, select="v", select_range=(-np.inf, 0.0))  # pyright: ignore
+        return max(1, negative.size)
     return 0
 
 

@@ -309,4 +309,5 @@ class Statics:
 
 def _at(path: Array, values: Array, places: Array) -> Array:
     """Columns of `values`, known at the arc lengths of a path, at other ones."""
-    return np.column_stack([np.interp(places, path[:, 0], column) for column in values.T])
+    columns: list[Array] = [np.interp(places, path[:, 0], column) for column in values.T]
+    return np.column_stack(columns)
