@@ -71,8 +71,8 @@ class Statics:
         Args:
             joints: positions (n,) [rad or m], in the order of `robot.joints`.
             wrench: force and moment (6,), world frame [N, N m]; the moment acts at the tip.
-            near: a solution nearby, whose branch is followed; without it the load is applied
-                in steps when the direct way fails.
+            near: a solution nearby, whose branch is followed; without it the robot is followed
+                from rest, and the shape that it comes to is stable.
             contact: arc length from the plate at which the force acts [m]; None for the tip.
 
         Raises:
