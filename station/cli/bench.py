@@ -8,13 +8,13 @@ from typing import Any
 
 from station.cli.options import between, progress_bar
 
-WHAT = ("model", "accuracy", "cost", "tick", "wire", "loop", "headless", "cold", "recorder", "report")
+WHAT = ("model", "accuracy", "solver", "cost", "tick", "wire", "loop", "headless", "cold", "recorder", "report")
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
     """Add it."""
     bench = commands.add_parser("bench", help="measure this machine")
-    bench.add_argument("what", choices=WHAT, help="'report': all but accuracy, into a file")
+    bench.add_argument("what", choices=WHAT, help="'report': all but accuracy and solver, into a file")
     bench.add_argument(
         "--seconds", type=between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of loop, recorder (60)"
     )
@@ -42,7 +42,7 @@ def _bench(parsed: argparse.Namespace) -> int:
 
 
 def _measured(parsed: argparse.Namespace) -> dict[str, Any]:
-    from station.bench import accuracy, bench, cold, loop, recorder, tick, wire
+    from station.bench import accuracy, bench, cold, loop, recorder, solver, tick, wire
 
     with progress_bar() as bar:
         task = bar.add_task(f"bench {parsed.what}", total=1.0)
@@ -57,6 +57,8 @@ def _measured(parsed: argparse.Namespace) -> dict[str, Any]:
                 return recorder.recorder(parsed.seconds)
             case "accuracy":
                 return accuracy.accuracy(progress)
+            case "solver":
+                return solver.solver(done=progress)
             case "cost":
                 return accuracy.cost()
             case "tick":

@@ -1,0 +1,261 @@
+"""A stable shape by letting go: the elastic energy of a chain, made as small as it will go from a shape nearby.
+
+Where Newton on the base unknowns has nothing to hold on to (a shape that has just lost its stability, a fold, long
+tubes whose ends hang on the last digit of their base torsion), the energy still falls toward a shape. It has a smallest
+value for every pose and every force, so that there is always one to be found. The tubes are cut into elements that
+bend by k_e (2) about axes that do not twist, and tube i turns to theta_i at their ends:
+
+    E = sum_e h (1/2 sum_i EI_i |k_e|^2 - k_e . sum_i EI_i w_i(theta_i)) + sum 1/2 GJ_i (d theta_i)^2 / h
+        + sum_i 1/2 GJ_i (theta_i(0) - alpha_i)^2 / -beta_i - F . r(k).
+
+Steps are Newton's, with as much stiffness added as makes them go down where the energy is a saddle; each is
+shortened until the energy falls. What is left of the ends' conditions is of second order in the elements' length: good
+enough for Newton on the base unknowns to begin from.
+"""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from core.model.second_variation import precurvature
+from core.robot.robot import Array, Indices, Robot
+
+#: Steps before it is given up, and the most a step turns or bends anything [rad].
+STEPS, LONGEST = 50, 0.6
+#: It has come to rest when the next step is below this [rad].
+REST = 1e-4
+#: A push off a shape that is balanced but not stable [rad].
+PUSH = 1e-2
+
+
+class Chain(NamedTuple):
+    """A robot at a pose and under a force, in the plate's axes, cut into m elements."""
+
+    ends: Array  #: (m + 1,) arc lengths [m]
+    bend: Array  #: (m, q) EI, 0 where a tube is absent [N m^2]
+    twist: Array  #: (m, q) GJ
+    free: Array  #: (m, q, 2) precurvature in the tubes' axes [1/m]
+    alpha: Array  #: (q,) rotations at the proximal ends [rad]
+    hidden: Array  #: (q,) length behind the plate [m]
+    force: Array  #: (3,) [N]
+    pulled: int  #: elements before the force's contact
+    last: Indices  #: (q,) the node at which each tube ends
+
+
+def cut(robot: Robot, joints: Array, force: Array, contact: float, longest: float) -> Chain:
+    """Elements of at most `longest` [m] that end where a section ends, and where the force acts."""
+    alpha, beta = robot.tube_poses(joints)
+    ends = np.concatenate([beta[i] + robot.layout.ends[i, :count] for i, count in enumerate(robot.layout.counts)])
+    tips = beta + np.array([tube.length for tube in robot.tubes])
+    reach = min(contact, float(tips[0]))
+    marks = np.unique(np.concatenate(([0.0, reach], ends[ends > 0.0])))
+    marks = marks[np.append(np.diff(marks) > 1e-9, True)]
+    parts: list[Array] = [
+        np.linspace(start, end, max(1, int(np.ceil((end - start) / longest))) + 1)[1:]
+        for start, end in pairwise(marks.tolist())
+    ]
+    nodes = np.concatenate((marks[:1], *parts))
+    bend, free = precurvature(robot, beta, 0.5 * (nodes[1:] + nodes[:-1]))
+    base = robot.layout.base[:9].reshape(3, 3)
+    return Chain(
+        nodes, bend, bend / robot.layout.stiffness[:, 1], free, alpha, -beta, base.T @ force,
+        int(np.argmin(np.abs(nodes - reach))), np.count_nonzero(bend, axis=0),
+    )  # fmt: skip
+
+
+def relax(chain: Chain, theta: Array, moment: Array) -> tuple[Array, Array] | None:
+    """Down to rest from a shape.
+
+    Args:
+        chain: what is let go.
+        theta: rotations of the tubes at the nodes (m + 1, q) [rad].
+        moment: that bends the elements (m, 2), in axes that do not twist [N m].
+
+    Returns:
+        Curvature (m, 2) [1/m] and theta (m + 1, q) at the bottom; None when there was no rest.
+
+    """
+    h = np.diff(chain.ends)
+    moved = _moved(chain)
+    k = (np.einsum("mi,mik->mk", chain.bend, _turned(chain, theta)) + moment) / chain.bend.sum(axis=1)[:, None]
+    # Bending is counted in radians of an element, as twist is: steps have one unit.
+    at = np.concatenate(((k * h[:, None]).ravel(), theta.ravel()[moved]))
+    energy, slope, curve = _energy(chain, at, theta, moved)
+    for _ in range(STEPS):
+        step, firm = _down(slope, curve)
+        if np.abs(step).max() < REST:
+            weakest = step if firm else np.linalg.eigh(curve)[1][:, 0]
+            step = weakest * (PUSH / np.abs(weakest).max(initial=1e-300))
+            # What costs nothing, as a straight tube that is bent to one side or another, is no way down.
+            if firm or not _energy(chain, at + step, theta, moved)[0] < energy - 1e-9 * abs(energy):
+                theta = theta.copy()
+                theta.ravel()[moved] = at[2 * h.size :]
+                return at[: 2 * h.size].reshape(-1, 2) / h[:, None], theta
+        step *= min(1.0, LONGEST / float(np.abs(step).max()))
+        fraction = 1.0
+        while True:
+            trial = _energy(chain, at + fraction * step, theta, moved)
+            # Close to rest the energy's last digits decide nothing any more.
+            if trial[0] <= energy + 1e-13 * abs(energy):
+                break
+            fraction *= 0.5
+            if fraction < 1e-6:
+                return None
+        at = at + fraction * step
+        energy, slope, curve = trial
+    return None
+
+
+def _down(slope: Array, curve: Array) -> tuple[Array, bool]:
+    """Newton's step, and whether the energy curves upward in every direction; else so much is added that it does."""
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve  # pyright: ignore  - slow to import
+
+    added = 0.0
+    while True:
+        stiffened = curve + added * np.eye(slope.size)
+        try:
+            return -cho_solve(cho_factor(stiffened), slope), added == 0.0  # pyright: ignore
+        except LinAlgError:
+            added = max(4.0 * added, 1e-7 * float(np.abs(curve).max()))
+
+
+def base_unknowns(robot: Robot, chain: Chain, k: Array, theta: Array) -> Array:
+    """u_iz(0) [1/m] and M(0) about the plate [N m], world frame (q + 3), of a relaxed shape: Newton's next start."""
+    h = np.diff(chain.ends)
+    # The torsion at the plate carries what all of the tube's bending twists it by.
+    twisted = chain.bend * h[:, None] * np.einsum("mk,mik->mi", k, _sideways(chain, theta))
+    places, _, _ = _curve(k * h[:, None], h)
+    base = robot.layout.base[:9].reshape(3, 3)
+    return np.concatenate((twisted.sum(axis=0) / chain.twist[0], base @ _cross(places[chain.pulled], chain.force)))
+
+
+def _moved(chain: Chain) -> Indices:
+    """Places in theta of what moves: all but what is clamped at the plate and what lies beyond a tube's end."""
+    node = np.arange(chain.ends.size)[:, None]
+    free = (node <= chain.last) & ((node > 0) | (chain.hidden > 0.0))
+    return np.flatnonzero(free.ravel())
+
+
+def _turned(chain: Chain, theta: Array) -> Array:
+    """w_i (m, q, 2) in the elements."""
+    middle = 0.5 * (theta[1:] + theta[:-1])
+    cos, sin = np.cos(middle), np.sin(middle)
+    x, y = chain.free[..., 0], chain.free[..., 1]
+    return np.stack((cos * x - sin * y, sin * x + cos * y), axis=-1)
+
+
+def _sideways(chain: Chain, theta: Array) -> Array:
+    """Rate of w_i by theta_i (m, q, 2)."""
+    w = _turned(chain, theta)
+    return np.stack((-w[..., 1], w[..., 0]), axis=-1)
+
+
+def _curve(bent: Array, h: Array) -> tuple[Array, Array, Array]:
+    """Places of the nodes (m + 1, 3), frames at them (m + 1, 3, 3), of elements bent by (m, 2) [rad]."""
+    places, frames, middles = np.zeros((h.size + 1, 3)), np.empty((h.size + 1, 3, 3)), np.empty((h.size, 3))
+    frames[0] = np.eye(3)
+    whole, half = _rotations(bent), _rotations(0.5 * bent)
+    for e in range(h.size):
+        middles[e] = frames[e] @ half[e][:, 2] * h[e]
+        places[e + 1] = places[e] + middles[e]
+        frames[e + 1] = frames[e] @ whole[e]
+    return places, frames, middles
+
+
+def _rotations(bent: Array) -> Array:
+    """Rotations by vectors (x, y, 0) [rad]: (m, 3, 3)."""
+    cross, size = _crosses(bent)
+    first = np.sinc(size / np.pi)
+    second = 0.5 * np.sinc(0.5 * size / np.pi) ** 2
+    return np.eye(3) + first[:, None, None] * cross + second[:, None, None] * cross @ cross
+
+
+def _spins(bent: Array) -> Array:
+    """Rotation that a change of a rotation vector makes, in the axes before it: (m, 3, 2)."""
+    cross, size = _crosses(bent)
+    second = 0.5 * np.sinc(0.5 * size / np.pi) ** 2
+    third = np.where(size < 1e-3, 1.0 / 6.0, (1.0 - np.sinc(size / np.pi)) / np.maximum(size, 1e-3) ** 2)
+    whole = np.eye(3) + second[:, None, None] * cross + third[:, None, None] * cross @ cross
+    return whole[:, :, :2]
+
+
+def _crosses(bent: Array) -> tuple[Array, Array]:
+    cross = np.zeros((bent.shape[0], 3, 3))
+    cross[:, 0, 2], cross[:, 2, 0] = bent[:, 1], -bent[:, 1]
+    cross[:, 1, 2], cross[:, 2, 1] = -bent[:, 0], bent[:, 0]
+    return cross, np.hypot(bent[:, 0], bent[:, 1])
+
+
+def _energy(chain: Chain, at: Array, rest: Array, moved: Indices) -> tuple[float, Array, Array]:
+    """Energy, its slope and its curvature by the bends (2 m) and what moves of theta."""
+    h = np.diff(chain.ends)
+    m, q = chain.bend.shape
+    theta = rest.copy()
+    theta.ravel()[moved] = at[2 * m :]
+    bent = at[: 2 * m].reshape(m, 2)
+    w, aside = _turned(chain, theta), _sideways(chain, theta)
+    pulls = np.einsum("mi,mik->mk", chain.bend, w)
+    total = chain.bend.sum(axis=1)
+    turn = np.diff(theta, axis=0)
+    energy = float(
+        (0.5 * total / h * np.einsum("mk,mk->m", bent, bent) - np.einsum("mk,mk->m", bent, pulls)).sum()
+        + (0.5 * chain.twist / h[:, None] * turn * turn).sum()
+    )
+    count = 2 * m + theta.size
+    slope, curve = np.zeros(count), np.zeros((count, count))
+    slope[: 2 * m] = (total[:, None] / h[:, None] * bent - pulls).ravel()
+    index = np.arange(2 * m, dtype=np.int64)
+    curve[index, index] = np.repeat(total / h, 2)
+    node = 2 * m + np.arange(theta.size).reshape(m + 1, q)
+    stiff = chain.twist / h[:, None]
+    push = -chain.bend * np.einsum("mk,mik->mi", bent, aside)
+    hard = 0.25 * chain.bend * np.einsum("mk,mik->mi", bent, w)
+    np.add.at(slope, node[1:], stiff * turn + 0.5 * push)
+    np.add.at(slope, node[:-1], -stiff * turn + 0.5 * push)
+    np.add.at(curve, (node[1:], node[1:]), stiff + hard)
+    np.add.at(curve, (node[:-1], node[:-1]), stiff + hard)
+    np.add.at(curve, (node[1:], node[:-1]), hard - stiff)
+    np.add.at(curve, (node[:-1], node[1:]), hard - stiff)
+    element = np.arange(m, dtype=np.int64)[:, None]
+    for axis in range(2):
+        both = -0.5 * chain.bend * aside[..., axis]
+        for nodes in (node[1:], node[:-1]):
+            curve[2 * element + axis, nodes] += both
+            curve[nodes, 2 * element + axis] += both
+    held = chain.hidden > 0.0
+    away = theta[0, held] - chain.alpha[held]
+    spring = chain.twist[0, held] / chain.hidden[held]
+    energy += float((0.5 * spring * away * away).sum())
+    slope[node[0, held]] += spring * away
+    curve[node[0, held], node[0, held]] += spring
+    if chain.force.any():
+        lost, arms, forms = _work(chain.force, bent[: chain.pulled], h[: chain.pulled])
+        n = 2 * chain.pulled
+        energy -= lost
+        slope[:n] -= arms
+        curve[:n, :n] -= forms
+    kept = np.append(index, 2 * m + moved)
+    return energy, slope[kept], curve[np.ix_(kept, kept)]
+
+
+def _work(force: Array, bent: Array, h: Array) -> tuple[float, Array, Array]:
+    """F . r at the end of the elements, its slope (2 m) and curvature by their bends."""
+    places, frames, middles = _curve(bent, h)
+    turns = (frames[:-1] @ _spins(bent)).transpose(0, 2, 1)
+    halves = (frames[:-1] @ (0.5 * _spins(0.5 * bent))).transpose(0, 2, 1)
+    arms = (places[-1] - places[1:])[:, None, :]
+    levers = _cross(turns, arms) + _cross(halves, middles[:, None, :])
+    m = h.size
+    turns, lever = turns.reshape(2 * m, 3), levers.reshape(2 * m, 3)
+    # F . (turn_e x lever_f) for f behind e; within an element the mean of both orders.
+    form = _cross(force, turns) @ lever.T
+    order = np.repeat(np.arange(m, dtype=np.int64), 2)
+    upper = np.where(order[:, None] < order[None, :], form, 0.0)
+    within = np.where(order[:, None] == order[None, :], 0.5 * (form + form.T), 0.0)
+    return float(force @ places[-1]), lever @ force, upper + upper.T + within
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Their product; numpy's is typed for complex numbers, too."""
+    return np.asarray(np.cross(a, b), dtype=np.float64)

@@ -1,0 +1,125 @@
+"""How the elastic energy changes to second order about a shape: whether a robot stays there.
+
+A shape is stable when every small change of it costs energy. The determinant of the end conditions changes sign once
+for every direction that stops costing, and so cannot tell two of them from none; here all are counted, along the whole
+length at once (the Morse index; by Jacobi's condition it is the number of conjugate points between tip and plate).
+
+A change is a rotation a d1 + b d2 of the cross-sections, common to all tubes because they share one curve, and a twist
+psi_i of each tube about the tangent. With the frame (d1, d2, t) of `propagation`, which does not twist, and in it
+k the curvature, w_i the precurvature of tube i, M the moment, n the force, and c = b k_x - a k_y,
+
+    2 Q = int  sum EI_i ((a')^2 + (b')^2) + 2 sum EI_i psi_i (a' w_iy - b' w_ix) + sum EI_i psi_i^2 k . w_i
+             + sum GJ_i (psi_i' + c)^2 + c (M_y a - M_x b) - M_z (a b' - b a') + n_t (a^2 + b^2)  ds
+          + sum GJ_i psi_i(0)^2 / -beta_i,        a = b = 0 at the plate.
+
+The last sum is the twist of what lies behind the plate. Linear elements between the cross-sections of a pass make a
+banded matrix of it. A moment at the tip has no potential; of what it adds only the symmetric part counts, so that
+no negative direction then still means stable, but one need not mean that the robot leaves.
+"""
+
+import numpy as np
+
+from core.robot.robot import Array, Robot
+
+#: What holds a clamped end, over the bending stiffness it holds [1/m].
+CLAMP = 1e9
+#: Energy falls when it does by more than this part of EI / length^2 and the force, times the square of the change: the
+#: elements see no less, and a direction that costs nothing (a straight tube bent to one side, or to another) is none.
+LEVEL = 2e-3
+
+
+def precurvature(robot: Robot, beta: Array, places: Array) -> tuple[Array, Array]:
+    """EI (m, q) [N m^2] and precurvature (m, q, 2) [1/m] of the tubes at arc lengths (m,) [m]; 0 beyond their ends."""
+    stiffness, curvature = np.zeros((places.size, beta.size)), np.zeros((places.size, beta.size, 2))
+    for i, count in enumerate(robot.layout.counts):
+        section = np.searchsorted(beta[i] + robot.layout.ends[i, :count], places, side="right")
+        there = section < count
+        stiffness[there, i] = robot.layout.stiffness[i, 0]
+        curvature[there, i] = robot.layout.curvatures[i, section[there]]
+    return stiffness, curvature
+
+
+def negative_directions(robot: Robot, joints: Array, wrench: Array, contact: float, path: Array) -> int:
+    """In how many independent directions the energy falls: 0 when the shape is stable.
+
+    Args:
+        robot: the tubes.
+        joints: the pose (n,) [rad or m].
+        wrench: load (6,), world frame [N, N m].
+        contact: arc length at which the force acts [m]; inf for the tip.
+        path: cross-sections (m, 16 + 2q) as `propagate` writes them.
+
+    """
+    from scipy.linalg import LinAlgError, cholesky_banded, eigvals_banded  # pyright: ignore  - slow to import
+
+    matrix = _matrix(robot, joints, wrench, contact, path)
+    try:
+        cholesky_banded(matrix, check_finite=False)
+    except LinAlgError:
+        negative: Array = eigvals_banded(matrix, select="v", select_range=(-np.inf, 0.0))  # pyright: ignore
+        return max(1, negative.size)
+    return 0
+
+
+def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Array) -> Array:
+    """2 Q by the values at the cross-sections, the upper bands (2 (q + 2), unknowns)."""
+    q = len(robot.tubes)
+    beta, ratio = robot.tube_poses(joints)[1], robot.layout.stiffness[:, 1]
+    path = path[np.append(np.diff(path[:, 0]) > 1e-9, True)]
+    h = np.diff(path[:, 0])
+    middle = 0.5 * (path[1:] + path[:-1])
+    bend, free = precurvature(robot, beta, middle[:, 0])
+    twist = bend / ratio
+    frame, theta = middle[:, 1:10].reshape(-1, 3, 3), middle[:, 13 : 13 + q]
+    moment = np.einsum("mji,mj->mi", frame, middle[:, 13 + 2 * q :])
+    pull = np.where(middle[:, 0] < contact, frame[:, :, 2] @ wrench[:3], 0.0)
+    cos, sin = np.cos(theta), np.sin(theta)
+    w = np.stack((cos * free[..., 0] - sin * free[..., 1], sin * free[..., 0] + cos * free[..., 1]), axis=-1)
+    total = bend.sum(axis=1)
+    k = (np.einsum("mi,mik->mk", bend, w) + moment[:, :2]) / total[:, None]
+
+    # The form in the values (a, b, psi) and their slopes (da, db, dpsi) in the middle of an element.
+    size = q + 2
+    form = np.zeros((h.size, 2 * size, 2 * size))
+    a, b, da, db = 0, 1, size, size + 1
+    form[:, da, da] = form[:, db, db] = total
+    level = LEVEL * (total / path[-1, 0] ** 2 + np.linalg.norm(wrench[:3]))
+    form[:, a, a] = pull - k[:, 1] * moment[:, 1] + level
+    form[:, b, b] = pull - k[:, 0] * moment[:, 0] + level
+    form[:, a, b] = form[:, b, a] = 0.5 * (k[:, 0] * moment[:, 1] + k[:, 1] * moment[:, 0])
+    form[:, a, db] = form[:, db, a] = -0.5 * moment[:, 2]
+    form[:, b, da] = form[:, da, b] = 0.5 * moment[:, 2]
+    for i in range(q):
+        psi, dpsi = 2 + i, size + 2 + i
+        form[:, psi, psi] = bend[:, i] * (np.einsum("mk,mk->m", k, w[:, i]) + LEVEL / path[-1, 0] ** 2)
+        form[:, da, psi] = form[:, psi, da] = bend[:, i] * w[:, i, 1]
+        form[:, db, psi] = form[:, psi, db] = -bend[:, i] * w[:, i, 0]
+        strain = np.zeros((h.size, 2 * size))
+        strain[:, dpsi], strain[:, b], strain[:, a] = 1.0, k[:, 0], -k[:, 1]
+        form += twist[:, i, None, None] * strain[:, :, None] * strain[:, None, :]
+
+    values, slopes, across = form[:, :size, :size], form[:, size:, size:], form[:, :size, size:]
+    length = h[:, None, None]
+    even, odd = 0.25 * length * values + slopes / length, 0.5 * across
+    blocks = np.zeros((h.size + 1, size, size))
+    blocks[:-1] += even - odd - odd.transpose(0, 2, 1)
+    blocks[1:] += even + odd + odd.transpose(0, 2, 1)
+    beside = 0.25 * length * values - slopes / length + odd - odd.transpose(0, 2, 1)
+
+    blocks[0, a, a] += CLAMP * total[0]
+    blocks[0, b, b] += CLAMP * total[0]
+    for i in range(q):
+        blocks[0, 2 + i, 2 + i] += twist[0, i] * min(CLAMP, 1.0 / max(-beta[i], 1.0 / CLAMP))
+        absent = np.flatnonzero(bend[:, i] == 0.0) + 1
+        blocks[absent, 2 + i, 2 + i] = total[0]
+    tip = path[-1, 1:10].reshape(3, 3).T @ wrench[3:]
+    blocks[-1, [2, b], [b, 2]] -= 0.5 * tip[0]
+    blocks[-1, [2, a], [a, 2]] += 0.5 * tip[1]
+
+    bands = np.zeros((2 * size, size * (h.size + 1)))
+    for i in range(size):
+        for j in range(size):
+            if i <= j:
+                bands[2 * size - 1 + i - j, j::size] = blocks[:, i, j]
+            bands[size - 1 + i - j, size + j :: size] = beside[:, i, j]
+    return bands
