@@ -67,4 +67,4 @@ class ControllerFile(Strict):
 
 
 #: What follows best in the virtual lab, whatever the load does; the paper's own choices are the defaults above.
-BEST = ControllerFile(inner="type_1_exact", feedback="observer", feedforward=True, k1=4.0, k2=4.0)
+BEST = ControllerFile(inner="type_2", feedback="observer", feedforward=True, filter_bandwidth=0.7)

@@ -11,7 +11,7 @@ from station.report.run import Run
 TITLES = {
     "a": "(a) unloaded Jacobian",
     "b": "(b) loaded Jacobian",
-    "c": "(c) loaded Jacobian and deflection rate",
+    "c": "(c) inner loop: J(q, 0) and deflection rate, eq. (24)",
     "d": "(d) dual layer",
     "d_feedforward": "(d) with feed-forward",
 }

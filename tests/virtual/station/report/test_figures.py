@@ -72,7 +72,7 @@ def test_fig3_shows_the_true_tip_of_every_strategy(preset_run):
 
     assert set(z) == {
         "(a) unloaded Jacobian",
-        "(c) loaded Jacobian and deflection rate",
+        "(c) inner loop: J(q, 0) and deflection rate, eq. (24)",
         "(d) with feed-forward",
         "desired",
     }
