@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from core.calibration.fit import Unobservable
+from core.calibration.measurements import Measurement
 from core.calibration.rigid import kabsch
-from core.calibration.visits import Visit
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
@@ -40,7 +40,7 @@ class Latency(NamedTuple):
     rms: float  #: of what is left [m]
 
 
-def find_signs(robot: Robot, about: Array, visits: Sequence[Visit]) -> Signs:
+def find_signs(robot: Robot, about: Array, measurements: Sequence[Measurement]) -> Signs:
     """Signs of the axes from small moves without load; `about` (n,) is where an axis is either way it runs.
 
     Raises:
@@ -48,8 +48,8 @@ def find_signs(robot: Robot, about: Array, visits: Sequence[Visit]) -> Signs:
 
     """
     model = Statics(robot, integrator="fourth_order")
-    coils = np.array([visit.coil for visit in visits])
-    moves = np.array([visit.joints for visit in visits]) - about
+    coils = np.array([measurement.coil for measurement in measurements])
+    moves = np.array([measurement.joints for measurement in measurements]) - about
     found: list[tuple[float, Array]] = []
     for combination in itertools.product((1.0, -1.0), repeat=about.size):
         signs = np.array(combination)

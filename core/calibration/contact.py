@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from core.calibration.measurements import Noise
 from core.calibration.rigid import cross_matrix
-from core.calibration.visits import Noise
 from core.control.force_fusion import Fused
 from core.errors import CtrError
 from core.model.solution import Solution

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from core.calibration.fit import Fit, Parameter, Unobservable, fit
+from core.calibration.measurements import Measurement, Noise
 from core.calibration.rigid import rotation_of
-from core.calibration.visits import Noise, Visit
 from core.compiled import compiled
 from core.control.force_fusion import Fused, fuse_at, fused_at
 from core.control.sensors import Sensors, exerted
@@ -35,7 +35,7 @@ FIRST_MOMENT, FIRST_MOMENT_SIZE = 20e-3, 0.2e-3  # weight times its distance [N 
 #: Of a load that nobody has weighed [N].
 TYPICAL_FORCE = 0.5
 #: Fewer cannot tell an offset that turns with its sensor from a weight that does not.
-LEAST_VISITS = 8
+LEAST_MEASUREMENTS = 8
 
 
 class SensorCalibration(NamedTuple):
@@ -47,11 +47,11 @@ class SensorCalibration(NamedTuple):
     time: float  #: [s]
     fit: Fit
 
-    def load(self, robot: Robot, visit: Visit) -> Fused:
-        """Load of the whole robot at a visit, world frame."""
-        readings = visit.wrenches - self.offset - (visit.time - self.time) * self.drift
-        alpha, _ = robot.tube_poses(visit.joints)
-        return fuse_at(robot, visit.joints, self.sensors.exerted(readings, alpha))
+    def load(self, robot: Robot, measurement: Measurement) -> Fused:
+        """Load of the whole robot at a measurement, world frame."""
+        readings = measurement.wrenches - self.offset - (measurement.time - self.time) * self.drift
+        alpha, _ = robot.tube_poses(measurement.joints)
+        return fuse_at(robot, measurement.joints, self.sensors.exerted(readings, alpha))
 
 
 class WeightCheck(NamedTuple):
@@ -64,34 +64,41 @@ class WeightCheck(NamedTuple):
 
 
 def calibrate_sensors(
-    robot: Robot, visits: Sequence[Visit], tips: Array, noise: Noise, tip_error: float, gravity: Array | None = None
+    robot: Robot,
+    measurements: Sequence[Measurement],
+    tips: Array,
+    noise: Noise,
+    tip_error: float,
+    gravity: Array | None = None,
 ) -> SensorCalibration:
-    """Fit the sensors to visits with the tip at `tips` (m, 3), world frame [m].
+    """Fit the sensors to measurements with the tip at `tips` (m, 3), world frame [m].
 
     Args:
         robot: for the poses of the tubes.
-        visits: untared; some without load, and best some under a known weight.
+        measurements: untared; some without load, and best some under a known weight.
         tips: as measured.
         noise: of the fused loads.
         tip_error: standard deviation of each component of `tips` [m].
         gravity: its direction (3,), world frame; +x when left out.
 
     Raises:
-        Unobservable: too few visits without load, or all at the same rotations.
+        Unobservable: too few measurements without load, or all at the same rotations.
 
     """
-    free = [visit for visit in visits if visit.weight == 0.0]
-    if len(free) < LEAST_VISITS:
-        raise Unobservable(f"{len(free)} visits without load; the sensors' offsets need at least {LEAST_VISITS}")
+    free = [measurement for measurement in measurements if measurement.weight == 0.0]
+    if len(free) < LEAST_MEASUREMENTS:
+        raise Unobservable(
+            f"{len(free)} measurements without load; the sensors' offsets need at least {LEAST_MEASUREMENTS}"
+        )
     for j, joint in enumerate(robot.joints):
-        turned = float(np.ptp([visit.joints[j] for visit in free]))
+        turned = float(np.ptp([measurement.joints[j] for measurement in free]))
         if joint.motion == "rotation" and turned < 1.0:
             raise Unobservable(
                 f"an offset that turns with the sensor of tube '{robot.tubes[joint.tube].name}' cannot be told from a"
                 f" weight: turn {joint.name} by more than 60 deg without load (it turned {np.degrees(turned):.1f} deg)"
             )
     down = np.array([1.0, 0.0, 0.0]) if gravity is None else gravity / np.linalg.norm(gravity)
-    problem = _Sum(robot, visits, tips, tip_error, noise, down)
+    problem = _Sum(robot, measurements, tips, tip_error, noise, down)
     found = fit(problem, problem.parameters)
     return SensorCalibration(*problem.unpacked(found.values), problem.middle, found)
 
@@ -109,7 +116,7 @@ class _Sum:
     """The fit's problem: the sum of all sensors is the load."""
 
     robot: Robot
-    visits: Sequence[Visit]
+    measurements: Sequence[Measurement]
     tips: Array
     tip_error: float
     noise: Noise
@@ -130,7 +137,7 @@ class _Sum:
     @cached_property
     def middle(self) -> float:
         """Time from which the drift counts [s]."""
-        return float(np.mean([visit.time for visit in self.visits]))
+        return float(np.mean([measurement.time for measurement in self.measurements]))
 
     def unpacked(self, values: Array) -> tuple[Sensors, Array, Array]:
         """Sensors, offset (q, 6) and drift (q, 6)."""
@@ -140,7 +147,7 @@ class _Sum:
         return Sensors(mounting, rows[:, 15].copy(), rows[:, 16:19].copy(), gravity), rows[:, :6], rows[:, 6:12]
 
     def residuals(self, values: Array) -> Array:
-        """(6 m,): force and moment of every visit; of an unknown force only the moment equation."""
+        """(6 m,): force and moment of every measurement; of an unknown force only the moment equation."""
         sensors, offset, drift = self.unpacked(values)
         since, joints, readings = self._measured
         left = readings - offset - since[:, None, None] * drift
@@ -170,9 +177,9 @@ class _Sum:
     def _measured(self) -> tuple[Array, Array, Array]:
         """Times from the middle (m,), joints (m, n), readings (m, q, 6)."""
         return (
-            np.array([visit.time for visit in self.visits]) - self.middle,
-            np.array([visit.joints for visit in self.visits]),
-            np.array([visit.wrenches for visit in self.visits]),
+            np.array([measurement.time for measurement in self.measurements]) - self.middle,
+            np.array([measurement.joints for measurement in self.measurements]),
+            np.array([measurement.wrenches for measurement in self.measurements]),
         )
 
     @cached_property
@@ -181,8 +188,10 @@ class _Sum:
 
         The place of the tip is not known exactly, nor is an unknown force: both add to the moment's.
         """
-        known = np.array([[visit.weight is not None] for visit in self.visits])
-        weights = np.array([0.0 if visit.weight is None else visit.weight for visit in self.visits])
+        known = np.array([[measurement.weight is not None] for measurement in self.measurements])
+        weights = np.array(
+            [0.0 if measurement.weight is None else measurement.weight for measurement in self.measurements]
+        )
         lever = np.linalg.norm(self.tips, axis=1) * self.noise.force
         pull = np.where(known[:, 0], weights, TYPICAL_FORCE)
         noise = np.sqrt(self.noise.moment**2 + (self.tip_error * pull) ** 2 + np.where(known[:, 0], 0.0, lever) ** 2)

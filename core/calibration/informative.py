@@ -1,4 +1,4 @@
-"""Which poses to visit: those that say most by the model, reachable one after the other.
+"""Which poses to measurement: those that say most by the model, reachable one after the other.
 
 Greedy D-optimal design: of many candidates inside the limits the next one is always that which adds most to
 log det of the information, log det(1 + J A^-1 J^T) for its rows J. The chosen ones are then put in an order of
@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from core.calibration.measurements import Measurement, Noise
 from core.calibration.prediction import Frames, Prediction
 from core.calibration.quantities import Quantity
 from core.calibration.rigid import Rigid
-from core.calibration.visits import Noise, Visit
 from core.errors import CtrError, Unreachable
 from core.model.statics import Statics
 from core.robot.limits import Limits, Situation
@@ -24,7 +24,7 @@ HALF_TURN = np.pi
 MARGIN = 0.03
 #: Below this margin of elastic stability a pose is left out.
 STABLE = 0.25
-#: Poses that are looked at on the way between two visits.
+#: Poses that are looked at on the way between two measurements.
 STEPS = 12
 
 
@@ -76,7 +76,7 @@ def choose(
         what: quantities of its tubes that are asked for beside the frames.
         poses: to choose from.
         force: at the tip, world frame [N].
-        noise: of a visit.
+        noise: of a measurement.
         count: how many.
         known: information (p, p), in sizes, of what has been visited already.
 
@@ -86,9 +86,11 @@ def choose(
     """
     empty = np.zeros((len(robot.tubes), 6))
     weight = None if force.any() else 0.0
-    visits = [Visit(0.0, joints, np.zeros(3), empty, weight) for joints in poses]
+    measurements = [Measurement(0.0, joints, np.zeros(3), empty, weight) for joints in poses]
     frames = Frames(Rigid(np.eye(3), np.zeros(3)), np.zeros(3), np.zeros(3))
-    problem = Prediction(robot, what, placed(robot, visits, force), np.tile(force, (len(poses), 1)), noise, frames)
+    problem = Prediction(
+        robot, what, placed(robot, measurements, force), np.tile(force, (len(poses), 1)), noise, frames
+    )
     sizes = np.array([p.size for p in problem.parameters])
     rows = (problem.jacobian(np.zeros(sizes.size)) * sizes).reshape(len(poses), 3, -1)
     # What nothing is known of beforehand starts nearly unknown, so that the first choices have a value.
@@ -104,10 +106,10 @@ def choose(
     return np.array(chosen, dtype=np.int64), information
 
 
-def placed(robot: Robot, visits: Sequence[Visit], force: Array) -> list[Visit]:
-    """Visits with the coil where the model has the tip."""
+def placed(robot: Robot, measurements: Sequence[Measurement], force: Array) -> list[Measurement]:
+    """Measurements with the coil where the model has the tip."""
     model, wrench = Statics(robot, integrator="fourth_order"), np.concatenate((force, np.zeros(3)))
-    return [visit._replace(coil=model.solve(visit.joints, wrench).tip) for visit in visits]
+    return [measurement._replace(coil=model.solve(measurement.joints, wrench).tip) for measurement in measurements]
 
 
 def tour(statics: Statics, limits: Limits, start: Array, poses: Array, force: Array) -> Array:

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.calibration.fit import Fit, Parameter, Unobservable, fit
+from core.calibration.measurements import Measurement, Noise
 from core.calibration.prediction import Frames, Lag, NoShape, Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
 from core.calibration.rigid import Rigid, cross_matrix
 from core.calibration.tubes import LEAST_LOADED
-from core.calibration.visits import Noise, Visit
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
@@ -98,12 +98,12 @@ class Match:
     fitted: tuple[bool, ...]  #: which of the poses the fit saw
     middle: Array  #: (3,) about which the fit turned the points, robot's frame [m]
 
-    def errors(self, visits: Sequence[Visit], forces: Array) -> Array:
+    def errors(self, measurements: Sequence[Measurement], forces: Array) -> Array:
         """Measured minus predicted point (m, 3), robot's frame [m], of any poses under tip forces (m, 3) [N].
 
         NaN where this model has no shape.
         """
-        return _errors(self.robot, self.frames, self.plays, visits, forces)
+        return _errors(self.robot, self.frames, self.plays, measurements, forces)
 
     @property
     def position_errors(self) -> Array:
@@ -144,12 +144,12 @@ class Match:
         return tuple(parameter.name for parameter, error in pairs if error * error > 0.5 * parameter.prior**2)
 
 
-def match(robot: Robot, visits: Sequence[Visit], forces: Array, extent: Extent, asked: Asked) -> Match:
+def match(robot: Robot, measurements: Sequence[Measurement], forces: Array, extent: Extent, asked: Asked) -> Match:
     """Bring the model as near to poses under tip forces (m, 3) [N] as `extent` allows.
 
     Args:
         robot: as described.
-        visits: poses; `coil` is the measured point.
+        measurements: poses; `coil` is the measured point.
         forces: world frame.
         extent: `none` takes the points as they are, in the robot's frame, at the tip; `frames` finds a rigid
             motion and where the point sits in the frame of the tip; `tubes` finds the tubes with them.
@@ -162,33 +162,33 @@ def match(robot: Robot, visits: Sequence[Visit], forces: Array, extent: Extent, 
     """
     if extent == "none":
         frames = Frames(Rigid(np.eye(3), np.zeros(3)), np.zeros(3), np.zeros(3))
-        nothing = (False,) * len(visits)
+        nothing = (False,) * len(measurements)
         return Match(extent, robot, frames, np.zeros(len(robot.joints)), 0.0, 0.0, Asked(), None, nothing, np.zeros(3))
     what = asked.quantities if extent == "tubes" else ()
     unknown = len(what) + len(asked.lags) + 9
-    if 3 * len(visits) < unknown + 3:
+    if 3 * len(measurements) < unknown + 3:
         raise Unobservable(
-            f"usable poses: {len(visits)}, for {unknown} unknowns ({extent}); at least {unknown // 3 + 1} are needed"
+            f"usable poses: {len(measurements)}, for {unknown} unknowns ({extent}); at least {unknown // 3 + 1} needed"
         )
-    start, noise, values = closed_form(robot, visits, forces), NOISE, None
-    joints, lost = np.array([visit.joints for visit in visits]), np.zeros(len(visits), bool)
-    kept, most, rounds = ~lost, max(1, int(FEW * len(visits))), 0
+    start, noise, values = closed_form(robot, measurements, forces), NOISE, None
+    joints, lost = np.array([measurement.joints for measurement in measurements]), np.zeros(len(measurements), bool)
+    kept, most, rounds = ~lost, max(1, int(FEW * len(measurements))), 0
     while True:
         seen: list[int] = np.flatnonzero(kept).tolist()
-        near = [visits[k] for k in seen]
+        near = [measurements[k] for k in seen]
         problem = Prediction(robot, what, near, forces[kept], Noise(coil=noise), start, OFFSET, asked.lags)
         try:
             found = fit(problem, problem.parameters, values)
         except NoShape as error:
             # Beside a fold the smallest change of the tubes leaves no shape: such a pose tells nothing of them.
-            lost[seen[error.visit]] = True
+            lost[seen[error.measurement]] = True
             kept = kept & ~lost
             if np.count_nonzero(lost) > most:
                 raise
             continue
         values, rounds = found.values, rounds + 1
         tubes, frames, plays = problem.tubes(values), problem.frames(values), problem.plays(values)
-        errors = _errors(tubes, frames, plays, visits, forces)
+        errors = _errors(tubes, frames, plays, measurements, forces)
         left = max(noise * math.sqrt(found.variance_factor), LEAST_NOISE)
         correlation = alike(joints[kept], errors[kept])
         before, noise = noise, left * math.sqrt((1.0 + correlation) / (1.0 - correlation))
@@ -206,16 +206,16 @@ def _near(errors: Array, most: int) -> NDArray[np.bool_]:
     return near if np.count_nonzero(~near) <= most else np.isfinite(lengths)
 
 
-def _errors(robot: Robot, frames: Frames, plays: Array, visits: Sequence[Visit], forces: Array) -> Array:
+def _errors(robot: Robot, frames: Frames, plays: Array, measurements: Sequence[Measurement], forces: Array) -> Array:
     """Measured minus predicted point (m, 3), robot's frame [m]; NaN where the model has no shape."""
-    model, found = Statics(robot, integrator="fourth_order"), np.full((len(visits), 3), math.nan)
-    for k, visit in enumerate(visits):
-        joints = visit.joints if visit.came is None else visit.joints - 0.5 * plays * visit.came
+    model, found = Statics(robot, integrator="fourth_order"), np.full((len(measurements), 3), math.nan)
+    for k, measurement in enumerate(measurements):
+        joints = measurement.joints if measurement.came is None else measurement.joints - 0.5 * plays * measurement.came
         try:
             pose = model.solve(joints, np.concatenate((forces[k], np.zeros(3))))
         except CtrError:
             continue
-        found[k] = frames.registration.apply(visit.coil) - pose.tip - pose.rotation @ frames.coil
+        found[k] = frames.registration.apply(measurement.coil) - pose.tip - pose.rotation @ frames.coil
     return found
 
 
@@ -238,7 +238,12 @@ def alike(joints: Array, errors: Array) -> float:
 
 
 def askable(
-    robot: Robot, visits: Sequence[Visit], forces: Array, *, hysteresis: bool, others: Sequence[Visit] = ()
+    robot: Robot,
+    measurements: Sequence[Measurement],
+    forces: Array,
+    *,
+    hysteresis: bool,
+    others: Sequence[Measurement] = (),
 ) -> Asked:
     """What poses under tip forces (m, 3) [N] can be asked for, so that `others` can be predicted, too.
 
@@ -249,7 +254,7 @@ def askable(
     lags: list[Lag] = []
     left: list[str] = []
     loaded = int(np.count_nonzero(np.linalg.norm(forces, axis=1) > LOADED))
-    rooms = _rooms(robot, (*visits, *others))
+    rooms = _rooms(robot, (*measurements, *others))
     for quantity in quantities(robot):
         name = quantity.parameter(robot).name.replace("_", " ")
         if quantity.kind == "bending_stiffness" and quantity.tube == len(robot.tubes) - 1 and loaded < LEAST_LOADED:
@@ -262,7 +267,7 @@ def askable(
         else:
             kept.append(quantity)
     for k, joint in enumerate(robot.joints) if hysteresis else ():
-        came = np.array([0.0 if visit.came is None else visit.came[k] for visit in visits])
+        came = np.array([0.0 if measurement.came is None else measurement.came[k] for measurement in measurements])
         if not ((came > 0.0).any() and (came < 0.0).any()):
             left.append(f"lag of {joint.name}: it never came from both sides")
         elif joint.motion == "translation" and rooms[joint.tube] < ROOM:
@@ -291,14 +296,18 @@ def ways(joints: Array) -> Array:
     return found
 
 
-def suspicions(robot: Robot, visits: Sequence[Visit], forces: Array) -> tuple[tuple[str, float, float], ...]:
+def suspicions(
+    robot: Robot, measurements: Sequence[Measurement], forces: Array
+) -> tuple[tuple[str, float, float], ...]:
     """Other readings of the rotations with which the poses fit much better: what, and mean error with and without [m].
 
     Axes that run the other way, and degrees that were meant as radians; with the frames alone fitted.
     """
-    some: list[int] = np.unique(np.linspace(0, len(visits) - 1, min(TRIED, len(visits))).astype(int)).tolist()
-    visits, forces = [visits[k] for k in some], forces[some]
-    joints = np.array([visit.joints for visit in visits])
+    some: list[int] = np.unique(
+        np.linspace(0, len(measurements) - 1, min(TRIED, len(measurements))).astype(int)
+    ).tolist()
+    measurements, forces = [measurements[k] for k in some], forces[some]
+    joints = np.array([measurement.joints for measurement in measurements])
     turns = [k for k, joint in enumerate(robot.joints) if joint.motion == "rotation" and np.ptp(joints[:, k]) > 0.0]
     readings: list[tuple[str, Array]] = []
     for signs in itertools.product((1.0, -1.0), repeat=len(turns)):
@@ -312,26 +321,26 @@ def suspicions(robot: Robot, visits: Sequence[Visit], forces: Array) -> tuple[tu
         factor = np.ones(len(robot.joints))
         factor[turns] = math.pi / 180.0
         readings.append(("all rotations read as degrees", factor))
-    given = _mean_error(robot, visits, forces, np.ones(len(robot.joints)))
-    found = [(text, _mean_error(robot, visits, forces, factor), given) for text, factor in readings]
+    given = _mean_error(robot, measurements, forces, np.ones(len(robot.joints)))
+    found = [(text, _mean_error(robot, measurements, forces, factor), given) for text, factor in readings]
     return tuple(sorted((each for each in found if each[1] < BETTER * given), key=lambda each: each[1]))
 
 
-def _mean_error(robot: Robot, visits: Sequence[Visit], forces: Array, factor: Array) -> float:
+def _mean_error(robot: Robot, measurements: Sequence[Measurement], forces: Array, factor: Array) -> float:
     """What the best frames leave where every joint is read as `factor` (n,) of itself [m]; inf without any shape."""
-    read = [visit._replace(joints=visit.joints * factor) for visit in visits]
+    read = [measurement._replace(joints=measurement.joints * factor) for measurement in measurements]
     try:
         return Spread.of(match(robot, read, forces, "frames", Asked()).errors(read, forces)).mean
     except CtrError:
         return math.inf
 
 
-def _rooms(robot: Robot, visits: Sequence[Visit]) -> Array:
-    """Least distance (q,) of each tube's ends from those of its neighbours, over all visits [m]."""
+def _rooms(robot: Robot, measurements: Sequence[Measurement]) -> Array:
+    """Least distance (q,) of each tube's ends from those of its neighbours, over all measurements [m]."""
     least = np.full(len(robot.tubes), math.inf)
     lengths = np.array([tube.length for tube in robot.tubes])
-    for visit in visits:
-        _, beta = robot.tube_poses(visit.joints)
+    for measurement in measurements:
+        _, beta = robot.tube_poses(measurement.joints)
         ends = np.minimum(np.abs(np.diff(beta + lengths)), _apart(np.abs(np.diff(beta)), robot))
         least[:-1], least[1:] = np.minimum(least[:-1], ends), np.minimum(least[1:], ends)
     return least

@@ -1,4 +1,4 @@
-"""What the tracker should see at every visit, as a function of frames and tubes: the residuals of all fits.
+"""What the tracker should see at every measurement, as a function of frames and tubes: the residuals of all fits.
 
     e_k = R (p_k) + t - (x(q_k, F_k; tubes) + A(q_k, F_k; tubes) c)
 
@@ -7,10 +7,10 @@ tube by the model, c the coil in that frame. R is turned about the middle of the
 and translation do not get in each other's way. A coil that tells directions adds R a_k - A d for each.
 
 A drive with play stays behind by half of it: q_k is the stage's position less half the play, times the way the joint
-came (`Visit.came`). With tubes to be found the plays are found, too, unless `lags` says otherwise; else they add to
-the noise.
+came (`Measurement.came`). With tubes to be found the plays are found, too, unless `lags` says otherwise; else they add
+to the noise.
 
-The load is measured, too: its error reaches the residual through the compliance, so that a visit counts with
+The load is measured, too: its error reaches the residual through the compliance, so that a measurement counts with
 sigma_p^2 1 + sigma_F^2 C C^T.
 """
 
@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 
 from core.calibration.fit import Parameter
+from core.calibration.measurements import Measurement, Noise
 from core.calibration.quantities import Quantity, changed
 from core.calibration.rigid import Rigid, rotation_of
-from core.calibration.visits import Noise, Visit
 from core.errors import NoSolution
 from core.model.solution import Solution
 from core.model.statics import Statics
@@ -39,11 +39,11 @@ COIL_TILT = 0.2
 
 
 class NoShape(NoSolution):
-    """The model has no shape at a visit."""
+    """The model has no shape at a measurement."""
 
-    def __init__(self, visit: int, text: str) -> None:
+    def __init__(self, measurement: int, text: str) -> None:
         super().__init__(text)
-        self.visit = visit  #: its number
+        self.measurement = measurement  #: its number
 
 
 class Lag(NamedTuple):
@@ -71,7 +71,7 @@ class Prediction:
 
     robot: Robot
     what: tuple[Quantity, ...]
-    visits: Sequence[Visit]
+    measurements: Sequence[Measurement]
     forces: Array  #: (m, 3) at the tip, world frame [N]
     noise: Noise
     start: Frames
@@ -145,7 +145,7 @@ class Prediction:
         return changed(self.robot, self.what, values)
 
     def solutions(self, values: Array) -> list[Solution]:
-        """The model at every visit.
+        """The model at every measurement.
 
         Raises:
             NoShape: it has none at one of them.
@@ -153,9 +153,11 @@ class Prediction:
         """
         model, plays = Statics(self.tubes(values), integrator="fourth_order"), self.plays(values)
         found: list[Solution] = []
-        for k, visit in enumerate(self.visits):
+        for k, measurement in enumerate(self.measurements):
             wrench = np.concatenate((self.forces[k], np.zeros(3)))
-            joints = visit.joints if visit.came is None else visit.joints - 0.5 * plays * visit.came
+            joints = (
+                measurement.joints if measurement.came is None else measurement.joints - 0.5 * plays * measurement.came
+            )
             try:
                 found.append(model.solve(joints, wrench, self._nominal[k]))
             except NoSolution as error:
@@ -178,7 +180,7 @@ class Prediction:
         """The plays that are asked for."""
         if self.lags is not None:
             return self.lags
-        if not self.what or all(visit.came is None for visit in self.visits):
+        if not self.what or all(measurement.came is None for measurement in self.measurements):
             return ()
         return tuple(Lag(k, PLAY[joint.unit]) for k, joint in enumerate(self.robot.joints))
 
@@ -191,20 +193,20 @@ class Prediction:
     def _nominal(self) -> list[Solution]:
         model = Statics(self.robot, integrator="fourth_order")
         return [
-            model.solve(visit.joints, np.concatenate((force, np.zeros(3))))
-            for visit, force in zip(self.visits, self.forces, strict=True)
+            model.solve(measurement.joints, np.concatenate((force, np.zeros(3))))
+            for measurement, force in zip(self.measurements, self.forces, strict=True)
         ]
 
     @cached_property
     def _coils(self) -> Array:
-        return np.array([visit.coil for visit in self.visits])
+        return np.array([measurement.coil for measurement in self.measurements])
 
     @cached_property
     def _directions(self) -> Array:
         """(m, c, 3) in the tracker's frame; c = 0 without any."""
-        axes = [visit.axes for visit in self.visits]
+        axes = [measurement.axes for measurement in self.measurements]
         if any(a is None for a in axes):
-            return np.zeros((len(self.visits), 0, 3))
+            return np.zeros((len(self.measurements), 0, 3))
         return np.array(axes)
 
     @property
@@ -224,11 +226,11 @@ class Prediction:
 
     @cached_property
     def _weights(self) -> Array:
-        """(m, 3, 3): inverse Cholesky factors of the visits' covariances."""
+        """(m, 3, 3): inverse Cholesky factors of the measurements' covariances."""
         found: list[Array] = []
-        for visit, solution in zip(self.visits, self._nominal, strict=True):
+        for measurement, solution in zip(self.measurements, self._nominal, strict=True):
             c = solution.compliance[:3, :3]
-            force = 0.0 if visit.weight == 0.0 else self.noise.force
+            force = 0.0 if measurement.weight == 0.0 else self.noise.force
             covariance = self.noise.coil**2 * np.eye(3) + force**2 * c @ c.T
             found.append(np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64))
         return np.array(found)

@@ -1,4 +1,4 @@
-"""Tracker to robot, and coil to tip: from poses where the robot rested (`Visit`).
+"""Tracker to robot, and coil to tip: from poses where the robot rested (`Measurement`).
 
 Start: the closed form of Kabsch between the coil's places and the model's tips. Then least squares over rotation,
 translation, the coil's place in the tip's frame and, when it tells directions, its tilt. The model's tubes are taken
@@ -16,17 +16,17 @@ from typing import NamedTuple
 import numpy as np
 
 from core.calibration.fit import Fit, Unobservable, fit, weak_combinations
+from core.calibration.measurements import Measurement, Noise
 from core.calibration.prediction import Frames, Prediction
 from core.calibration.rigid import kabsch
-from core.calibration.visits import Noise, Visit
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
 
-#: Every so many-th visit is held out of the check's fit.
+#: Every so many-th measurement is held out of the check's fit.
 HOLD_OUT = 4
 #: Fewer cannot be checked against each other.
-LEAST_VISITS = 6
+LEAST_MEASUREMENTS = 6
 #: The motion must be enough to determine the frames even if the model is no better than this [m]: what small moves
 #: and small noise seem to tell, the model's own error would spoil.
 MODEL_ERROR = 0.3e-3
@@ -42,7 +42,7 @@ class Registration(NamedTuple):
     frames: Frames
     fit: Fit
     errors: Array  #: (m,) distance of each coil from where the model puts it [m]
-    held_out: Array  #: (k,) the same for visits that the fit had not seen [m]
+    held_out: Array  #: (k,) the same for measurements that the fit had not seen [m]
     middle: Array  #: (3,) about which the rotation was turned [m]
 
     @property
@@ -65,53 +65,67 @@ class Registration(NamedTuple):
         return np.hstack((np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]), np.eye(3)))
 
 
-def closed_form(robot: Robot, visits: Sequence[Visit], forces: Array) -> Frames:
+def closed_form(robot: Robot, measurements: Sequence[Measurement], forces: Array) -> Frames:
     """Frames with the coil at the tip."""
     model = Statics(robot, integrator="fourth_order")
     tips = np.array([
-        model.solve(visit.joints, np.concatenate((force, np.zeros(3)))).tip
-        for visit, force in zip(visits, forces, strict=True)
+        model.solve(measurement.joints, np.concatenate((force, np.zeros(3)))).tip
+        for measurement, force in zip(measurements, forces, strict=True)
     ])  # fmt: skip
-    return Frames(kabsch(np.array([visit.coil for visit in visits]), tips), np.zeros(3), np.zeros(3))
+    return Frames(kabsch(np.array([measurement.coil for measurement in measurements]), tips), np.zeros(3), np.zeros(3))
 
 
 def register(
-    robot: Robot, visits: Sequence[Visit], forces: Array, noise: Noise, limits: Limits | None = None
+    robot: Robot, measurements: Sequence[Measurement], forces: Array, noise: Noise, limits: Limits | None = None
 ) -> Registration:
-    """Fit the frames to visits under known tip forces (m, 3) [N].
+    """Fit the frames to measurements under known tip forces (m, 3) [N].
 
     Raises:
-        Unobservable: too few visits, or the robot has not moved enough to tell; with the missing motion.
-        CtrError: the model has no shape at a visit.
+        Unobservable: too few measurements, or the robot has not moved enough to tell; with the missing motion.
+        CtrError: the model has no shape at a measurement.
 
     """
-    if len(visits) < LEAST_VISITS:
-        raise Unobservable(f"{len(visits)} visits; a registration that can be checked needs at least {LEAST_VISITS}")
-    start = closed_form(robot, visits, forces)
-    problem = Prediction(robot, (), visits, forces, noise, start)
+    if len(measurements) < LEAST_MEASUREMENTS:
+        raise Unobservable(
+            f"{len(measurements)} measurements; a registration that can be checked needs at least {LEAST_MEASUREMENTS}"
+        )
+    start = closed_form(robot, measurements, forces)
+    problem = Prediction(robot, (), measurements, forces, noise, start)
     found = fit(problem, problem.parameters)
     rows = found.jacobian * min(noise.coil / MODEL_ERROR, 1.0)
     if open_ := [c for c in weak_combinations(rows, problem.parameters) if not c.held]:
         raise Unobservable(f"the visited poses cannot tell {open_[0]}: {missing_motion(problem, found, limits)}")
-    held = held_out_errors(robot, visits, forces, noise, start)
+    held = held_out_errors(robot, measurements, forces, noise, start)
     errors = np.linalg.norm(problem.errors(found.values), axis=1)
     return Registration(problem.frames(found.values), found, errors, held, problem.middle)
 
 
-def held_out_errors(robot: Robot, visits: Sequence[Visit], forces: Array, noise: Noise, start: Frames) -> Array:
-    """Distances [m] at every `HOLD_OUT`-th visit after a fit to the others."""
-    out = np.arange(len(visits)) % HOLD_OUT == HOLD_OUT - 1
-    kept = Prediction(robot, (), [v for v, o in zip(visits, out, strict=True) if not o], forces[~out], noise, start)
+def held_out_errors(
+    robot: Robot, measurements: Sequence[Measurement], forces: Array, noise: Noise, start: Frames
+) -> Array:
+    """Distances [m] at every `HOLD_OUT`-th measurement after a fit to the others."""
+    out = np.arange(len(measurements)) % HOLD_OUT == HOLD_OUT - 1
+    kept = Prediction(
+        robot, (), [v for v, o in zip(measurements, out, strict=True) if not o], forces[~out], noise, start
+    )
     found = fit(kept, kept.parameters)
     rest = Prediction(
-        robot, (), [v for v, o in zip(visits, out, strict=True) if o], forces[out], noise, kept.frames(found.values)
+        robot,
+        (),
+        [v for v, o in zip(measurements, out, strict=True) if o],
+        forces[out],
+        noise,
+        kept.frames(found.values),
     )
     return np.linalg.norm(rest.errors(np.zeros(len(rest.parameters))), axis=1)
 
 
 def missing_motion(problem: Prediction, found: Fit, limits: Limits | None) -> str:
     """Which joint has to move, and by how much, for every frame to be determined."""
-    joints, frames = np.array([visit.joints for visit in problem.visits]), problem.frames(found.values)
+    joints, frames = (
+        np.array([measurement.joints for measurement in problem.measurements]),
+        problem.frames(found.values),
+    )
     assumed = problem.noise._replace(coil=max(problem.noise.coil, MODEL_ERROR))
     moved: list[float] = np.ptp(joints, axis=0).tolist()
     best = (math.inf, "")
@@ -124,10 +138,10 @@ def missing_motion(problem: Prediction, found: Fit, limits: Limits | None) -> st
                 extra = np.clip(extra, [j.lower for j in limits.joints], [j.upper for j in limits.joints])
             if not all(problem.robot.stands(pose) for pose in extra):
                 continue
-            added = [Visit(0.0, e, np.zeros(3), np.zeros((len(problem.robot.tubes), 6)), 0.0) for e in extra]
-            visits = [*problem.visits, *_seen(problem, added, frames)]
+            added = [Measurement(0.0, e, np.zeros(3), np.zeros((len(problem.robot.tubes), 6)), 0.0) for e in extra]
+            measurements = [*problem.measurements, *_seen(problem, added, frames)]
             forces = np.vstack((problem.forces, np.zeros((len(extra), 3))))
-            more = Prediction(problem.robot, (), visits, forces, assumed, frames)
+            more = Prediction(problem.robot, (), measurements, forces, assumed, frames)
             weak = weak_combinations(SPARE * more.jacobian(np.zeros(len(more.parameters))), more.parameters)
             left = max((c.open for c in weak if not c.held), default=0.0)
             text = _moved(joint.name, joint.unit, amount, moved[k])
@@ -144,14 +158,14 @@ def _moved(name: str, unit: str, amount: float, so_far: float) -> str:
     return f"slide {name} by {1e3 * amount:g} mm either way (it slid {1e3 * so_far:.1f} mm so far)"
 
 
-def _seen(problem: Prediction, visits: Sequence[Visit], frames: Frames) -> list[Visit]:
-    """Visits with what the tracker would see there."""
+def _seen(problem: Prediction, measurements: Sequence[Measurement], frames: Frames) -> list[Measurement]:
+    """Measurements with what the tracker would see there."""
     model, back = Statics(problem.robot, integrator="fourth_order"), frames.registration.inverse()
-    seen: list[Visit] = []
-    for visit in visits:
-        pose = model.solve(visit.joints, np.zeros(6))
+    seen: list[Measurement] = []
+    for measurement in measurements:
+        pose = model.solve(measurement.joints, np.zeros(6))
         axes = None
-        if problem.visits[0].axes is not None:
-            axes = pose.rotation.T[-problem.visits[0].axes.shape[0] :] @ back.rotation.T
-        seen.append(visit._replace(coil=back.apply(pose.tip + pose.rotation @ frames.coil), axes=axes))
+        if problem.measurements[0].axes is not None:
+            axes = pose.rotation.T[-problem.measurements[0].axes.shape[0] :] @ back.rotation.T
+        seen.append(measurement._replace(coil=back.apply(pose.tip + pose.rotation @ frames.coil), axes=axes))
     return seen

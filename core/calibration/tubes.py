@@ -1,7 +1,7 @@
 """The tubes as they are: EI, curvature, nu, straight lengths and zero angles, together with the frames.
 
-Least squares over all visits, unloaded and loaded, on the tracker's positions (`prediction`). Without load the
-shape depends on stiffness only through ratios: visits under a known or measured load set its scale. Which
+Least squares over all measurements, unloaded and loaded, on the tracker's positions (`prediction`). Without load the
+shape depends on stiffness only through ratios: measurements under a known or measured load set its scale. Which
 combinations the data leave to what was known beforehand is part of the answer (`fit.weak`).
 """
 
@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from core.calibration.fit import Fit, Unobservable, fit
+from core.calibration.measurements import Measurement, Noise
 from core.calibration.prediction import Frames, Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
-from core.calibration.visits import Noise, Visit
 from core.robot.robot import Array, Robot
 
-#: Fewer loaded visits than this cannot set the scale of the stiffness.
+#: Fewer loaded measurements than this cannot set the scale of the stiffness.
 LEAST_LOADED = 4
 
 
@@ -33,48 +33,54 @@ class TubeCalibration(NamedTuple):
 
 
 class HeldOut(NamedTuple):
-    """Distances at visits that no fit has seen (k,) [m]."""
+    """Distances at measurements that no fit has seen (k,) [m]."""
 
     before: Array  #: the described tubes with the best frames for them
     after: Array
 
 
 def calibrate_tubes(
-    robot: Robot, visits: Sequence[Visit], forces: Array, noise: Noise, what: tuple[Quantity, ...] | None = None
+    robot: Robot,
+    measurements: Sequence[Measurement],
+    forces: Array,
+    noise: Noise,
+    what: tuple[Quantity, ...] | None = None,
 ) -> TubeCalibration:
-    """Fit tubes and frames to visits under tip forces (m, 3) [N].
+    """Fit tubes and frames to measurements under tip forces (m, 3) [N].
 
     Raises:
-        Unobservable: too few visits or loads, or a frame is left open.
-        CtrError: the model has no shape at a visit.
+        Unobservable: too few measurements or loads, or a frame is left open.
+        CtrError: the model has no shape at a measurement.
 
     """
     what = quantities(robot) if what is None else what
     loaded = int(np.count_nonzero(np.linalg.norm(forces, axis=1) > 0.05))
     if loaded < LEAST_LOADED and any(q.kind == "bending_stiffness" for q in what):
         raise Unobservable(
-            f"{loaded} visits under more than 0.05 N; without load only ratios of stiffness show:"
-            f" hang a weight and visit at least {LEAST_LOADED} poses"
+            f"{loaded} measurements under more than 0.05 N; without load only ratios of stiffness show:"
+            f" hang a weight and measurement at least {LEAST_LOADED} poses"
         )
-    if 3 * len(visits) < len(what) + 9:
-        raise Unobservable(f"{len(visits)} visits for {len(what) + 9} unknowns; visit at least {len(what) + 9}")
-    problem = Prediction(robot, what, visits, forces, noise, closed_form(robot, visits, forces))
+    if 3 * len(measurements) < len(what) + 9:
+        raise Unobservable(
+            f"{len(measurements)} measurements for {len(what) + 9} unknowns; measurement at least {len(what) + 9}"
+        )
+    problem = Prediction(robot, what, measurements, forces, noise, closed_form(robot, measurements, forces))
     found = fit(problem, problem.parameters)
     # Weights follow the frames and tubes that were found: once more from there.
     open_ = [combination for combination in found.weak if not combination.held]
     if open_:
-        raise Unobservable(f"the visited poses cannot tell {open_[0]}; visit more of the travel of every joint")
+        raise Unobservable(f"the visited poses cannot tell {open_[0]}; measurement more of the travel of every joint")
     errors = np.linalg.norm(problem.errors(found.values), axis=1)
     return TubeCalibration(problem.tubes(found.values), problem.frames(found.values), what, found, errors)
 
 
 def held_out(
-    described: Robot, calibration: TubeCalibration, seen: tuple[Sequence[Visit], Array],
-    unseen: tuple[Sequence[Visit], Array], noise: Noise,
+    described: Robot, calibration: TubeCalibration, seen: tuple[Sequence[Measurement], Array],
+    unseen: tuple[Sequence[Measurement], Array], noise: Noise,
 ) -> HeldOut:  # fmt: skip
-    """What the calibration is worth where it was not made: visits and their forces (k, 3) [N]."""
-    visits, forces = seen
-    plain = Prediction(described, (), visits, forces, noise, closed_form(described, visits, forces))
+    """What the calibration is worth where it was not made: measurements and their forces (k, 3) [N]."""
+    measurements, forces = seen
+    plain = Prediction(described, (), measurements, forces, noise, closed_form(described, measurements, forces))
     frames = plain.frames(fit(plain, plain.parameters).values)
     before = Prediction(described, (), *unseen, noise, frames)
     after = replace(before, robot=calibration.robot, start=calibration.frames)

@@ -7,10 +7,10 @@ import numpy as np
 
 from core.calibration.commissioning import Latency, Signs, find_latency, find_signs
 from core.calibration.fit import fit
+from core.calibration.measurements import Measurement
 from core.calibration.prediction import Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
-from core.calibration.visits import Visit
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.calibration.plan import NOISE, Subject
@@ -29,7 +29,7 @@ class AxesResult(NamedTuple):
 
     signs: Signs
     zeros: tuple[tuple[Quantity, float, float], ...]  #: zero angle of a tube and half its 95 % interval [rad]
-    visits: tuple[Visit, ...]
+    measurements: tuple[Measurement, ...]
 
 
 class LatencyResult(NamedTuple):
@@ -44,25 +44,29 @@ def axes(subject: Subject) -> Procedure[AxesResult]:
     Raises:
         Unobservable: the signs are not clear.
     """
-    visits: list[Visit] = []
-    yield from _moves(subject, SMALL, 0.0, visits)
+    measurements: list[Measurement] = []
+    yield from _moves(subject, SMALL, 0.0, measurements)
     # A stage that runs the other way is still right in the middle of its travel.
     middle = np.array([0.5 * (limit.lower + limit.upper) for limit in subject.limits.joints])
-    signs = find_signs(subject.robot, middle, visits)
+    signs = find_signs(subject.robot, middle, measurements)
     if (signs.signs < 0.0).any():
         # Larger moves wait until the bench's file has the directions right.
-        return AxesResult(signs, (), tuple(visits))
-    yield from _moves(subject, LARGE, 0.5, visits)
+        return AxesResult(signs, (), tuple(measurements))
+    yield from _moves(subject, LARGE, 0.5, measurements)
     what = tuple(quantity for quantity in quantities(subject.robot) if quantity.kind == "zero_angle")
-    forces, noise = np.zeros((len(visits), 3)), NOISE._replace(coil=MODEL_ERROR)
-    problem = Prediction(subject.robot, what, visits, forces, noise, closed_form(subject.robot, visits, forces))
+    forces, noise = np.zeros((len(measurements), 3)), NOISE._replace(coil=MODEL_ERROR)
+    problem = Prediction(
+        subject.robot, what, measurements, forces, noise, closed_form(subject.robot, measurements, forces)
+    )
     found = fit(problem, problem.parameters)
     names = [quantity.parameter(subject.robot).name for quantity in what]
     zeros = tuple((q, found.value(name), found.interval(name)) for q, name in zip(what, names, strict=True))
-    return AxesResult(signs, zeros, tuple(visits))
+    return AxesResult(signs, zeros, tuple(measurements))
 
 
-def _moves(subject: Subject, steps: Mapping[str, float], done: float, visits: list[Visit]) -> Procedure[None]:
+def _moves(
+    subject: Subject, steps: Mapping[str, float], done: float, measurements: list[Measurement]
+) -> Procedure[None]:
     """Each joint either way from the start pose; half of the procedure, from `done` on."""
     moves = [
         sign * steps[joint.unit] * np.eye(len(subject.robot.joints))[k]
@@ -70,8 +74,8 @@ def _moves(subject: Subject, steps: Mapping[str, float], done: float, visits: li
         for sign in (1.0, -1.0)
     ]
     for number, move in enumerate(moves):
-        visit = yield GoTo(subject.start + move, 0.0, done + 0.5 * number / len(moves))
-        visits += [visit] if isinstance(visit, Visit) else []
+        measurement = yield GoTo(subject.start + move, 0.0, done + 0.5 * number / len(moves))
+        measurements += [measurement] if isinstance(measurement, Measurement) else []
 
 
 def latency(subject: Subject) -> Procedure[LatencyResult]:

@@ -42,7 +42,7 @@ def carry_over(known: Path, folder: Path) -> list[Path]:
 def write_registration(
     folder: Path, robot: Robot, frames: Frames, fit: Fit, errors: Array, assumed: Registration, made: str
 ) -> Path:
-    """The found motion after the assumed one: visits were seen through the latter."""
+    """The found motion after the assumed one: measurements were seen through the latter."""
     whole = frames.registration.after(Rigid(assumed.rotation, assumed.position))
     names = [parameter.name for parameter in fit.parameters]
     first = names.index("frame rotation x")

@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from core.calibration.visits import Visit
+from core.calibration.measurements import Measurement
 from core.robot.robot import Array
 from station.calibration.plan import Subject
 from station.calibration.procedure import AbortedError, Ask, Guided, Procedure, StoppedByHandError
@@ -43,7 +43,7 @@ def carry_out(
     Raises:
         StoppedByHandError: Ctrl-C.
         AbortedError: the loop stopped; with the reason.
-        CtrError: what the procedure makes of the visits.
+        CtrError: what the procedure makes of the measurements.
     """
     guided = Guided(procedure)
     bench, devices = virtual_bench(subject.file, lab, seed, subject.start, registration)
@@ -67,7 +67,7 @@ def carry_out(
             if loop.state is State.READY and now >= free_from:
                 if under_way and not isinstance(step, Ask):
                     answer = measured(loop.channels, np.array(rows), step, at, loop.controller)
-                    at = answer.joints if isinstance(answer, Visit) else answer.joints[-1]
+                    at = answer.joints if isinstance(answer, Measurement) else answer.joints[-1]
                     guided.answer(answer)
                     rows, under_way = [], False
                     progress(guided.done, "")

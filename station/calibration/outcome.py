@@ -25,7 +25,7 @@ class Provenance(NamedTuple):
     when: str  #: ISO 8601
     bench: str  #: the lab's title, or which devices
     seed: int | None  #: of a virtual lab; None: a real bench
-    robot_s: float  #: from the first visit to the last
+    robot_s: float  #: from the first measurement to the last
 
     @property
     def simulated(self) -> bool:
@@ -39,7 +39,7 @@ class Provenance(NamedTuple):
 
     def __str__(self) -> str:
         """One line for the files."""
-        return f"'calibrate {self.what}' of {self.when}, {self.where}; visits in {VISITS}"
+        return f"'calibrate {self.what}' of {self.when}, {self.where}; measurements in {VISITS}"
 
 
 def write_all(
@@ -50,7 +50,7 @@ def write_all(
     assumed: Registration = MOUNT,
     known: Path | None = None,
 ) -> dict[str, Any]:
-    """The files for runs, the visits, the numbers and the report; the numbers are the answer.
+    """The files for runs, the measurements, the numbers and the report; the numbers are the answer.
 
     Args:
         folder: made when it is not there.
@@ -82,14 +82,14 @@ def write_all(
         ]
     if written and known is not None:
         written += files.carry_over(known, folder)
-    visits = [*getattr(result, "visits", ()), *getattr(result, "check_visits", ())]
+    measurements = [*getattr(result, "measurements", ()), *getattr(result, "check_measurements", ())]
     numbers: dict[str, Any] = {
         "procedure": provenance.what,
         "seed": provenance.seed,
         "lab": provenance.bench,
         "simulated": provenance.simulated,
         "made": provenance.when,
-        "visits": len(visits),
+        "visits": len(measurements),
         "robot_s": round(provenance.robot_s, 3),
         "folder": str(folder),
         "files": [path.name for path in written],
@@ -99,12 +99,12 @@ def write_all(
         ("made", provenance.when),
         ("bench", provenance.where),
         ("robot", subject.robot.name),
-        ("visits", f"{len(visits)}, {provenance.robot_s:.0f} s of robot time"),
+        ("measurements", f"{len(measurements)}, {provenance.robot_s:.0f} s of robot time"),
         ("files", ", ".join(path.name for path in written) or "none"),
     ]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / VISITS).write_text(json.dumps(summary.recorded(visits), indent=1) + "\n", encoding="utf-8")
+        (folder / VISITS).write_text(json.dumps(summary.recorded(measurements), indent=1) + "\n", encoding="utf-8")
         (folder / NUMBERS).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
         # Imported here: the figures' library takes a second, which the station's start must not.
         from station.calibration.report import write_report

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from core.calibration.informative import candidates, choose, tour
+from core.calibration.measurements import Noise
 from core.calibration.quantities import Quantity
-from core.calibration.visits import Noise
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
@@ -12,7 +12,7 @@ from station.config.robots import RobotFile
 
 #: Poses to choose from.
 CANDIDATES = 300
-#: Standard deviations of a visit: 60 tracker frames and 750 samples of each force sensor.
+#: Standard deviations of a measurement: 60 tracker frames and 750 samples of each force sensor.
 NOISE = Noise(coil=0.016e-3, axes=2e-3, force=1.2e-3, moment=0.05e-3)
 
 

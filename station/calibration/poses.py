@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.calibration.measured import ways
-from core.calibration.visits import Visit
+from core.calibration.measurements import Measurement
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.limits import JointLimit
@@ -51,7 +51,7 @@ class Poses(NamedTuple):
 
     path: Path
     lines: tuple[int, ...]  #: of the file, one for each pose
-    visits: tuple[Visit, ...]  #: `coil` is the measured point, in whatever frame
+    measurements: tuple[Measurement, ...]  #: `coil` is the measured point, in whatever frame
     forces: Array  #: (m, 3) at the tip [N]
     timed: bool
     left_out: tuple[LeftOut, ...]
@@ -93,15 +93,15 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
         )
     came = ways(np.array([row.joints for row in useful])) if timed else None
     nothing = np.zeros((len(robot.tubes), 6))
-    visits = [
-        Visit(
+    measurements = [
+        Measurement(
             row.time, row.joints, row.tip, nothing, None if row.force.any() else 0.0, None if came is None else came[k]
         )
         for k, row in enumerate(useful)
     ]
     forces = np.array([row.force for row in useful])
     order = tuple(sorted(left, key=lambda each: each.line))
-    return Poses(path, tuple(row.line for row in useful), tuple(visits), forces, timed, order)
+    return Poses(path, tuple(row.line for row in useful), tuple(measurements), forces, timed, order)
 
 
 def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -233,6 +233,6 @@ def _first(left: Sequence[LeftOut]) -> str:
 def recorded(poses: Poses, errors: Array, joints: Sequence[str]) -> Iterator[list[object]]:
     """Rows of a table of what was measured and errors (m, 3) [m]; the first names the columns."""
     yield ["line", *joints, *TIP, *FORCE, "error_x", "error_y", "error_z", "error"]
-    for line, visit, force, error in zip(poses.lines, poses.visits, poses.forces, errors, strict=True):
-        values = (*visit.joints, *visit.coil, *force, *error, np.linalg.norm(error))
+    for line, measurement, force, error in zip(poses.lines, poses.measurements, poses.forces, errors, strict=True):
+        values = (*measurement.joints, *measurement.coil, *force, *error, np.linalg.norm(error))
         yield [line, *(f"{value:.9g}" for value in values)]

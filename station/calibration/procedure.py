@@ -1,14 +1,14 @@
 """A calibration as a conversation: it says what to do next, and is told what was measured.
 
 A procedure is a generator. It yields steps, `GoTo` a pose and rest there, `Swing` the joints or `Ask` a
-person for something, and is sent the `Visit` of each pose and what was recorded of a swing. Who carries the
+person for something, and is sent the `Measurement` of each pose and what was recorded of a swing. Who carries the
 steps out, a loop in virtual time or a station with an operator, does not matter to it; to abort is to close it.
 """
 
 from collections.abc import Generator
 from typing import Generic, NamedTuple, TypeVar
 
-from core.calibration.visits import Visit
+from core.calibration.measurements import Measurement
 from core.errors import CtrError
 from core.robot.robot import Array
 
@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 
 
 class GoTo(NamedTuple):
-    """Go to a pose, rest, measure; answered with a `Visit`."""
+    """Go to a pose, rest, measure; answered with a `Measurement`."""
 
     joints: Array  #: (n,) [rad or m]
     weight: float | None  #: known to hang at the tip meanwhile [N]
@@ -50,7 +50,7 @@ class Swung(NamedTuple):
 
 
 Step = GoTo | Ask | Swing
-Answer = Visit | Swung | None
+Answer = Measurement | Swung | None
 Procedure = Generator[Step, Answer, Result]
 
 

@@ -1,4 +1,4 @@
-"""The procedures: which poses, which weights, in which order, and what is made of the visits."""
+"""The procedures: which poses, which weights, in which order, and what is made of the measurements."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from core.calibration.force import SensorCalibration, WeightCheck, calibrate_sensors, check_weight
+from core.calibration.measurements import Measurement
 from core.calibration.prediction import Frames
 from core.calibration.quantities import quantities
 from core.calibration.registration import Registration, register
 from core.calibration.tubes import HeldOut, TubeCalibration, calibrate_tubes, held_out
-from core.calibration.visits import Visit
 from core.robot.robot import Array
 from station.calibration.plan import NOISE, Subject
 from station.calibration.procedure import Ask, GoTo, Procedure
@@ -52,7 +52,7 @@ class TrackerResult(NamedTuple):
     """What the procedure `tracker` has found."""
 
     registration: Registration
-    visits: tuple[Visit, ...]
+    measurements: tuple[Measurement, ...]
 
 
 class ForceResult(NamedTuple):
@@ -61,7 +61,7 @@ class ForceResult(NamedTuple):
     calibration: SensorCalibration
     checks: tuple[tuple[float, WeightCheck], ...]  #: each known weight, as measured
     registration: Registration
-    visits: tuple[Visit, ...]
+    measurements: tuple[Measurement, ...]
 
 
 class TubesResult(NamedTuple):
@@ -70,11 +70,11 @@ class TubesResult(NamedTuple):
     calibration: TubeCalibration
     sensors: SensorCalibration
     checks: tuple[tuple[float, WeightCheck], ...]
-    held_out: HeldOut  #: all of the checking visits
+    held_out: HeldOut  #: all of the checking measurements
     held_out_loaded: HeldOut
     held_out_believed: Array  #: (k,) errors under load of what the station believed before, frames included [m]
-    visits: tuple[Visit, ...]
-    check_visits: tuple[Visit, ...]
+    measurements: tuple[Measurement, ...]
+    check_measurements: tuple[Measurement, ...]
 
 
 def tracker(subject: Subject, effort: Effort) -> Procedure[TrackerResult]:
@@ -85,12 +85,12 @@ def tracker(subject: Subject, effort: Effort) -> Procedure[TrackerResult]:
         Unreachable: there are none.
     """
     poses, _ = subject.tour((), np.zeros(3), effort.unloaded, None, subject.start)
-    visits: list[Visit] = []
+    measurements: list[Measurement] = []
     for number, joints in enumerate(poses):
-        visit = yield GoTo(joints, 0.0, number / len(poses))
-        visits += [visit] if isinstance(visit, Visit) else []
-    found = register(subject.robot, visits, np.zeros((len(visits), 3)), NOISE, subject.limits)
-    return TrackerResult(found, tuple(visits))
+        measurement = yield GoTo(joints, 0.0, number / len(poses))
+        measurements += [measurement] if isinstance(measurement, Measurement) else []
+    found = register(subject.robot, measurements, np.zeros((len(measurements), 3)), NOISE, subject.limits)
+    return TrackerResult(found, tuple(measurements))
 
 
 def force(subject: Subject, effort: Effort) -> Procedure[ForceResult]:
@@ -101,12 +101,12 @@ def force(subject: Subject, effort: Effort) -> Procedure[ForceResult]:
         Unreachable: there are none.
     """
     few = replace(effort, unloaded=effort.unloaded // 2, loaded=effort.loaded // 2, check=0)
-    visits, _ = yield from _visits(subject, few)
-    free = [visit for visit in visits if visit.weight == 0.0]
+    measurements, _ = yield from _visits(subject, few)
+    free = [measurement for measurement in measurements if measurement.weight == 0.0]
     found = register(subject.robot, free, np.zeros((len(free), 3)), NOISE, subject.limits)
-    tips = _tips(subject, found.frames, visits, np.zeros((len(visits), 3)))
-    sensors = calibrate_sensors(subject.robot, visits, tips, NOISE, ROUGH)
-    return ForceResult(sensors, _checks(subject, sensors, visits, effort), found, tuple(visits))
+    tips = _tips(subject, found.frames, measurements, np.zeros((len(measurements), 3)))
+    sensors = calibrate_sensors(subject.robot, measurements, tips, NOISE, ROUGH)
+    return ForceResult(sensors, _checks(subject, sensors, measurements, effort), found, tuple(measurements))
 
 
 def tubes(subject: Subject, effort: Effort) -> Procedure[TubesResult]:
@@ -119,93 +119,100 @@ def tubes(subject: Subject, effort: Effort) -> Procedure[TubesResult]:
         Unobservable: the poses inside the limits cannot tell.
         Unreachable: there are none.
     """
-    visits, check = yield from _visits(subject, effort)
+    measurements, check = yield from _visits(subject, effort)
     robot = subject.robot
-    free = [visit for visit in visits if visit.weight == 0.0]
+    free = [measurement for measurement in measurements if measurement.weight == 0.0]
     rough = register(robot, free, np.zeros((len(free), 3)), NOISE, subject.limits)
-    tips = _tips(subject, rough.frames, visits, np.zeros((len(visits), 3)))
-    sensors = calibrate_sensors(robot, visits, tips, NOISE, ROUGH)
-    found = calibrate_tubes(robot, visits, _forces(subject, sensors, visits), NOISE)
+    tips = _tips(subject, rough.frames, measurements, np.zeros((len(measurements), 3)))
+    sensors = calibrate_sensors(robot, measurements, tips, NOISE, ROUGH)
+    found = calibrate_tubes(robot, measurements, _forces(subject, sensors, measurements), NOISE)
     fitted = replace(subject, robot=found.robot)
-    tips = _tips(fitted, found.frames, visits, _forces(subject, sensors, visits))
-    sensors = calibrate_sensors(robot, visits, tips, NOISE, FINE)
-    forces = _forces(subject, sensors, visits)
-    found = calibrate_tubes(robot, visits, forces, NOISE)
+    tips = _tips(fitted, found.frames, measurements, _forces(subject, sensors, measurements))
+    sensors = calibrate_sensors(robot, measurements, tips, NOISE, FINE)
+    forces = _forces(subject, sensors, measurements)
+    found = calibrate_tubes(robot, measurements, forces, NOISE)
     check_forces = _forces(subject, sensors, check)
-    loaded = np.array([visit.weight != 0.0 for visit in check])
+    loaded = np.array([measurement.weight != 0.0 for measurement in check])
     all_, under_load = (
         held_out(
             robot,
             found,
-            (visits, forces),
+            (measurements, forces),
             ([v for v, w in zip(check, which, strict=True) if w], check_forces[which]),
             NOISE,
         )
         for which in (np.ones(len(check), dtype=bool), loaded)
     )
-    heavy = [visit for visit, w in zip(check, loaded, strict=True) if w]
+    heavy = [measurement for measurement, w in zip(check, loaded, strict=True) if w]
     expected = [
-        subject.statics.solve(visit.joints, np.concatenate((force_, np.zeros(3)))).tip
-        for visit, force_ in zip(heavy, check_forces[loaded], strict=True)
+        subject.statics.solve(measurement.joints, np.concatenate((force_, np.zeros(3)))).tip
+        for measurement, force_ in zip(heavy, check_forces[loaded], strict=True)
     ]
-    believed: Array = np.linalg.norm(np.array([visit.coil for visit in heavy]) - np.array(expected), axis=1)
-    checks = _checks(subject, sensors, visits, effort)
-    return TubesResult(found, sensors, checks, all_, under_load, believed, tuple(visits), tuple(check))
+    believed: Array = np.linalg.norm(np.array([measurement.coil for measurement in heavy]) - np.array(expected), axis=1)
+    checks = _checks(subject, sensors, measurements, effort)
+    return TubesResult(found, sensors, checks, all_, under_load, believed, tuple(measurements), tuple(check))
 
 
-def _visits(subject: Subject, effort: Effort) -> Procedure[tuple[list[Visit], list[Visit]]]:
-    """Without load, then under each weight and without again; visits to fit and visits to check with."""
+def _visits(subject: Subject, effort: Effort) -> Procedure[tuple[list[Measurement], list[Measurement]]]:
+    """Without load, then under each weight and without again; measurements to fit and measurements to check with."""
     what = quantities(subject.robot)
     total, number, at = effort.steps(), 0, subject.start
-    visits: list[Visit] = []
-    check: list[Visit] = []
+    measurements: list[Measurement] = []
+    check: list[Measurement] = []
 
-    def rest(poses: Array, weight: float, into: list[Visit]) -> Procedure[None]:
+    def rest(poses: Array, weight: float, into: list[Measurement]) -> Procedure[None]:
         nonlocal number, at
         for joints in poses:
-            visit = yield GoTo(joints, weight, min(number / total, 1.0))
-            into += [visit] if isinstance(visit, Visit) else []
+            measurement = yield GoTo(joints, weight, min(number / total, 1.0))
+            into += [measurement] if isinstance(measurement, Measurement) else []
             number, at = number + 1, joints
 
     poses, known = subject.tour(what, np.zeros(3), effort.unloaded, None, at)
-    yield from rest(poses, 0.0, visits)
+    yield from rest(poses, 0.0, measurements)
     for weight in effort.weights:
         pull = weight * GRAVITY
-        yield from rest(subject.start[None, :], 0.0, visits)
+        yield from rest(subject.start[None, :], 0.0, measurements)
         yield Ask(f"Hang a weight of {weight:g} N at the tip.", weight, number / total)
         poses, known = subject.tour(what, pull, effort.loaded, known, at)
-        yield from rest(poses, weight, visits)
+        yield from rest(poses, weight, measurements)
         if effort.check:
             yield from rest(subject.scattered(pull, effort.check, at), weight, check)
         yield Ask("Take the weight off.", 0.0, number / total)
         poses, known = subject.tour(what, np.zeros(3), effort.between, known, at)
-        yield from rest(poses, 0.0, visits)
-    return visits, check
+        yield from rest(poses, 0.0, measurements)
+    return measurements, check
 
 
-def _forces(subject: Subject, sensors: SensorCalibration, visits: Sequence[Visit]) -> Array:
+def _forces(subject: Subject, sensors: SensorCalibration, measurements: Sequence[Measurement]) -> Array:
     """Measured tip forces (m, 3) [N]; exactly none where nothing hangs."""
     return np.array([
-        np.zeros(3) if visit.weight == 0.0 else sensors.load(subject.robot, visit).force for visit in visits
+        np.zeros(3) if measurement.weight == 0.0 else sensors.load(subject.robot, measurement).force
+        for measurement in measurements
     ])  # fmt: skip
 
 
-def _tips(subject: Subject, frames: Frames, visits: Sequence[Visit], forces: Array) -> Array:
+def _tips(subject: Subject, frames: Frames, measurements: Sequence[Measurement], forces: Array) -> Array:
     """Measured tips (m, 3), robot's frame [m]; the coil's place is carried back along the model's frame."""
     turns = [
-        subject.statics.solve(visit.joints, np.concatenate((force_, np.zeros(3)))).rotation
-        for visit, force_ in zip(visits, forces, strict=True)
+        subject.statics.solve(measurement.joints, np.concatenate((force_, np.zeros(3)))).rotation
+        for measurement, force_ in zip(measurements, forces, strict=True)
     ]
-    coils = frames.registration.apply(np.array([visit.coil for visit in visits]))
+    coils = frames.registration.apply(np.array([measurement.coil for measurement in measurements]))
     return coils - np.array([turn @ frames.coil for turn in turns])
 
 
 def _checks(
-    subject: Subject, sensors: SensorCalibration, visits: Sequence[Visit], effort: Effort
+    subject: Subject, sensors: SensorCalibration, measurements: Sequence[Measurement], effort: Effort
 ) -> tuple[tuple[float, WeightCheck], ...]:
     """Each known weight as the calibrated sensors measure it."""
     found: list[tuple[float, WeightCheck]] = []
     for weight in effort.weights:
-        felt = np.array([sensors.load(subject.robot, visit).force for visit in visits if visit.weight == weight])
+        felt = np.array(
+            [
+                sensors.load(subject.robot, measurement).force
+                for measurement in measurements
+                if measurement.weight == weight
+            ]
+        )
         found.append((weight, check_weight(felt, weight, GRAVITY)))
     return tuple(found)

@@ -100,7 +100,11 @@ def _held_out(result: TubesResult) -> Drawn:
     axes.set_ylabel("distance model - coil [mm]")
     means = ", ".join(f"{label} {1e3 * errors.mean():.3g} mm" for label, errors in groups)
     return Drawn(
-        "held_out", "Loaded visits that no fit has seen", "Each point a visit; the line is the mean.", means, figure
+        "held_out",
+        "Loaded measurements that no fit has seen",
+        "Each point a measurement; the line is the mean.",
+        means,
+        figure,
     )
 
 
@@ -109,10 +113,10 @@ def _errors(errors: Array, when: str) -> Drawn:
     axes = figure.subplots()
     look = style.series(2, "")
     axes.bar(np.arange(1, len(errors) + 1), 1e3 * errors, color=look.colour, width=0.7)
-    axes.set_xlabel("visit")
+    axes.set_xlabel("measurement")
     axes.set_ylabel("distance model - coil [mm]")
     rms = 1e3 * float(np.sqrt(np.mean(errors**2)))
-    text = f"{len(errors)} visits, {rms:.3g} mm RMS, {1e3 * errors.max():.3g} mm at most."
+    text = f"{len(errors)} measurements, {rms:.3g} mm RMS, {1e3 * errors.max():.3g} mm at most."
     return Drawn("errors", f"Residuals {when}", text, text, figure)
 
 

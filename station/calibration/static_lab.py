@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from core.calibration.visits import Visit
+from core.calibration.measurements import Measurement
 from core.robot.robot import Array
 from station.calibration.plan import Subject
 from station.calibration.procedure import AbortedError, Ask, Guided, Procedure, Swing
@@ -56,7 +56,9 @@ class StaticLab:
         bent = config.tracker.distortion
         self._field = Distortion.drawn(bent, 1e-3 * np.array(VOLUME), tracker.spawn(1)[0]) if bent > 0.0 else None
 
-    def visit(self, joints: Array, weight: float, contact: float = math.inf, direction: Array | None = None) -> Visit:
+    def measure(
+        self, joints: Array, weight: float, contact: float = math.inf, direction: Array | None = None
+    ) -> Measurement:
         """Go to stage positions (n,) under a weight [N], or a force on the shaft, and rest there.
 
         Raises:
@@ -72,9 +74,9 @@ class StaticLab:
         came = np.sign(joints - self._at)
         self._at = joints.copy()
         seen, felt = self._seen(state.truth.tip), self._felt(state.wrenches)
-        visit = Visit(self.time, joints.copy(), seen, felt, weight, came)
+        measurement = Measurement(self.time, joints.copy(), seen, felt, weight, came)
         self.time += 0.5 * AVERAGE
-        return visit
+        return measurement
 
     def _seen(self, tip: Array) -> Array:
         """Mean of the frames, by where the tracker is said to stand."""
@@ -105,7 +107,7 @@ def carry_out(
     """Run a procedure to its end; `progress` is told the part done and what a person would be asked.
 
     Raises:
-        CtrError: what the procedure makes of the visits.
+        CtrError: what the procedure makes of the measurements.
     """
     guided, weight = Guided(procedure), 0.0
     while (step := guided.step) is not None:
@@ -118,7 +120,7 @@ def carry_out(
         elif isinstance(step, Swing):
             raise AbortedError("this lab is only seen at rest: for a swing take the one with devices on their wires")
         else:
-            guided.answer(lab.visit(step.joints, weight))
+            guided.answer(lab.measure(step.joints, weight))
     if guided.result is None:
         raise AbortedError("the procedure ended without a result")
     return guided.result

@@ -8,10 +8,10 @@ import numpy as np
 
 from core.calibration.fit import Fit
 from core.calibration.force import SensorCalibration, WeightCheck
+from core.calibration.measurements import Measurement
 from core.calibration.prediction import Frames
 from core.calibration.rigid import vector_of
 from core.calibration.tubes import TubeCalibration
-from core.calibration.visits import Visit
 from core.robot.robot import Array, Robot
 from station.calibration.commission import AxesResult, LatencyResult
 from station.calibration.plan import Subject
@@ -74,7 +74,7 @@ def findings(result: Result) -> list[str]:
         found = result.registration
         said = [
             f"{1e3 * found.rms:.3f} mm RMS between coil and model; {1e3 * float(found.held_out.mean()):.3f} mm mean"
-            " at visits that the fit had not seen."
+            " at measurements that the fit had not seen."
         ]
         if found.fit.variance_factor > SUSPICIOUS:
             said.append("That is far more than the noise: the tubes differ from their description; calibrate them.")
@@ -83,10 +83,10 @@ def findings(result: Result) -> list[str]:
         return [*_checks(result.checks), *_unseen(result.calibration.fit)]
     loaded = result.held_out_loaded
     return [
-        f"Loaded visits that no fit has seen: {1e3 * float(result.held_out_believed.mean()):.2f} mm mean as believed"
-        f" before, {1e3 * float(loaded.before.mean()):.2f} mm with the described tubes in the best frames for them,"
-        f" {1e3 * float(loaded.after.mean()):.3f} mm calibrated.",
-        f"{_rms_mm(result.calibration.errors):.3f} mm RMS at the visits of the fit,"
+        f"Loaded measurements that no fit has seen: {1e3 * float(result.held_out_believed.mean()):.2f} mm mean as"
+        f" believed before, {1e3 * float(loaded.before.mean()):.2f} mm with the described tubes in the best frames for"
+        f" them, {1e3 * float(loaded.after.mean()):.3f} mm calibrated.",
+        f"{_rms_mm(result.calibration.errors):.3f} mm RMS at the measurements of the fit,"
         f" {result.calibration.fit.variance_factor:.2f} of the variance that the noise lets expect.",
         *_checks(result.checks),
         *_weak(result.calibration.fit),
@@ -123,17 +123,17 @@ def numbers(result: Result, subject: Subject) -> dict[str, Any]:
     return summary
 
 
-def recorded(visits: Sequence[Visit]) -> list[dict[str, Any]]:
-    """Visits as they were measured, for the record."""
+def recorded(measurements: Sequence[Measurement]) -> list[dict[str, Any]]:
+    """Measurements as they were measured, for the record."""
     return [
         {
-            "time": visit.time,
-            "joints": visit.joints.tolist(),
-            "coil": visit.coil.tolist(),
-            "wrenches": visit.wrenches.tolist(),
-            "weight": visit.weight,
+            "time": measurement.time,
+            "joints": measurement.joints.tolist(),
+            "coil": measurement.coil.tolist(),
+            "wrenches": measurement.wrenches.tolist(),
+            "weight": measurement.weight,
         }
-        for visit in visits
+        for measurement in measurements
     ]
 
 

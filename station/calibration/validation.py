@@ -14,9 +14,9 @@ import numpy as np
 
 from core.calibration.fit import INTERVAL, Fit, Unobservable
 from core.calibration.measured import FAR, Asked, Extent, Match, Spread, askable, match, suspicions
+from core.calibration.measurements import Measurement
 from core.calibration.rigid import vector_of
 from core.calibration.tubes import TubeCalibration
-from core.calibration.visits import Visit
 from core.errors import CtrError
 from core.robot.robot import Array, Robot
 from station.calibration.poses import Poses
@@ -105,17 +105,17 @@ def validate(file: RobotFile, poses: Poses, extent: Extent, *, test: Poses | Non
         )
     if hysteresis and extent == "none":
         raise NoOrderError("--hysteresis fits a lag; choose --fit frames or --fit tubes")
-    robot, stride = file.robot(), -(-len(poses.visits) // FITTED)
-    visits, forces = poses.visits[::stride], poses.forces[::stride]
-    others = (*poses.visits, *(() if test is None else test.visits))
-    asked = askable(robot, visits, forces, hysteresis=hysteresis, others=others)
+    robot, stride = file.robot(), -(-len(poses.measurements) // FITTED)
+    measurements, forces = poses.measurements[::stride], poses.forces[::stride]
+    others = (*poses.measurements, *(() if test is None else test.measurements))
+    asked = askable(robot, measurements, forces, hysteresis=hysteresis, others=others)
     matches: list[Match] = []
     unseen: list[Unseen] = []
     failed = ""
     for each in EXTENTS[: EXTENTS.index(extent) + 1]:
         try:
-            found = match(robot, visits, forces, each, asked)
-            tested = _unseen(robot, visits, forces, test, found, asked)
+            found = match(robot, measurements, forces, each, asked)
+            tested = _unseen(robot, measurements, forces, test, found, asked)
         except CtrError as error:
             if each != "tubes":
                 raise
@@ -123,23 +123,23 @@ def validate(file: RobotFile, poses: Poses, extent: Extent, *, test: Poses | Non
             break
         matches.append(found)
         unseen += tested
-    suspicious = suspicions(robot, visits, forces) if extent != "none" else ()
-    errors = tuple(found.errors(poses.visits, poses.forces) for found in matches)
+    suspicious = suspicions(robot, measurements, forces) if extent != "none" else ()
+    errors = tuple(found.errors(poses.measurements, poses.forces) for found in matches)
     return Validation(
         file, robot, poses, test, asked, tuple(matches), errors, tuple(unseen), failed, suspicious, stride
     )  # fmt: skip
 
 
 def _unseen(
-    robot: Robot, visits: Sequence[Visit], forces: Array, test: Poses | None, found: Match, asked: Asked
+    robot: Robot, measurements: Sequence[Measurement], forces: Array, test: Poses | None, found: Match, asked: Asked
 ) -> list[Unseen]:
     """Errors at the poses of the fit and at others; none where every second pose is too few."""
     if test is not None:
-        fitted = Spread.of(found.errors(visits, forces))
-        return [Unseen(found.extent, fitted, Spread.of(found.errors(test.visits, test.forces)))]
+        fitted = Spread.of(found.errors(measurements, forces))
+        return [Unseen(found.extent, fitted, Spread.of(found.errors(test.measurements, test.forces)))]
     if found.fit is None:
         return []
-    first, second = ((visits[start::2], forces[start::2]) for start in (0, 1))
+    first, second = ((measurements[start::2], forces[start::2]) for start in (0, 1))
     try:
         half = match(robot, *first, found.extent, asked)
     except CtrError:
@@ -149,7 +149,10 @@ def _unseen(
 
 def by_joint(validation: Validation) -> list[Bin]:
     """Errors of the best match, by where each joint is."""
-    joints, errors = np.array([visit.joints for visit in validation.poses.visits]), validation.errors[-1]
+    joints, errors = (
+        np.array([measurement.joints for measurement in validation.poses.measurements]),
+        validation.errors[-1],
+    )
     found: list[Bin] = []
     for k, joint in enumerate(validation.robot.joints):
         column, (factor, unit) = joints[:, k], _shown(joint.unit)
@@ -178,7 +181,7 @@ def by_direction(validation: Validation) -> list[Bin]:
     lengths = np.linalg.norm(validation.errors[-1], axis=1)
     near = lengths <= FAR * np.nanmedian(lengths)
     errors = validation.errors[-1][near]
-    ways_ = np.array([visit.came for visit in validation.poses.visits])[near]
+    ways_ = np.array([measurement.came for measurement in validation.poses.measurements])[near]
     return [
         _bin(joint.name, text, errors[ways_[:, k] == way])
         for k, joint in enumerate(validation.robot.joints)
@@ -226,7 +229,7 @@ def _size_words(validation: Validation) -> Iterator[str]:
 
 def _told_words(validation: Validation) -> Iterator[str]:
     """How much the poses say."""
-    best, count = validation.best, len(validation.poses.visits)
+    best, count = validation.best, len(validation.poses.measurements)
     if best.held:
         names = ", ".join(name.replace("_", " ") for name in best.held)
         yield f"The data say less than was known beforehand of: {names}."
@@ -312,7 +315,7 @@ def numbers(validation: Validation) -> dict[str, Any]:
         "robot": validation.robot.name,
         "poses": str(validation.poses.path),
         "test": None if validation.test is None else str(validation.test.path),
-        "used": len(validation.poses.visits),
+        "used": len(validation.poses.measurements),
         "left_out": [each._asdict() for each in validation.poses.left_out],
         "test_left_out": [] if validation.test is None else [each._asdict() for each in validation.test.left_out],
         "fit": best.extent,

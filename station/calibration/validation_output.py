@@ -50,7 +50,8 @@ def write_calibration(folder: Path, validation: Validation, when: str) -> dict[s
     ]  # fmt: skip
     kept = {
         "procedure": "tubes", "made": when, "lab": f"poses of {validation.poses.path.name}", "simulated": False,
-        "visits": len(validation.poses.visits), "robot_s": 0.0, "found": [r._asdict() for r in found_rows(validation)],
+        "visits": len(validation.poses.measurements), "robot_s": 0.0,
+        "found": [r._asdict() for r in found_rows(validation)],
     }  # fmt: skip
     title = f"Tubes of '{validation.robot.name}' from measured poses"
     return _written(folder, title, validation, when, kept, [path.name for path in written])
@@ -83,7 +84,9 @@ def _written(
 
 
 def _where(poses: Poses) -> str:
-    return f"{poses.path}: {len(poses.visits)} poses" + (f", {len(poses.left_out)} left out" if poses.left_out else "")
+    return f"{poses.path}: {len(poses.measurements)} poses" + (
+        f", {len(poses.left_out)} left out" if poses.left_out else ""
+    )
 
 
 def tables(validation: Validation) -> list[Table]:

@@ -116,7 +116,10 @@ def _left_rows(left: Sequence[LeftOut]) -> list[tuple[str, str]]:
 
 def _figures(validation: Validation) -> Iterator[Drawn]:
     yield _shares(validation)
-    if any(np.ptp([visit.joints[k] for visit in validation.poses.visits]) > 0.0 for k in _joints(validation)):
+    if any(
+        np.ptp([measurement.joints[k] for measurement in validation.poses.measurements]) > 0.0
+        for k in _joints(validation)
+    ):
         yield _over_joints(validation)
     yield _over_poses(validation)
     yield _places(validation)
@@ -156,7 +159,10 @@ def _shares(validation: Validation) -> Drawn:
 
 def _over_joints(validation: Validation) -> Drawn:
     """A panel a joint that moves: error of every pose, and the mean of each bin."""
-    joints, errors = np.array([visit.joints for visit in validation.poses.visits]), validation.errors[-1]
+    joints, errors = (
+        np.array([measurement.joints for measurement in validation.poses.measurements]),
+        validation.errors[-1],
+    )
     lengths = 1e3 * np.linalg.norm(errors, axis=1)
     moving = [k for k in _joints(validation) if np.ptp(joints[:, k]) > 0.0]
     figure = Figure(figsize=(style.WIDTH, 0.8 + 1.7 * len(moving)))
@@ -166,7 +172,11 @@ def _over_joints(validation: Validation) -> Drawn:
         joint = validation.robot.joints[k]
         factor, unit = (180.0 / np.pi, "deg") if joint.unit == "rad" else (1e3, "mm")
         for way, label, number in WAYS if validation.poses.timed else ((None, "pose", 2),):
-            came = np.array([visit.came for visit in validation.poses.visits]) if way is not None else None
+            came = (
+                np.array([measurement.came for measurement in validation.poses.measurements])
+                if way is not None
+                else None
+            )
             these = np.ones(len(joints), bool) if came is None else came[:, k] == way
             if these.any():
                 look = style.series(number, label)
@@ -202,7 +212,9 @@ def _over_poses(validation: Validation) -> Drawn:
 def _places(validation: Validation) -> Drawn:
     """Where the points were, from two sides, with the errors longer than they are."""
     best, errors = validation.best, 1e3 * validation.errors[-1]
-    there = 1e3 * best.frames.registration.apply(np.array([visit.coil for visit in validation.poses.visits]))
+    there = 1e3 * best.frames.registration.apply(
+        np.array([measurement.coil for measurement in validation.poses.measurements])
+    )
     figure = Figure(figsize=(style.WIDTH, 3.4))
     for axes, (across, up) in zip(figure.subplots(1, 2), ((0, 2), (1, 2)), strict=True):
         axes.plot(there[:, across], there[:, up], ".", color=style.BLUE, markersize=3.0)

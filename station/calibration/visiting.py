@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from core.calibration.visits import Visit
+from core.calibration.measurements import Measurement
 from core.control.step import Controller
 from core.control.trajectories import JointMotion
 from core.robot.robot import Array
@@ -44,7 +44,7 @@ def still(joints: int) -> Sway:
 
 
 def task(step: GoTo | Swing, controller: Controller) -> Task:
-    """A visit ends with the rest before its motion, a swing begins there."""
+    """A measurement ends with the rest before its motion, a swing begins there."""
     if isinstance(step, GoTo):
         return Task(controller, still(len(step.joints)), 0.0, step.joints, MARGINS)
     return Task(controller, Sway(step.amplitudes, step.period), step.duration, margins=MARGINS)
@@ -52,7 +52,7 @@ def task(step: GoTo | Swing, controller: Controller) -> Task:
 
 def measured(
     channels: Channels, rows: Array, step: GoTo | Swing, before: Array, controller: Controller
-) -> Visit | Swung:
+) -> Measurement | Swung:
     """What the last rest, or a swing, has shown.
 
     Args:
@@ -84,7 +84,7 @@ def measured(
         return Swung(times, joints, seen[inside], coils[inside])
     wrenches = channels.of(counted, "wrench_raw").mean(axis=0).reshape(-1, 6)
     came = np.sign(joints[-1] - before)
-    return Visit(float(times.mean()), joints[-1].copy(), coils.mean(axis=0), wrenches, step.weight, came)
+    return Measurement(float(times.mean()), joints[-1].copy(), coils.mean(axis=0), wrenches, step.weight, came)
 
 
 def _coils(channels: Channels, frames: Array, controller: Controller) -> Array:

@@ -121,8 +121,8 @@ def _carried_out(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[An
             return static_lab.carry_out(procedure, bench, progress), bench.time
         clock = RealClock() if parsed.realtime else VirtualClock()
         result = headless.carry_out(procedure, subject, lab, parsed.seed, clock, progress)
-        visits = getattr(result, "visits", ())
-        return result, visits[-1].time if visits else 0.0
+        measurements = getattr(result, "measurements", ())
+        return result, measurements[-1].time if measurements else 0.0
 
 
 def robot_start(robot: Any) -> Any:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.calibration.contact import LEAST_FORCE, Contact, TipLoad, locate, spans, tip_load
-from core.calibration.visits import Noise
+from core.calibration.measurements import Noise
 from core.control.force_fusion import Fused
 from core.model.statics import Statics
 from core.robot.robot import Array

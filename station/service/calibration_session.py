@@ -83,7 +83,7 @@ class CalibrationSession:
         self._answered, self._abort = threading.Event(), ""
         self._began, self._ended = self._clock.now(), 0.0
         self._expected = OFFERS[job.what].expected(job.effort, len(job.weights))
-        self._zero: float | None = None  # telemetry's time at the first visit [s]
+        self._zero: float | None = None  # telemetry's time at the first measurement [s]
         self._hung = 0.0  # at the tip, on a person's word [N]
         self._visits, self._trouble = 0, self._troubles()
         self._now = Report(what=job.what, effort=job.effort, stage=Stage.THINKING, says="it begins")
@@ -169,7 +169,7 @@ class CalibrationSession:
         answer = measured(self._supervisor.channels, rows, step, before, self._controller)
         if isinstance(answer, Swung):
             return answer
-        # Counted from the first visit: sensors drift by the hour, not by what the station's clock happens to say.
+        # Counted from the first measurement: sensors drift by the hour, not by what the station's clock happens to say.
         self._zero = answer.time if self._zero is None else self._zero
         return answer._replace(time=answer.time - self._zero)
 
@@ -194,7 +194,7 @@ class CalibrationSession:
         self._look()
         ring = self._supervisor.ring
         kept, since = list[Array](), ring.written
-        self._supervisor.visit(Start(what, title, load=None, recorded=False))
+        self._supervisor.start_step(Start(what, title, load=None, recorded=False))
         while True:
             time.sleep(LOOK)
             running = self._look() is State.RUNNING  # before the rows are read: then the last of them are there

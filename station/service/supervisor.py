@@ -99,7 +99,7 @@ class Supervisor:
         self._check_free()
         return self._carry_out(start)
 
-    def visit(self, start: Start) -> Run:
+    def start_step(self, start: Start) -> Run:
         """Have a step of the procedure carried out that has the station to itself.
 
         Raises:
@@ -108,7 +108,7 @@ class Supervisor:
         return self._carry_out(start)
 
     def reserve(self, why: str) -> None:
-        """From now on only `visit` moves anything, until `release`; STOP and reset are as always.
+        """From now on only `start_step` moves anything, until `release`; STOP and reset are as always.
 
         Args:
             why: is told whoever is refused.

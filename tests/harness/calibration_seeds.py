@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from core.calibration.contact import locate
-from core.calibration.visits import Noise
+from core.calibration.measurements import Noise
 from core.errors import CtrError
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics
@@ -79,11 +79,11 @@ def contacts(subject: Subject, bench: StaticLab, found: procedures.TubesResult, 
         length = float(joints[2]) + subject.robot.tubes[0].length
         place, direction = random.uniform(0.02, length), random.standard_normal(3)
         try:
-            free = bench.visit(joints, 0.0)
-            visit = bench.visit(joints, 0.3, place, direction / np.linalg.norm(direction))
+            free = bench.measure(joints, 0.0)
+            measurement = bench.measure(joints, 0.3, place, direction / np.linalg.norm(direction))
         except CtrError:
             continue
-        before, load = (found.sensors.load(subject.robot, each) for each in (free, visit))
+        before, load = (found.sensors.load(subject.robot, each) for each in (free, measurement))
         # Tared where it is, a moment before: the sensors drift.
         load = load._replace(force=load.force - before.force, moment=load.moment - before.moment)
         contact = locate(model, joints, load, CONTACT_NOISE)

@@ -1,4 +1,4 @@
-"""Visits of a robot, seen by a tracker that stands somewhere: the exact rod and noise from a seed."""
+"""Measurements of a robot, seen by a tracker that stands somewhere: the exact rod and noise from a seed."""
 
 import math
 from dataclasses import replace
@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from core.calibration.measurements import Measurement, Noise
 from core.calibration.rigid import Rigid
-from core.calibration.visits import Noise, Visit
 from core.model.cosserat import ExactRod
 from core.robot.robot import Robot
 
@@ -33,11 +33,13 @@ def altered(robot: Robot) -> Robot:
     return replace(robot, tubes=(inner, outer))
 
 
-def seen(robot: Robot, joints: np.ndarray, force=(0.0, 0.0, 0.0), seed: int = 0, directions: int = 0) -> list[Visit]:
+def seen(
+    robot: Robot, joints: np.ndarray, force=(0.0, 0.0, 0.0), seed: int = 0, directions: int = 0
+) -> list[Measurement]:
     """At joints (m, n) under a force [N]; `directions` of the coil are told: 1 or 3."""
     random, back, exact = np.random.default_rng([seed, 9]), TRACKER.inverse(), ExactRod(robot)
     weight = float(np.linalg.norm(force))
-    visits = []
+    measurements = []
     for k, pose in enumerate(joints):
         rod = exact.solve(pose, np.r_[force, 0.0, 0.0, 0.0])
         coil = back.apply(rod.tip + rod.rotation @ COIL) + NOISE.coil * random.standard_normal(3)
@@ -46,5 +48,5 @@ def seen(robot: Robot, joints: np.ndarray, force=(0.0, 0.0, 0.0), seed: int = 0,
             axes = (rod.rotation.T[-directions:] @ TRACKER.rotation) + NOISE.axes * random.standard_normal(
                 (directions, 3)
             )
-        visits.append(Visit(10.0 * k, pose, coil, np.zeros((len(robot.tubes), 6)), weight, axes=axes))
-    return visits
+        measurements.append(Measurement(10.0 * k, pose, coil, np.zeros((len(robot.tubes), 6)), weight, axes=axes))
+    return measurements

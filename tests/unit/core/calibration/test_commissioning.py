@@ -18,25 +18,25 @@ MOVES = np.vstack([sign * np.diag([0.3, 0.3, 0.012])[k] for k in range(3) for si
 @pytest.mark.parametrize("truth", list(itertools.product((1.0, -1.0), repeat=3)))
 def test_every_combination_of_signs_is_told_from_every_other_without_a_registration(paper_robot, truth):
     """The tubes are not those of the description either."""
-    visits = [
-        visit._replace(joints=START + move)
-        for visit, move in zip(seen(altered(paper_robot), START + truth * MOVES), MOVES, strict=True)
+    measurements = [
+        measurement._replace(joints=START + move)
+        for measurement, move in zip(seen(altered(paper_robot), START + truth * MOVES), MOVES, strict=True)
     ]
 
-    found = find_signs(paper_robot, START, visits)
+    found = find_signs(paper_robot, START, measurements)
 
     assert found.signs.tolist() == list(truth)
     assert found.next_rms > 3.0 * found.rms
 
 
 def test_moves_that_are_too_small_are_refused(paper_robot):
-    visits = [
-        visit._replace(joints=START + 0.002 * move)
-        for visit, move in zip(seen(paper_robot, START + 0.002 * MOVES), MOVES, strict=True)
+    measurements = [
+        measurement._replace(joints=START + 0.002 * move)
+        for measurement, move in zip(seen(paper_robot, START + 0.002 * MOVES), MOVES, strict=True)
     ]
 
     with pytest.raises(Unobservable, match="make larger moves"):
-        find_signs(paper_robot, START, visits)
+        find_signs(paper_robot, START, measurements)
 
 
 def motion(model: Statics, speed: float) -> tuple[np.ndarray, np.ndarray]:

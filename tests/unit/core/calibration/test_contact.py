@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from core.calibration.contact import LEAST_FORCE, locate, tip_load
-from core.calibration.visits import Noise
+from core.calibration.measurements import Noise
 from core.control.force_fusion import Fused
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics

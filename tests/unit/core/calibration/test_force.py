@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from core.calibration.fit import Unobservable
 from core.calibration.force import calibrate_sensors, check_weight
-from core.calibration.visits import Noise, Visit
+from core.calibration.measurements import Measurement, Noise
 from core.model.statics import Statics
 
 DOWN = np.array([1.0, 0.0, 0.0])
@@ -36,11 +36,11 @@ def readings(joints, load, internal, time, offset, drift, random):
 
 @pytest.fixture(scope="module")
 def bench(paper_robot):
-    """Visits, tips and the errors that were put in; blocks without and with weight take turns."""
+    """Measurements, tips and the errors that were put in; blocks without and with weight take turns."""
     random, model = np.random.default_rng(1), Statics(paper_robot)
     offset = random.uniform(-1.0, 1.0, (2, 6)) * np.repeat([1.0, 0.01], 3)
     drift = random.choice([-1.0, 1.0], (2, 6)) * np.repeat([5e-3 / 60.0, 0.0], 3)
-    visits, tips = [], []
+    measurements, tips = [], []
     for k in range(60):
         joints = np.r_[random.uniform(-3.0, 3.0, 2), random.uniform(-0.12, -0.01)]
         weight = (0.0, 0.5, 0.25, 0.0)[k // 15]
@@ -48,9 +48,9 @@ def bench(paper_robot):
         tip = model.solve(joints, np.r_[force, np.zeros(3)]).tip
         internal = random.normal(size=6) * np.repeat([0.3, 0.02], 3)
         said = readings(joints, np.r_[force, np.cross(tip, force)], internal, 10.0 * k, offset, drift, random)
-        visits.append(Visit(10.0 * k, joints, np.zeros(3), said, weight))
+        measurements.append(Measurement(10.0 * k, joints, np.zeros(3), said, weight))
         tips.append(tip)
-    return visits, np.array(tips), drift
+    return measurements, np.array(tips), drift
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,9 @@ def test_mounting_and_weights_are_found(found):
 
 
 def test_loads_are_measured_although_the_tubes_do_much_more_to_each_other(paper_robot, bench, found):
-    errors = np.array([found.load(paper_robot, visit).force - visit.weight * DOWN for visit in bench[0]])
+    errors = np.array(
+        [found.load(paper_robot, measurement).force - measurement.weight * DOWN for measurement in bench[0]]
+    )
 
     assert np.sqrt(np.mean(errors**2, axis=0)).max() < 2.5e-3
 
@@ -82,11 +84,11 @@ def test_drift_is_found_where_it_shows(bench, found):
 
 
 def test_an_unknown_load_helps_by_its_moment_equation(paper_robot, bench):
-    visits = [v._replace(weight=None) if v.weight else v for v in bench[0]]
+    measurements = [v._replace(weight=None) if v.weight else v for v in bench[0]]
 
-    found = calibrate_sensors(paper_robot, visits, bench[1], NOISE, 0.05e-3)
+    found = calibrate_sensors(paper_robot, measurements, bench[1], NOISE, 0.05e-3)
 
-    errors = [found.load(paper_robot, v).force - u.weight * DOWN for v, u in zip(visits, bench[0], strict=True)]
+    errors = [found.load(paper_robot, v).force - u.weight * DOWN for v, u in zip(measurements, bench[0], strict=True)]
     assert np.sqrt(np.mean(np.array(errors) ** 2)) < 6e-3
 
 
@@ -100,12 +102,12 @@ def test_a_known_weight_is_checked(paper_robot, bench, found):
 
 
 def test_sensors_that_never_turned_are_refused_and_the_joint_is_named(paper_robot, bench):
-    visits = [v._replace(joints=v.joints * [1.0, 0.1, 1.0]) for v in bench[0]]
+    measurements = [v._replace(joints=v.joints * [1.0, 0.1, 1.0]) for v in bench[0]]
 
     with pytest.raises(Unobservable, match=r"tube 'inner' .* turn inner_rotation by more than 60 deg without load"):
-        calibrate_sensors(paper_robot, visits, bench[1], NOISE, 0.05e-3)
+        calibrate_sensors(paper_robot, measurements, bench[1], NOISE, 0.05e-3)
 
 
 def test_too_few_visits_without_load_are_refused(paper_robot, bench):
-    with pytest.raises(Unobservable, match="5 visits without load"):
+    with pytest.raises(Unobservable, match="5 measurements without load"):
         calibrate_sensors(paper_robot, bench[0][:5], bench[1][:5], NOISE, 0.05e-3)

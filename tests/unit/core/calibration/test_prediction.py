@@ -13,9 +13,9 @@ FORCE = np.array([0.3, -0.1, 0.05])
 @pytest.fixture
 def problem(paper_robot):
     def make(directions: int) -> Prediction:
-        visits = seen(paper_robot, poses(4, 6), FORCE, directions=directions)
+        measurements = seen(paper_robot, poses(4, 6), FORCE, directions=directions)
         frames = Frames(TRACKER, COIL, np.zeros(3))
-        return Prediction(paper_robot, quantities(paper_robot), visits, np.tile(FORCE, (6, 1)), NOISE, frames)
+        return Prediction(paper_robot, quantities(paper_robot), measurements, np.tile(FORCE, (6, 1)), NOISE, frames)
 
     return make
 
@@ -46,9 +46,9 @@ def test_the_jacobian_is_the_derivative(problem, directions):
 
 
 def test_a_force_that_is_not_well_known_counts_less_where_the_robot_is_soft(paper_robot):
-    visits = seen(paper_robot, np.array([[0.0, 1.5, -0.12], [0.0, 1.5, -0.02]]), FORCE)
+    measurements = seen(paper_robot, np.array([[0.0, 1.5, -0.12], [0.0, 1.5, -0.02]]), FORCE)
     frames = Frames(TRACKER, COIL, np.zeros(3))
-    found = Prediction(paper_robot, (), visits, np.tile(FORCE, (2, 1)), NOISE._replace(force=0.02), frames)
+    found = Prediction(paper_robot, (), measurements, np.tile(FORCE, (2, 1)), NOISE._replace(force=0.02), frames)
     rows = found.jacobian(np.zeros(9))[:, 3:6].reshape(2, 3, 3)  # by the frame's position: the weights themselves
 
     assert np.linalg.det(rows[0]) > 10.0 * np.linalg.det(rows[1])

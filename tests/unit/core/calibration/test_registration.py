@@ -18,9 +18,9 @@ def far(found: Rigid) -> float:
 
 @pytest.mark.parametrize("directions", [0, 1, 3])
 def test_frames_are_found_again_with_a_coil_of_three_five_and_six_degrees_of_freedom(paper_robot, directions):
-    visits = seen(paper_robot, poses(0, 24), directions=directions)
+    measurements = seen(paper_robot, poses(0, 24), directions=directions)
 
-    found = register(paper_robot, visits, np.zeros((24, 3)), NOISE)
+    found = register(paper_robot, measurements, np.zeros((24, 3)), NOISE)
 
     assert far(found.frames.registration) < 0.04e-3
     np.testing.assert_allclose(found.frames.coil, COIL, rtol=0, atol=0.1e-3)
@@ -32,8 +32,8 @@ def test_frames_are_found_again_with_a_coil_of_three_five_and_six_degrees_of_fre
 def test_errors_stay_inside_what_the_covariance_says(paper_robot):
     inside = 0
     for seed in range(8):
-        visits = seen(paper_robot, poses(seed, 16), seed=seed)
-        found = register(paper_robot, visits, np.zeros((16, 3)), NOISE)
+        measurements = seen(paper_robot, poses(seed, 16), seed=seed)
+        found = register(paper_robot, measurements, np.zeros((16, 3)), NOISE)
         centre = np.array([0.0, 0.0, 0.2])
         error = np.linalg.norm(found.frames.registration.apply(TRACKER.inverse().apply(centre)) - centre)
         inside += error < 2.5 * found.error_at(centre[None, :])[0]
@@ -42,18 +42,20 @@ def test_errors_stay_inside_what_the_covariance_says(paper_robot):
 
 def test_a_load_is_taken_into_account(paper_robot):
     force = np.array([0.4, 0.1, 0.0])
-    visits = seen(paper_robot, poses(1, 20), force)
+    measurements = seen(paper_robot, poses(1, 20), force)
 
     assert (
-        far(register(paper_robot, visits, np.tile(force, (20, 1)), NOISE._replace(force=1e-6)).frames.registration)
+        far(
+            register(paper_robot, measurements, np.tile(force, (20, 1)), NOISE._replace(force=1e-6)).frames.registration
+        )
         < 0.05e-3
     )
 
 
 def test_other_tubes_than_described_show_in_the_residuals_and_in_the_covariance(paper_robot):
-    visits = seen(altered(paper_robot), poses(2, 24))
+    measurements = seen(altered(paper_robot), poses(2, 24))
 
-    found = register(paper_robot, visits, np.zeros((24, 3)), NOISE)
+    found = register(paper_robot, measurements, np.zeros((24, 3)), NOISE)
 
     assert found.rms > 0.3e-3
     assert found.fit.variance_factor > 50.0
@@ -88,16 +90,18 @@ def test_the_named_motion_is_enough(paper_robot, paper_limits):
 
 
 def test_too_few_visits_are_refused(paper_robot):
-    with pytest.raises(Unobservable, match="5 visits"):
+    with pytest.raises(Unobservable, match="5 measurements"):
         register(paper_robot, seen(paper_robot, poses(0, 5)), np.zeros((5, 3)), NOISE)
 
 
 def test_a_turn_about_z_is_shared_with_the_zero_of_the_outermost_tube(paper_robot):
     """All tubes turned by an angle are the same to the tracker as the tracker turned about z."""
     turned = poses(3, 20) + np.array([0.2, 0.2, 0.0])
-    visits = [v._replace(joints=joints) for v, joints in zip(seen(paper_robot, turned), poses(3, 20), strict=True)]
+    measurements = [
+        v._replace(joints=joints) for v, joints in zip(seen(paper_robot, turned), poses(3, 20), strict=True)
+    ]
 
-    found = register(paper_robot, visits, np.zeros((20, 3)), NOISE)
+    found = register(paper_robot, measurements, np.zeros((20, 3)), NOISE)
 
     expected = Rotation.from_rotvec([0.0, 0.0, -0.2]).as_matrix() @ TRACKER.rotation
     assert found.rms < 0.06e-3

@@ -1,4 +1,4 @@
-"""The tubes found again from visits of a robot that differs from its description."""
+"""The tubes found again from measurements of a robot that differs from its description."""
 
 import math
 
@@ -14,12 +14,12 @@ PULLS = [np.zeros(3), np.array([0.25, 0.0, 0.0]), np.array([0.5, 0.0, 0.0])]
 
 @pytest.fixture(scope="module")
 def recorded(paper_robot):
-    """Visits and forces of the altered robot, to fit and to check with."""
+    """Measurements and forces of the altered robot, to fit and to check with."""
     true, fits, checks = altered(paper_robot), ([], []), ([], [])
     for number, pull in enumerate(PULLS):
         for seed, count, into in ((number, 20, fits), (10 + number, 6, checks)):
-            visits = seen(true, poses(seed, count), pull, seed=seed)
-            into[0].extend(visits)
+            measurements = seen(true, poses(seed, count), pull, seed=seed)
+            into[0].extend(measurements)
             noise = NOISE.force * np.random.default_rng([seed, 5]).standard_normal((count, 3))
             into[1].extend(pull + (noise if pull.any() else 0.0 * noise))
     return (fits[0], np.array(fits[1])), (checks[0], np.array(checks[1]))
@@ -27,8 +27,8 @@ def recorded(paper_robot):
 
 @pytest.fixture(scope="module")
 def found(paper_robot, recorded):
-    visits, forces = recorded[0]
-    return calibrate_tubes(paper_robot, visits, forces, NOISE)
+    measurements, forces = recorded[0]
+    return calibrate_tubes(paper_robot, measurements, forces, NOISE)
 
 
 def test_stiffness_curvature_nu_and_zero_angle_are_found(paper_robot, found):
@@ -74,18 +74,18 @@ def test_held_out_loaded_poses_are_predicted_many_times_better(paper_robot, reco
 
 
 def test_without_load_the_scale_of_stiffness_is_refused(paper_robot, recorded):
-    visits, forces = recorded[0]
+    measurements, forces = recorded[0]
     free = [k for k, force in enumerate(forces) if not force.any()]
 
-    with pytest.raises(Unobservable, match=r"0 visits under more than 0\.05 N; .* hang a weight"):
-        calibrate_tubes(paper_robot, [visits[k] for k in free], forces[free], NOISE)
+    with pytest.raises(Unobservable, match=r"0 measurements under more than 0\.05 N; .* hang a weight"):
+        calibrate_tubes(paper_robot, [measurements[k] for k in free], forces[free], NOISE)
 
 
 def test_too_few_visits_are_refused(paper_robot, recorded):
-    visits, forces = recorded[0]
+    measurements, forces = recorded[0]
 
-    with pytest.raises(Unobservable, match="5 visits for 17 unknowns"):
-        calibrate_tubes(paper_robot, visits[-5:], forces[-5:], NOISE)
+    with pytest.raises(Unobservable, match="5 measurements for 17 unknowns"):
+        calibrate_tubes(paper_robot, measurements[-5:], forces[-5:], NOISE)
 
 
 def test_the_play_of_a_drive_is_found_from_the_way_each_pose_was_come_to(paper_robot):
@@ -93,13 +93,13 @@ def test_the_play_of_a_drive_is_found_from_the_way_each_pose_was_come_to(paper_r
     came = np.sign(np.diff(np.vstack((np.zeros(3), joints)), axis=0))
     pull = np.array([0.4, 0.0, 0.0])
     forces = np.where(np.arange(40)[:, None] < 20, 0.0, pull)
-    visits = []
+    measurements = []
     for part, force in ((slice(0, 20), (0.0, 0.0, 0.0)), (slice(20, 40), pull)):
         stood = joints[part] - 0.5 * play * came[part]
-        for visit, stage, way in zip(seen(paper_robot, stood, force), joints[part], came[part], strict=True):
-            visits.append(visit._replace(joints=stage, came=way))
+        for measurement, stage, way in zip(seen(paper_robot, stood, force), joints[part], came[part], strict=True):
+            measurements.append(measurement._replace(joints=stage, came=way))
 
-    found = calibrate_tubes(paper_robot, visits, forces, NOISE._replace(force=1e-6)).fit
+    found = calibrate_tubes(paper_robot, measurements, forces, NOISE._replace(force=1e-6)).fit
 
     assert found.value("inner_rotation play") == pytest.approx(4e-3, abs=1e-3)
     assert abs(found.value("outer_rotation play")) < 1e-3

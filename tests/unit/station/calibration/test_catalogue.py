@@ -1,4 +1,4 @@
-"""How long a procedure is said to take, against the visits that it really makes."""
+"""How long a procedure is said to take, against the measurements that it really makes."""
 
 import pytest
 
@@ -10,7 +10,7 @@ def test_more_weights_and_more_effort_take_longer():
     tubes, usual = OFFERS["tubes"], len(WEIGHTS)
     assert tubes.expected(1.0, usual) == pytest.approx(1150.0)
     assert tubes.expected(0.5, usual) == pytest.approx(575.0)
-    # By the poses that it visits: a weight has its share of them.
+    # By the poses that it measurements: a weight has its share of them.
     poses = [Effort(weights=(0.1,) * count).steps() for count in (1, 2, 3)]
     for count, steps in zip((1, 2, 3), poses, strict=True):
         assert tubes.expected(1.0, count) == pytest.approx(1150.0 * steps / poses[1], rel=0.02)

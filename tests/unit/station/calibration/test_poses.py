@@ -28,10 +28,10 @@ def test_columns_go_by_name_in_any_order_with_comments_and_spaces(read):
         "# made by hand", "tip_z, tip_x, tip_y, inner_translation, outer_rotation, inner_rotation",
         "0.2, 0.01, 0.02, -0.1, 0.1, 1.5", "", encoding="utf-8-sig",
     )  # fmt: skip
-    (visit,) = found.visits
-    assert visit.joints.tolist() == [0.1, 1.5, -0.1]
-    assert visit.coil.tolist() == [0.01, 0.02, 0.2]
-    assert (found.lines, found.timed, visit.came, found.forces.tolist()) == ((3,), False, None, [[0.0, 0.0, 0.0]])
+    (measurement,) = found.measurements
+    assert measurement.joints.tolist() == [0.1, 1.5, -0.1]
+    assert measurement.coil.tolist() == [0.01, 0.02, 0.2]
+    assert (found.lines, found.timed, measurement.came, found.forces.tolist()) == ((3,), False, None, [[0.0, 0.0, 0.0]])
 
 
 def test_forces_and_times_are_read_and_times_give_the_order(read):
@@ -43,9 +43,9 @@ def test_forces_and_times_are_read_and_times_give_the_order(read):
     )  # fmt: skip
     assert found.lines == (3, 4, 2)
     assert found.timed
-    assert [visit.came.tolist() for visit in found.visits] == [[0, 0, 0], [1, 0, 1], [1, 0, 1]]
+    assert [measurement.came.tolist() for measurement in found.measurements] == [[0, 0, 0], [1, 0, 1], [1, 0, 1]]
     assert found.forces[-1].tolist() == [0.1, 0.2, 0.3]
-    assert [visit.weight for visit in found.visits] == [0.0, 0.0, None]
+    assert [measurement.weight for measurement in found.measurements] == [0.0, 0.0, None]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_forces_and_times_are_read_and_times_give_the_order(read):
 )
 def test_a_row_of_no_use_is_left_out_with_its_line(read, row, words):
     found = read(HEADER, *GOOD, *GOOD, row)
-    assert len(found.visits) == 6
+    assert len(found.measurements) == 6
     (left,) = found.left_out
     assert left.line == 8
     for word in words:
@@ -70,14 +70,14 @@ def test_a_pose_in_which_the_tubes_cannot_stand_is_left_out(read):
     rows = ["0,-0.09121,0.1,-0.161,0,0.05,0.1", "0,-0.05,0.1,-0.161,0,0.05,0.1"]
     found = read("outer_rotation,outer_translation,inner_rotation,inner_translation,tip_x,tip_y,tip_z", *rows,
                  robot="nylon")  # fmt: skip
-    assert len(found.visits) == 1  # flush with the outer tube
+    assert len(found.measurements) == 1  # flush with the outer tube
     assert "'inner' ends at 50 mm, not beyond the end of tube 'outer' at 91.21 mm" in found.left_out[0].reason
 
 
 def test_a_load_that_no_shape_carries_is_left_out(read):
     header = f"{HEADER},force_x,force_y,force_z"
     found = read(header, f"{GOOD[0]},0,0,0", f"{GOOD[1]},0,0,1e9")
-    assert len(found.visits) == 1
+    assert len(found.measurements) == 1
     assert "no shape found" in found.left_out[0].reason
 
 
@@ -120,6 +120,6 @@ def test_other_files_are_refused_by_name(tmp_path):
 
 def test_the_measured_nylon_robot_is_read_whole():
     found = read_poses(Path(__file__).parents[3] / "measured_nylon.csv", load_robot("nylon"))
-    assert len(found.visits) == 25
+    assert len(found.measurements) == 25
     assert found.left_out == ()
-    np.testing.assert_allclose(found.visits[0].joints, [0.0, -0.09121, -math.pi / 4.0, -0.161], atol=1e-6)
+    np.testing.assert_allclose(found.measurements[0].joints, [0.0, -0.09121, -math.pi / 4.0, -0.161], atol=1e-6)

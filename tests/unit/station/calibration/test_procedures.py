@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from core.calibration.contact import locate
-from core.calibration.visits import Noise
+from core.calibration.measurements import Noise
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics
 from station.calibration import commission, procedures
@@ -83,9 +83,9 @@ def test_contacts_on_the_shaft_are_found(subject, bench, found):
     for _ in range(6):
         joints = np.r_[random.uniform(-2.0, 2.0, 2), random.uniform(-0.11, -0.03)]
         place, direction = random.uniform(0.05, 0.28 + joints[2]), random.standard_normal(3)
-        free = found.sensors.load(subject.robot, bench.visit(joints, 0.0))
-        visit = bench.visit(joints, 0.3, place, direction / np.linalg.norm(direction))
-        load = found.sensors.load(subject.robot, visit)
+        free = found.sensors.load(subject.robot, bench.measure(joints, 0.0))
+        measurement = bench.measure(joints, 0.3, place, direction / np.linalg.norm(direction))
+        load = found.sensors.load(subject.robot, measurement)
         load = load._replace(force=load.force - free.force, moment=load.moment - free.moment)
         contact = locate(model, joints, load, Noise(force=3e-3, moment=0.2e-3))
         assert contact is not None
@@ -168,7 +168,7 @@ def test_a_still_lab_and_the_same_seed_are_the_same_bench(subject):
     lab = load_lab("uncalibrated", subject.file)
     first, second = (StaticLab(subject, lab, 7) for _ in range(2))
 
-    one, two = (bench.visit(START + 0.1, 0.5) for bench in (first, second))
+    one, two = (bench.measure(START + 0.1, 0.5) for bench in (first, second))
 
     np.testing.assert_array_equal(one.coil, two.coil)
     np.testing.assert_array_equal(one.wrenches, two.wrenches)

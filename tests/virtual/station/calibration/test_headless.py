@@ -37,9 +37,9 @@ def test_visits_on_the_wire_are_those_of_the_still_lab(subject):
     seen = carry_out(few(subject), subject, lab, 4, VirtualClock(), lambda done, text: texts.append((done, text)))
     still = StaticLab(subject, lab, 4)
 
-    for visit in seen:
-        expected = still.visit(visit.joints, visit.weight)
-        np.testing.assert_allclose(visit.coil, expected.coil, rtol=0, atol=0.12e-3)
+    for measurement in seen:
+        expected = still.measure(measurement.joints, measurement.weight)
+        np.testing.assert_allclose(measurement.coil, expected.coil, rtol=0, atol=0.12e-3)
     pulled = seen[2].wrenches - seen[1].wrenches
     assert np.linalg.norm(pulled[:, :3].sum(axis=0)) == pytest.approx(0.5, abs=0.02)
     assert (0.5, "Hang a weight.") in texts
@@ -64,7 +64,7 @@ def test_a_procedure_can_be_walked_through_and_given_up(subject):
     done = []
     while isinstance(guided.step, GoTo) and len(done) < 3:
         done.append(guided.done)
-        guided.answer(still.visit(guided.step.joints, 0.0))
+        guided.answer(still.measure(guided.step.joints, 0.0))
 
     assert done == sorted(done)
     guided.abort()

@@ -45,14 +45,14 @@ def test_a_visit_is_the_last_rest_and_says_which_way_each_joint_came(paper):
     controller = BEST.controller(paper)
     loop, rows = rows_of(GoTo(AWAY, 0.0, 0.0), controller, paper)
 
-    visit = measured(loop.channels, rows, GoTo(START, 0.25, 0.0), START, controller)
+    measurement = measured(loop.channels, rows, GoTo(START, 0.25, 0.0), START, controller)
 
     end = loop.channels.of(rows, "time")[-1, 0]
-    assert visit.time == pytest.approx(end - 0.5 * AVERAGE, abs=2 * PERIOD)
-    np.testing.assert_allclose(visit.joints, AWAY, atol=2e-3)
-    assert visit.came.tolist()[:2] == [1.0, -1.0]
-    assert visit.weight == 0.25
-    assert visit.wrenches.shape == (2, 6)
+    assert measurement.time == pytest.approx(end - 0.5 * AVERAGE, abs=2 * PERIOD)
+    np.testing.assert_allclose(measurement.joints, AWAY, atol=2e-3)
+    assert measurement.came.tolist()[:2] == [1.0, -1.0]
+    assert measurement.weight == 0.25
+    assert measurement.wrenches.shape == (2, 6)
 
 
 @pytest.mark.parametrize("weight", [0.0, 0.5])

@@ -8,7 +8,7 @@ from core.control.force_fusion import fuse_at
 from core.robot.robot import Array, Robot
 
 
-class Visit(NamedTuple):
+class Measurement(NamedTuple):
     """One pose at rest, as the devices saw it; nothing here comes from a model."""
 
     time: float  #: of the middle of the averages [s]
@@ -21,7 +21,7 @@ class Visit(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """Standard deviations of a visit's averages."""
+    """Standard deviations of a measurement's averages."""
 
     coil: float = 0.02e-3  #: each axis of the position [m]
     axes: float = 2e-3  #: each component of a direction [rad]
@@ -29,11 +29,11 @@ class Noise(NamedTuple):
     moment: float = 0.1e-3  #: [N m]
 
 
-def stacked(visits: list[Visit]) -> tuple[Array, Array]:
+def stacked(measurements: list[Measurement]) -> tuple[Array, Array]:
     """Joints (m, n) and coil positions (m, 3)."""
-    return np.array([v.joints for v in visits]), np.array([v.coil for v in visits])
+    return np.array([v.joints for v in measurements]), np.array([v.coil for v in measurements])
 
 
-def fused_forces(robot: Robot, visits: list[Visit]) -> Array:
-    """Load at the tip (m, 3) of tared visits, world frame [N]."""
-    return np.array([fuse_at(robot, v.joints, v.wrenches).force for v in visits])
+def fused_forces(robot: Robot, measurements: list[Measurement]) -> Array:
+    """Load at the tip (m, 3) of tared measurements, world frame [N]."""
+    return np.array([fuse_at(robot, v.joints, v.wrenches).force for v in measurements])
