@@ -158,7 +158,7 @@ class StatusOut(Strict):
     """Everything at one look."""
 
     state: str
-    """OFF, CONNECTED, HOMED, READY, RUNNING, HOLD, STOPPED or FAULT"""
+    """OFF, CONNECTING, CONNECTED, HOMING, HOMED, READY, RUNNING, HOLD, STOPPED or FAULT"""
     cause: str
     """why it is HOLD, STOPPED or FAULT"""
     phase: str
