@@ -168,7 +168,8 @@ def match(robot: Robot, measurements: Sequence[Measurement], forces: Array, exte
     unknown = len(what) + len(asked.lags) + 9
     if 3 * len(measurements) < unknown + 3:
         raise Unobservable(
-            f"usable poses: {len(measurements)}, for {unknown} unknowns ({extent}); at least {unknown // 3 + 1} needed"
+            f"usable poses: {len(measurements)}, for {unknown} unknowns ({extent});"
+            f" at least {unknown // 3 + 1} are needed"
         )
     start, noise, values = closed_form(robot, measurements, forces), NOISE, None
     joints, lost = np.array([measurement.joints for measurement in measurements]), np.zeros(len(measurements), bool)
