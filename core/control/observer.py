@@ -38,8 +38,8 @@ class Observed(NamedTuple):
     tips: Array  #: (ticks, 3) the model's tips, the newest at `place` [m]
     place: int
     used: bool  #: a frame of this tick passed the gate
-    refused: Array = np.zeros(3)  #: (3,) by how much the latest frame that was left out surprised [m]
-    in_a_row: int = 0  #: so many frames in a row were left out
+    refused: Array  #: (3,) by how much the latest frame that was left out surprised [m]
+    in_a_row: int  #: so many frames in a row were left out
 
     @property
     def model_tip(self) -> Array:
@@ -84,7 +84,7 @@ class Observer:
         """With one frame `tip` (3,) of a robot at rest whose model is at `model_tip` (3,) [m]."""
         tips = np.tile(model_tip, (max(2, math.ceil(self.longest_age / self.period)), 1))
         covariance = np.array((self.noise**2, 0.0, FIRST_DRIFT**2))
-        return Observed(_finite(tip) - model_tip, np.zeros(3), covariance, tips, 0, True)
+        return Observed(_finite(tip) - model_tip, np.zeros(3), covariance, tips, 0, True, np.zeros(3), 0)
 
     def update(self, last: Observed, model_tip: Array, tip: Array | None, age: float = 0.0) -> Observed:
         """One tick on.

@@ -3,7 +3,6 @@
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from playwright.sync_api import Browser, Page
 
@@ -30,9 +29,9 @@ window.cancelAnimationFrame = (drawing) => clearTimeout(drawing);
 """
 
 
-def scene_page(browser: Browser, **options: Any) -> Page:
+def scene_page(browser: Browser) -> Page:
     """A page whose scene is drawn, slowly."""
-    page = browser.new_page(viewport=SIZE, **options)
+    page = browser.new_page(viewport=SIZE)
     page.set_default_timeout(PATIENCE)
     page.add_init_script(SLOWLY)
     return page
