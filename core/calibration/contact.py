@@ -20,7 +20,7 @@ from core.calibration.measurements import Noise
 from core.calibration.rigid import cross_matrix
 from core.control.force_fusion import Fused
 from core.errors import CtrError
-from core.model.solution import Solution
+from core.model.solution import Solution, pure_force
 from core.model.statics import Statics
 from core.robot.robot import Array
 
@@ -105,7 +105,7 @@ class _Search:
 
     def __init__(self, statics: Statics, joints: Array, load: Fused, noise: Noise) -> None:
         self._statics, self._joints, self._load, self._noise = statics, joints, load, noise
-        self._wrench = np.concatenate((load.force, np.zeros(3)))
+        self._wrench = pure_force(load.force)
         self._near: Solution | None = None
 
     def point(self, place: float) -> Array:

@@ -14,6 +14,7 @@ from core.calibration.prediction import Frames, Prediction
 from core.calibration.quantities import Quantity
 from core.calibration.rigid import Rigid
 from core.errors import CtrError, Unreachable
+from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.limits import Limits, Situation
 from core.robot.robot import Array, Indices, Robot
@@ -56,7 +57,7 @@ def possible(statics: Statics, limits: Limits, joints: Array, force: Array) -> b
     """Whether the robot can stand there: inside travel, order, workspace, and far from snapping."""
     try:
         limits.check(joints)
-        pose = statics.solve(joints, np.concatenate((force, np.zeros(3))))
+        pose = statics.solve(joints, pure_force(force))
         at = Situation(joints, pose.jacobian[:3], pose.tip, force)
         for limit in limits.others:
             limit.check(at)
@@ -108,7 +109,7 @@ def choose(
 
 def placed(robot: Robot, measurements: Sequence[Measurement], force: Array) -> list[Measurement]:
     """Measurements with the coil where the model has the tip."""
-    model, wrench = Statics(robot, integrator="fourth_order"), np.concatenate((force, np.zeros(3)))
+    model, wrench = Statics(robot, integrator="fourth_order"), pure_force(force)
     return [measurement._replace(coil=model.solve(measurement.joints, wrench).tip) for measurement in measurements]
 
 

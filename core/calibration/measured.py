@@ -27,6 +27,7 @@ from core.calibration.registration import closed_form
 from core.calibration.rigid import Rigid, cross_matrix
 from core.calibration.tubes import LEAST_LOADED
 from core.errors import CtrError
+from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 
@@ -213,7 +214,7 @@ def _errors(robot: Robot, frames: Frames, plays: Array, measurements: Sequence[M
     for k, measurement in enumerate(measurements):
         joints = measurement.joints if measurement.came is None else measurement.joints - 0.5 * plays * measurement.came
         try:
-            pose = model.solve(joints, np.concatenate((forces[k], np.zeros(3))))
+            pose = model.solve(joints, pure_force(forces[k]))
         except CtrError:
             continue
         found[k] = frames.registration.apply(measurement.coil) - pose.tip - pose.rotation @ frames.coil

@@ -26,7 +26,7 @@ from core.calibration.measurements import Measurement, Noise
 from core.calibration.quantities import Quantity, changed
 from core.calibration.rigid import Rigid, rotation_of
 from core.errors import NoSolution
-from core.model.solution import Solution
+from core.model.solution import Solution, pure_force
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 
@@ -154,7 +154,7 @@ class Prediction:
         model, plays = Statics(self.tubes(values), integrator="fourth_order"), self.plays(values)
         found: list[Solution] = []
         for k, measurement in enumerate(self.measurements):
-            wrench = np.concatenate((self.forces[k], np.zeros(3)))
+            wrench = pure_force(self.forces[k])
             joints = (
                 measurement.joints if measurement.came is None else measurement.joints - 0.5 * plays * measurement.came
             )
@@ -193,7 +193,7 @@ class Prediction:
     def _nominal(self) -> list[Solution]:
         model = Statics(self.robot, integrator="fourth_order")
         return [
-            model.solve(measurement.joints, np.concatenate((force, np.zeros(3))))
+            model.solve(measurement.joints, pure_force(force))
             for measurement, force in zip(self.measurements, self.forces, strict=True)
         ]
 

@@ -19,6 +19,7 @@ from core.calibration.fit import Fit, Unobservable, fit, weak_combinations
 from core.calibration.measurements import Measurement, Noise
 from core.calibration.prediction import Frames, Prediction
 from core.calibration.rigid import kabsch
+from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
@@ -69,7 +70,7 @@ def closed_form(robot: Robot, measurements: Sequence[Measurement], forces: Array
     """Frames with the coil at the tip."""
     model = Statics(robot, integrator="fourth_order")
     tips = np.array([
-        model.solve(measurement.joints, np.concatenate((force, np.zeros(3)))).tip
+        model.solve(measurement.joints, pure_force(force)).tip
         for measurement, force in zip(measurements, forces, strict=True)
     ])  # fmt: skip
     return Frames(kabsch(np.array([measurement.coil for measurement in measurements]), tips), np.zeros(3), np.zeros(3))

@@ -24,6 +24,7 @@ from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron, vstack
 
 from core.control.inverse import inverse_at
 from core.errors import CtrError, DescriptionError
+from core.model.solution import pure_force
 from core.model.statics import Solution, Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array
@@ -111,7 +112,7 @@ class _Path:
         found: list[Solution] = []
         for k, (q, force) in enumerate(zip(joints, course.forces, strict=True)):
             beside = near.solutions[k] if near is not None else found[-1] if found else None
-            found.append(statics.solve(q, np.concatenate((force, np.zeros(3))), beside))
+            found.append(statics.solve(q, pure_force(force), beside))
         errors = course.targets - np.array([each.tip for each in found])
         return _Path(joints, errors, np.array([each.jacobian[:3] for each in found]), tuple(found))
 
@@ -201,7 +202,7 @@ def _cuts(scaled: Array, errors: Array, directions: Sequence[list[Array]]) -> tu
 def _greedy(statics: Statics, limits: Limits, joints: Array, velocity: Array, course: Course) -> Array:
     """A path to begin with (m, n): each moment straight toward its target, within speed and acceleration."""
     lower, upper, _, acceleration = limits.packed[:4]
-    path, at = [joints], statics.solve(joints, np.concatenate((course.forces[0], np.zeros(3))))
+    path, at = [joints], statics.solve(joints, pure_force(course.forces[0]))
     lengths = np.diff(course.times)
     for k, (dt, apart) in enumerate(zip(lengths, _apart(lengths), strict=True), 1):
         wanted = (course.targets[k] - at.tip) / max(GREEDY, dt)
@@ -209,5 +210,5 @@ def _greedy(statics: Statics, limits: Limits, joints: Array, velocity: Array, co
         found = inverse_at(limits, path[-1], at.jacobian[:3], wanted).velocity
         velocity = np.clip(found, velocity - acceleration * apart, velocity + acceleration * apart)
         path.append(np.clip(path[-1] + dt * velocity, lower, upper))
-        at = statics.solve(path[-1], np.concatenate((course.forces[k], np.zeros(3))), at)
+        at = statics.solve(path[-1], pure_force(course.forces[k]), at)
     return np.array(path)

@@ -9,7 +9,7 @@ from core.compiled import compiled, copy
 from core.control.estimation import Estimate, Estimator, estimate
 from core.control.force_fusion import Fused, fused_at
 from core.model.newton import CLOSE_ENOUGH, newton
-from core.model.solution import Solution
+from core.model.solution import Solution, pure_force
 from core.model.statics import Statics
 from core.robot.robot import Array, unpack
 
@@ -52,20 +52,14 @@ def perceive(
         total, loaded, unloaded, numbers,
     ):  # fmt: skip
         # A model needs more than the warm start: in steps, or from the beginning.
-        now.loaded = statics.solve(joints, point_force(load), last.loaded)
+        # The load is taken as a force at the tip, as the paper does: its moment is redundant.
+        now.loaded = statics.solve(joints, pure_force(load.force), last.loaded)
         now.unloaded = statics.solve(joints, _NO_LOAD, last.unloaded)
         estimate(
             estimator.settings, now.loaded.numbers, now.unloaded.numbers, *before,
             load.force, sent, frame, age, numbers,
         )  # fmt: skip
     return Perceived(load, now)
-
-
-def point_force(load: Fused) -> Array:
-    """The measured load taken as a force at the tip (6,), as the paper does: its moment is redundant."""
-    wrench = np.zeros(6)
-    wrench[:3] = load.force
-    return wrench
 
 
 @compiled

@@ -19,9 +19,10 @@ from core.control.corrections import Corrections
 from core.control.estimation import Estimate, Estimator
 from core.control.force_fusion import Fused, fuse_at
 from core.control.inverse import NO_ROOM
-from core.control.perception import perceive, point_force
+from core.control.perception import perceive
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import NotFinite
+from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array
@@ -115,7 +116,7 @@ def begin(controller: Controller, sample: Sample) -> ControllerState:
     unloaded = controller.statics.solve(sample.joints, _NO_LOAD)
     right = _corrected(controller, sample, unloaded.rotation)
     load = fuse_at(controller.statics.robot, right.joints, right.wrenches)
-    loaded = controller.statics.solve(right.joints, point_force(load))
+    loaded = controller.statics.solve(right.joints, pure_force(load.force))
     tip = sample.tip if right.tip is None else right.tip
     return ControllerState(controller.estimator.start(loaded, unloaded, load.force, tip), tip, tip)
 

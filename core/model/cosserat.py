@@ -18,7 +18,7 @@ import numpy as np
 
 from core.compiled import compiled, copy
 from core.errors import NoSolution, NotFinite
-from core.robot.robot import Array, Layout, Robot, positive
+from core.robot.robot import Array, Indices, Layout, Robot, positive
 
 
 class Rod(NamedTuple):
@@ -192,6 +192,44 @@ def slope(
 
 
 @compiled
+def begin(layout: Layout, alpha: Array, beta: Array, unknowns: Array, y: Array, section: Indices) -> float:
+    """The state `y` at the plate, and the section in which each tube passes it; the innermost tube's angle there."""
+    q = layout.counts.shape[0]
+    theta = float(alpha[0] - beta[0] * unknowns[2])
+    y[:] = 0.0
+    y[0], y[3] = np.cos(0.5 * theta), np.sin(0.5 * theta)
+    # The unknown moment is in the plate's axes, so that a turn of the innermost tube leaves it alone.
+    y[7] = np.cos(theta) * unknowns[0] + np.sin(theta) * unknowns[1]
+    y[8] = np.cos(theta) * unknowns[1] - np.sin(theta) * unknowns[0]
+    section[:] = 0
+    for i in range(q):
+        y[9 + i] = unknowns[2 + i]
+        y[9 + q + i] = alpha[i] - beta[i] * unknowns[2 + i] - theta
+        while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
+            section[i] += 1
+    return theta
+
+
+@compiled
+def present(layout: Layout, beta: Array, section: Indices, bend: Array, twist: Array, ratio: Array, curvature: Array,
+    ) -> tuple[float, int, float]:  # fmt: skip
+    """Stiffness and curvature of the tubes that are there; where and of which tube the next section ends; sum of EI."""
+    end, end_tube, total = np.inf, -1, 0.0
+    for i in range(bend.shape[0]):
+        bend[i] = twist[i] = ratio[i] = 0.0
+        if section[i] < layout.counts[i]:
+            place = beta[i] + layout.ends[i, section[i]]
+            if place < end:
+                end, end_tube = place, i
+            bend[i], ratio[i] = layout.stiffness[i, 0], layout.stiffness[i, 1]
+            twist[i] = bend[i] / ratio[i]
+            curvature[i, 0] = layout.curvatures[i, section[i], 0]
+            curvature[i, 1] = layout.curvatures[i, section[i], 1]
+            total += bend[i]
+    return end, end_tube, total
+
+
+@compiled
 def _integrate(
     layout: Layout, alpha: Array, beta: Array, wrench: Array, contact: float, unknowns: Array, step: float,
     y: Array, ends: Array,
@@ -199,36 +237,15 @@ def _integrate(
     """From the plate to the tip, in the plate's axes; `ends` (q + 2) receives what must vanish."""
     force = wrench.copy()  # of which only the first three count: the force still to come
     q = layout.counts.shape[0]
-    theta = alpha[0] - beta[0] * unknowns[2]
-    y[:] = 0.0
-    y[0], y[3] = np.cos(0.5 * theta), np.sin(0.5 * theta)
-    # The unknown moment is in the plate's axes, so that a turn of the innermost tube leaves it alone.
-    y[7] = np.cos(theta) * unknowns[0] + np.sin(theta) * unknowns[1]
-    y[8] = np.cos(theta) * unknowns[1] - np.sin(theta) * unknowns[0]
     section, memory = np.zeros(q, np.int64), np.zeros((3, q))
     bend, twist, ratio = memory[0], memory[1], memory[2]
     curvature, turn = np.zeros((q, 2)), np.empty((q, 2))
-    for i in range(q):
-        y[9 + i] = unknowns[2 + i]
-        y[9 + q + i] = alpha[i] - beta[i] * unknowns[2 + i] - theta
-        while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
-            section[i] += 1
+    begin(layout, alpha, beta, unknowns, y, section)
     stages = np.empty((5, y.size))
     k1, k2, k3, k4, at = stages[0], stages[1], stages[2], stages[3], stages[4]
     start = 0.0
     while True:
-        end, end_tube, total = np.inf, -1, 0.0
-        for i in range(q):
-            bend[i] = twist[i] = ratio[i] = 0.0
-            if section[i] < layout.counts[i]:
-                place = beta[i] + layout.ends[i, section[i]]
-                if place < end:
-                    end, end_tube = place, i
-                bend[i], ratio[i] = layout.stiffness[i, 0], layout.stiffness[i, 1]
-                twist[i] = bend[i] / ratio[i]
-                curvature[i, 0] = layout.curvatures[i, section[i], 0]
-                curvature[i, 1] = layout.curvatures[i, section[i], 1]
-                total += bend[i]
+        end, end_tube, total = present(layout, beta, section, bend, twist, ratio, curvature)
         if end_tube < 0:
             break
         if contact < end:

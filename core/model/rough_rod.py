@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled, copy
-from core.model.cosserat import largest, slope, times, to_plate, to_world
-from core.robot.robot import Array, Indices, Layout
+from core.model.cosserat import begin, largest, present, slope, times, to_plate, to_world
+from core.robot.robot import Array, Layout
 
 
 class Contact(NamedTuple):
@@ -63,25 +63,6 @@ def _bend(y: Array, curvature: Array, bend: Array, softness: float, u: Array, mo
     for i in range(q):
         for k in range(2):
             moments[i, k] = bend[i] * (u[k] - moments[i, k])
-
-
-@compiled
-def _present(layout: Layout, beta: Array, section: Indices, bend: Array, twist: Array, ratio: Array, curvature: Array,
-    ) -> tuple[float, int, float]:  # fmt: skip
-    """Stiffness and curvature of the tubes that are there; where and of which tube the next section ends; sum of EI."""
-    end, end_tube, total = np.inf, -1, 0.0
-    for i in range(bend.shape[0]):
-        bend[i] = twist[i] = ratio[i] = 0.0
-        if section[i] < layout.counts[i]:
-            place = beta[i] + layout.ends[i, section[i]]
-            if place < end:
-                end, end_tube = place, i
-            bend[i], ratio[i] = layout.stiffness[i, 0], layout.stiffness[i, 1]
-            twist[i] = bend[i] / ratio[i]
-            curvature[i, 0] = layout.curvatures[i, section[i], 0]
-            curvature[i, 1] = layout.curvatures[i, section[i], 1]
-            total += bend[i]
-    return end, end_tube, total
 
 
 @compiled
@@ -173,12 +154,8 @@ def integrate(
 
     """
     q, most_sections = layout.counts.shape[0], layout.ends.shape[1]
-    theta = alpha[0] - beta[0] * unknowns[2]
-    y[:] = 0.0
-    y[0], y[3] = np.cos(0.5 * theta), np.sin(0.5 * theta)
-    y[7] = np.cos(theta) * unknowns[0] + np.sin(theta) * unknowns[1]
-    y[8] = np.cos(theta) * unknowns[1] - np.sin(theta) * unknowns[0]
-    section, memory = np.zeros(q, np.int64), np.zeros((3, q))
+    section, memory = np.empty(q, np.int64), np.zeros((3, q))
+    theta = begin(layout, alpha, beta, unknowns, y, section)
     bend, twist, ratio = memory[0], memory[1], memory[2]
     curvature, turn = np.zeros((q, 2)), np.empty((q, 2))
     before, after, u = np.zeros((q, 2)), np.zeros((q, 2)), np.zeros(2)
@@ -186,17 +163,13 @@ def integrate(
     pull = np.zeros(q)
     remaining = 0.0  # weight beyond the plate [N]
     for i in range(q):
-        y[9 + i] = unknowns[2 + i]
-        y[9 + q + i] = alpha[i] - beta[i] * unknowns[2 + i] - theta
-        while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
-            section[i] += 1
         remaining += rough.weight[i] * max(beta[i] + layout.ends[i, layout.counts[i] - 1], 0.0)
     new[:] = 0.0
     force, load = np.zeros(3), tip_force.copy()
     stages = np.empty((5, y.size))
     k1, k2, k3, k4, at = stages[0], stages[1], stages[2], stages[3], stages[4]
     start, first = 0.0, True
-    end, end_tube, total = _present(layout, beta, section, bend, twist, ratio, curvature)
+    end, end_tube, total = present(layout, beta, section, bend, twist, ratio, curvature)
     while end_tube >= 0:
         ending = end_tube
         if contact < end:
@@ -240,7 +213,7 @@ def integrate(
             pull[touched] += _tangent(y, load)
             contact = np.inf
             load[:] = 0.0
-            end, end_tube, total = _present(layout, beta, section, bend, twist, ratio, curvature)
+            end, end_tube, total = present(layout, beta, section, bend, twist, ratio, curvature)
             continue
         # The end of a section: what each tube bends with before and after.
         part, stiffness = section[ending], total
@@ -258,7 +231,7 @@ def integrate(
         finished = section[ending] == layout.counts[ending]
         ended = bend[ending]
         weight = rough.weight[ending]
-        end, end_tube, total = _present(layout, beta, section, bend, twist, ratio, curvature)
+        end, end_tube, total = present(layout, beta, section, bend, twist, ratio, curvature)
         if finished:
             for k in range(3):
                 pull[ending] += weight * y[4 + k] * rough.gravity[k]

@@ -169,3 +169,8 @@ def at_rest(joints: Array, contact: float, q: int) -> Solution:
     rest.numbers[[TUBES, JOINTS, CONTACT, PASSES]] = q, n, contact, -1.0
     rest.joints[:] = joints
     return rest
+
+
+def pure_force(force: Array) -> Array:
+    """The wrench (6,) of a force (3,) alone [N, N m]."""
+    return np.concatenate((force, np.zeros(3)))

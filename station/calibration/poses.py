@@ -16,6 +16,7 @@ import numpy as np
 from core.calibration.measured import ways
 from core.calibration.measurements import Measurement
 from core.errors import CtrError
+from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.limits import JointLimit
 from core.robot.robot import Array
@@ -218,7 +219,7 @@ def _stands(row: _Row, limits: Sequence[JointLimit], left: list[LeftOut]) -> boo
 
 def _has_shape(row: _Row, model: Statics, left: list[LeftOut]) -> bool:
     try:
-        model.solve(row.joints, np.concatenate((row.force, np.zeros(3))))
+        model.solve(row.joints, pure_force(row.force))
     except CtrError as error:
         left.append(LeftOut(row.line, str(error)))
         return False

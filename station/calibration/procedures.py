@@ -12,6 +12,7 @@ from core.calibration.prediction import Frames
 from core.calibration.quantities import quantities
 from core.calibration.registration import Registration, register
 from core.calibration.tubes import HeldOut, TubeCalibration, calibrate_tubes, held_out
+from core.model.solution import pure_force
 from core.robot.robot import Array
 from station.calibration.plan import NOISE, Subject
 from station.calibration.procedure import Ask, GoTo, Procedure
@@ -145,7 +146,7 @@ def tubes(subject: Subject, effort: Effort) -> Procedure[TubesResult]:
     )
     heavy = [measurement for measurement, w in zip(check, loaded, strict=True) if w]
     expected = [
-        subject.statics.solve(measurement.joints, np.concatenate((force_, np.zeros(3)))).tip
+        subject.statics.solve(measurement.joints, pure_force(force_)).tip
         for measurement, force_ in zip(heavy, check_forces[loaded], strict=True)
     ]
     believed: Array = np.linalg.norm(np.array([measurement.coil for measurement in heavy]) - np.array(expected), axis=1)
@@ -194,7 +195,7 @@ def _forces(subject: Subject, sensors: SensorCalibration, measurements: Sequence
 def _tips(subject: Subject, frames: Frames, measurements: Sequence[Measurement], forces: Array) -> Array:
     """Measured tips (m, 3), robot's frame [m]; the coil's place is carried back along the model's frame."""
     turns = [
-        subject.statics.solve(measurement.joints, np.concatenate((force_, np.zeros(3)))).rotation
+        subject.statics.solve(measurement.joints, pure_force(force_)).rotation
         for measurement, force_ in zip(measurements, forces, strict=True)
     ]
     coils = frames.registration.apply(np.array([measurement.coil for measurement in measurements]))

@@ -10,6 +10,7 @@ import numpy as np
 from core.calibration.measurements import Measurement
 from core.control.step import Controller
 from core.control.trajectories import JointMotion
+from core.model.solution import pure_force
 from core.robot.robot import Array
 from station.calibration.procedure import AbortedError, GoTo, Swing, Swung
 from station.control.margins import Margins
@@ -93,7 +94,7 @@ def _coils(channels: Channels, frames: Array, controller: Controller) -> Array:
     if known is None or not known.coil.any():
         return tips
     loads = zip(channels.of(frames, "joints"), channels.of(frames, "force"), strict=True)
-    turns = [controller.statics.solve(joints, np.concatenate((force, np.zeros(3)))).rotation for joints, force in loads]
+    turns = [controller.statics.solve(joints, pure_force(force)).rotation for joints, force in loads]
     return tips + np.array([turn @ known.coil for turn in turns])
 
 

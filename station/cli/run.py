@@ -103,7 +103,7 @@ def _bounds(
     experiment: "Experiment", seed: int, started: "Processes | None"
 ) -> "Mapping[str, Mapping[str, float | None]]":
     """The bounds of the cases that have one, by case: each load is computed once."""
-    from station.experiments.bound import bound, same_bound, to_bound
+    from station.experiments.bound import bound, has_bound, same_bound, to_bound
     from station.experiments.side_by_side import one_after_the_other
 
     wanted = to_bound(experiment.cases, seed)
@@ -120,7 +120,8 @@ def _bounds(
             else one_after_the_other(bound, listed, told, lambda _: True)
         )
     by_key = dict(zip(wanted, found, strict=False))  # after Ctrl-C some are missing
-    return {case.name: by_key[key] for case in experiment.cases if (key := same_bound(case)) in by_key}
+    keys = {case.name: same_bound(case) for case in experiment.cases if has_bound(case)}
+    return {name: by_key[key] for name, key in keys.items() if key in by_key}
 
 
 def _all_of(

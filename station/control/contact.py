@@ -13,6 +13,7 @@ import numpy as np
 from core.calibration.contact import LEAST_FORCE, Contact, TipLoad, locate, spans, tip_load
 from core.calibration.measurements import Noise
 from core.control.force_fusion import Fused
+from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.control.telemetry import Channels
@@ -48,7 +49,7 @@ def look(statics: Statics, channels: Channels, rows: Array) -> Touch | None:
     noise = Noise(force=_error(forces, FLOOR.force), moment=_error(moments, FLOOR.moment))
     load = Fused(forces.mean(axis=0), moments.mean(axis=0))
     # Where the model has the tip and where the tracker sees it: an error of one of them is no contact.
-    modelled = statics.solve(joints, np.concatenate((load.force, np.zeros(3)))).tip
+    modelled = statics.solve(joints, pure_force(load.force)).tip
     tips = modelled, channels.of(rows, "tip_measured").mean(axis=0)
     touch = _explain(statics, joints, load, tips, noise)
     if touch.contact is not None and touch.contact.statistic > EXPLAINED:

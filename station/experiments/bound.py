@@ -14,8 +14,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from core.control.best_path import Course, best_path
+from core.control.controllers import PositionMode
 from core.control.trajectories import Setpoint
 from core.errors import NoSolution
+from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array
@@ -40,9 +42,11 @@ class Bounded(NamedTuple):
     seed: int
 
 
-def _follows_a_path(case: Case) -> bool:
-    """Whether the tip is meant to be somewhere, and the load acts on it."""
-    return case.file.trajectory.kind != "joint_sweep" and math.isinf(case.file.load.contact)
+def has_bound(case: Case) -> bool:
+    """Whether the tip is controlled to be somewhere while a load acts on it: joints that are held reach no bound."""
+    file, controlled = case.file, isinstance(case.controller.strategy.outer, PositionMode)
+    swept = file.trajectory.kind == "joint_sweep"
+    return controlled and not swept and bool(file.load.changes) and math.isinf(file.load.contact)
 
 
 def same_bound(case: Case) -> str:
@@ -55,7 +59,7 @@ def to_bound(cases: Sequence[Case], seed: int) -> dict[str, Bounded]:
     """One case for each bound, by what it depends on; none where no load is more than the joints can make up for."""
     if not any(case.warnings for case in cases):
         return {}
-    return {same_bound(case): Bounded(case, seed) for case in cases if case.file.load.changes and _follows_a_path(case)}
+    return {same_bound(case): Bounded(case, seed) for case in cases if has_bound(case)}
 
 
 def bound(about: Bounded, progress: Callable[[float], None]) -> Mapping[str, float | None]:
@@ -80,7 +84,7 @@ def bound(about: Bounded, progress: Callable[[float], None]) -> Mapping[str, flo
                 np.array([load.force(time) for time in times.tolist()]),
             )
             joints = _held(statics, limits, joints, course.targets[0], load.force(begin - BEFORE))
-            jacobian = statics.solve(joints, _wrench(course.forces[0])).jacobian[:3]
+            jacobian = statics.solve(joints, pure_force(course.forces[0])).jacobian[:3]
             velocity = np.linalg.pinv(jacobian) @ setpoints[0].velocity
             best = best_path(statics, limits, joints, velocity, course)
             found[window_name(begin)] = float(np.round(1e3 * best.largest, 4))
@@ -115,10 +119,10 @@ def _held(statics: Statics, limits: Limits, joints: Array, target: Array, force:
     """Joints (n,) near those given whose tip under a force (3,) [N] is at a target (3,) [m], as the travel lets it."""
     lower, upper = limits.packed[:2]
     inside = np.clip(joints, lower, upper)
-    if np.linalg.norm(statics.solve(inside, _wrench(force)).tip - target) < AT:
+    if np.linalg.norm(statics.solve(inside, pure_force(force)).tip - target) < AT:
         return inside
     found = least_squares(
-        lambda q: 1e3 * (statics.solve(q, _wrench(force)).tip - target),
+        lambda q: 1e3 * (statics.solve(q, pure_force(force)).tip - target),
         inside,
         bounds=(lower, upper),
         x_scale=limits.speed,
@@ -131,7 +135,3 @@ def _setpoint(case: Case, time: float) -> Setpoint:
     order = case.orders.at(time)
     assert isinstance(order, Setpoint), "swept joints have no bound"  # noqa: S101
     return order
-
-
-def _wrench(force: Array) -> Array:
-    return np.concatenate((force, np.zeros(3)))

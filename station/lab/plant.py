@@ -12,6 +12,7 @@ import numpy as np
 
 from core.compiled import compiled, copy
 from core.model.cosserat import ExactRod, Rod, shoot
+from core.model.solution import pure_force
 from core.robot.robot import Array, Robot, tube_poses, unpack
 from station.devices.interfaces import Truth
 from station.lab.config import PlantConfig
@@ -81,7 +82,7 @@ class Plant:
         """
         exact, memory = self._exact, self._memory
         if not _advance(self.robot.packed, self._packed, positions, force, contact, exact.step, exact.tolerance):
-            wrench = np.concatenate((force, np.zeros(3)))
+            wrench = pure_force(force)
             self._take(exact.solve_tubes(*self.robot.tube_poses(memory.tubes_at), wrench, None, contact))
             _feel(self.robot.packed, self._packed, force, contact)
         return PlantState(Truth(memory.tip.copy(), force), memory.wrenches.copy())
