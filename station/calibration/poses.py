@@ -21,6 +21,7 @@ from core.model.statics import Statics
 from core.robot.limits import JointLimit
 from core.robot.robot import Array
 from station.config.robots import RobotFile
+from station.config.strict import read_text
 
 TIP = ("tip_x", "tip_y", "tip_z")
 FORCE = ("force_x", "force_y", "force_z")
@@ -107,13 +108,7 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
 
 def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header, and the other rows with their lines."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise PosesError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise PosesError(f"{path}: not UTF-8 text: {error}") from None
-    reader = csv.reader(text.splitlines(), skipinitialspace=True)
+    reader = csv.reader(read_text(path, PosesError).splitlines(), skipinitialspace=True)
     try:
         rows = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
     except csv.Error as error:

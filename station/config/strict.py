@@ -127,13 +127,21 @@ def read_toml(path: Path) -> Document:
     Raises:
         ConfigError: unreadable, or not TOML; with the line.
     """
+    return parse_toml(read_text(path), str(path))
+
+
+def read_text(path: Path, refused: type[CtrError] = ConfigError) -> str:
+    """The file's text, without the mark that some programs put before it.
+
+    Raises:
+        refused: unreadable, or not UTF-8.
+    """
     try:
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+        raise refused(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not UTF-8 text: {error}") from None
-    return parse_toml(text, str(path))
+        raise refused(f"{path}: not UTF-8 text: {error}") from None
 
 
 def parse_toml(text: str, source: str) -> Document:
