@@ -25,6 +25,7 @@ import numpy as np
 
 from core.compiled import compiled, copy
 from core.model.cosserat import begin, largest, present, slope, times, to_plate, to_world
+from core.model.friction import rub
 from core.robot.robot import Array, Layout
 
 
@@ -104,29 +105,6 @@ def _kink(y: Array, about_x: float, about_y: float, twist: Array, moments: Array
     dot = (1.0 - cos) * (kx * mx + ky * my)
     y[7] = cos * mx - sin * ky * mz + kx * dot
     y[8] = cos * my + sin * kx * mz + ky * dot
-
-
-@compiled
-def _rub(most: float, stick: float, radius: float, turned: float, slid: float, old: Array, new: Array) -> None:
-    """Dahl's friction after a path: `old` and `new` are force about and along the tangent [N], relative angle, seen.
-
-    `turned` is the relative angle now [rad], `slid` the way since the tick before [m], of the inner tube on the outer.
-    """
-    new[2], new[3] = turned, 1.0
-    if old[3] == 0.0:
-        new[0] = new[1] = 0.0
-        return
-    about, along = radius * (turned - old[2]), slid
-    way = np.sqrt(about * about + along * along)
-    left, toward = np.exp(-way / stick), 0.0
-    if way > 0.0:
-        toward = most * (1.0 - left) / way
-    new[0], new[1] = toward * about + left * old[0], toward * along + left * old[1]
-    # What presses has become less: friction is never more than what it can hold.
-    size = np.sqrt(new[0] * new[0] + new[1] * new[1])
-    if size > most:
-        new[0] *= most / size
-        new[1] *= most / size
 
 
 @compiled
@@ -255,7 +233,7 @@ def integrate(
             slot = (p * q + ending) * most_sections + part
             most = rough.grip * np.sqrt(handed_x * handed_x + handed_y * handed_y)
             turned = float(y[9 + q + p] - y[9 + q + p + 1])
-            _rub(most, rough.stick, rough.radius[p], turned, slid[p] - slid[p + 1], old[slot], new[slot])
+            rub(most, rough.stick, rough.radius[p], turned, slid[p] - slid[p + 1], old[slot], new[slot])
             torque, along = rough.radius[p] * new[slot, 0], new[slot, 1]
             # Of the inner tube on the outer; back on the inner the other way.
             for i, sign in ((p, 1.0), (p + 1, -1.0)):

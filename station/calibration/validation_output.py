@@ -11,9 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from station.calibration import files
+from station.calibration.findings import findings
 from station.calibration.outcome import NUMBERS
 from station.calibration.poses import Poses, recorded
-from station.calibration.validation import Validation, calibration, findings, found_rows, numbers
+from station.calibration.validation import Validation, calibration, found_rows
+from station.calibration.validation_numbers import numbers
 from station.config.strict import ConfigError
 from station.devices.aurora.tracker import Registration
 

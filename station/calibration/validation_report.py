@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from core.calibration.measured import Spread
 from core.robot.robot import Array
+from station.calibration.findings import cannot_tell, findings
 from station.calibration.poses import LeftOut
 from station.calibration.report import NAME, intervals
 from station.calibration.validation import (
@@ -19,8 +20,6 @@ from station.calibration.validation import (
     Validation,
     by_direction,
     by_joint,
-    cannot_tell,
-    findings,
     found_rows,
 )
 from station.report import document, rendered, style

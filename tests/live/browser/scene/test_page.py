@@ -35,7 +35,7 @@ def scene(page: Page) -> FrameLocator:
 
 
 def pixels(page: Page) -> np.ndarray:
-    return iio.imread(page.screenshot(clip=VIEW)).astype(float)[..., :3]
+    return iio.imread(page.screenshot(clip=VIEW, scale="css")).astype(float)[..., :3]
 
 
 def changed(before: np.ndarray, after: np.ndarray) -> int:

@@ -26,7 +26,7 @@ def robot(page: Page) -> int:
     """Pixels as blue as the inner tube, whatever the shading, beside the legend."""
     box = page.locator("#scene").bounding_box()
     assert box is not None
-    seen = iio.imread(page.screenshot()).astype(float)[..., :3]
+    seen = iio.imread(page.screenshot(scale="css")).astype(float)[..., :3]
     red, green, blue = np.moveaxis(seen[int(box["y"]) : int(box["y"] + box["height"]), 320 : int(box["width"])], -1, 0)
     return int(((blue > red + 35) & (green > red + 10)).sum())
 
