@@ -107,8 +107,7 @@ def test_a_view_is_chosen(page: Page) -> None:
     before = pixels(page)
     scene(page).get_by_text("View", exact=True).click()
     scene(page).get_by_role("button", name="Tip").click()
-    page.wait_for_timeout(2500)
-    assert changed(before, pixels(page)) > 5000
+    until(lambda: changed(before, pixels(page)) > 5000)
     scene(page).get_by_role("button", name="Overview").click()
     scene(page).get_by_text("Legend", exact=True).click()
     page.wait_for_timeout(2500)
@@ -126,9 +125,8 @@ def test_workspace_ghost_and_uncertainty_are_shown_on_demand(page: Page, station
         with page.expect_response(_chosen):
             box.check()
         assert station.rest.get("/api/scene").json()[name]
-        page.wait_for_timeout(2500)
         if name == "workspace":
-            assert changed(before, pixels(page)) > 3000
+            until(lambda before=before: changed(before, pixels(page)) > 3000)
             picture(page, "workspace")
         with page.expect_response(_chosen):
             box.uncheck()
@@ -239,9 +237,8 @@ def test_a_touched_shaft_is_marked_and_told(page: Page, station: Served, picture
     station.post("/api/pull", {"load": load})
     try:
         page.locator("#mind", has_text="load not at the tip").wait_for()
-        page.wait_for_timeout(1500)
+        until(lambda: orange(page) > before + 60)
         picture(page, "contact")
-        assert orange(page) > before + 60
         page.locator("#mind").click()
         page.locator("#faults", has_text="the load does not act at the tip: contact at").wait_for()
     finally:
@@ -259,11 +256,9 @@ def test_the_scene_follows_the_page_into_the_dark_and_back(page: Page, picture: 
     try:
         scene(page).get_by_text("desired tip").first.wait_for()
         scene(page).locator("canvas").first.wait_for()
-        page.wait_for_timeout(4000)
-        assert back() < 60
+        until(lambda: back() < 60)
         picture(page, "dark")
     finally:
         page.emulate_media(color_scheme="light")
     scene(page).get_by_text("desired tip").first.wait_for()
-    page.wait_for_timeout(4000)
-    assert back() > 200
+    until(lambda: back() > 200)
