@@ -1,39 +1,12 @@
-// The header: STOP, the state in words, who is operator, the run, the devices, the loop.
-import { $, ask, confirm, latest, look, make, mayCommand, name, onStatus, press, Refused } from "./station.js";
+// The header beside STOP: the state in words, who is operator, the run, the devices, the loop.
+import { $, confirm, latest, make, mayCommand, name, onStatus, press } from "./station.js";
+import { alarm } from "./stop.js";
 import { open } from "./tabs.js";
 
 const NAMES = { stages: "stages", tracker: "tracker", sensors: "force sensors" };
 const LATCHED = ["HOLD", "STOPPED", "FAULT"];
 
-export async function stop() {
-  try {
-    const answer = await ask("POST", "/api/stop", {}, 3000);
-    alarm(answer.note === "" ? "" : `STOP was taken: ${answer.note}`);
-  } catch (error) {
-    alarm(error instanceof Refused ? `STOP was refused: ${error.message}`
-      : "STOP: the station does not answer. Use the emergency stop of the bench.");
-  }
-  look();
-}
-
-function alarm(text) {
-  $("alarm").textContent = text;
-  $("alarm").hidden = text === "";
-}
-
-// At the first touch, not when the finger is lifted; a click without a pointer is the keyboard's.
-$("stop").addEventListener("pointerdown", stop);
-$("stop").addEventListener("click", (event) => { if (event.detail === 0) stop(); });
 $("reset").addEventListener("click", async () => { if (await press("POST", "/api/reset", {})) alarm(""); });
-
-export function hot(event) {
-  if (event.code === "Space" && event.shiftKey) {
-    event.preventDefault();
-    event.stopPropagation();
-    if (!event.repeat) stop();
-  }
-}
-document.addEventListener("keydown", hot, true);
 
 async function changeOperator() {
   const { you, name: holder } = latest().operator;

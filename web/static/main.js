@@ -1,4 +1,5 @@
-// The page. Header and scene first: they wait for nothing. Then the tabs, each by itself.
+// The page. STOP, header and scene first: they wait for nothing. Then the tabs, each by itself.
+import "./stop.js";
 import "./header.js";
 import "./scene.js";
 import { note, start } from "./station.js";

@@ -1,13 +1,10 @@
 // The scene in its frame: under this page's identity, kept connected, and the switches below it.
 import { $, ask, client, latest, mayCommand, onStatus, press } from "./station.js";
-import { hot } from "./header.js";
 
 const frame = $("scene"), boxes = [...document.querySelectorAll("#switches input")];
 
 frame.addEventListener("load", () => {
   if (frame.contentDocument === null) return; // no scene: an error page of the browser's
-  // The scene is same-origin: the key works with the focus in there, too.
-  frame.contentWindow.addEventListener("keydown", hot, true);
   // viser reconnects only while its document has the focus, which a frame seldom has.
   frame.contentDocument.hasFocus = () => !document.hidden;
   // Its own control panel is empty: all controls are ours.

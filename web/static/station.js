@@ -28,19 +28,29 @@ export const name = {
   set: (text) => localStorage.setItem("name", text),
 };
 
-export class Refused extends Error {}
+export class Refused extends Error {
+  constructor(reason, status) { super(reason); this.status = status; }
+}
 
-/** The station's answer; throws Refused with its reason, or an Error when there is no answer. */
+let looks = new AbortController();
+/** Give up every question that is asked again anyway: a browser opens six connections, and something must pass now. */
+export function makeWay() {
+  looks.abort();
+  looks = new AbortController();
+}
+
+/** The station's answer; throws Refused with its reason, or an Error when there is no answer within `patience` [ms]. */
 export async function ask(method, path, body, patience) {
   const headers = { "x-ctr-client": client, "x-ctr-name": encodeURIComponent(name.get()) };
   if (method !== "GET") headers["content-type"] = "application/json";
   const answer = await fetch(path, {
     method, headers, cache: "no-store", body: body === undefined ? undefined : JSON.stringify(body),
-    signal: patience === undefined ? undefined : AbortSignal.timeout(patience),
+    signal: patience === undefined ? undefined
+      : AbortSignal.any([AbortSignal.timeout(patience), ...(method === "GET" ? [looks.signal] : [])]),
   });
   const text = await answer.text();
   const read = () => { try { return JSON.parse(text); } catch { return { error: text.slice(0, 200) }; } };
-  if (!answer.ok) throw new Refused(read().error ?? `answer ${answer.status}`);
+  if (!answer.ok) throw new Refused(read().error ?? `answer ${answer.status}`, answer.status);
   return text === "" ? null : read();
 }
 
@@ -67,19 +77,37 @@ export function note(text, good = false) {
   setTimeout(() => box.remove(), 12000);
 }
 
-/** Have a person confirm; resolves to whether they did. `extra` may hold a checkbox that must be ticked. */
+let dismiss = () => {}; // the question that is open
+
+/**
+ * Have a person confirm; resolves to whether they did. Every checkbox in `content` must be ticked first.
+ * The header stays alive: STOP and the state are behind no question. A newer question ends an older one.
+ */
 export function confirm(title, action, ...content) {
-  const dialog = $("question"), yes = dialog.querySelector("[value=yes]");
+  dismiss();
+  const dialog = $("question"), form = dialog.querySelector("form"), yes = dialog.querySelector("[value=yes]");
+  const rest = [...dialog.parentElement.children].filter((one) => one !== dialog), ends = new AbortController(), { signal } = ends;
   dialog.querySelector("h2").textContent = title;
-  dialog.querySelector("form > div").replaceChildren(...content);
+  form.querySelector("div").replaceChildren(...content);
   yes.textContent = action;
-  const boxes = [...dialog.querySelectorAll("input[type=checkbox]")];
+  const boxes = [...form.querySelectorAll("input[type=checkbox]")];
   const check = () => { yes.disabled = boxes.some((box) => !box.checked); };
   boxes.forEach((box) => box.addEventListener("change", check));
   check();
-  dialog.returnValue = "no";
-  dialog.showModal();
-  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
+  for (const one of rest) one.inert = true;
+  dialog.show();
+  return new Promise((resolve) => {
+    dismiss = (sure = false) => {
+      dismiss = () => {};
+      ends.abort();
+      for (const one of rest) one.inert = false;
+      dialog.close();
+      resolve(sure);
+    };
+    form.addEventListener("submit", (event) => { event.preventDefault(); dismiss(true); }, { signal });
+    dialog.querySelector("[value=no]").addEventListener("click", () => dismiss(), { signal });
+    document.addEventListener("keydown", (event) => { if (event.key === "Escape") dismiss(); }, { signal });
+  });
 }
 
 // ---- status: asked for several times a second; too old, it is called stale
