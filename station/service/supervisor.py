@@ -124,13 +124,13 @@ class Supervisor:
         """Everybody may move the robot again."""
         self._reserved = ""
 
-    def stop(self) -> str:
+    def stop(self, cause: str = "stopped by the operator") -> str:
         """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
         stopped = self._processes.stop_stages()
         if stopped is not None:
             return stopped or "there is no control process and nothing that moves"
         try:
-            self._processes.ask(Event.STOP)
+            self._processes.ask(Event.STOP, cause=cause)
         except RefusedError as error:
             return f"{error}; the stop is the next thing that it does"
         return ""

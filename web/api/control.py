@@ -18,7 +18,7 @@ from station.service.solve import model_answer
 from station.service.start import Run
 from station.service.station_service import StationService
 from web.access.identity import who_of
-from web.api.commands import Commands, aside
+from web.api.commands import Commands, aside, stopper
 from web.api.loop_health import RecentTiming
 from web.api.pictures import picture
 from web.api.schemas import (
@@ -78,8 +78,9 @@ def control_routes(
         responses={202: {"model": DoneOut, "description": "taken, not carried out yet; see the note"}},
         summary="Stop every axis; always accepted, from anybody with access",
     )
-    async def stop(response: Response) -> DoneOut:
-        note = await asyncio.get_running_loop().run_in_executor(stopping, supervisor.stop)
+    async def stop(request: Request, response: Response) -> DoneOut:
+        cause = f"stopped by {stopper(of.lease, who_of(request))}"
+        note = await asyncio.get_running_loop().run_in_executor(stopping, supervisor.stop, cause)
         if note:
             response.status_code = 202
         return DoneOut(state=supervisor.status().state.name, note=note)
