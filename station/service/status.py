@@ -9,10 +9,11 @@ from core.robot.robot import Array
 from station.control.causes import Causes
 from station.control.clock import StationClock
 from station.control.messages import DeviceStatus
-from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STUCK, Ring, Timing
+from station.control.ring import HEARTBEAT, HELD, PHASE, PROGRESS, RUN, STATE, STUCK, Ring, Timing
 from station.control.states import LATCHED, State
 from station.control.task import Phase
 from station.control.telemetry import Channels
+from station.service.standing import standing
 from station.service.start import Run
 
 #: Telemetry older than this is shown as stale [s].
@@ -37,6 +38,7 @@ class Status(NamedTuple):
     devices: tuple[DeviceStatus, ...]  #: as reported last; empty before
     warnings: tuple[str, ...]  #: of this machine, this robot and the run that is on
     reserved: str  #: why nobody but a procedure may move anything; empty when everybody may
+    standing: frozenset[str] = frozenset()  #: groups of `values` that are old
 
 
 class StateMonitor:
@@ -127,4 +129,5 @@ class StateMonitor:
             devices=self._devices,
             warnings=(*warnings, *self._refused, *stuck, *told),
             reserved=reserved,
+            standing=frozenset() if row is None else standing(self._channels.of(row, "trouble"), bool(counters[HELD])),
         )

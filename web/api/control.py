@@ -12,9 +12,12 @@ from core.robot.robot import Array
 from station.config.controllers import PERIOD, ControllerFile
 from station.config.robots import start_pose
 from station.config.strict import preset_names
+from station.control.ring import HELD, PHASE
 from station.control.states import State
+from station.control.task import Phase
 from station.experiments.experiment import Experiment, offered
 from station.service.solve import model_answer
+from station.service.standing import standing
 from station.service.start import Run
 from station.service.station_service import StationService
 from web.access.identity import who_of
@@ -180,11 +183,14 @@ def experiment_out(experiment: Experiment) -> ExperimentOut:
 
 def sample_out(service: StationService, row: Array, skipped: int, before: float | None) -> dict[str, Any]:
     """One row of telemetry for a websocket client, with what lies between it and the one sent `before` it [s]."""
-    channels = service.supervisor.channels
-    values: dict[str, Any] = {}
+    channels, counters = service.supervisor.channels, service.supervisor.ring.counters
+    old = standing(channels.of(row, "trouble"), bool(counters[HELD]))
+    if not channels.of(row, "truth_known")[0]:
+        old |= {"tip_true"}
+    values: dict[str, Any] = {"phase": Phase(int(counters[PHASE])).name.lower()}
     for group in STREAMED:
         numbers = channels.of(row, group).tolist()
-        values[group] = numbers[0] if group in ("time", "state") else numbers
+        values[group] = numbers[0] if group in ("time", "state") else None if group in old else numbers
     # Not every period has a row: those that a late loop left out are in no count of rows.
     missed = 0 if before is None else max(0, round((values["time"] - before) / PERIOD) - 1 - skipped)
     return {"skipped": skipped, "missed": missed, **values, "state": State(int(values["state"])).name}

@@ -182,7 +182,7 @@ class StatusOut(Strict):
     joints: Mapping[str, float]
     """[rad or m]"""
     tip_measured: Vector | None
-    """[m], world frame"""
+    """[m], world frame; null, as what follows, while nobody renews it: stages are homed, a device is silent"""
     tip_estimated: Vector | None
     """by the loaded model [m]"""
     tip_desired: Vector | None

@@ -17,7 +17,8 @@ def status_out(service: StationService, of: Commands, who: Who, side_load: SideL
     stale = status.age > STALE
 
     def vector(group: str) -> tuple[float, float, float] | None:
-        return tuple(status.values[group].tolist()) if group in status.values else None
+        known = group in status.values and group not in status.standing
+        return tuple(status.values[group].tolist()) if known else None
 
     known = "truth_known" in status.values and bool(status.values["truth_known"][0])
     names, said = supervisor.robot.joint_names, words(status)

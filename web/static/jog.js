@@ -107,7 +107,7 @@ $("jog").append(
     make("p", { className: "small dim" }, "x: along gravity, down on the screen; z: along the straight tubes"),
     make("div", { className: "rows" }, ...tip.elements),
     make("div", { className: "jog", style: "margin-top:10px" }, ...["x", "y", "z"].flatMap((name, i) =>
-      axis(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`))))),
+      axis(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "not measured now" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`))))),
 );
 onStatus((status, stale) => {
   const ready = mayJog(status, stale);

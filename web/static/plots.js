@@ -1,5 +1,5 @@
 // Plots of the live telemetry: choose what to see, pause, zoom into a stretch of time.
-import { $, ask, latest, make } from "./station.js";
+import { $, ask, make } from "./station.js";
 import { isOpen, onTab } from "./tabs.js";
 import { Chart } from "./chart.js";
 import { unit } from "./form.js";
@@ -10,7 +10,7 @@ const bench = await ask("GET", "/api/bench");
 
 const xyz = (read) => ["x", "y", "z"].map((name, i) => ({ name, value: (sample) => read(sample)?.[i] ?? NaN }));
 const size = (read) => ({ name: "size", value: (sample) => { const v = read(sample); return v ? Math.hypot(...v) : NaN; }, on: false });
-const difference = (sample, key) => (sample.moving && sample[key] ? sample.tip_desired.map((x, i) => 1e3 * (x - sample[key][i])) : null);
+const difference = (sample, key) => (sample.phase === "moving" && sample[key] ? sample.tip_desired.map((x, i) => 1e3 * (x - sample[key][i])) : null);
 const scaled = (sample, key, factor) => sample[key]?.map((x) => factor * x);
 const both = (read) => [...xyz(read), size(read)];
 
@@ -100,7 +100,6 @@ function connect() {
   socket.addEventListener("message", (event) => {
     const sample = JSON.parse(event.data);
     if (samples.length && sample.time < samples.at(-1).time) samples.length = 0; // the control process began anew
-    sample.moving = latest()?.run?.phase === "moving";
     samples.push(sample);
     while (samples.length && samples[0].time < sample.time - LONGEST) samples.shift();
   });
