@@ -34,6 +34,7 @@ def status_out(service: StationService, of: Commands, who: Who, side_load: SideL
         phase=status.phase.name.lower(),
         says=said.what,
         next=said.next,
+        act=said.act,
         operator=operator_out(of.lease, who),
         stale=stale,
         age=round(status.age, 3),

@@ -147,8 +147,9 @@ class ZaberStages:
         return Trouble(Severity.FAULT, self.problem) if self.condition is Condition.FAULT else None
 
     def details(self) -> Mapping[str, Any]:
-        """Who the units are, where, and how many messages each has got."""
-        return {
+        """Who the units are, where, and how many messages each has got; while they are homed, how far that has come."""
+        homing = self._sequences.homing if self.condition is Condition.HOMING else None
+        return ({} if homing is None else {"homing": homing.told(self._sequences.now)}) | {
             setup.joint.name: {
                 "device": setup.device,
                 "port": next(port.link.name for port in self.ports if i in port.stages),
