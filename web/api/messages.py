@@ -8,7 +8,6 @@ from station.control.loop import Phase
 from station.control.states import State
 from station.service.status import STALE, Status
 
-
 Act = Literal["", "connect", "home", "reset", "start", "calibrate"]
 
 
@@ -44,7 +43,9 @@ def words(status: Status) -> Words:
     """The state in words; old telemetry is called so whatever the state."""
     state, cause = status.state, status.cause
     if state is State.FAULT:
-        return Words(cause or "unknown cause", "" if "reset" in cause.lower() else "find the cause, then Reset", "reset")
+        return Words(
+            cause or "unknown cause", "" if "reset" in cause.lower() else "find the cause, then Reset", "reset"
+        )
     if status.age > STALE and state is not State.OFF:
         return Words(
             f"no telemetry for {status.age:.0f} s; it was {state.name}",

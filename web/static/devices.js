@@ -1,5 +1,6 @@
 // Devices: connect, home, tare, what each knows of itself, raw values, and whether every axis turns the right way.
-import { $, ask, confirm, latest, make, mayCommand, note, onStatus, press } from "./station.js";
+import { $, ask, latest, make, mayCommand, note, onStatus, press } from "./station.js";
+import { home } from "./acts.js";
 import { isOpen, onTab } from "./tabs.js";
 import { holdable, mayJog } from "./jog.js";
 import { unit } from "./form.js";
@@ -13,13 +14,8 @@ const acts = {
 };
 const ALLOWED = { connect: ["OFF"], home: ["CONNECTED", "READY"], tare: ["READY"] };
 acts.connect.addEventListener("click", () => press("POST", "/api/connect", {}));
+acts.home.addEventListener("click", home);
 acts.tare.addEventListener("click", async () => { if (await press("POST", "/api/tare", {})) note("the force sensors read zero from here on", true); });
-acts.home.addEventListener("click", async () => {
-  const sure = make("label", {}, make("input", { type: "checkbox" }), "The way is clear: I have looked, the tubes can be retracted and turned without touching anything.");
-  if (await confirm("Home every stage?", "Home", make("p", {}, "The translation is retracted first, then one axis after the other looks for its home sensor. STOP works all the time."), sure))
-    await press("POST", "/api/home", { way_is_clear: true });
-});
-
 const list = make("div", { className: "live" }), raw = make("table", { className: "live" }), joints = make("div", { className: "jog", style: "grid-template-columns:auto auto 1fr" });
 $("devices").append(make("div", { className: "acts", style: "margin:0 0 8px" }, ...Object.values(acts)), list,
   make("h3", {}, "Does every axis turn the right way?"),

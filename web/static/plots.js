@@ -3,6 +3,7 @@ import { $, ask, make } from "./station.js";
 import { isOpen, onTab } from "./tabs.js";
 import { Chart } from "./chart.js";
 import { unit } from "./form.js";
+import { gap, samples } from "./history.js";
 
 const RATE = 20, LONGEST = 300; // Hz, s
 const COLOURS = ["#d55e00", "#009e73", "#0072b2", "#cc79a7", "#56b4e9"], DASHES = [[], [6, 3], [2, 2], [9, 2, 2, 2], []];
@@ -29,7 +30,6 @@ const ALL = {
   })),
 };
 
-const samples = [];
 let paused = null, zoom = null, socket = null, span = 30;
 const charts = new Map();
 
@@ -97,6 +97,7 @@ function draw() {
 function connect() {
   const scheme = location.protocol === "https:" ? "wss" : "ws";
   socket = new WebSocket(`${scheme}://${location.host}/api/telemetry?rate=${RATE}`);
+  socket.addEventListener("open", gap);
   socket.addEventListener("message", (event) => {
     const sample = JSON.parse(event.data);
     if (samples.length && sample.time < samples.at(-1).time) samples.length = 0; // the control process began anew

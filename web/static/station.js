@@ -54,6 +54,10 @@ export async function ask(method, path, body, patience) {
   return text === "" ? null : read();
 }
 
+let remedy = () => null;
+/** Have `make(status)` give the button that is shown with what the state, or who is operator, forbids; or null. */
+export const onRefusal = (make) => { remedy = make; };
+
 /** Ask for something that a person has pressed; a refusal is shown. The answer, or null. */
 export async function press(method, path, body) {
   try {
@@ -61,20 +65,22 @@ export async function press(method, path, body) {
     look();
     return answer ?? {};
   } catch (error) {
-    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`);
-    look();
+    await question;
+    await look(); // the way out is that of the state that has refused it
+    const button = error instanceof Refused && error.status === 409 && status !== null ? remedy(status) : null;
+    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`, false, button);
     return null;
   }
 }
 
-/** A note in the corner, gone after a while. */
-export function note(text, good = false) {
+/** A note in the corner, with a button or without, gone after a while unless it `stays`. */
+export function note(text, good = false, button = null, stays = false) {
   const close = make("button", { type: "button", "aria-label": "close" }, "×");
-  const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), close);
-  close.addEventListener("click", () => box.remove());
+  const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), button, close);
+  for (const one of [button, close]) one?.addEventListener("click", () => box.remove());
   $("notes").append(box);
   while ($("notes").children.length > 4) $("notes").firstChild.remove();
-  setTimeout(() => box.remove(), 12000);
+  if (!stays) setTimeout(() => box.remove(), 12000);
 }
 
 let dismiss = () => {}; // the question that is open

@@ -7,6 +7,7 @@ from playwright.sync_api import Browser, Page
 
 from tests.harness.chromium import PATIENCE, bare_page
 from tests.harness.serving import Served
+from tests.harness.waiting import until
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 600.0}
 
@@ -26,56 +27,59 @@ def button(page: Page, name: str) -> None:
     page.get_by_role("button", name=name).click()
 
 
-def home(page: Page) -> None:
+def home(_station: Served, page: Page) -> None:
     tab(page, "devices")
     button(page, "Home…")
 
 
-def operator(page: Page) -> None:
+def operator(_station: Served, page: Page) -> None:
     button(page, "Take control")
 
 
-def calibrate(page: Page) -> None:
+def calibrate(_station: Served, page: Page) -> None:
     tab(page, "calibrate")
     page.locator("#calibrate .card").first.click()
     button(page, "Start: ")
 
 
-def experiment(page: Page) -> None:
+def experiment(station: Served, page: Page) -> None:
+    """It asks before it goes to another pose."""
+    station.post("/api/jog", {"space": "joints", "velocity": [0.3, 0.0, 0.0]})
+    station.wait_for(lambda s: s["state"] == "READY" and abs(s["joints"]["outer_rotation"]) > 0.02)
+    station.rest.delete("/api/operator")
     tab(page, "start")
-    if page.get_by_role("button", name="all motions").count():
-        button(page, "all motions")
     page.locator(".card", has_text="Fig. 4").click()
     button(page, "Start experiment")
 
 
-def delete(page: Page) -> None:
-    tab(page, "runs")
-    if page.get_by_role("button", name="all runs").count():
-        button(page, "all runs")
-    page.locator("#runs .card").first.click()
+def delete(station: Served, page: Page) -> None:
+    open_new_run(station, page)
     button(page, "Delete…")
 
 
-def record(station: Served) -> None:
-    """A short run."""
+def open_new_run(station: Served, page: Page) -> None:
+    """What is recorded of a short run, in the tab Runs."""
     station.post("/api/start", HOLD | {"duration": 0.5})
-    station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])
+    run = station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])["run"]["id"]
     station.rest.delete("/api/operator")
+    tab(page, "runs")
+
+    def opened() -> bool:
+        if page.get_by_role("button", name="all runs").count():
+            button(page, "all runs")
+        page.locator("#runs .card").first.click()
+        page.get_by_role("button", name="Delete…").wait_for()
+        return run in page.locator("#runs").inner_text()
+
+    until(opened)
 
 
 @pytest.mark.parametrize("ask", [home, operator, calibrate, experiment, delete])
 def test_stop_and_the_state_are_reached_under_every_dialog(
-    station: Served, page: Page, ask: Callable[[Page], None]
+    station: Served, page: Page, ask: Callable[[Served, Page], None]
 ) -> None:
-    if ask is delete:
-        record(station)
-    if ask is experiment:  # it asks when it goes to another pose first
-        station.post("/api/jog", {"space": "joints", "velocity": [0.3, 0.0, 0.0]})
-        station.wait_for(lambda s: s["state"] == "READY" and abs(s["joints"]["outer_rotation"]) > 0.02)
-    station.rest.delete("/api/operator")
     page.locator("#operator", has_text="No operator").wait_for()
-    ask(page)
+    ask(station, page)
     question = page.get_by_role("dialog")
     question.wait_for()
     for press in (page.locator("#stop").click, lambda: page.keyboard.press("Shift+Space")):
@@ -148,11 +152,7 @@ def test_a_text_box_takes_a_space_while_nothing_moves_and_stops_what_does(statio
 
 
 def test_the_keys_work_in_a_report_s_frame(station: Served, page: Page) -> None:
-    record(station)
-    tab(page, "runs")
-    if page.get_by_role("button", name="all runs").count():
-        button(page, "all runs")
-    page.locator("#runs .card").first.click()
+    open_new_run(station, page)
     button(page, "Replay")
     page.locator("#cover", has_text="this is not live").wait_for()
     station.post("/api/start", HOLD)

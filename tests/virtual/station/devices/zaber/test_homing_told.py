@@ -18,7 +18,11 @@ def test_every_axis_is_told_in_its_turn_and_the_time_is_right(paper: RobotFile) 
             told.append(details["homing"])
 
     assert bench.stages.condition is Condition.CONNECTED
-    assert list(dict.fromkeys(one["joint"] for one in told)) == ["inner_translation", "outer_rotation", "inner_rotation"]
+    assert list(dict.fromkeys(one["joint"] for one in told)) == [
+        "inner_translation",
+        "outer_rotation",
+        "inner_rotation",
+    ]
     assert [one["number"] for one in told] == sorted(one["number"] for one in told)
     assert told[0]["exact"]
     # ramps, and settings that are read back, come on top of the ways
