@@ -222,7 +222,7 @@ class ControlLoop:
             self._act_on(Trouble(Severity.HOLD, stalled) if stalled else None, now)
         if order is not None and self.state is State.RUNNING:
             stages.command(tick.command, now)
-        self._row = self.channels.row(now, self.state, joints, wrenches, frame, tick, truth, self._troubles)
+        self._row = self.channels.row(now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles)
         return self._row
 
     def _connect(self, now: float) -> None:
@@ -278,7 +278,7 @@ class ControlLoop:
         """The last row as it stands now: time, state and what was read go on, the estimates do not."""
         if self._row is None:
             return None
-        self._row = self.channels.held(self._row, now, self.state, joints, wrenches, self._troubles)
+        self._row = self.channels.held(self._row, now, self.state, self.phase, joints, wrenches, self._troubles)
         return self._row
 
     def _order(
