@@ -94,9 +94,9 @@ class Channels:
         wrenches: WrenchReading,
         troubles: tuple[int, int, int] = (0, 0, 0),
     ) -> Array:
-        """The last row with what was read since: the controller has nothing new to say."""
+        """The last row with what was read since, `held`: the controller has nothing new to say."""
         row = last.copy()
-        row[0], row[1], row[2] = time, state, phase
+        row[0], row[1], row[2], row[3] = time, state, phase, 1.0
         if np.isfinite(joints.positions).all():
             self.of(row, "joints")[:] = joints.positions
         self.of(row, "velocity_commanded")[:] = 0.0
@@ -121,10 +121,10 @@ def _fill(
     u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
 ) -> None:  # fmt: skip
     """One row in the order of `_channels`; a call of numpy for each part would take longer than the model."""
-    row[0], row[1], row[2], row[3], row[4] = time, state, phase, new, frame_time
-    row[5], row[6], row[7], row[8] = loaded[PASSES], unloaded[PASSES], estimate[USED], loaded[STABILITY]
-    row[9], row[10], row[11], row[12] = stages, tracker, sensors, known
-    shape, free, now, at, n = parts(loaded), parts(unloaded), known_of(estimate), 13, positions.shape[0]
+    row[0], row[1], row[2], row[3], row[4], row[5] = time, state, phase, 0.0, new, frame_time
+    row[6], row[7], row[8], row[9] = loaded[PASSES], unloaded[PASSES], estimate[USED], loaded[STABILITY]
+    row[10], row[11], row[12], row[13] = stages, tracker, sensors, known
+    shape, free, now, at, n = parts(loaded), parts(unloaded), known_of(estimate), 14, positions.shape[0]
     newest = now.tips[int(estimate[NEWEST])]
     for k in range(3):
         row[at + k], row[at + 3 + k] = true_tip[k], true_force[k]
@@ -172,6 +172,7 @@ def _channels(robot: Robot) -> list[Channel]:
         Channel("time", "s"),
         Channel("state", ""),
         Channel("phase", ""),
+        Channel("held", ""),
         Channel("tip_new", ""),
         Channel("tip_time", "s"),
         Channel("passes.loaded", ""),

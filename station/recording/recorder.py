@@ -40,6 +40,8 @@ START_TIME, ANSWER_TIME = 60.0, 10.0
 MOST_ROWS = 1_000_000
 #: Name of the only case of a live run.
 CASE = "run"
+#: A motion of a joint, which has no path for the tip.
+SWEEP = "joint_sweep"
 
 
 class Begin(NamedTuple):
@@ -253,10 +255,12 @@ class _Recording:
             self._folder.finish(self._summary(Label.INCOMPLETE, problem, {}))
 
     def _errors(self) -> Mapping[str, Any]:
-        """Of the tip, if its motion has begun and settled."""
+        """Of the tip, if its motion has begun and settled, and had a path to keep to."""
         start, first = self._of_run.motion_start, self._begin.counted_from
         if start is None:
             return {}
+        if self._begin.metadata.get("settings", {}).get("trajectory", {}).get("kind") == SWEEP:
+            return {"motion_start": start, "counted_from_s": first}
         recording = read_case(self._folder.case(CASE), MOST_ROWS)
         found = motion_errors(recording.of, start, first)
         return {"motion_start": start, "counted_from_s": first, **found}
