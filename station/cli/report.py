@@ -1,4 +1,4 @@
-"""The commands `report` and `replay`: what is made of a run that was recorded."""
+"""The commands `report`, `replay` and `curves`: what is made of a run that was recorded."""
 
 import argparse
 import sys
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
-    """Add both."""
+    """Add them."""
     run = "folder of a run or sweep, its name in the folder of data, or 'latest'"
     report = commands.add_parser("report", help="figures and tables of a run as one HTML file")
     report.add_argument("run", metavar="RUN", help=run)
@@ -20,6 +20,10 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     replay.add_argument("run", metavar="RUN", help=run)
     replay.add_argument("--out", type=Path, metavar="FILE", help="the file (replay.html in the run's folder)")
     replay.set_defaults(command=_replay)
+
+    curves = commands.add_parser("curves", help="error and force of a run as a few hundred numbers, curves.json")
+    curves.add_argument("run", metavar="RUN", help=run)
+    curves.set_defaults(command=_curves)
 
 
 def _report(parsed: argparse.Namespace) -> int:
@@ -38,6 +42,13 @@ def _replay(parsed: argparse.Namespace) -> int:
         task = bar.add_task(f"replay {folder.name}", total=1.0)
         path = write_player(folder, parsed.out, lambda done: bar.update(task, completed=done))
     sys.stdout.write(f"{path}\n")
+    return 0
+
+
+def _curves(parsed: argparse.Namespace) -> int:
+    from station.report.curves import write_curves
+
+    sys.stdout.write(f"{write_curves(_folder(parsed))}\n")
     return 0
 
 

@@ -6,20 +6,16 @@ from pathlib import Path
 
 import matplotlib
 
-from core.errors import CtrError
 from station.experiments.sweep_output import SWEEP
 from station.report import document, facts, rendered, spread, style
 from station.report.drawn import Drawn
 from station.report.figures import figures
 from station.report.run import read_run
+from station.report.written import ReportError, written
 
 NAME = "report.html"
 #: matplotlib's settings are the process's: reports are drawn one after the other.
 _DRAWING = threading.Lock()
-
-
-class ReportError(CtrError):
-    """A report that cannot be written."""
 
 
 def write_report(folder: Path, out: Path | None = None) -> Path:
@@ -76,10 +72,3 @@ def _shown(drawn: Drawn, origin: str, out: Path | None) -> str:
     if out is not None:
         rendered.write_files(drawn, out)
     return document.picture(rendered.data_uri(drawn), drawn.alt, drawn.title, drawn.caption)
-
-
-def written(text: str, path: Path) -> Path:
-    """Write a file, whole or not at all."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    return partial.replace(path)
