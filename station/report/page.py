@@ -47,13 +47,13 @@ def write_report(folder: Path, out: Path | None = None) -> Path:
 def _run(folder: Path, out: Path | None) -> Iterator[str]:
     run = read_run(folder)
     yield from facts.head(run)
+    yield from facts.result(run)
     yield from facts.beside_table(run)
     yield document.heading("Figures")
     if not run.cases:
         yield document.paragraph("Nothing was recorded.")
     for drawn in figures(run):
         yield _shown(drawn, facts.origin(run), out)
-    yield from facts.error_table(run)
     yield from facts.bound_table(run)
     yield from facts.line_table(run)
     yield from facts.configuration(run)

@@ -24,6 +24,8 @@ KEPT = frozenset((
 ))  # fmt: skip
 #: Rows of a case that are kept in memory; a recording of more than 33 minutes is thinned out.
 MOST = 1_000_000
+#: What a live run calls its only case; which one of an experiment it is stands in its recording.
+LIVE = "run"
 
 
 class NoRun(CtrError):
@@ -57,6 +59,12 @@ class Case:
         """What the columns of a group are called, the group's name left out."""
         parts = (channel.name.rsplit(".", 1) for channel in self.channels)
         return [part[1] for part in parts if len(part) == 2 and part[0] == group]
+
+    @property
+    def words(self) -> str:
+        """Which case it is, for a title; empty for a free motion, which has no other."""
+        named = str(self.metadata.get("case", "" if self.name == LIVE else self.name))
+        return f" (case {named.replace('_', ' ')})" if named else ""
 
     @property
     def time(self) -> Array:

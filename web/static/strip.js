@@ -5,15 +5,14 @@ import { atOneLook, ended, SHAPES } from "./result.js";
 
 const PERIOD = 200; // ms
 const length = (vector, scale = 1) => (vector === null ? null : scale * Math.hypot(...vector));
+const BEFORE = { approaching: "to start", settling: "at rest" };
 let status = null, stale = true;
 
-function against(sample) {
-  return sample !== null && known(sample, "tip_true") ? "true" : "measured";
-}
+const against = (sample) => (sample?.truth_known ? "true" : "measured");
 function left() {
   const run = status?.run;
   if (stale || !run || status.state !== "RUNNING") return null;
-  if (run.phase !== "moving") return run.phase === "none" ? null : run.phase;
+  if (run.phase !== "moving") return BEFORE[run.phase] ?? null;
   const seconds = Math.max(0, Math.round(run.duration * (1 - run.progress)));
   return `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")}`;
 }
