@@ -46,7 +46,6 @@ class ControlLoop:
         self.progress: Progress | None = None  #: of the task that is on
         self.channels = Channels(controller.statics.robot)
         self._margins = margins or Margins()
-        self.held = False  #: the last row stands since an earlier tick, but for what was read
         self._memory: ControllerState | None = None
         self._row: Array | None = None
         self._troubles = NONE
@@ -188,7 +187,7 @@ class ControlLoop:
             controller could not use (the axes are then told to stop), with the last estimates standing.
             None until the controller has begun.
         """
-        self.held, devices, stages = False, self.devices, self.devices.stages
+        devices, stages = self.devices, self.devices.stages
         if self.state is State.OFF and stages.condition is Condition.CLOSED:
             return None
         joints = stages.poll(now)
@@ -230,7 +229,7 @@ class ControlLoop:
             self._act_on(Trouble(Severity.HOLD, stalled) if stalled else None, now)
         if order is not None and self.state is State.RUNNING:
             stages.command(tick.command, now)
-        self._row = self.channels.row(now, self.state, joints, wrenches, frame, tick, truth, self._troubles)
+        self._row = self.channels.row(now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles)
         return self._row
 
     def _connect(self, now: float) -> None:
@@ -284,10 +283,9 @@ class ControlLoop:
 
     def _held(self, now: float, joints: JointReading, wrenches: WrenchReading) -> Array | None:
         """The last row as it stands now: time, state and what was read go on, the estimates do not."""
-        self.held = True
         if self._row is None:
             return None
-        self._row = self.channels.held(self._row, now, self.state, joints, wrenches, self._troubles)
+        self._row = self.channels.held(self._row, now, self.state, self.phase, joints, wrenches, self._troubles)
         return self._row
 
     def _order(

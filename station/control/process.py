@@ -21,7 +21,7 @@ from station.control.margins import Margins
 from station.control.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Refused, Reply
 from station.control.overruns import OverrunLimits, Overruns
 from station.control.realtime import be_punctual, is_dying, show_as
-from station.control.ring import HEARTBEAT, HELD, PHASE, PROGRESS, RUN, SCHEDULER, STATE, STATION_HEARTBEAT, Ring
+from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, STATION_HEARTBEAT, Ring
 from station.control.states import Event, State
 from station.control.task import Phase
 from station.control.telemetry import Channels
@@ -155,7 +155,6 @@ class _LiveLoop:
     def _report(self, now: float) -> None:
         loop, ring = self._loop, self._ring
         ring.counters[STATE], ring.counters[PHASE], ring.counters[RUN] = loop.state, loop.phase, self._run
-        ring.counters[HELD] = loop.held
         ring.numbers[PROGRESS], ring.numbers[HEARTBEAT] = loop.part_done(now), self._clock.now()
 
     def _notice(self) -> None:

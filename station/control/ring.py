@@ -17,7 +17,7 @@ from station.devices.interfaces import Truth
 ROWS = 4096  #: slots, about 8 s at 500 Hz
 BINS = 5001  #: 1 us each; the last holds everything from 5 ms on
 
-WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK, HELD = range(8)  #: places of the counters
+WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK = range(7)  #: places of the counters
 COUNTERS = 8
 LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT = range(5)  #: places of the numbers
 NUMBERS = 8

@@ -9,7 +9,7 @@ from core.robot.robot import Array
 from station.control.causes import Causes
 from station.control.clock import StationClock
 from station.control.messages import DeviceStatus
-from station.control.ring import HEARTBEAT, HELD, PHASE, PROGRESS, RUN, STATE, STUCK, Ring, Timing
+from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STUCK, Ring, Timing
 from station.control.states import LATCHED, State
 from station.control.task import Phase
 from station.control.telemetry import Channels
@@ -129,5 +129,5 @@ class StateMonitor:
             devices=self._devices,
             warnings=(*warnings, *self._refused, *stuck, *told),
             reserved=reserved,
-            standing=frozenset() if row is None else standing(self._channels.of(row, "trouble"), bool(counters[HELD])),
+            standing=frozenset() if row is None else standing(self._channels, row),
         )

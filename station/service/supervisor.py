@@ -245,9 +245,7 @@ class Supervisor:
             self._flight_recorder.state(notice.state, notice.cause)
             self._runs.state_changed(notice)
         self._runs.heard(notice)
-        news = self._processes.lab.motion(self._runs.find(notice.run), notice.motion_start)
-        if news and notice.motion_start is not None:
-            self._runs.motion_begun(notice.motion_start)
+        self._processes.lab.motion(self._runs.find(notice.run), notice.motion_start)
 
     def _ended(self, ending: Ending) -> None:
         """The control process has ended unasked, and the stages have been stopped."""

@@ -12,7 +12,6 @@ from core.robot.robot import Array
 from station.config.controllers import PERIOD, ControllerFile
 from station.config.robots import start_pose
 from station.config.strict import preset_names
-from station.control.ring import HELD, PHASE
 from station.control.states import State
 from station.control.task import Phase
 from station.experiments.experiment import Experiment, offered
@@ -42,9 +41,12 @@ from web.scene.contact import SideLoad
 
 #: Groups of telemetry that websocket clients get.
 STREAMED = (
-    "time", "state", "joints", "tip_measured", "tip_estimated", "tip_desired", "tip_true", "force", "u_int",
-    "deflection", "deflection_rate",
+    "time", "state", "phase", "held", "trouble", "truth_known", "joints", "tip_measured", "tip_estimated",
+    "tip_desired", "tip_true", "force", "force_filtered", "u_int", "deflection", "deflection_filtered",
+    "deflection_rate",
 )  # fmt: skip
+#: Those of a single number.
+SCALARS = ("time", "state", "phase", "held", "truth_known")
 
 
 def control_routes(
@@ -183,17 +185,16 @@ def experiment_out(experiment: Experiment) -> ExperimentOut:
 
 def sample_out(service: StationService, row: Array, skipped: int, before: float | None) -> dict[str, Any]:
     """One row of telemetry for a websocket client, with what lies between it and the one sent `before` it [s]."""
-    channels, counters = service.supervisor.channels, service.supervisor.ring.counters
-    old = standing(channels.of(row, "trouble"), bool(counters[HELD]))
-    if not channels.of(row, "truth_known")[0]:
-        old |= {"tip_true"}
-    values: dict[str, Any] = {"phase": Phase(int(counters[PHASE])).name.lower()}
+    channels = service.supervisor.channels
+    old = standing(channels, row)
+    values: dict[str, Any] = {}
     for group in STREAMED:
         numbers = channels.of(row, group).tolist()
-        values[group] = numbers[0] if group in ("time", "state") else None if group in old else numbers
+        values[group] = numbers[0] if group in SCALARS else None if group in old else numbers
     # Not every period has a row: those that a late loop left out are in no count of rows.
     missed = 0 if before is None else max(0, round((values["time"] - before) / PERIOD) - 1 - skipped)
-    return {"skipped": skipped, "missed": missed, **values, "state": State(int(values["state"])).name}
+    named = {"state": State(int(values["state"])).name, "phase": Phase(int(values["phase"])).name.lower()}
+    return {"skipped": skipped, "missed": missed, **values, **named}
 
 
 async def _until_closed(socket: WebSocket) -> None:
