@@ -18,15 +18,22 @@ def open_page(running: Served, browser: Browser) -> Iterator[Page]:
 
 
 @pytest.fixture
-def says(page: Page) -> Iterator[Callable[..., None]]:
-    """Let the station's status say something else: `says(state="FAULT", act="reset")`."""
+def says(station: Served, page: Page) -> Iterator[Callable[..., None]]:
+    """Let the station's status say something else: `says(state="FAULT", act="reset")`; the truth again: `says()`."""
     changes: dict[str, Any] = {}
+    before = station.status()
 
     def change(**some: Any) -> None:
         changes.clear()
         changes.update(some)
 
-    page.route("**/api/status", lambda route: route.fulfill(json=route.fetch().json() | changes))
+    def answer(route: Route) -> None:
+        if changes:
+            route.fulfill(json=before | changes)
+        else:
+            route.continue_()
+
+    page.route("**/api/status", answer)
     yield change
     page.unroute("**/api/status")
 
