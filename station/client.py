@@ -74,7 +74,7 @@ class Station:
             self._http.close()
 
     def status(self) -> dict[str, Any]:
-        """Everything at one look: state, run, devices, joints [rad or m], tips [m], force [N]."""
+        """Everything at one look: state, run, devices, joints [rad or m], tips [m], force [N]; None for what is old."""
         return self._ask("GET", "/api/status")
 
     def become_operator(self, *, take_over: bool = False) -> None:
@@ -200,6 +200,7 @@ class Station:
     def telemetry(self, rate: float = 30.0) -> Iterator[dict[str, Any]]:
         """Samples as they come, `rate` a second at most.
 
+        What nobody renews at present, as while stages are homed or a device is silent, is None.
         Each says how many ticks of the loop were `skipped` since the one before it, and how many the loop `missed`.
 
         Raises:

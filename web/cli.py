@@ -6,26 +6,22 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from station.cli.main import execute, parser
-from station.cli.options import seed
+from station.cli.options import data_of, seed
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point; without a command it serves."""
     top, commands = parser()
     serve = commands.add_parser("serve", help="start the virtual lab, the control process and the panel (default)")
-    for target in (top, serve):
-        target.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
-        target.add_argument("--lab", metavar="LAB", help="virtual lab: gentle, realistic, ..., or .toml file (gentle)")
-        target.add_argument("--seed", type=seed, metavar="N", help="of everything random in the virtual lab (0)")
-        target.add_argument("--calibration", type=Path, metavar="DIR", help="use what 'calibrate' found")
-        target.add_argument("--host", default="127.0.0.1", metavar="H", help="address to listen on (127.0.0.1)")
-        target.add_argument("--port", type=_port, default=8000, metavar="P", help="port of page and REST (8000)")
-        target.add_argument(
-            "--data", type=Path, default=Path("runs"), metavar="DIR", help="folder of runs, calibrations and log (runs)"
-        )
-        target.add_argument("--no-browser", action="store_true", help="do not open a browser")
-        target.set_defaults(command=_serve)
-    sys.exit(execute(top, arguments))
+    serve.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
+    serve.add_argument("--lab", metavar="LAB", help="virtual lab: gentle, realistic, ..., or .toml file (gentle)")
+    serve.add_argument("--seed", type=seed, metavar="N", help="of everything random in the virtual lab (0)")
+    serve.add_argument("--calibration", type=Path, metavar="DIR", help="use what 'calibrate' found")
+    serve.add_argument("--host", default="127.0.0.1", metavar="H", help="address to listen on (127.0.0.1)")
+    serve.add_argument("--port", type=_port, default=8000, metavar="P", help="port of page and REST (8000)")
+    serve.add_argument("--no-browser", action="store_true", help="do not open a browser")
+    serve.set_defaults(command=_serve)
+    sys.exit(execute(top, commands.choices, arguments, "serve"))
 
 
 def _serve(parsed: argparse.Namespace) -> int:
@@ -34,7 +30,7 @@ def _serve(parsed: argparse.Namespace) -> int:
     known = None if parsed.calibration is None else str(parsed.calibration.absolute())
     given = {"lab": parsed.lab, "seed": parsed.seed, "calibration": known}
     changes = {key: value for key, value in given.items() if value is not None}
-    return serve(parsed.config, changes, parsed.host, parsed.port, parsed.data, browser=not parsed.no_browser)
+    return serve(parsed.config, changes, parsed.host, parsed.port, data_of(parsed), browser=not parsed.no_browser)
 
 
 def _port(text: str) -> int:

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import between, new_folder, progress_bar, seed
+from station.cli.options import between, new_folder, progress_bar, results_of, seed
 
 PROCEDURES = {
     "axes": "which way each axis runs, and the tubes' zero angles roughly",
@@ -44,13 +44,14 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     )
     calibrate.add_argument("--realtime", action="store_true", help="at the pace of the clock")
     calibrate.add_argument(
-        "--out", type=Path, default=Path("calibrations"), metavar="DIR", help="where results go (calibrations)"
+        "--out", type=Path, metavar="DIR", help="where results go (calibrations, in the folder of data if one is given)"
     )
     calibrate.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     calibrate.set_defaults(command=_calibrate)
 
 
 def _calibrate(parsed: argparse.Namespace) -> int:
+    parsed.out = results_of(parsed, "calibrations")
     if parsed.poses is not None or parsed.hysteresis:
         return _from_poses(parsed)
     from rich.console import Console

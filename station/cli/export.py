@@ -12,20 +12,20 @@ if TYPE_CHECKING:
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
     """Add it."""
     export = commands.add_parser("export", help="a run's recordings as CSV, Parquet or MATLAB files")
-    export.add_argument("run", metavar="RUN", help="folder of a run, its name under 'runs', or 'latest'")
+    export.add_argument("run", metavar="RUN", help="folder of a run, its name in the folder of data, or 'latest'")
     export.add_argument("--format", choices=("csv", "parquet", "mat"), required=True)
     export.add_argument("--out", type=Path, metavar="FILE|DIR", help="where the files go (the run's folder)")
     export.set_defaults(command=_export)
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    from station.cli.options import progress_bar
+    from station.cli.options import data_of, progress_bar
     from station.recording.export import export_run
     from station.recording.history import resolve_run
     from station.recording.recover import recover
-    from station.recording.run_folder import RUNS
 
-    recover(RUNS)
+    runs = data_of(parsed)
+    recover(runs)
     with progress_bar() as bar:
         tasks: dict[str, TaskID] = {}
 
@@ -34,6 +34,6 @@ def _export(parsed: argparse.Namespace) -> int:
                 tasks[case] = bar.add_task(f"export {case}", total=1.0)
             bar.update(tasks[case], completed=part)
 
-        files = export_run(resolve_run(parsed.run, RUNS), parsed.format, parsed.out, progress)
+        files = export_run(resolve_run(parsed.run, runs), parsed.format, parsed.out, progress)
     sys.stdout.writelines(f"{file}\n" for file in files)
     return 0

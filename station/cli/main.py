@@ -5,9 +5,9 @@ import io
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rich.console import Console
 
@@ -15,11 +15,16 @@ from core.errors import CtrError
 from core.model.statics import PAPER_SUBLINK
 from station.cli import bench, calibrate, export, report, run, soak, sweep, validate
 from station.cli.options import between
+from station.cli.placed import command_first
 from station.config.strict import preset_names
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line; `--help` has the rest."""
+    """Says what is wrong in one line; `--help` has the rest. Every command takes the folder of data."""
+
+    def __init__(self, **how: Any) -> None:
+        super().__init__(**how)
+        self.add_argument("--data", type=Path, metavar="DIR", help="folder of runs, calibrations and log (runs)")
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2."""
@@ -70,9 +75,10 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     return top, commands
 
 
-def execute(top: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
-    """Parse and run; 0 done, 1 not completed, 2 bad input, 130 interrupted."""
-    parsed = top.parse_args(arguments)
+def execute(top: Parser, commands: Container[str], arguments: Sequence[str] | None, meant: str = "") -> int:
+    """Parse and run, the command `meant` when none is named; 0 done, 1 not completed, 2 bad input, 130 interrupted."""
+    given = sys.argv[1:] if arguments is None else arguments
+    parsed = top.parse_args(command_first(given, commands, meant))
     if not hasattr(parsed, "command"):
         top.print_help()
         return 2
@@ -98,7 +104,8 @@ def execute(top: argparse.ArgumentParser, arguments: Sequence[str] | None) -> in
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `python -m station`."""
-    return execute(parser()[0], arguments)
+    top, commands = parser()
+    return execute(top, commands.choices, arguments)
 
 
 def _solve(parsed: argparse.Namespace) -> int:

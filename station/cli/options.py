@@ -58,6 +58,16 @@ def count(most: int) -> Callable[[str], int]:
     return read
 
 
+def data_of(parsed: argparse.Namespace) -> Path:
+    """Folder of runs, calibrations and log."""
+    return Path("runs") if parsed.data is None else parsed.data
+
+
+def results_of(parsed: argparse.Namespace, name: str) -> Path:
+    """Where results of this name go: as told, else in the folder of data, if one was given, else here."""
+    return parsed.out or (Path(name) if parsed.data is None else parsed.data / name)
+
+
 def from_here(value: Path | str) -> str:
     """A file or folder given on the command line, which an experiment would look for beside itself."""
     return str(Path(value).absolute()) if isinstance(value, Path) or value.endswith(".toml") else value

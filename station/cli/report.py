@@ -1,4 +1,4 @@
-"""The commands `report` and `replay`: what is made of a run that was recorded."""
+"""The commands `report`, `replay` and `curves`: what is made of a run that was recorded."""
 
 import argparse
 import sys
@@ -7,8 +7,8 @@ from typing import Any
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
-    """Add both."""
-    run = "folder of a run or sweep, its name under 'runs', or 'latest'"
+    """Add them."""
+    run = "folder of a run or sweep, its name in the folder of data, or 'latest'"
     report = commands.add_parser("report", help="figures and tables of a run as one HTML file")
     report.add_argument("run", metavar="RUN", help=run)
     report.add_argument(
@@ -21,11 +21,15 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     replay.add_argument("--out", type=Path, metavar="FILE", help="the file (replay.html in the run's folder)")
     replay.set_defaults(command=_replay)
 
+    curves = commands.add_parser("curves", help="error and force of a run as a few hundred numbers, curves.json")
+    curves.add_argument("run", metavar="RUN", help=run)
+    curves.set_defaults(command=_curves)
+
 
 def _report(parsed: argparse.Namespace) -> int:
     from station.report.page import write_report
 
-    sys.stdout.write(f"{write_report(_folder(parsed.run), parsed.out)}\n")
+    sys.stdout.write(f"{write_report(_folder(parsed), parsed.out)}\n")
     return 0
 
 
@@ -33,7 +37,7 @@ def _replay(parsed: argparse.Namespace) -> int:
     from station.cli.options import progress_bar
     from station.report.player import write_player
 
-    folder = _folder(parsed.run)
+    folder = _folder(parsed)
     with progress_bar() as bar:
         task = bar.add_task(f"replay {folder.name}", total=1.0)
         path = write_player(folder, parsed.out, lambda done: bar.update(task, completed=done))
@@ -41,10 +45,18 @@ def _replay(parsed: argparse.Namespace) -> int:
     return 0
 
 
-def _folder(run: str) -> Path:
+def _curves(parsed: argparse.Namespace) -> int:
+    from station.report.curves import write_curves
+
+    sys.stdout.write(f"{write_curves(_folder(parsed))}\n")
+    return 0
+
+
+def _folder(parsed: argparse.Namespace) -> Path:
+    from station.cli.options import data_of
     from station.recording.history import resolve_run
     from station.recording.recover import recover
-    from station.recording.run_folder import RUNS
 
-    recover(RUNS)
-    return resolve_run(run, RUNS)
+    runs = data_of(parsed)
+    recover(runs)
+    return resolve_run(parsed.run, runs)

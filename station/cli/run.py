@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from station.cli.options import count, from_here, progress_bar, seed
+from station.cli.options import count, data_of, from_here, progress_bar, seed
 
 if TYPE_CHECKING:
     from station.experiments.experiment import Experiment
@@ -23,7 +23,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     run = commands.add_parser("run", help="carry out an experiment with simulated devices and print how well it went")
     run.add_argument("experiment", metavar="EXPERIMENT", help="name of a preset or a .toml file")
     run.add_argument("--seed", type=seed, default=0, metavar="N", help="of everything random in the lab (0)")
-    run.add_argument("--out", type=Path, default=Path("runs"), metavar="DIR", help="where results go (runs)")
+    run.add_argument("--out", type=Path, metavar="DIR", help="where results go (the folder of data)")
     run.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")
     run.add_argument("--calibration", type=Path, metavar="DIR", help="use what 'calibrate' found")
     run.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
@@ -65,7 +65,7 @@ def _carry_out(parsed: argparse.Namespace, started: "Processes | None") -> int:
     for text in dict.fromkeys(text for case in experiment.cases for text in case.warnings):
         names = ", ".join(case.name for case in experiment.cases if text in case.warnings)
         sys.stderr.write(f"ctr-station: {names}: {text}\n")
-    folder, begin = ResultFolder(parsed.out, experiment, parsed.seed), time.perf_counter()
+    folder, begin = ResultFolder(parsed.out or data_of(parsed), experiment, parsed.seed), time.perf_counter()
     try:
         assignments = [folder.assignment(case) for case in experiment.cases]
         bounds = _bounds(experiment, parsed.seed, started)

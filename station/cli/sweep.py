@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import count, from_here, progress_bar
+from station.cli.options import count, data_of, from_here, progress_bar
 from station.experiments.side_by_side import processors
 
 
@@ -25,7 +25,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     sweep.add_argument(
         "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (one a processor)"
     )
-    sweep.add_argument("--out", type=Path, default=Path("runs"), metavar="DIR", help="where results go (runs)")
+    sweep.add_argument("--out", type=Path, metavar="DIR", help="where results go (the folder of data)")
     sweep.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")
     sweep.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     sweep.set_defaults(command=_sweep)
@@ -52,7 +52,7 @@ def _sweep(parsed: argparse.Namespace) -> int:
         task = bar.add_task(f"sweep {experiment.name}", total=len(listed))
         outcomes = sweep(listed, min(parsed.jobs, len(listed)), lambda done: bar.update(task, completed=done))
     summary = sweep_summary(experiment, listed, outcomes, time.perf_counter() - begin)
-    folder = write_sweep(parsed.out, summary, experiment.source)
+    folder = write_sweep(parsed.out or data_of(parsed), summary, experiment.source)
     write_report(folder)
     if parsed.json:
         sys.stdout.write(f"{json.dumps({**summary, 'recording': str(folder)})}\n")

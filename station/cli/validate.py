@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import new_folder
+from station.cli.options import new_folder, results_of
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
@@ -37,7 +37,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         "--hysteresis", action="store_true", help="each joint may lag behind the way that it came; needs a column time"
     )
     validate.add_argument(
-        "--out", type=Path, default=Path("validations"), metavar="DIR", help="where results go (validations)"
+        "--out", type=Path, metavar="DIR", help="where results go (validations, in the folder of data if one is given)"
     )
     validate.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     validate.set_defaults(command=_validate)
@@ -46,6 +46,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 def _validate(parsed: argparse.Namespace) -> int:
     from station.calibration.validation_output import write_validation
 
+    parsed.out = results_of(parsed, "validations")
     return held(parsed, parsed.fit, parsed.robot, "validate", write_validation)
 
 

@@ -11,11 +11,12 @@ from core.control.step import Controller, ControllerState, Sample, begin, set_or
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
 from core.robot.robot import Array
+from station.control.causes import Causes
 from station.control.jog import Jog
 from station.control.margins import Margins, SnapMonitor
 from station.control.progress_monitor import ProgressMonitor
 from station.control.settle_and_tare import AVERAGE, SETTLE, Rest
-from station.control.states import Event, RefusedError, State, after
+from station.control.states import LATCHED, Event, RefusedError, State, after
 from station.control.task import Phase, Progress, Task
 from station.control.telemetry import Channels
 from station.control.troubles import EVENTS, NONE, holds, not_finite, severities, troubles, worst
@@ -41,7 +42,7 @@ class ControlLoop:
         self.controller = controller
         self.devices = devices
         self.state = State.OFF
-        self.cause = ""  #: why the state is HOLD, STOPPED or FAULT
+        self._causes = Causes()
         self.progress: Progress | None = None  #: of the task that is on
         self.channels = Channels(controller.statics.robot)
         self._margins = margins or Margins()
@@ -54,6 +55,11 @@ class ControlLoop:
         self._retry = 0.0  # when a tracker that is not there is looked for again [s]
         self._frame_at = 0.0  # when the newest frame has come [s]
         self._stall, self._snap = ProgressMonitor(), SnapMonitor(self._margins)
+
+    @property
+    def cause(self) -> str:
+        """Why the state is HOLD, STOPPED or FAULT: the first cause since the last reset, then what came later."""
+        return str(self._causes)
 
     @property
     def phase(self) -> Phase:
@@ -76,11 +82,12 @@ class ControlLoop:
         Raises:
             RefusedError: the present state does not allow it.
         """
-        self.state = after(self.state, event)
+        before, self.state = self.state, after(self.state, event)
         if event in (Event.STOP, Event.FAULT, Event.HOLD):
-            self.cause, self.progress, self._jog, self._rest = cause, None, None, None
+            self._causes = (self._causes if before in LATCHED else Causes()).add(cause)
+            self.progress, self._jog, self._rest = None, None, None
         elif event in (Event.RESET, Event.RECONNECT, Event.CONNECT):
-            self.cause = ""
+            self._causes = Causes()
 
     def connect(self, now: float) -> None:
         """Find every device and set it up; a reset after a fault does the same.
@@ -222,7 +229,7 @@ class ControlLoop:
             self._act_on(Trouble(Severity.HOLD, stalled) if stalled else None, now)
         if order is not None and self.state is State.RUNNING:
             stages.command(tick.command, now)
-        self._row = self.channels.row(now, self.state, joints, wrenches, frame, tick, truth, self._troubles)
+        self._row = self.channels.row(now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles)
         return self._row
 
     def _connect(self, now: float) -> None:
@@ -244,8 +251,8 @@ class ControlLoop:
             trouble.severity is Severity.FAULT and self.state not in (State.OFF, State.FAULT)
         ):
             self._act_on(trouble, now)
-        elif self.state is State.FAULT and trouble.text.startswith(self.cause):
-            self.cause = trouble.text  # one axis after the other is missed
+        elif self.state is State.FAULT:
+            self._causes = self._causes.extend(trouble.text)
         return trouble
 
     def _act_on(self, trouble: Trouble | None, now: float) -> None:
@@ -278,7 +285,7 @@ class ControlLoop:
         """The last row as it stands now: time, state and what was read go on, the estimates do not."""
         if self._row is None:
             return None
-        self._row = self.channels.held(self._row, now, self.state, joints, wrenches, self._troubles)
+        self._row = self.channels.held(self._row, now, self.state, self.phase, joints, wrenches, self._troubles)
         return self._row
 
     def _order(

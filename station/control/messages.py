@@ -19,7 +19,7 @@ class Command(NamedTuple):
     run: int = 0
     space: Literal["joints", "tip"] = "joints"  #: of a jog
     velocity: Array | None = None  #: of a jog [rad/s or m/s]
-    cause: str = ""  #: of a HOLD
+    cause: str = ""  #: of a HOLD or STOP
 
 
 class Reply(NamedTuple):

@@ -194,7 +194,7 @@ class _LiveLoop:
         try:
             match command.what:
                 case Event.STOP:
-                    loop.stop(now)
+                    loop.stop(now, cause=command.cause)
                 case Event.HOLD:
                     loop.stop(now, Event.HOLD, command.cause)
                 case Event.START if command.task is not None:

@@ -20,6 +20,10 @@ class State(IntEnum):
     HOMING = 9  #: the stages look for their home sensors
 
 
+#: What a person has to reset.
+LATCHED = (State.HOLD, State.STOPPED, State.FAULT)
+
+
 class Event(StrEnum):
     """What may happen to the station."""
 

@@ -55,6 +55,7 @@ class Channels:
         self,
         time: float,
         state: State,
+        phase: int,
         joints: JointReading,
         wrenches: WrenchReading,
         frame: TipReading | None,
@@ -65,8 +66,9 @@ class Channels:
         """One tick as numbers, in the order of `all`.
 
         Between tracker frames `tip_new` is 0 and the last frame's values stand. Without a virtual
-        lab nothing is known to be true: `truth_known` is 0 and the true channels are 0. `troubles` are
-        the severities of what is wrong with stages, tracker and force sensors, 0 where nothing is.
+        lab nothing is known to be true: `truth_known` is 0 and the true channels are 0. `phase` is what the
+        run is doing, as `task.Phase` numbers it, 0 without one; `troubles` are the severities of what is
+        wrong with stages, tracker and force sensors, 0 where nothing is.
         """
         memory, now = tick.memory, tick.memory.estimate
         true_tip, true_force = truth or _UNKNOWN
@@ -74,7 +76,8 @@ class Channels:
         stages, tracker, sensors = troubles
         row = np.empty(self._width)
         _fill(
-            row, time, int(state), new, frame_time, stages, tracker, sensors, truth is not None, true_tip, true_force,
+            row, time, int(state), int(phase), new, frame_time, stages, tracker, sensors, truth is not None,
+            true_tip, true_force,
             joints.positions, tick.command, joints.sent, wrenches.wrenches, tick.load.force, tick.load.moment,
             memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
             tick.u_int, tick.sigma, tick.at_bound, now.numbers,
@@ -86,13 +89,14 @@ class Channels:
         last: Array,
         time: float,
         state: State,
+        phase: int,
         joints: JointReading,
         wrenches: WrenchReading,
         troubles: tuple[int, int, int] = (0, 0, 0),
     ) -> Array:
-        """The last row with what was read since: the controller has nothing new to say."""
+        """The last row with what was read since, `held`: the controller has nothing new to say."""
         row = last.copy()
-        row[0], row[1] = time, state
+        row[0], row[1], row[2], row[3] = time, state, phase, 1.0
         if np.isfinite(joints.positions).all():
             self.of(row, "joints")[:] = joints.positions
         self.of(row, "velocity_commanded")[:] = 0.0
@@ -110,17 +114,17 @@ _UNKNOWN = Truth(np.zeros(3), np.zeros(3))
 
 @compiled
 def _fill(
-    row: Array, time: float, state: int, new: bool, frame_time: float,
+    row: Array, time: float, state: int, phase: int, new: bool, frame_time: float,
     stages: int, tracker: int, sensors: int, known: bool, true_tip: Array, true_force: Array,
     positions: Array, command: Array, sent: Array, wrenches: Array, force: Array, moment: Array,
     tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
     u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
 ) -> None:  # fmt: skip
     """One row in the order of `_channels`; a call of numpy for each part would take longer than the model."""
-    row[0], row[1], row[2], row[3] = time, state, new, frame_time
-    row[4], row[5], row[6], row[7] = loaded[PASSES], unloaded[PASSES], estimate[USED], loaded[STABILITY]
-    row[8], row[9], row[10], row[11] = stages, tracker, sensors, known
-    shape, free, now, at, n = parts(loaded), parts(unloaded), known_of(estimate), 12, positions.shape[0]
+    row[0], row[1], row[2], row[3], row[4], row[5] = time, state, phase, 0.0, new, frame_time
+    row[6], row[7], row[8], row[9] = loaded[PASSES], unloaded[PASSES], estimate[USED], loaded[STABILITY]
+    row[10], row[11], row[12], row[13] = stages, tracker, sensors, known
+    shape, free, now, at, n = parts(loaded), parts(unloaded), known_of(estimate), 14, positions.shape[0]
     newest = now.tips[int(estimate[NEWEST])]
     for k in range(3):
         row[at + k], row[at + 3 + k] = true_tip[k], true_force[k]
@@ -167,6 +171,8 @@ def _channels(robot: Robot) -> list[Channel]:
     return [
         Channel("time", "s"),
         Channel("state", ""),
+        Channel("phase", ""),
+        Channel("held", ""),
         Channel("tip_new", ""),
         Channel("tip_time", "s"),
         Channel("passes.loaded", ""),

@@ -10,7 +10,7 @@ from station.config.motions import StepMotion
 from station.experiments.changes import window_name, windows
 from station.experiments.runner import Recording
 from station.experiments.step_fit import fit_step, fold
-from station.recording.tracking_errors import errors, rms, rounded
+from station.recording.tracking_errors import errors, largest_force, rms, rounded
 
 #: Ticks over which the model's tip is averaged before it is compared: the noise of one force sample, 0.02 N in each
 #: sensor, moves it by a millimetre, and that says nothing about the model.
@@ -42,6 +42,7 @@ def summarise(recording: Recording) -> dict[str, Any]:
     if len(counted) == 0 or len(frames) == 0:
         return summary
     summary["counted_from_s"] = first
+    summary |= largest_force(channels.of(counted, "force_filtered"))
     times, frame_times = channels.of(rows, "time")[:, 0], channels.of(frames, "tip_time")[:, 0]
 
     def at_frames(group: str, *, averaged: bool = False) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 
 from station.config.strict import Strict
 from station.recording.label import RecordingError
+from station.recording.outcome import CaseOutcome, outcomes
 from station.recording.run_folder import RECORDING, SUMMARY, write_json
 from station.recording.writer import PARTIAL
 
@@ -48,6 +49,8 @@ class Run(Strict):
     size: int
     """[bytes]"""
     notes: str
+    outcomes: Mapping[str, CaseOutcome] = {}
+    """errors and force of each case that has them"""
 
 
 class RunDetails(Run):
@@ -190,6 +193,7 @@ def _look(folder: Path) -> RunDetails:
         cases=tuple(path.stem for path in recordings),
         size=sum(path.stat().st_size for path in folder.iterdir() if path.is_file()),
         notes=str(_json(folder / NOTES).get("notes", "")),
+        outcomes=outcomes(summary),
         summary=summary,
     )
 

@@ -1,4 +1,4 @@
-"""The live recorder: a process of its own that copies the telemetry ring to disk every 0.2 s.
+"""The live recorder: a process of its own that copies the telemetry ring to disk every 0.2 s, to the end of a run.
 
 It only ever reads the ring, so the control loop cannot feel it; what the ring has overwritten before it
 was read is counted. When its parent is gone it finishes the recording as interrupted and ends.
@@ -28,6 +28,7 @@ from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
+from station.recording.run_rows import RunRows
 from station.recording.tracking_errors import motion_errors
 from station.recording.writer import CaseWriter
 
@@ -39,6 +40,8 @@ START_TIME, ANSWER_TIME = 60.0, 10.0
 MOST_ROWS = 1_000_000
 #: Name of the only case of a live run.
 CASE = "run"
+#: A motion of a joint, which has no path for the tip.
+SWEEP = "joint_sweep"
 
 
 class Begin(NamedTuple):
@@ -47,6 +50,7 @@ class Begin(NamedTuple):
     name: str
     metadata: Mapping[str, Any]
     since: int  #: number of the first row
+    counted_from: float  #: errors count from so long after the motion's start on [s]
 
 
 class End(NamedTuple):
@@ -54,7 +58,6 @@ class End(NamedTuple):
 
     label: Label
     cause: str
-    until: int  #: rows in the ring when the run ended
     numbers: Mapping[str, Any]  #: what its summary says besides
 
 
@@ -88,14 +91,17 @@ class Recorder:
         self.child = Child(run_recorder, ring.name, robot, runs, clock, name="recorder")
         self._begun = False
 
-    def begin(self, name: str, metadata: Mapping[str, Any]) -> Path:
-        """Record from the next row on, as a run called `name`; where its folder will be.
+    def begin(self, name: str, metadata: Mapping[str, Any], counted_from: float = 0.0) -> Path:
+        """Record from the next row on, to the end of its motion, as a run called `name`; where its folder will be.
+
+        The tip's errors count from `counted_from` [s] after the motion's start on.
 
         Raises:
             RecordingError: the folder cannot be made, or the recorder is gone.
         """
         self._trouble = ""
-        path = self._ask(Begin(name, metadata, self._ring.written), ANSWER_TIME if self._begun else START_TIME)
+        begin = Begin(name, metadata, self._ring.written, counted_from)
+        path = self._ask(begin, ANSWER_TIME if self._begun else START_TIME)
         self._begun = True
         return path
 
@@ -104,12 +110,12 @@ class Recorder:
         self.child.tell(event)  # `trouble` says when the recorder is gone
 
     def end(self, label: Label, cause: str = "", numbers: Mapping[str, Any] | None = None) -> Path:
-        """Finish the recording with the rows so far; the run's folder.
+        """Finish the recording, with the rows so far where its motion has not ended; the run's folder.
 
         Raises:
             RecordingError: it could not be finished, had ended before, or the recorder is gone.
         """
-        return self._ask(End(label, cause, self._ring.written, numbers or {}), ANSWER_TIME)
+        return self._ask(End(label, cause, numbers or {}), ANSWER_TIME)
 
     def trouble(self) -> str:
         """Why the recording has ended by itself; empty while all is well. Never waits."""
@@ -196,7 +202,7 @@ def run_recorder(
         pass  # the parent is gone; what it had begun is finished below
     finally:
         if recording is not None:
-            recording.end(End(Label.INTERRUPTED, "the station process is gone", ring.written, {}))
+            recording.end(End(Label.INTERRUPTED, "the station process is gone", {}))
         ring.close(remove=os.getppid() != parent)
 
 
@@ -210,8 +216,9 @@ def _warm_up(robot: RobotFile, channels: Channels) -> None:
 class _Recording:
     """The recording that is on."""
 
-    def __init__(self, folder: RunFolder, writer: CaseWriter, begin: Begin, ring: Ring) -> None:
+    def __init__(self, folder: RunFolder, writer: CaseWriter, begin: Begin, ring: Ring, channels: Channels) -> None:
         self.writer = writer
+        self._of_run = RunRows(channels)
         self._folder, self._ring, self._begin = folder, ring, begin
         self._next = begin.since
         self._cpu = time.process_time()
@@ -219,12 +226,13 @@ class _Recording:
         self._last = 0.0
 
     def copy(self) -> None:
-        """Rows since the last time, to disk."""
+        """Rows of the run since the last time, to disk."""
         rows, self._next, missed = self._ring.read(self._next)
-        if missed:
+        if missed and not self._of_run.over:
             self._missed += missed
             text = f"{missed} rows were overwritten before the recorder came to read them"
             self.writer.event(Event(self._last, "recorder", text, WARNING, {"missed": missed}))
+        rows = self._of_run.take(rows)
         if len(rows):
             self._last = float(rows[-1, 0])
         self.writer.write(rows)
@@ -234,7 +242,7 @@ class _Recording:
         try:
             self.copy()
             self.writer.close(end.label, end.cause, missed=self._missed, cpu_s=time.process_time() - self._cpu)
-            numbers = {**end.numbers, **_errors(self._folder.case(CASE), end.numbers)}
+            numbers = {**end.numbers, **self._errors()}
             self._folder.finish(self._summary(end.label, end.cause, numbers))
         except RecordingError as error:
             self.give_up(str(error))
@@ -245,6 +253,17 @@ class _Recording:
         """The disk takes no more: what is there is kept, by the next recovery if not now."""
         with contextlib.suppress(RecordingError):
             self._folder.finish(self._summary(Label.INCOMPLETE, problem, {}))
+
+    def _errors(self) -> Mapping[str, Any]:
+        """Of the tip, if its motion has begun and settled, and had a path to keep to."""
+        start, first = self._of_run.motion_start, self._begin.counted_from
+        if start is None:
+            return {}
+        if self._begin.metadata.get("settings", {}).get("trajectory", {}).get("kind") == SWEEP:
+            return {"motion_start": start, "counted_from_s": first}
+        recording = read_case(self._folder.case(CASE), MOST_ROWS)
+        found = motion_errors(recording.of, start, first)
+        return {"motion_start": start, "counted_from_s": first, **found}
 
     def _summary(self, label: Label, cause: str, numbers: Mapping[str, Any]) -> dict[str, Any]:
         told = {
@@ -257,14 +276,6 @@ class _Recording:
             **told, "started": self.writer.started, "label": label, "cause": cause, "completed": done,
             "cases": {CASE: {"completed": done, "cause": cause, **numbers}},
         }  # fmt: skip
-
-
-def _errors(path: Path, numbers: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Of the tip, if its motion has begun and settled."""
-    if "motion_start" not in numbers:
-        return {}
-    recording = read_case(path, MOST_ROWS)
-    return motion_errors(recording.of, numbers["motion_start"], numbers["counted_from_s"])
 
 
 def _begin(
@@ -284,4 +295,4 @@ def _begin(
         folder.let_go()
         recover(runs)
         return None, Answer(None, str(error))
-    return _Recording(folder, writer, begin, ring), Answer(folder.path, "")
+    return _Recording(folder, writer, begin, ring, channels), Answer(folder.path, "")

@@ -15,8 +15,6 @@ from station.recording.data_section import sync_folder
 from station.recording.label import RecordingError
 from station.recording.writer import PARTIAL
 
-#: Where runs are kept unless one says otherwise.
-RUNS = Path("runs")
 SUMMARY = "summary.json"
 EXPERIMENT = "experiment.toml"
 RECORDING = ".mcap"

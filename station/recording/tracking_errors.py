@@ -47,10 +47,10 @@ def errors(prefix: str, error: Array) -> dict[str, Any]:
 
 
 def motion_errors(of: Callable[[str], Array], start: float, first: float) -> Mapping[str, Any]:
-    """Errors of a motion that began at `start` [s] of its rows, from `first` [s] on; empty when there are none.
+    """Errors of a motion that began at `start` [s] of its rows, from `first` [s] on, and the largest force meanwhile.
 
-    `of` gives the columns of a group of channels (ticks, k). Each tracker frame is compared with the setpoint of
-    the moment at which it was taken; `true_` errors are those of the virtual lab's tip.
+    Empty when there are none. `of` gives the columns of a group of channels (ticks, k). Each tracker frame is
+    compared with the setpoint of the moment at which it was taken; `true_` errors are those of the virtual lab's tip.
     """
     time, desired = of("time")[:, 0] - start, of("tip_desired")
     counted = time >= first
@@ -62,7 +62,12 @@ def motion_errors(of: Callable[[str], Array], start: float, first: float) -> Map
     found = errors("", wanted - of("tip_measured")[frames])
     if of("truth_known")[counted].all():
         found |= errors("true_", desired[counted] - of("tip_true")[counted])
-    return found
+    return found | largest_force(of("force_filtered")[counted])
+
+
+def largest_force(force: Array) -> dict[str, Any]:
+    """The size of the largest of some forces (samples, 3) [N]."""
+    return {"force_max_N": rounded(np.linalg.norm(force, axis=1).max())}
 
 
 def rms(error: Array) -> Array:

@@ -29,7 +29,7 @@ def draw(run: Run) -> Iterator[Drawn]:
         longest = {group: 1e3 * np.linalg.norm(case.of(group), axis=1).max() for group, _ in PARTS}
         yield Drawn(
             "fig4", "Fig. 4: parts of the tip deflection",
-            f"The model's deflection in case '{case.name}'. Largest length: total {longest['deflection']:.2f} mm,"
+            f"The model's deflection{case.words}. Largest length: total {longest['deflection']:.2f} mm,"
             f" part of the load {longest['delta_1']:.2f} mm, part of the Jacobian {longest['delta_2']:.2f} mm:"
             f" the first is {longest['delta_1'] / longest['delta_2']:.1f} times the second. The paper prints no number;"
             " it says that the first dominates.",

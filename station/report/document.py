@@ -10,6 +10,7 @@ body { font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #
 h1 { font-size: 1.6rem; line-height: 1.25; margin: 0 0 .25rem; }
 h2 { font-size: 1.2rem; margin: 2.2rem 0 .6rem; border-bottom: 1px solid #cdd3d9; padding-bottom: .2rem; }
 p.note { background: #fff4d6; border-left: 4px solid #e69f00; padding: .5rem .8rem; margin: .8rem 0; }
+p.result { font-size: 1.05rem; font-weight: 600; margin: .4rem 0; }
 p.sub { color: #566270; margin: 0 0 .8rem; }
 figure { margin: 1.4rem 0 2rem; }
 figure img { display: block; width: 100%; height: auto; }

@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from station.recording.outcome import outcomes
 from station.recording.tracking_errors import which_count
 from station.report import document
 from station.report.comparison import all_errors, beside_the_paper
@@ -22,7 +23,7 @@ def origin(run: Run) -> str:
 
 def head(run: Run) -> Iterator[str]:
     """Title, and in plain words what was simulated."""
-    title = run.table.get("title") or run.experiment
+    title = run.table.get("title") or run.summary.get("title") or run.experiment
     yield f"<h1>{escape(str(title))}</h1>"
     yield document.paragraph(run.folder.name, "sub")
     if run.simulated:
@@ -64,11 +65,22 @@ def beside_table(run: Run) -> Iterator[str]:
         yield document.table(head, cells, texts=2)
 
 
-def error_table(run: Run) -> Iterator[str]:
-    """All errors of all cases."""
+def result(run: Run) -> Iterator[str]:
+    """How it ended and how well it went: a sentence for each case, then all errors."""
+    yield document.heading("Result")
+    if label := run.summary.get("label"):
+        cause = run.summary.get("cause")
+        yield document.paragraph(f"Ended: {label}{f', {cause}' if cause else ''}.")
+    for name, found in outcomes(run.summary).items():
+        case = run.case(name)
+        yield document.paragraph(
+            f"The {found.against} tip{'' if case is None else case.words} was at most {found.largest_distance:.2f} mm"
+            f" from where it should have been, {found.rms_distance:.2f} mm RMS"
+            + ("." if found.force is None else f"; the force on it was at most {found.force:.2f} N."),
+            "result",
+        )
     errors = list(all_errors(run))
     if errors:
-        yield document.heading("Errors of the tip")
         yield document.paragraph(f"Millimetres. {which_count(run.summary.get('cases', {}))}")
         cells = ((row.case, row.kind, *(f"{value:.3f}" for value in row.values)) for row in errors)
         yield document.table(("case", "error", *AXES), cells, texts=2)
@@ -132,7 +144,7 @@ def configuration(run: Run) -> Iterator[str]:
         changed = {key: value for key, value in lines.items() if first.get(key) != value}
         if changed:
             more = ", what differs from the first case" if first else ""
-            yield document.heading(f"Configuration and versions, case '{case.name}'{more}")
+            yield document.heading(f"Configuration and versions{case.words}{more}")
             yield document.text_block("\n".join(f"{key} = {value}" for key, value in changed.items()))
         first = first or lines
 

@@ -41,7 +41,7 @@ def force(case: Case, name: str, title: str, begin: float = 0.0, end: float = ma
         )
         words = f" RMS error in x / y / z: {', '.join(errors)}."
     return Drawn(
-        name, f"{title} (case '{case.name}')",
+        name, f"{title}{case.words}",
         f"Components of the force fused from the sensors at the tubes' bases,"
         f" {time[0]:.0f} to {time[-1]:.0f} s.{words}",
         f"Force in x, y and z over time.{words}",

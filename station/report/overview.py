@@ -35,7 +35,7 @@ def _path(case: Case) -> Drawn:
     travel = np.ptp(measured, axis=0) if len(measured) else np.zeros(3)
     words = f"The tip travelled {' / '.join(f'{value:.1f}' for value in travel)} mm in x / y / z."
     return Drawn(
-        f"path_{case.name}", f"Position of the tip (case '{case.name}')",
+        f"path_{case.name}", f"Position of the tip{case.words}",
         f"In the frame of the front plate. {words}", f"Tip position in x, y and z over time. {words}", figure,
     )  # fmt: skip
 
@@ -51,6 +51,6 @@ def joints(case: Case) -> Drawn:
     for column, (each, (scale, _)) in enumerate(zip(axes, scales, strict=True)):
         style.draw(each, case.time, scale * positions[:, column], look, label=False)
     return Drawn(
-        f"joints_{case.name}", f"Joints (case '{case.name}')", "As the stages count them.",
+        f"joints_{case.name}", f"Joints{case.words}", "As the stages count them.",
         f"Positions of {', '.join(names)} over time.", figure,
     )  # fmt: skip

@@ -6,20 +6,16 @@ from pathlib import Path
 
 import matplotlib
 
-from core.errors import CtrError
 from station.experiments.sweep_output import SWEEP
 from station.report import document, facts, rendered, spread, style
 from station.report.drawn import Drawn
 from station.report.figures import figures
 from station.report.run import read_run
+from station.report.written import ReportError, written
 
 NAME = "report.html"
 #: matplotlib's settings are the process's: reports are drawn one after the other.
 _DRAWING = threading.Lock()
-
-
-class ReportError(CtrError):
-    """A report that cannot be written."""
 
 
 def write_report(folder: Path, out: Path | None = None) -> Path:
@@ -51,13 +47,13 @@ def write_report(folder: Path, out: Path | None = None) -> Path:
 def _run(folder: Path, out: Path | None) -> Iterator[str]:
     run = read_run(folder)
     yield from facts.head(run)
+    yield from facts.result(run)
     yield from facts.beside_table(run)
     yield document.heading("Figures")
     if not run.cases:
         yield document.paragraph("Nothing was recorded.")
     for drawn in figures(run):
         yield _shown(drawn, facts.origin(run), out)
-    yield from facts.error_table(run)
     yield from facts.bound_table(run)
     yield from facts.line_table(run)
     yield from facts.configuration(run)
@@ -76,10 +72,3 @@ def _shown(drawn: Drawn, origin: str, out: Path | None) -> str:
     if out is not None:
         rendered.write_files(drawn, out)
     return document.picture(rendered.data_uri(drawn), drawn.alt, drawn.title, drawn.caption)
-
-
-def written(text: str, path: Path) -> Path:
-    """Write a file, whole or not at all."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    return partial.replace(path)

@@ -21,8 +21,8 @@ from core.model.statics import PAPER_SUBLINK, Statics
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.config.strict import check
-from station.report.page import ReportError, written
 from station.report.run import Case, NoRun, Run, read_run
+from station.report.written import ReportError, written
 
 NAME = "replay.html"
 STATIC = Path(__file__).parent / "static"

@@ -51,7 +51,7 @@ def rates(case: Case, hindsight: np.ndarray) -> Drawn:
     errors = (f"{name} {rms(group)} mm/s" for name, group in COMPARED.items())
     words = f"RMS difference from hindsight in x / y / z: {'; '.join(errors)}."
     return Drawn(
-        "rates", f"Rate of the deflection (case '{case.name}')",
+        "rates", f"Rate of the deflection{case.words}",
         f"Estimates of the rate of Delta_total against what it turned out to be, last {SHOWN:g} s. {words}"
         " The raw difference of two ticks, which carries all noise of the force sensors, has a diagram of its own.",
         f"Deflection rates in x, y and z over time. {words}",

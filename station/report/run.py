@@ -11,18 +11,21 @@ import numpy as np
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.strict import merged, read_toml
+from station.control.task import Phase
 from station.control.telemetry import Channel
 from station.experiments.experiment import variants
 from station.recording.read import open_case
 
 #: Groups of channels that reports and players show.
 KEPT = frozenset((
-    "time", "joints", "force", "force_filtered", "force_true", "tip_new", "tip_time", "tip_measured", "tip_estimated",
-    "tip_unloaded", "tip_desired", "tip_observed", "truth_known", "tip_true", "deflection", "deflection_rate_raw",
-    "deflection_rate", "deflection_rate_exact", "delta_1", "delta_2",
+    "time", "phase", "joints", "force", "force_filtered", "force_true", "tip_new", "tip_time", "tip_measured",
+    "tip_estimated", "tip_unloaded", "tip_desired", "tip_observed", "truth_known", "tip_true", "deflection",
+    "deflection_rate_raw", "deflection_rate", "deflection_rate_exact", "delta_1", "delta_2",
 ))  # fmt: skip
 #: Rows of a case that are kept in memory; a recording of more than 33 minutes is thinned out.
 MOST = 1_000_000
+#: What a live run calls its only case; which one of an experiment it is stands in its recording.
+LIVE = "run"
 
 
 class NoRun(CtrError):
@@ -58,6 +61,12 @@ class Case:
         return [part[1] for part in parts if len(part) == 2 and part[0] == group]
 
     @property
+    def words(self) -> str:
+        """Which case it is, for a title; empty for a free motion, which has no other."""
+        named = str(self.metadata.get("case", "" if self.name == LIVE else self.name))
+        return f" (case {named.replace('_', ' ')})" if named else ""
+
+    @property
     def time(self) -> Array:
         """(ticks,) since the motion's start [s]."""
         return self.of("time")[:, 0]
@@ -76,6 +85,13 @@ class Case:
     def sweeps(self) -> bool:
         """Whether a joint was turned, with no path for the tip."""
         return self.file.get("trajectory", {}).get("kind") == "joint_sweep"
+
+    @property
+    def moved(self) -> bool:
+        """Whether its motion began; older recordings do not say that it did not."""
+        return all(channel.name != "phase" for channel in self.channels) or bool(
+            (self.of("phase") == Phase.MOVING).any()
+        )
 
     def true_error(self) -> Array:
         """(ticks, 3) desired minus the plant's tip [mm]."""
@@ -145,21 +161,33 @@ def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any])
         channels = [recording.channels[at] for at in columns]
         file = merged(table, variants(table).get(name, {}))
         numbers = summary.get("cases", {}).get(name, {})
-        whole = _from_the_start(np.concatenate(rows), channels, float(numbers.get("motion_start", 0.0)))
+        whole = _of_the_motion(np.concatenate(rows), channels, float(numbers.get("motion_start", 0.0)))
         # A live run brings its settings with its recording.
         file = file or {**recording.metadata.get("settings", {}), "settling": numbers.get("settling", 0.0)}
         return Case(name, channels, whole, file, numbers, recording.metadata, max(stride, 1))
 
 
-def _from_the_start(rows: Array, channels: Sequence[Channel], start: float) -> Array:
-    """The motion of a live run, which began at `start` [s], its times counted from there."""
-    if start == 0.0:
-        return rows
+def _of_the_motion(rows: Array, channels: Sequence[Channel], start: float) -> Array:
+    """The motion of a live run, its times counted from its start; all rows where it never began.
+
+    Args:
+        rows: (ticks, channels).
+        channels: of the rows.
+        start: of the motion, as the summary says [s]; a run that was recovered has none there.
+    """
     names = [channel.name for channel in channels]
-    moving = rows[rows[:, names.index("time")] >= start].copy()
-    for name in ("time", "tip_time"):
-        moving[:, names.index(name)] -= start
-    return moving
+    times = rows[:, names.index("time")]
+    if "phase" in names and (moving := rows[:, names.index("phase")] == Phase.MOVING).any():
+        start = float(times[moving][0])
+    elif start != 0.0:
+        moving = times >= start
+    else:
+        return rows
+    kept = rows[moving]
+    if start != 0.0:
+        for name in ("time", "tip_time"):
+            kept[:, names.index(name)] -= start
+    return kept
 
 
 def read_json(path: Path) -> Mapping[str, Any]:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
+from core.robot.robot import Array
 from station.report import style
 from station.report.drawn import Drawn
 from station.report.run import Run
@@ -23,8 +24,10 @@ def draw(run: Run) -> Iterator[Drawn]:
             continue
         figure = Figure(figsize=(style.WIDTH, 2.6))
         for axes, (counts, _, label, colour) in zip(figure.subplots(1, 2), PARTS, strict=True):
-            found = np.asarray(timing[counts], dtype=float)
-            axes.stairs(found, np.arange(len(found) + 1), fill=True, color=colour, alpha=0.85)
+            axes.stairs(
+                *even_on_a_log_axis(np.asarray(timing[counts], dtype=float)), fill=True, color=colour, alpha=0.85
+            )
+            axes.set_xscale("log")
             axes.set_yscale("log")
             axes.set_ylim(bottom=0.7)
             axes.set_xlabel(label)
@@ -37,7 +40,26 @@ def draw(run: Run) -> Iterator[Drawn]:
         words = (
             f"{timing['ticks']} ticks, {timing['missed']} periods missed, scheduling {timing['scheduler']}; {words}."
         )
+        case = run.case(name)
         yield Drawn(
-            f"timing_{name}", f"Timing of the loop (case '{name}')",
-            f"{words} The last bin holds everything beyond.", f"Histograms of lateness and work. {words}", figure,
+            f"timing_{name}", f"Timing of the loop{case.words if case else ''}",
+            f"{words} Bins are equally wide on their axis; the last one holds everything beyond.",
+            f"Histograms of lateness and work. {words}", figure,
         )  # fmt: skip
+
+
+def even_on_a_log_axis(counts: Array, bins: int = 80) -> tuple[Array, Array]:
+    """Counts of a bin a microsecond in bins that widen with their place.
+
+    Args:
+        counts: (n,) of 0 ... 1 us, 1 ... 2 us, ...
+        bins: about how many are wanted.
+
+    Returns:
+        Counts (m,), and edges (m + 1,) [us]; the first bin, from 0 on, is drawn from half a microsecond on.
+    """
+    steps = np.round(np.geomspace(1, len(counts), bins)).astype(int)
+    starts = np.unique(np.concatenate(([0], steps[steps < len(counts)])))
+    edges = np.append(starts, len(counts)).astype(float)
+    edges[0] = 0.5
+    return np.add.reduceat(counts, starts), edges

@@ -54,7 +54,7 @@ def tracking_error(run: Run, case: Case, name: str, title: str) -> Drawn:
     notes += " Dotted: the largest error that the paper prints, where it does." if paper else ""
     true = " and, as only a simulated bench can tell, minus true" if case.truth_known else ""
     return Drawn(
-        name, f"{title} (case '{case.name}')",
+        name, f"{title}{case.words}",
         f"Desired minus measured{true} position of the tip; below, the estimated force.{notes} {largest}",
         f"Error in x, y and z over time, and force. {largest}",
         figure,

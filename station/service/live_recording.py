@@ -23,7 +23,6 @@ class LiveRecording:
         self.runs = runs
         self.recovered = recover(runs)  #: folders of runs that were left behind
         self._ring = ring
-        self._numbers: dict[str, float] = {}
         self._recorder = Recorder(ring, robot, runs, clock)
         # One thread: the recorder answers one question at a time.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
@@ -36,8 +35,8 @@ class LiveRecording:
         """Number of the recorder's process."""
         return self._recorder.child.pid
 
-    def begin(self, name: str, duration: float, metadata: Mapping[str, Any]) -> None:
-        """Record from now on, for about `duration` [s].
+    def begin(self, name: str, duration: float, counted_from: float, metadata: Mapping[str, Any]) -> None:
+        """Record from now on, for about `duration` [s]; errors count from `counted_from` [s] of the motion on.
 
         Raises:
             RecordingError: there is no room, or the recorder cannot.
@@ -45,9 +44,9 @@ class LiveRecording:
         problem = free_space_problem(self.runs, duration)
         if problem:
             raise RecordingError(problem)
-        self._problem, self._numbers = "", {}
+        self._problem = ""
         self._ring.clear_timing()
-        self._thread.submit(self._recorder.begin, name, metadata).result()
+        self._thread.submit(self._recorder.begin, name, metadata, counted_from).result()
 
     @property
     def finishing(self) -> bool:
@@ -57,10 +56,6 @@ class LiveRecording:
     def say(self, time: float, kind: str, text: str, *, bad: bool = False) -> None:
         """Note what happens at `time` of the telemetry [s]."""
         self._thread.submit(self._recorder.event, Event(time, kind, text, ERROR if bad else INFO))
-
-    def moving(self, start: float, counted_from: float) -> None:
-        """The motion begins at `start` of the telemetry; its errors count from `counted_from` after that on [s]."""
-        self._numbers = {"motion_start": start, "counted_from_s": counted_from}
 
     def end(self, state: State, cause: str) -> None:
         """The run has ended, in this state; does not wait."""
@@ -89,7 +84,7 @@ class LiveRecording:
         """Of this run; taken before the next one may begin, which counts anew."""
         ring = self._ring
         counts = {"late_counts": ring.late.tolist(), "tick_counts": ring.busy.tolist()}
-        return {**self._numbers, "timing": {**ring.timing()._asdict(), **counts}}
+        return {"timing": {**ring.timing()._asdict(), **counts}}
 
     def _end(self, label: Label, cause: str, numbers: Mapping[str, Any]) -> None:
         try:

@@ -65,7 +65,7 @@ class Runs:
                 "run": run.id, "title": start.title, "seed": self._bench.seed, "clock_rate": self._bench.clock.rate,
                 "lab": self._bench.lab.model_dump(mode="json"),
             }  # fmt: skip
-            self._recording.begin(run.id, start.task.duration, {**known, **start.about})
+            self._recording.begin(run.id, start.task.duration, start.counted_from, {**known, **start.about})
             self._recorded = run
         with self._lock:
             self._asked = run  # its first notice may come before the answer
@@ -103,12 +103,6 @@ class Runs:
         """End the recording of a run that is no longer carried out."""
         if self._recorded is not None and notice.run == self._recorded.number and notice.state is not State.RUNNING:
             self._finish(notice.state, notice.cause)
-
-    def motion_begun(self, start: float) -> None:
-        """The motion of the run that is on begins at `start` by the station's clock [s]."""
-        if self._recording is not None and self._recorded is not None:
-            begun = self._time() + start - self._bench.clock.now()
-            self._recording.moving(begun, self._recorded.start.counted_from)
 
     def interrupted(self, cause: str) -> None:
         """The process that carried out the run has died."""

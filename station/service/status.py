@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from core.robot.robot import Array
+from station.control.causes import Causes
 from station.control.clock import StationClock
 from station.control.messages import DeviceStatus
 from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STUCK, Ring, Timing
-from station.control.states import State
+from station.control.states import LATCHED, State
 from station.control.task import Phase
 from station.control.telemetry import Channels
+from station.service.standing import standing
 from station.service.start import Run
 
 #: Telemetry older than this is shown as stale [s].
@@ -19,8 +21,6 @@ STALE = 0.5
 STUCK_TEXT = "the simulated robot cannot follow its stages under its load and stays where it is: take the load off"
 #: States that are the station process's own word: a dead control process cannot say them.
 OWN_WORD = (State.OFF, State.FAULT)
-#: States with a cause that a person should know.
-WITH_CAUSE = (State.HOLD, State.STOPPED, State.FAULT)
 
 
 class Status(NamedTuple):
@@ -38,6 +38,7 @@ class Status(NamedTuple):
     devices: tuple[DeviceStatus, ...]  #: as reported last; empty before
     warnings: tuple[str, ...]  #: of this machine, this robot and the run that is on
     reserved: str  #: why nobody but a procedure may move anything; empty when everybody may
+    standing: frozenset[str] = frozenset()  #: groups of `values` that are old
 
 
 class StateMonitor:
@@ -80,9 +81,11 @@ class StateMonitor:
         return changed
 
     def fault(self, how: str, stopped: str) -> str:
-        """The control process has ended: the cause, which is its last word if that was a fault."""
+        """The control process has ended: the cause, which begins with the one that was told before it."""
         with self._lock:
-            why = self._cause if self._said is State.FAULT else how
+            before = Causes().add(self._cause if self._said in LATCHED else "")
+            # A process that ends after a fault of its own has said why.
+            why = str(before if self._said is State.FAULT else before.add(how))
             self._said = State.FAULT
             self._cause = "; ".join(part for part in (why, stopped, "reset to start it anew") if part)
             self._entered[State.FAULT] += 1
@@ -115,7 +118,7 @@ class StateMonitor:
         told = run.start.warnings if run is not None and ours and state is State.RUNNING else ()
         return Status(
             state=state,
-            cause=self._cause if state in WITH_CAUSE else "",
+            cause=self._cause if state in LATCHED else "",
             run=run,
             recording=recording,
             phase=Phase(int(counters[PHASE])) if ours else Phase.NONE,
@@ -126,4 +129,5 @@ class StateMonitor:
             devices=self._devices,
             warnings=(*warnings, *self._refused, *stuck, *told),
             reserved=reserved,
+            standing=frozenset() if row is None else standing(self._channels, row),
         )

@@ -124,13 +124,13 @@ class Supervisor:
         """Everybody may move the robot again."""
         self._reserved = ""
 
-    def stop(self) -> str:
+    def stop(self, cause: str = "stopped by the operator") -> str:
         """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
         stopped = self._processes.stop_stages()
         if stopped is not None:
             return stopped or "there is no control process and nothing that moves"
         try:
-            self._processes.ask(Event.STOP)
+            self._processes.ask(Event.STOP, cause=cause)
         except RefusedError as error:
             return f"{error}; the stop is the next thing that it does"
         return ""
@@ -245,9 +245,7 @@ class Supervisor:
             self._flight_recorder.state(notice.state, notice.cause)
             self._runs.state_changed(notice)
         self._runs.heard(notice)
-        news = self._processes.lab.motion(self._runs.find(notice.run), notice.motion_start)
-        if news and notice.motion_start is not None:
-            self._runs.motion_begun(notice.motion_start)
+        self._processes.lab.motion(self._runs.find(notice.run), notice.motion_start)
 
     def _ended(self, ending: Ending) -> None:
         """The control process has ended unasked, and the stages have been stopped."""

@@ -210,11 +210,11 @@ def bench_out(service: StationService) -> BenchOut:
 
 
 def devices_out(service: StationService) -> DevicesOut:
-    """The devices for a reader; values that are not known yet are left out."""
+    """The devices for a reader; values that are not known yet, or any more, are left out."""
     status = service.supervisor.status()
     raw: dict[str, float] = {}
     for group in RAW:
-        if group in status.values:
+        if group in status.values and group not in status.standing:
             names = [c.column for c in service.supervisor.channels.all if c.name.rsplit(".", 1)[0] == group]
             raw |= {name: x for name, x in zip(names, status.values[group].tolist(), strict=True) if x == x}
     return DevicesOut(

@@ -12,6 +12,7 @@ from core.errors import CtrError
 from station.control.states import RefusedError
 from web.access.identity import Who, clean_name, who_of
 from web.access.lease import LENGTH, Lease
+from web.access.tokens import Role
 from web.api.schemas import REFUSED, OperatorIn, OperatorOut
 
 T = TypeVar("T")
@@ -56,6 +57,13 @@ def operator_out(lease: Lease, who: Who) -> OperatorOut:
     return OperatorOut(
         name=holder.name, you=holder.client == who.client, role=who.role, lapses_s=round(lease.left(), 1)
     )
+
+
+def stopper(lease: Lease, who: Who) -> str:
+    """Who has pressed STOP, for everybody to read: anybody may, and the operator should know who it was."""
+    if lease.holds(who.client):
+        return "the operator"
+    return f"a viewer, '{who.name}'" if who.role is Role.VIEWER else f"'{who.name}', who is not the operator"
 
 
 def operator_routes(of: Commands) -> APIRouter:

@@ -13,12 +13,14 @@ from station.config.controllers import PERIOD, ControllerFile
 from station.config.robots import start_pose
 from station.config.strict import preset_names
 from station.control.states import State
+from station.control.task import Phase
 from station.experiments.experiment import Experiment, offered
 from station.service.solve import model_answer
+from station.service.standing import standing
 from station.service.start import Run
 from station.service.station_service import StationService
 from web.access.identity import who_of
-from web.api.commands import Commands, aside
+from web.api.commands import Commands, aside, stopper
 from web.api.loop_health import RecentTiming
 from web.api.pictures import picture
 from web.api.schemas import (
@@ -39,9 +41,12 @@ from web.scene.contact import SideLoad
 
 #: Groups of telemetry that websocket clients get.
 STREAMED = (
-    "time", "state", "joints", "tip_measured", "tip_estimated", "tip_desired", "tip_true", "force", "u_int",
-    "deflection", "deflection_rate",
+    "time", "state", "phase", "held", "trouble", "truth_known", "joints", "tip_measured", "tip_estimated",
+    "tip_desired", "tip_true", "force", "force_filtered", "u_int", "deflection", "deflection_filtered",
+    "deflection_rate",
 )  # fmt: skip
+#: Those of a single number.
+SCALARS = ("time", "state", "phase", "held", "truth_known")
 
 
 def control_routes(
@@ -78,8 +83,9 @@ def control_routes(
         responses={202: {"model": DoneOut, "description": "taken, not carried out yet; see the note"}},
         summary="Stop every axis; always accepted, from anybody with access",
     )
-    async def stop(response: Response) -> DoneOut:
-        note = await asyncio.get_running_loop().run_in_executor(stopping, supervisor.stop)
+    async def stop(request: Request, response: Response) -> DoneOut:
+        cause = f"stopped by {stopper(of.lease, who_of(request))}"
+        note = await asyncio.get_running_loop().run_in_executor(stopping, supervisor.stop, cause)
         if note:
             response.status_code = 202
         return DoneOut(state=supervisor.status().state.name, note=note)
@@ -180,13 +186,15 @@ def experiment_out(experiment: Experiment) -> ExperimentOut:
 def sample_out(service: StationService, row: Array, skipped: int, before: float | None) -> dict[str, Any]:
     """One row of telemetry for a websocket client, with what lies between it and the one sent `before` it [s]."""
     channels = service.supervisor.channels
+    old = standing(channels, row)
     values: dict[str, Any] = {}
     for group in STREAMED:
         numbers = channels.of(row, group).tolist()
-        values[group] = numbers[0] if group in ("time", "state") else numbers
+        values[group] = numbers[0] if group in SCALARS else None if group in old else numbers
     # Not every period has a row: those that a late loop left out are in no count of rows.
     missed = 0 if before is None else max(0, round((values["time"] - before) / PERIOD) - 1 - skipped)
-    return {"skipped": skipped, "missed": missed, **values, "state": State(int(values["state"])).name}
+    named = {"state": State(int(values["state"])).name, "phase": Phase(int(values["phase"])).name.lower()}
+    return {"skipped": skipped, "missed": missed, **values, **named}
 
 
 async def _until_closed(socket: WebSocket) -> None:

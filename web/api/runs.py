@@ -13,6 +13,7 @@ from starlette.exceptions import HTTPException
 from station.config.strict import Strict
 from station.recording.history import LONGEST, History, NoRunError, Run, RunDetails
 from station.recording.label import RecordingError
+from station.report.curves import Curve, read_curves
 from web.api.commands import Commands, aside
 from web.api.schemas import REFUSED, ErrorOut
 
@@ -86,6 +87,16 @@ def runs_routes(history: History, of: Commands) -> APIRouter:
     )
     async def replay(run: str, *, fresh: bool = False) -> FileResponse:
         return await _page(await _found(history.find, run), "replay", fresh=fresh)
+
+    @router.get("/{run}/curves", responses=MISSING, summary="Error and force of each case, for a small picture")
+    async def curves(run: str) -> dict[str, Curve]:
+        folder = await _found(history.find, run)
+        async with rendering:
+            found = await aside(read_curves, folder)
+            if found is None:
+                await _rendered("curves", folder)
+                found = await aside(read_curves, folder)
+        return dict(found or {})
 
     @router.delete("/{run}", responses=MISSING | REFUSED, dependencies=[Depends(of.needed)], summary="Remove for good")
     async def delete(run: str, confirm: Annotated[str, Query(description="the run's name again")] = "") -> DeletedOut:

@@ -11,6 +11,7 @@ from station.config.strict import Strict, Vector
 from station.lab.loads import Load
 from web.access.identity import LONGEST_NAME
 from web.access.tokens import Role
+from web.api.messages import Act
 
 TipMotionIn = Annotated[TipMotion, Field(discriminator="kind")]
 
@@ -167,6 +168,8 @@ class StatusOut(Strict):
     """what is going on, for a person"""
     next: str
     """what to do next; empty when there is nothing to do"""
+    act: Act
+    """the command or the tab of the page that does what is next: connect, home, reset, start, calibrate; else empty"""
     operator: OperatorOut
     stale: bool
     """no tick for half a second: the values below are old"""
@@ -182,7 +185,7 @@ class StatusOut(Strict):
     joints: Mapping[str, float]
     """[rad or m]"""
     tip_measured: Vector | None
-    """[m], world frame"""
+    """[m], world frame; null, as what follows, while nobody renews it: stages are homed, a device is silent"""
     tip_estimated: Vector | None
     """by the loaded model [m]"""
     tip_desired: Vector | None

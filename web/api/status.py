@@ -17,9 +17,9 @@ def status_out(service: StationService, of: Commands, who: Who, side_load: SideL
     stale = status.age > STALE
 
     def vector(group: str) -> tuple[float, float, float] | None:
-        return tuple(status.values[group].tolist()) if group in status.values else None
+        known = group in status.values and group not in status.standing
+        return tuple(status.values[group].tolist()) if known else None
 
-    known = "truth_known" in status.values and bool(status.values["truth_known"][0])
     names, said = supervisor.robot.joint_names, words(status)
     run = None
     if status.run is not None:
@@ -33,6 +33,7 @@ def status_out(service: StationService, of: Commands, who: Who, side_load: SideL
         phase=status.phase.name.lower(),
         says=said.what,
         next=said.next,
+        act=said.act,
         operator=operator_out(of.lease, who),
         stale=stale,
         age=round(status.age, 3),
@@ -45,7 +46,7 @@ def status_out(service: StationService, of: Commands, who: Who, side_load: SideL
         tip_measured=vector("tip_measured"),
         tip_estimated=vector("tip_estimated"),
         tip_desired=vector("tip_desired"),
-        tip_true=vector("tip_true") if known else None,
+        tip_true=vector("tip_true"),
         force=vector("force"),
         touch=None if side_load is None else touch_out(side_load),
     )

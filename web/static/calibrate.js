@@ -1,5 +1,6 @@
 // Calibrate: procedures that a person is guided through, what they found, and what to do after tubes were exchanged.
 import { $, ask, confirm, fresh, latest, make, mayCommand, note, onStatus, press, Refused } from "./station.js";
+import { tellWhy } from "./acts.js";
 import { isOpen, onTab } from "./tabs.js";
 
 const known = await ask("GET", "/api/calibration");
@@ -76,8 +77,7 @@ function enable() {
   if (starter === null || status === null) return;
   const on = course !== null && course.on;
   starter.disabled = on || !may || status.state !== "READY";
-  put(why, on ? "one procedure at a time" : !may ? (status.operator.role === "viewer" ? "viewers cannot start" : `'${status.operator.name}' is operator`)
-    : status.state === "READY" ? "" : `not while ${status.state}; ${status.next}`);
+  if (on) { put(why, "one procedure at a time"); delete why.dataset.shown; } else tellWhy(why, status);
 }
 
 function card(heading, text, small, act) {

@@ -1,23 +1,30 @@
-// One chart on a canvas: traces over time, a cursor with values, zoom by dragging. No library.
+// One chart on a canvas: traces over time, their values in its head, zoom by dragging. No library.
 import { make } from "./station.js";
 
 const LEFT = 46, RIGHT = 8, TOP = 6, BOTTOM = 20;
 
 /** Steps of 1, 2 or 5 that give about `count` ticks. */
-function step(span, count) {
+export function step(span, count) {
   const rough = span / count, power = 10 ** Math.floor(Math.log10(rough)), part = rough / power;
   return power * (part < 1.5 ? 1 : part < 3.5 ? 2 : part < 7.5 ? 5 : 10);
 }
 
+/** A number that keeps its width. */
+const shown = (value) => (Number.isFinite(value) ? value.toFixed(Math.abs(value) >= 99.95 ? 0 : Math.abs(value) >= 9.995 ? 1 : 2) : "–");
+
 export class Chart {
-  /** `traces`: [{name, colour, dash, value(sample) -> number or NaN}]; `least`: span of the value axis at least. */
-  constructor(title, unitText, traces, least, onZoom) {
+  /**
+   * `traces`: [{name, colour, dash, value(sample) -> number or NaN, raw: the same, drawn pale}]; `least`: span of the
+   * value axis at least; `onPoint(time)`: the pointer is there, null when it leaves.
+   */
+  constructor(title, unitText, traces, least, onZoom, onPoint) {
     this.traces = traces.map((trace) => ({ ...trace, on: trace.on ?? true }));
     this.unit = unitText;
     this.least = least;
     this.canvas = make("canvas", { tabIndex: 0, role: "img", "aria-label": `${title} over time` });
     this.keys = this.traces.map((trace) => {
-      const key = make("button", { type: "button", "aria-pressed": String(trace.on) }, trace.name);
+      const said = make("output", {}, "–"), key = make("button", { type: "button", "aria-pressed": String(trace.on) }, `${trace.name} `, said);
+      trace.said = said;
       key.style.borderBottom = `2px ${trace.dash.length === 0 ? "solid" : trace.dash[0] > 3 ? "dashed" : "dotted"} ${trace.colour}`;
       key.addEventListener("click", () => { trace.on = !trace.on; key.setAttribute("aria-pressed", String(trace.on)); this.draw(); });
       return key;
@@ -26,17 +33,16 @@ export class Chart {
       make("div", { className: "chart-head" }, make("b", {}, `${title} [${unitText}]`), ...this.keys), this.canvas);
     this.samples = [];
     this.range = [0, 1];
-    this.cursor = this.drag = null;
-    this.listen(onZoom);
+    this.cursor = this.drag = null; // a time [s], and two places
+    this.listen(onZoom, onPoint);
   }
 
-  listen(onZoom) {
+  listen(onZoom, onPoint) {
     const at = (event) => event.clientX - this.canvas.getBoundingClientRect().left;
     this.canvas.addEventListener("pointerdown", (event) => { this.drag = [at(event), at(event)]; this.canvas.setPointerCapture(event.pointerId); });
     this.canvas.addEventListener("pointermove", (event) => {
-      this.cursor = at(event);
-      if (this.drag !== null) this.drag[1] = this.cursor;
-      this.draw();
+      if (this.drag !== null) this.drag[1] = at(event);
+      onPoint(this.time(at(event)));
     });
     this.canvas.addEventListener("pointerup", () => {
       const [a, b] = this.drag ?? [0, 0];
@@ -45,13 +51,19 @@ export class Chart {
       this.draw();
     });
     this.canvas.addEventListener("pointercancel", () => { this.drag = null; });
-    this.canvas.addEventListener("pointerleave", () => { this.cursor = null; this.draw(); });
+    this.canvas.addEventListener("pointerleave", () => onPoint(null));
     this.canvas.addEventListener("dblclick", () => onZoom(null));
   }
 
   time(x) {
     const width = this.canvas.clientWidth - LEFT - RIGHT;
     return this.range[0] + ((x - LEFT) / width) * (this.range[1] - this.range[0]);
+  }
+
+  /** Mark this time and tell its values; null: the newest. */
+  point(time) {
+    this.cursor = time;
+    this.draw();
   }
 
   show(samples, range, zero) {
@@ -83,6 +95,7 @@ export class Chart {
     pen.beginPath();
     pen.rect(LEFT, 0, width - LEFT - RIGHT, height - BOTTOM);
     pen.clip();
+    for (const trace of this.traces.filter((one) => one.on && one.raw)) this.line(pen, { ...trace, value: trace.raw, dash: [] }, within, x, y, 0.3);
     for (const trace of this.traces.filter((one) => one.on)) this.line(pen, trace, within, x, y);
     pen.restore();
     this.pointer(pen, within, { width, height, x, y, ink });
@@ -92,9 +105,10 @@ export class Chart {
     let low = Infinity, high = -Infinity;
     for (const trace of this.traces.filter((one) => one.on)) {
       for (const sample of samples) {
-        const value = trace.value(sample);
-        if (value < low) low = value;
-        if (value > high) high = value;
+        for (const value of trace.raw ? [trace.value(sample), trace.raw(sample)] : [trace.value(sample)]) {
+          if (value < low) low = value;
+          if (value > high) high = value;
+        }
       }
     }
     if (low > high) return [-this.least / 2, this.least / 2];
@@ -130,9 +144,10 @@ export class Chart {
     }
   }
 
-  line(pen, trace, samples, x, y) {
+  line(pen, trace, samples, x, y, strength = 1) {
+    pen.globalAlpha = strength;
     pen.strokeStyle = trace.colour;
-    pen.lineWidth = 1.7;
+    pen.lineWidth = strength < 1 ? 1 : 2;
     pen.setLineDash(trace.dash);
     pen.beginPath();
     let down = false;
@@ -144,6 +159,7 @@ export class Chart {
     }
     pen.stroke();
     pen.setLineDash([]);
+    pen.globalAlpha = 1;
   }
 
   pointer(pen, samples, { height, width, x, ink }) {
@@ -151,21 +167,22 @@ export class Chart {
       pen.fillStyle = "#0072b233";
       pen.fillRect(Math.min(...this.drag), TOP, Math.abs(this.drag[0] - this.drag[1]), height - TOP - BOTTOM);
     }
-    if (this.cursor === null || samples.length === 0) return;
-    const time = this.time(this.cursor);
-    const near = samples.reduce((best, one) => (Math.abs(one.time - time) < Math.abs(best.time - time) ? one : best));
+    const time = this.cursor, near = time === null || samples.length === 0 ? samples.at(-1)
+      : samples.reduce((best, one) => (Math.abs(one.time - time) < Math.abs(best.time - time) ? one : best));
+    for (const trace of this.traces) {
+      const text = near === undefined ? "–" : shown(trace.value(near));
+      if (trace.said.textContent !== text) trace.said.textContent = text;
+    }
+    if (time === null || near === undefined) return;
     pen.strokeStyle = ink;
     pen.beginPath();
     pen.moveTo(x(near.time), TOP);
     pen.lineTo(x(near.time), height - BOTTOM);
     pen.stroke();
-    const text = this.traces.filter((one) => one.on).map((one) => {
-      const value = one.value(near);
-      return `${one.name} ${Number.isFinite(value) ? Number(value.toPrecision(4)) : "–"}`;
-    }).join("   ");
     pen.fillStyle = ink;
-    pen.textAlign = this.cursor > width / 2 ? "right" : "left";
+    const behind = x(near.time) > width - 70;
+    pen.textAlign = behind ? "right" : "left";
     pen.textBaseline = "top";
-    pen.fillText(text, x(near.time) + (this.cursor > width / 2 ? -5 : 5), TOP);
+    pen.fillText(`${(near.time - this.zero).toFixed(2)} s`, x(near.time) + (behind ? -5 : 5), TOP);
   }
 }

@@ -1,5 +1,6 @@
 // Devices: connect, home, tare, what each knows of itself, raw values, and whether every axis turns the right way.
-import { $, ask, confirm, latest, make, mayCommand, note, onStatus, press } from "./station.js";
+import { $, ask, latest, make, mayCommand, note, onStatus, press } from "./station.js";
+import { home } from "./acts.js";
 import { isOpen, onTab } from "./tabs.js";
 import { holdable, mayJog } from "./jog.js";
 import { unit } from "./form.js";
@@ -13,14 +14,9 @@ const acts = {
 };
 const ALLOWED = { connect: ["OFF"], home: ["CONNECTED", "READY"], tare: ["READY"] };
 acts.connect.addEventListener("click", () => press("POST", "/api/connect", {}));
+acts.home.addEventListener("click", home);
 acts.tare.addEventListener("click", async () => { if (await press("POST", "/api/tare", {})) note("the force sensors read zero from here on", true); });
-acts.home.addEventListener("click", async () => {
-  const sure = make("label", {}, make("input", { type: "checkbox" }), "The way is clear: I have looked, the tubes can be retracted and turned without touching anything.");
-  if (await confirm("Home every stage?", "Home", make("p", {}, "The translation is retracted first, then one axis after the other looks for its home sensor. STOP works all the time."), sure))
-    await press("POST", "/api/home", { way_is_clear: true });
-});
-
-const list = make("div"), raw = make("table"), joints = make("div", { className: "jog", style: "grid-template-columns:auto auto 1fr" });
+const list = make("div", { className: "live" }), raw = make("table", { className: "live" }), joints = make("div", { className: "jog", style: "grid-template-columns:auto auto 1fr" });
 $("devices").append(make("div", { className: "acts", style: "margin:0 0 8px" }, ...Object.values(acts)), list,
   make("h3", {}, "Does every axis turn the right way?"),
   make("p", { className: "small dim" }, "Hold a button for a second or two: the joint moves slowly in its positive direction. The tracker's motion is compared with the model's."),
@@ -40,6 +36,11 @@ function check(joint, place) {
     await new Promise((resolve) => setTimeout(resolve, 400)); // the tracker is late
     const from = before, now = latest();
     if (from === null || now === null) return;
+    if ([from, now].some((one) => one.tip_measured === null || one.tip_estimated === null)) {
+      verdict.textContent = "the tip is not measured now: look at the tracker, then hold the button again";
+      before = null;
+      return;
+    }
     const moved = (key) => now[key].map((x, i) => x - from[key][i]);
     const seen = moved("tip_measured"), expected = moved("tip_estimated");
     const dot = seen.reduce((sum, x, i) => sum + x * expected[i], 0), size = Math.hypot(...seen), model = Math.hypot(...expected);
@@ -73,7 +74,7 @@ async function refresh() {
   try {
     const all = await ask("GET", "/api/devices", undefined, 1000);
     list.replaceChildren(...all.devices.map(device));
-    raw.replaceChildren(...Object.entries(all.raw).map(([name, value]) => make("tr", {}, make("td", { className: "any" }, name), make("td", { className: "number live" }, value.toFixed(6)))));
+    raw.replaceChildren(...Object.entries(all.raw).map(([name, value]) => make("tr", {}, make("td", { className: "any" }, name), make("td", { className: "number" }, value.toFixed(6)))));
   } catch {
     return; // the header says that nobody answers
   }

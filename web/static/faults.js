@@ -1,10 +1,10 @@
 // Faults: what is wrong and what to do, who did what, and, in the virtual lab, faults on purpose.
 import { $, ask, make, mayCommand, note, onStatus, press } from "./station.js";
+import { actButton } from "./acts.js";
 import { form, schemas, variants } from "./form.js";
 import { isOpen, onTab } from "./tabs.js";
 
-const now = make("div", { "aria-live": "polite" }), log = make("table"), reset = make("button", { type: "button", className: "main" }, "Reset");
-reset.addEventListener("click", () => press("POST", "/api/reset", {}));
+const now = make("div", { "aria-live": "polite" }), log = make("table");
 
 const bench = await ask("GET", "/api/bench");
 const kinds = await ask("GET", "/api/faults");
@@ -58,19 +58,17 @@ $("faults").append(make("h3", {}, "Now"), now, lab, finger, make("h3", {}, "Log:
 
 onStatus((status, stale) => {
   if (status === null) { now.dataset.shown = ""; now.replaceChildren(make("p", {}, "The station does not answer. Use the emergency stop of the bench.")); return; }
-  const latched = ["HOLD", "STOPPED", "FAULT"].includes(status.state);
   const troubles = Object.entries(status.devices).filter(([, one]) => one.severity > 0 || one.text !== "");
   const shown = JSON.stringify([status.state, status.says, status.next, status.warnings, troubles, mayCommand(status)]);
   for (const button of [inject, mend, ...finger.querySelectorAll("button")]) button.disabled = stale || !mayCommand(status);
   if (now.dataset.shown === shown) return;
   now.dataset.shown = shown;
-  reset.disabled = !mayCommand(status);
   now.replaceChildren(...[
     make("p", {}, make("b", { "data-state": status.state }, status.state), ` ${status.says}`),
     status.next === "" ? null : make("p", {}, "What to do: ", make("b", {}, status.next)),
     ...status.warnings.map((text) => make("p", { className: "mind" }, `▲ ${text}`)),
     ...troubles.map(([name, one]) => make("p", {}, make("i", { className: "light", "data-severity": one.severity, style: "display:inline-block" }), ` ${name}: ${one.text || one.condition}`)),
-    latched ? reset : null,
+    actButton(status),
   ].filter((one) => one !== null));
 });
 

@@ -1,59 +1,21 @@
-// The header: STOP, the state in words, who is operator, the run, the devices, the loop.
-import { $, ask, confirm, latest, look, make, mayCommand, name, onStatus, press, Refused } from "./station.js";
-import { open } from "./tabs.js";
+// The header beside STOP and operator: the state in words, what is next, the run, the devices, the loop.
+import { $, make, mayCommand, onStatus } from "./station.js";
+import { actButton, reset } from "./acts.js";
+import { isOpen, open } from "./tabs.js";
 
 const NAMES = { stages: "stages", tracker: "tracker", sensors: "force sensors" };
 const LATCHED = ["HOLD", "STOPPED", "FAULT"];
 
-export async function stop() {
-  try {
-    const answer = await ask("POST", "/api/stop", {}, 3000);
-    alarm(answer.note === "" ? "" : `STOP was taken: ${answer.note}`);
-  } catch (error) {
-    alarm(error instanceof Refused ? `STOP was refused: ${error.message}`
-      : "STOP: the station does not answer. Use the emergency stop of the bench.");
-  }
-  look();
-}
+$("reset").addEventListener("click", reset);
 
-function alarm(text) {
-  $("alarm").textContent = text;
-  $("alarm").hidden = text === "";
-}
-
-// At the first touch, not when the finger is lifted; a click without a pointer is the keyboard's.
-$("stop").addEventListener("pointerdown", stop);
-$("stop").addEventListener("click", (event) => { if (event.detail === 0) stop(); });
-$("reset").addEventListener("click", async () => { if (await press("POST", "/api/reset", {})) alarm(""); });
-
-export function hot(event) {
-  if (event.code === "Space" && event.shiftKey) {
-    event.preventDefault();
-    event.stopPropagation();
-    if (!event.repeat) stop();
-  }
-}
-document.addEventListener("keydown", hot, true);
-
-async function changeOperator() {
-  const { you, name: holder } = latest().operator;
-  if (you) return press("DELETE", "/api/operator");
-  const field = make("input", { type: "text", maxLength: 40, value: name.get(), "aria-label": "your name", required: true });
-  const text = holder === null ? "Everybody will see this name." : `'${holder}' is operator now and will only be able to look, and to STOP.`;
-  const title = holder === null ? "Take control" : "Take over";
-  if (!await confirm(title, title, make("p", {}, text), make("label", {}, "Your name", field))) return null;
-  name.set(field.value.trim());
-  return press("POST", "/api/operator", { name: field.value.trim() || null, take_over: holder !== null });
-}
-$("operator-act").addEventListener("click", changeOperator);
-
-function showOperator(operator) {
-  const act = $("operator-act");
-  $("operator-name").textContent = operator.you ? "You are operator" : operator.name === null ? "No operator" : `Operator: ${operator.name}`;
-  $("operator-name").title = operator.name ?? "the first command makes its sender operator";
-  act.hidden = operator.role !== "operator";
-  act.textContent = operator.you ? "Release" : operator.name === null ? "Take control" : "Take over…";
-  if (operator.role === "viewer") $("operator-name").textContent += " · you may look, and STOP";
+/** The button for what is next, beside the words; Reset has its own place. */
+function showAct(status) {
+  const there = status.act === "reset" || (status.act === "start" && isOpen("start"));
+  const shown = JSON.stringify([!there && status.act, mayCommand(status)]);
+  if ($("act").dataset.shown === shown) return; // a button must not vanish under the pointer
+  $("act").dataset.shown = shown;
+  const button = there ? null : actButton(status);
+  $("act").replaceChildren(...(button === null ? [] : [button]));
 }
 
 function minutes(seconds) {
@@ -96,6 +58,7 @@ onStatus((status, stale) => {
   const state = status === null ? "NO ANSWER" : status.state;
   $("state").textContent = stale && status !== null && state !== "FAULT" ? `${state} (stale)` : state;
   $("state").dataset.state = state;
+  $("act").hidden = status === null;
   if (status === null) {
     $("says").textContent = "the station does not answer";
     $("next").textContent = "use the emergency stop of the bench";
@@ -103,9 +66,10 @@ onStatus((status, stale) => {
   }
   $("says").textContent = $("says").title = status.says;
   $("next").textContent = $("next").title = status.next;
+  document.body.classList.toggle("latched", LATCHED.includes(state));
+  showAct(status);
   $("reset").hidden = !LATCHED.includes(state);
   $("reset").disabled = !mayCommand(status);
-  showOperator(status.operator);
   showRun(status);
   const shown = JSON.stringify([status.devices, stale]);
   if (shown !== lights) showLights(status.devices, stale); // a tooltip must not vanish under the pointer

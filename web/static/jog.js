@@ -1,5 +1,6 @@
 // Jog: the robot moves only while a button is held. Each word lasts 0.3 s; losing the page ends it.
 import { $, ask, make, mayCommand, note, onStatus, Refused } from "./station.js";
+import { tellWhy } from "./acts.js";
 import { onTab } from "./tabs.js";
 import { tidy, unit } from "./form.js";
 
@@ -89,7 +90,7 @@ function axis(label, count, place, space, value, shown) {
 
 const degrees = (joint, status) => {
   const [shown, scale] = unit(joint.unit), value = status.joints[joint.name];
-  return value === undefined ? "" : `${(value * scale).toFixed(2)} ${shown} (${tidy(Math.round(joint.lower * scale))} … ${tidy(Math.round(joint.upper * scale))})`;
+  return value === undefined ? "" : status.tip_estimated === null ? "not known now" : `${(value * scale).toFixed(2)} ${shown} (${tidy(Math.round(joint.lower * scale))} … ${tidy(Math.round(joint.upper * scale))})`;
 };
 
 const bench = await ask("GET", "/api/bench");
@@ -107,12 +108,12 @@ $("jog").append(
     make("p", { className: "small dim" }, "x: along gravity, down on the screen; z: along the straight tubes"),
     make("div", { className: "rows" }, ...tip.elements),
     make("div", { className: "jog", style: "margin-top:10px" }, ...["x", "y", "z"].flatMap((name, i) =>
-      axis(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`))))),
+      axis(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "not measured now" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`))))),
 );
 onStatus((status, stale) => {
   const ready = mayJog(status, stale);
   if (!ready) release();
   for (const button of buttons) button.disabled = !ready;
-  why.textContent = ready || status === null ? "" : !mayCommand(status) ? `'${status.operator.name}' is operator` : `not while ${status.state}; ${status.next}`;
+  if (status !== null) tellWhy(why, status, ready);
 });
 onTab("jog", (open) => { if (!open) release(); });

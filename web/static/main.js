@@ -1,11 +1,13 @@
-// The page. Header and scene first: they wait for nothing. Then the tabs, each by itself.
+// The page. STOP, header and scene first: they wait for nothing. Then the tabs, each by itself.
+import "./stop.js";
+import "./operator.js";
 import "./header.js";
 import "./scene.js";
 import { note, start } from "./station.js";
-import { open } from "./tabs.js";
+import { last, open } from "./tabs.js";
 
-open("start");
+open(last());
 start();
-for (const part of ["run", "jog", "devices", "plots", "runs", "calibrate", "faults"]) {
-  import(`./${part}.js`).catch((error) => note(`the tab '${part}' did not come up (${error.message}); reload the page`));
+for (const part of ["strip", "run", "jog", "devices", "plots", "runs", "calibrate", "faults"]) {
+  import(`./${part}.js`).catch((error) => note(`'${part}' did not come up (${error.message}); reload the page`));
 }

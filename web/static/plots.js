@@ -1,25 +1,27 @@
 // Plots of the live telemetry: choose what to see, pause, zoom into a stretch of time.
-import { $, ask, latest, make } from "./station.js";
+import { $, ask, make } from "./station.js";
 import { isOpen, onTab } from "./tabs.js";
 import { Chart } from "./chart.js";
 import { unit } from "./form.js";
+import { gap, samples } from "./history.js";
+import { error, known, onOpen, onSample } from "./telemetry.js";
 
-const RATE = 20, LONGEST = 300; // Hz, s
+const LONGEST = 300; // s
 const COLOURS = ["#d55e00", "#009e73", "#0072b2", "#cc79a7", "#56b4e9"], DASHES = [[], [6, 3], [2, 2], [9, 2, 2, 2], []];
 const bench = await ask("GET", "/api/bench");
 
-const xyz = (read) => ["x", "y", "z"].map((name, i) => ({ name, value: (sample) => read(sample)?.[i] ?? NaN }));
+/** Traces of a vector's parts: `read` gives what is drawn, `raw` what it was filtered from, if it was. */
+const xyz = (read, raw) => ["x", "y", "z"].map((name, i) => ({ name, value: (sample) => read(sample)?.[i] ?? NaN, raw: raw && ((sample) => raw(sample)?.[i] ?? NaN) }));
 const size = (read) => ({ name: "size", value: (sample) => { const v = read(sample); return v ? Math.hypot(...v) : NaN; }, on: false });
-const difference = (sample, key) => (sample.moving && sample[key] ? sample.tip_desired.map((x, i) => 1e3 * (x - sample[key][i])) : null);
-const scaled = (sample, key, factor) => sample[key]?.map((x) => factor * x);
-const both = (read) => [...xyz(read), size(read)];
+const scaled = (sample, group, factor) => known(sample, group)?.map((x) => factor * x) ?? null;
+const both = (read, raw) => [...xyz(read, raw), size(read)];
 
 /** What can be shown: title, unit, traces, least span. */
 const ALL = {
-  error: ["Error, desired − measured", "mm", both((s) => difference(s, "tip_measured")), 1],
-  true: ["Error, desired − true", "mm", both((s) => difference(s, "tip_true")), 1],
-  force: ["Force at the tip", "N", both((s) => s.force), 0.1],
-  deflection: ["Deflection by the load", "mm", both((s) => scaled(s, "deflection", 1e3)), 1],
+  error: ["Error, desired − measured", "mm", both((s) => error(s, "tip_measured")), 1],
+  true: ["Error, desired − true", "mm", both((s) => error(s, "tip_true")), 1],
+  force: ["Force at the tip", "N", both((s) => known(s, "force_filtered"), (s) => known(s, "force")), 0.1],
+  deflection: ["Deflection by the load", "mm", both((s) => scaled(s, "deflection_filtered", 1e3), (s) => scaled(s, "deflection", 1e3)), 1],
   timing: ["Loop timing, 99 % over a second", "µs", [
     { name: "late", value: (s) => s.late_us ?? NaN }, { name: "work", value: (s) => s.tick_us ?? NaN }], 100],
   tip: ["Measured tip", "mm", xyz((s) => scaled(s, "tip_measured", 1e3)), 1],
@@ -29,8 +31,7 @@ const ALL = {
   })),
 };
 
-const samples = [];
-let paused = null, zoom = null, socket = null, span = 30;
+let paused = null, zoom = null, span = 30;
 const charts = new Map();
 
 const area = make("div"), chips = make("div", { className: "chips", role: "group", "aria-label": "what to plot" });
@@ -40,7 +41,7 @@ const spans = make("select", { "aria-label": "time shown" }, ...[10, 30, 60, 300
 const near = make("button", { type: "button", "aria-label": "zoom in" }, "+"), far = make("button", { type: "button", "aria-label": "zoom out" }, "−");
 spans.value = "30";
 $("plots").append(chips, make("div", { className: "acts" }, spans, pause, near, far, whole,
-  make("span", { className: "small dim" }, "drag over a chart to zoom")), area);
+  make("span", { className: "small dim" }, "drag over a chart to zoom; bold: filtered, pale: single samples")), area);
 
 for (const key of Object.keys(ALL)) {
   const chip = make("button", { type: "button", "aria-pressed": "false" }, key.replace("joint ", "").replaceAll("_", " "));
@@ -56,11 +57,16 @@ function toggle(key, chip) {
   } else {
     const [title, unitText, traces, least] = ALL[key];
     const dressed = traces.map((trace, i) => ({ ...trace, colour: COLOURS[i], dash: DASHES[i] }));
-    charts.set(key, new Chart(title, unitText, dressed, least, zoomTo));
+    charts.set(key, new Chart(title, unitText, dressed, least, zoomTo, point));
     area.replaceChildren(...Object.keys(ALL).filter((one) => charts.has(one)).map((one) => charts.get(one).element));
   }
   chip.setAttribute("aria-pressed", String(charts.has(key)));
   draw();
+}
+
+/** The pointer is at this time [s] in one of the charts, so it is in all; null: in none. */
+function point(time) {
+  for (const chart of charts.values()) chart.point(time);
 }
 
 function setPaused(on) {
@@ -94,19 +100,12 @@ function draw() {
   for (const chart of charts.values()) chart.show(shown, shownRange(), newest);
 }
 
-function connect() {
-  const scheme = location.protocol === "https:" ? "wss" : "ws";
-  socket = new WebSocket(`${scheme}://${location.host}/api/telemetry?rate=${RATE}`);
-  socket.addEventListener("message", (event) => {
-    const sample = JSON.parse(event.data);
-    if (samples.length && sample.time < samples.at(-1).time) samples.length = 0; // the control process began anew
-    sample.moving = latest()?.run?.phase === "moving";
-    samples.push(sample);
-    while (samples.length && samples[0].time < sample.time - LONGEST) samples.shift();
-  });
-  socket.addEventListener("close", () => setTimeout(connect, 1000));
-}
-connect();
+onOpen(gap);
+onSample((sample) => {
+  if (samples.length && sample.time < samples.at(-1).time) samples.length = 0; // the control process began anew
+  samples.push(sample);
+  while (samples.length && samples[0].time < sample.time - LONGEST) samples.shift();
+});
 setInterval(() => { if (paused === null) draw(); }, 100);
 window.addEventListener("resize", draw);
 onTab("plots", draw);

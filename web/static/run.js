@@ -1,5 +1,6 @@
 // Run: experiments that come with the station, and free motions with parameters of one's own.
 import { $, ask, confirm, fresh, latest, make, mayCommand, note, onStatus, press } from "./station.js";
+import { tellWhy } from "./acts.js";
 import { form, schemas, sentence, tidy, unit, variants } from "./form.js";
 
 /** Where a form begins for what has no default. SI. */
@@ -131,8 +132,7 @@ function refresh() {
   if (startButton === null || status === null) return;
   const ready = status.state === "READY", may = mayCommand(status);
   startButton.disabled = !ready || !may || starting;
-  refusal.textContent = !may ? (status.operator.role === "viewer" ? "viewers cannot start" : `'${status.operator.name}' is operator`)
-    : ready ? "" : `not while ${status.state}; ${status.next || "wait for the end or press STOP"}`;
+  tellWhy(refusal, status);
 }
 onStatus(refresh);
 

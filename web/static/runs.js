@@ -1,8 +1,9 @@
-// Runs: what was recorded, with notes, replay, report, download, and two of them side by side.
+// Runs: what was recorded and how well it went, with notes, replay, report, download, and two of them side by side.
 import { $, ask, confirm, make, mayCommand, note, onStatus, press, Refused } from "./station.js";
-import { isOpen, onTab } from "./tabs.js";
+import { isOpen, onTab, open as openTab } from "./tabs.js";
+import { address, atOneLook, card, flat, folded, readable, SHAPES, size, when } from "./result.js";
+import { comparison } from "./compare.js";
 
-const SHAPES = { complete: "●", stopped: "■", interrupted: "▲", incomplete: "◆" };
 const search = make("input", { type: "text", placeholder: "name, cause or notes", "aria-label": "search", style: "flex:1 1 0" });
 const label = make("select", { "aria-label": "how it ended" }, make("option", { value: "" }, "all"),
   ...Object.keys(SHAPES).map((one) => make("option", { value: one }, one)));
@@ -11,10 +12,6 @@ const list = make("div", { className: "cards" }), place = make("div");
 const chosen = new Set();
 $("runs").append(place);
 
-const when = (seconds) => new Date(1000 * seconds).toLocaleString();
-const size = (bytes) => (bytes > 1e6 ? `${(bytes / 1e6).toFixed(1)} MB` : `${Math.ceil(bytes / 1e3)} kB`);
-const address = (run, what) => `/api/runs/${encodeURIComponent(run)}/${what}`;
-
 let shown = "";
 async function refresh() {
   if (!isOpen("runs") || !place.contains(list)) return;
@@ -22,12 +19,14 @@ async function refresh() {
     const found = await ask("GET", `/api/runs?limit=200&label=${label.value}&text=${encodeURIComponent(search.value)}`, undefined, 3000);
     if (JSON.stringify(found) === shown) return;
     shown = JSON.stringify(found);
-    list.replaceChildren(...found.map(row));
+    list.replaceChildren(...(found.length ? [HEAD] : []), ...found.map(row));
     if (found.length === 0) list.append(make("p", { className: "dim" }, search.value || label.value ? "none is like that" : "No run has been recorded yet."));
   } catch (error) {
     if (error instanceof Refused) note(error.message);
   }
 }
+
+const HEAD = make("div", { className: "run-head small dim" }, make("span", {}, "|error| [mm]"), make("span", {}, "largest"), make("span", {}, "RMS"));
 
 function row(run) {
   const box = make("input", { type: "checkbox", checked: chosen.has(run.id), "aria-label": `choose ${run.id} to compare` });
@@ -35,10 +34,13 @@ function row(run) {
     if (box.checked) chosen.add(run.id); else chosen.delete(run.id);
     compare.disabled = chosen.size !== 2;
   });
-  const open = make("button", { type: "button", className: "card" }, make("div", {},
+  const [largest, rms] = atOneLook(run);
+  const open = make("button", { type: "button", className: "card run" }, make("div", {},
     make("b", {}, run.title || run.experiment || run.id),
     make("span", {}, `${SHAPES[run.label] ?? "○"} ${run.label} · ${when(run.started)} · ${size(run.size)}`),
-    run.notes === "" ? null : make("span", {}, `“${run.notes.split("\n")[0]}”`)));
+    run.notes === "" ? null : make("span", {}, `“${run.notes.split("\n")[0]}”`)),
+  make("span", { className: "number", title: "largest distance of the tip from where it should have been [mm]" }, largest),
+  make("span", { className: "number", title: "root mean square of that distance [mm]" }, rms));
   open.addEventListener("click", () => details(run.id));
   return make("div", { style: "display:flex;gap:8px;align-items:center" }, box, open);
 }
@@ -55,14 +57,8 @@ const back = () => {
   return button;
 };
 
-/** Numbers and texts of a nested summary, by their path. */
-function flat(value, path = "") {
-  if (value === null || typeof value !== "object") return [[path, value]];
-  return Object.entries(value).flatMap(([key, one]) => flat(one, path === "" ? key : `${path} · ${key}`));
-}
-const readable = (value) => (typeof value === "number" ? String(Number(value.toPrecision(5))) : String(value ?? "–"));
-
-async function details(id) {
+/** The page of a run. */
+export async function details(id) {
   let run;
   try {
     run = await ask("GET", `/api/runs/${encodeURIComponent(id)}`);
@@ -82,25 +78,25 @@ async function details(id) {
   replay.addEventListener("click", () => page(id, "replay"));
   report.addEventListener("click", () => page(id, "report"));
   const cases = run.cases.map((one) => make("a", { href: `${address(id, "recording")}?case=${encodeURIComponent(one)}`, download: "" }, `${one}.mcap`));
+  const told = { ...run.summary, started: when(run.started) };
   place.replaceChildren(
     make("div", { className: "acts", style: "margin:0 0 10px" }, back(), make("b", {}, run.title || id)),
-    make("p", {}, `${SHAPES[run.label] ?? "○"} ${run.label}${run.cause === "" ? "" : `: ${run.cause}`}`),
+    card(run),
     make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · ${id}`),
     make("div", { className: "acts" }, replay, report, ...cases), make("h3", {}, "Notes"), notes, make("div", { className: "acts" }, save, remove),
-    make("h3", {}, "Summary"), make("table", {}, ...flat({ ...run.summary, started: when(run.started) }).map(([key, value]) => make("tr", {}, make("td", { className: "any" }, key), make("td", { className: "any", style: "text-align:right" }, readable(value))))),
+    folded("All numbers", () => flat(told).map(([key, value]) => make("tr", {}, make("td", { className: "any" }, key), make("td", { className: "any", style: "text-align:right" }, readable(value)))), "numbers"),
   );
+}
+
+/** Open the page of a run, from anywhere. */
+export function showRun(id) {
+  openTab("runs");
+  details(id);
 }
 
 compare.addEventListener("click", async () => {
   const runs = await Promise.all([...chosen].map((id) => ask("GET", `/api/runs/${encodeURIComponent(id)}`))).catch((error) => { note(error.message); return null; });
-  if (runs === null) return;
-  const [a, b] = runs.map((run) => new Map(flat({ ...run.summary, label: run.label, started: when(run.started) })));
-  const rows = [...new Set([...a.keys(), ...b.keys()])].map((key) => {
-    const [x, y] = [a.get(key), b.get(key)], apart = typeof x === "number" && typeof y === "number" ? readable(y - x) : x === y ? "" : "≠";
-    return make("tr", {}, make("td", { className: "any" }, key), ...[readable(x), readable(y), apart].map((text) => make("td", { className: "any", style: "text-align:right" }, text)));
-  });
-  place.replaceChildren(make("div", { className: "acts", style: "margin:0 0 10px" }, back()),
-    make("table", { id: "comparison" }, make("tr", {}, ...["", ...runs.map((run) => run.id), "difference"].map((text) => make("th", {}, text))), ...rows));
+  if (runs !== null) place.replaceChildren(make("div", { className: "acts", style: "margin:0 0 10px" }, back()), comparison(runs));
 });
 
 // ---- pages of a run, over the live scene; the header with STOP stays

@@ -1,13 +1,10 @@
 // The scene in its frame: under this page's identity, kept connected, and the switches below it.
 import { $, ask, client, latest, mayCommand, onStatus, press } from "./station.js";
-import { hot } from "./header.js";
 
 const frame = $("scene"), boxes = [...document.querySelectorAll("#switches input")];
 
 frame.addEventListener("load", () => {
   if (frame.contentDocument === null) return; // no scene: an error page of the browser's
-  // The scene is same-origin: the key works with the focus in there, too.
-  frame.contentWindow.addEventListener("keydown", hot, true);
   // viser reconnects only while its document has the focus, which a frame seldom has.
   frame.contentDocument.hasFocus = () => !document.hidden;
   // Its own control panel is empty: all controls are ours.
@@ -39,12 +36,17 @@ $("go").addEventListener("click", () => press("POST", "/api/scene/target/go", {}
 
 let cut = 0; // looks running that found the scene without its stream
 
+/** What the picture is worth; numbers and STOP are only called live while they are. */
+function tellCut(stale) {
+  $("scene-cut").hidden = !stale && cut < 3;
+  $("scene-cut").textContent = stale ? "Nothing here is live: there is no fresh word from the station." : "The scene is not connected: the picture is not live. Numbers and STOP are.";
+}
+
 async function refresh() {
   const before = changes;
   try {
     const shown = await ask("GET", "/api/scene", undefined, 1000);
     cut = shown.connected ? 0 : cut + 1;
-    $("scene-cut").hidden = cut < 3;
     if (pending === 0 && before === changes) for (const box of boxes) box.checked = shown[box.name];
     $("target-box").hidden = !shown.target;
     if (!shown.target) return;
@@ -59,6 +61,6 @@ async function refresh() {
   }
 }
 setInterval(refresh, 600);
-onStatus((status, stale) => { for (const box of boxes) box.disabled = stale || !mayCommand(status); });
+onStatus((status, stale) => { tellCut(stale); for (const box of boxes) box.disabled = stale || !mayCommand(status); });
 refresh();
 ask("GET", "/api/bench").then((bench) => { document.querySelector("[name=force]").parentElement.hidden = !bench.virtual; });

@@ -28,21 +28,35 @@ export const name = {
   set: (text) => localStorage.setItem("name", text),
 };
 
-export class Refused extends Error {}
+export class Refused extends Error {
+  constructor(reason, status) { super(reason); this.status = status; }
+}
 
-/** The station's answer; throws Refused with its reason, or an Error when there is no answer. */
+let looks = new AbortController();
+/** Give up every question that is asked again anyway: a browser opens six connections, and something must pass now. */
+export function makeWay() {
+  looks.abort();
+  looks = new AbortController();
+}
+
+/** The station's answer; throws Refused with its reason, or an Error when there is no answer within `patience` [ms]. */
 export async function ask(method, path, body, patience) {
   const headers = { "x-ctr-client": client, "x-ctr-name": encodeURIComponent(name.get()) };
   if (method !== "GET") headers["content-type"] = "application/json";
   const answer = await fetch(path, {
     method, headers, cache: "no-store", body: body === undefined ? undefined : JSON.stringify(body),
-    signal: patience === undefined ? undefined : AbortSignal.timeout(patience),
+    signal: patience === undefined ? undefined
+      : AbortSignal.any([AbortSignal.timeout(patience), ...(method === "GET" ? [looks.signal] : [])]),
   });
   const text = await answer.text();
   const read = () => { try { return JSON.parse(text); } catch { return { error: text.slice(0, 200) }; } };
-  if (!answer.ok) throw new Refused(read().error ?? `answer ${answer.status}`);
+  if (!answer.ok) throw new Refused(read().error ?? `answer ${answer.status}`, answer.status);
   return text === "" ? null : read();
 }
+
+let remedy = () => null;
+/** Have `make(status)` give the button that is shown with what the state, or who is operator, forbids; or null. */
+export const onRefusal = (make) => { remedy = make; };
 
 /** Ask for something that a person has pressed; a refusal is shown. The answer, or null. */
 export async function press(method, path, body) {
@@ -51,35 +65,55 @@ export async function press(method, path, body) {
     look();
     return answer ?? {};
   } catch (error) {
-    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`);
-    look();
+    await question;
+    await look(); // the way out is that of the state that has refused it
+    const button = error instanceof Refused && error.status === 409 && status !== null ? remedy(status) : null;
+    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`, false, button);
     return null;
   }
 }
 
-/** A note in the corner, gone after a while. */
-export function note(text, good = false) {
+/** A note in the corner, with a button or without, gone after a while unless it `stays`. */
+export function note(text, good = false, button = null, stays = false) {
   const close = make("button", { type: "button", "aria-label": "close" }, "×");
-  const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), close);
-  close.addEventListener("click", () => box.remove());
+  const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), button, close);
+  for (const one of [button, close]) one?.addEventListener("click", () => box.remove());
   $("notes").append(box);
   while ($("notes").children.length > 4) $("notes").firstChild.remove();
-  setTimeout(() => box.remove(), 12000);
+  if (!stays) setTimeout(() => box.remove(), 12000);
 }
 
-/** Have a person confirm; resolves to whether they did. `extra` may hold a checkbox that must be ticked. */
+let dismiss = () => {}; // the question that is open
+
+/**
+ * Have a person confirm; resolves to whether they did. Every checkbox in `content` must be ticked first.
+ * The header stays alive: STOP and the state are behind no question. A newer question ends an older one.
+ */
 export function confirm(title, action, ...content) {
-  const dialog = $("question"), yes = dialog.querySelector("[value=yes]");
+  dismiss();
+  const dialog = $("question"), form = dialog.querySelector("form"), yes = dialog.querySelector("[value=yes]");
+  const rest = [...dialog.parentElement.children].filter((one) => one !== dialog), ends = new AbortController(), { signal } = ends;
   dialog.querySelector("h2").textContent = title;
-  dialog.querySelector("form > div").replaceChildren(...content);
+  form.querySelector("div").replaceChildren(...content);
   yes.textContent = action;
-  const boxes = [...dialog.querySelectorAll("input[type=checkbox]")];
+  const boxes = [...form.querySelectorAll("input[type=checkbox]")];
   const check = () => { yes.disabled = boxes.some((box) => !box.checked); };
   boxes.forEach((box) => box.addEventListener("change", check));
   check();
-  dialog.returnValue = "no";
-  dialog.showModal();
-  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
+  for (const one of rest) one.inert = true;
+  dialog.show();
+  return new Promise((resolve) => {
+    dismiss = (sure = false) => {
+      dismiss = () => {};
+      ends.abort();
+      for (const one of rest) one.inert = false;
+      dialog.close();
+      resolve(sure);
+    };
+    form.addEventListener("submit", (event) => { event.preventDefault(); dismiss(true); }, { signal });
+    dialog.querySelector("[value=no]").addEventListener("click", () => dismiss(), { signal });
+    document.addEventListener("keydown", (event) => { if (event.key === "Escape") dismiss(); }, { signal });
+  });
 }
 
 // ---- status: asked for several times a second; too old, it is called stale

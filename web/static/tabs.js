@@ -8,7 +8,14 @@ const listeners = {};
 export const onTab = (id, listener) => { (listeners[id] ??= []).push(listener); };
 export const isOpen = (id) => !$(id).hidden;
 
+/** The one that was open before the page was loaded anew; at first the first. */
+export function last() {
+  const kept = sessionStorage.getItem("tab"), names = tabs.map((tab) => tab.getAttribute("aria-controls"));
+  return names.includes(kept) ? kept : names[0];
+}
+
 export function open(id) {
+  sessionStorage.setItem("tab", id);
   for (const tab of tabs) {
     const panel = tab.getAttribute("aria-controls"), chosen = panel === id, was = isOpen(panel);
     tab.setAttribute("aria-selected", String(chosen));

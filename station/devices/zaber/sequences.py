@@ -8,6 +8,7 @@ import math
 from collections.abc import Generator
 
 from station.devices.zaber.dialogue import Answer, Ask
+from station.devices.zaber.homing import Homing, leg
 from station.devices.zaber.protocol import RESOLUTION, Code, Command, Mode, Status, ZaberError, error_text
 from station.devices.zaber.units import Identity, Units
 
@@ -22,6 +23,7 @@ class Sequences:
     def __init__(self, units: Units) -> None:
         self.now = -math.inf  #: time [s], kept up by who carries a sequence on
         self._units = units
+        self.homing: Homing | None = None  #: how far it has come; of use while it is on
         self._refusal: int | None = None  # the last error reply of a sequence
 
     def connect(self) -> Script:
@@ -72,8 +74,10 @@ class Sequences:
         """Home the translations first, then one rotation after the other."""
         units = self._units
         order = sorted(range(len(units.setups)), key=lambda i: units.setups[i].joint.motion != "translation")
-        for i in order:
+        self.homing = Homing([leg(units.setups[i], self._count(i)) for i in order])
+        for number, i in enumerate(order):
             setup, name = units.setups[i], units.name(i)
+            self.homing.begin(number, self.now)
             units.homed[i] = False
             units.estimate(i).forget(adrift=True)
             mode = yield from self._need(i, Command.SET_MODE)
@@ -102,6 +106,11 @@ class Sequences:
             units.homed[i] = True
             units.home_again.discard(i)
         yield from self._settle()
+
+    def _count(self, i: int) -> float | None:
+        """Where a stage is [microsteps]; None where nobody knows."""
+        estimate = self._units.estimate(i)
+        return estimate.position if self._units.homed[i] and estimate.known else None
 
     def _turn_back(self, i: int) -> Script:
         """Turn a stage that homed a turn too low up to its zero, at the speed of homing.

@@ -147,19 +147,24 @@ class ZaberStages:
         return Trouble(Severity.FAULT, self.problem) if self.condition is Condition.FAULT else None
 
     def details(self) -> Mapping[str, Any]:
-        """Who the units are, where, and how many messages each has got."""
-        return {
-            setup.joint.name: {
-                "device": setup.device,
-                "port": next(port.link.name for port in self.ports if i in port.stages),
-                "identity": None if identity is None else identity._asdict(),
-                "homed": homed,
-                **vars(counts),
+        """Who the units are, where, and how many messages each has got; while they are homed, how far that has come."""
+        homing = self._sequences.homing if self.condition is Condition.HOMING else None
+        return (
+            ({} if homing is None else {"homing": homing.told(self._sequences.now)})
+            | {
+                setup.joint.name: {
+                    "device": setup.device,
+                    "port": next(port.link.name for port in self.ports if i in port.stages),
+                    "identity": None if identity is None else identity._asdict(),
+                    "homed": homed,
+                    **vars(counts),
+                }
+                for i, (setup, identity, homed, counts) in enumerate(
+                    zip(self.setups, self.identities, self.homed, self.counts, strict=True)
+                )
             }
-            for i, (setup, identity, homed, counts) in enumerate(
-                zip(self.setups, self.identities, self.homed, self.counts, strict=True)
-            )
-        } | {"lost_bytes": self.lost_bytes, "complaints": list(self.complaints)}
+            | {"lost_bytes": self.lost_bytes, "complaints": list(self.complaints)}
+        )
 
     def home(self, now: float) -> None:
         """Home every stage: the translations first, then one rotation after the other.

@@ -44,6 +44,7 @@ def test_a_station_that_hangs_looks_old_and_starts_nothing_and_one_that_is_gone_
         station.end()
         page.locator("#state", has_text="NO ANSWER").wait_for()
         assert "emergency stop" in page.locator("#next").inner_text()
+        assert "Nothing here is live" in page.locator("#left").inner_text()
         assert "stale" in str(page.locator("body").get_attribute("class"))
         page.locator("#stop").click()
         page.locator("#alarm", has_text="Use the emergency stop").wait_for()

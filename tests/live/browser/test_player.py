@@ -83,6 +83,23 @@ def test_the_robot_is_drawn_in_its_colours(at_start: Page) -> None:
     assert slate.sum() > 300
 
 
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (830, 590), (390, 420)])
+def test_no_table_is_over_the_robot(at_start: Page, width: int, height: int) -> None:
+    before = at_start.viewport_size
+    at_start.set_viewport_size({"width": width, "height": height})
+    scene, numbers = (at_start.locator(name).bounding_box() for name in ("#scene", "#numbers"))
+    assert before is not None
+    at_start.set_viewport_size(before)
+
+    assert scene is not None
+    assert numbers is not None
+    assert scene["width"] > 0.5 * width
+    assert scene["height"] > 0.25 * height
+    beside = numbers["x"] >= scene["x"] + scene["width"] - 1.0
+    below = numbers["y"] >= scene["y"] + scene["height"] - 1.0
+    assert beside or below
+
+
 def test_keys_move_time_and_the_picture_follows(at_start: Page) -> None:
     page = at_start
     before = picture(page)

@@ -257,8 +257,15 @@ def test_runs_are_listed_annotated_replayed_and_compared(page: Page, station: Se
     tab(page, "runs")
     cards = page.locator("#runs .card", has_text="circle, free motion")
     cards.nth(1).wait_for()
+    assert all(float(number) > 0.0 for number in cards.first.locator(".number").all_inner_texts())
     picture(page, "runs")
     cards.first.click()
+    assert "complete" in page.locator(".result .ended").inner_text()
+    page.locator(".result svg.curve").nth(1).wait_for()
+    picture(page, "result")
+    page.locator("#numbers summary").click()
+    page.locator("#numbers td", has_text="10001 numbers").first.wait_for()
+    assert page.locator("#runs tr").count() < 100  # not a row for each bin of a histogram
     page.get_by_label("notes").fill("a new coil")
     page.get_by_role("button", name="Save notes").click()
     page.locator(".note.good", has_text="saved").wait_for()
@@ -275,7 +282,9 @@ def test_runs_are_listed_annotated_replayed_and_compared(page: Page, station: Se
     for box in page.locator("#runs input[type=checkbox]").all()[:2]:
         box.check()
     page.get_by_role("button", name="Compare two").click()
-    page.locator("#comparison tr").nth(3).wait_for()
+    page.locator(".result svg.curve").nth(1).wait_for()
+    assert page.locator(".result svg.curve").first.locator("polyline").count() == 2  # over each other
+    assert page.locator("#comparison tr").count() > 5
     picture(page, "compare")
     page.get_by_role("button", name="all runs").click()
 

@@ -8,6 +8,7 @@ import pytest
 
 from station.config.controllers import PERIOD
 from station.control.states import State
+from station.control.task import Phase
 from station.devices.interfaces import Devices
 from tests.harness.virtual_station import VirtualStation
 
@@ -47,7 +48,12 @@ def test_nothing_is_sent_and_every_axis_stops(virtual: VirtualStation, device: s
     assert str(bad).removeprefix("-") in virtual.loop.cause
     assert "\n" not in virtual.loop.cause
     virtual.seconds(0.4)
-    assert not virtual.of("velocity_commanded", virtual.rows[begin + round(took / PERIOD) :]).any()
+    since = virtual.rows[begin + round(took / PERIOD) :]
+    assert not virtual.of("velocity_commanded", since).any()
+    # estimates that stand are told from those that are new
+    assert virtual.of("held", since).all() == (device != "tracker")
+    assert not virtual.of("held", virtual.rows[:begin]).any()
+    assert set(virtual.of("phase", since).ravel()) == {Phase.NONE}
     spoilt.bad = None
     assert virtual.rests()
     # every row since is finite (looked at when it was made), so nothing of it has spread

@@ -1,5 +1,6 @@
 """The live recorder in a process of its own, on a real ring that is really written at 500 Hz."""
 
+import json
 import os
 import resource
 import signal
@@ -15,6 +16,7 @@ import pytest
 
 from station.config.robots import RobotFile, load_robot
 from station.control.ring import ROWS, Ring
+from station.control.task import Phase
 from station.recording.events import Event
 from station.recording.label import Label, RecordingError
 from station.recording.read import CaseRecording, read_case
@@ -170,6 +172,31 @@ def test_rows_that_were_overwritten_before_they_were_read_are_counted(paper, cha
     (event,) = read.events
     assert event.data["missed"] == len(rows) - len(read.rows) >= 500
     assert (read.rows == rows[-len(read.rows) :]).all()
+
+
+def test_rows_and_errors_end_with_the_motion_whenever_the_recorder_is_told(paper, channels, make_rows, tmp_path):
+    rows, moving = make_rows(1500), slice(200, 1200)
+    channels.of(rows, "phase")[:] = Phase.NONE
+    channels.of(rows[moving], "phase")[:] = Phase.MOVING
+    channels.of(rows, "tip_desired")[:] = channels.of(rows, "tip_true")[:] = channels.of(rows, "tip_measured")[:] = 0.0
+    channels.of(rows, "tip_time")[:] = channels.of(rows, "time")
+    channels.of(rows, "tip_true")[moving.stop :] = channels.of(rows, "tip_measured")[moving.stop :] = 0.006
+    ring = Ring(len(channels))
+    recorder = Recorder(ring, paper, tmp_path)
+    try:
+        path = recorder.begin("one", {}, counted_from=1.0)
+        for row in rows:
+            ring.write(row)
+        recorder.end(Label.COMPLETE)
+    finally:
+        recorder.close()
+        ring.close(remove=True)
+
+    read = read_case(path / "run.mcap")
+    numbers = json.loads((path / "summary.json").read_text(encoding="utf-8"))["cases"]["run"]
+    assert np.array_equal(read.rows, rows[: moving.stop])
+    assert (numbers["motion_start"], numbers["counted_from_s"]) == (rows[moving.start, 0], 1.0)
+    assert numbers["true_max_abs_error_mm"] == numbers["max_abs_error_mm"] == [0.0, 0.0, 0.0]
 
 
 def test_a_folder_that_cannot_be_written_is_refused_at_the_beginning(feed, paper, tmp_path):

@@ -185,7 +185,8 @@ def test_telemetry_streams_and_says_what_it_skipped(station: Served) -> None:
         assert round((later["time"] - earlier["time"]) / 0.002) == later["skipped"] + later["missed"] + 1
     assert sum(sample["skipped"] for sample in samples) > 0
     assert samples[0]["state"] == "READY"
-    assert len(samples[0]["tip_measured"]) == 3
+    assert len(samples[0]["tip_measured"]) == len(samples[0]["force_filtered"]) == 3
+    assert (samples[0]["phase"], samples[0]["held"], samples[0]["trouble"]) == ("none", 0.0, [0.0, 0.0, 0.0])
     assert {"late_us", "tick_us"} <= set(samples[0])
 
 

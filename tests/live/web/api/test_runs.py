@@ -88,6 +88,22 @@ def test_a_run_has_its_summary(client):
     assert len(answer["summary"]["cases"]["regulation"]["true_max_abs_error_mm"]) == 3
 
 
+def test_errors_and_curves_of_a_run_at_one_look(client, runs):
+    run = client.get("/api/runs", params={"label": "complete"}).json()[0]
+    outcome, numbers = run["outcomes"]["regulation"], client.get(f"/api/runs/{run['id']}").json()["summary"]
+    assert outcome["largest"] == numbers["cases"]["regulation"]["true_max_abs_error_mm"]
+    answer = client.get(f"/api/runs/{run['id']}/curves")
+
+    assert answer.status_code == 200, answer.text
+    curve = answer.json()["regulation"]
+    assert curve["against"] == outcome["against"] == "true"
+    assert max(curve["error"]["value"]) == pytest.approx(outcome["largest_distance"], abs=1e-3)
+    assert len(answer.content) < 20_000
+    (runs / run["id"] / "curves.json").write_text("{", encoding="utf-8")
+    assert client.get(f"/api/runs/{run['id']}/curves").json() == answer.json()
+    assert client.get("/api/runs/none/curves").status_code == 404
+
+
 def test_the_recording_comes_as_it_is(client, runs, tmp_path):
     (name,) = ids(client, label="complete")
     answer = client.get(f"/api/runs/{name}/recording")

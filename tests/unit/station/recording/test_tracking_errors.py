@@ -23,6 +23,8 @@ def columns(late: float = 0.0, known: bool = True) -> dict[str, np.ndarray]:
         "tip_new": frame[:, None],
         "tip_time": (TIME - late)[:, None],
         "truth_known": np.full((len(TIME), 1), float(known)),
+        # 0.5 N, and more before it counts.
+        "force_filtered": np.outer(np.where(TIME < 11.0, 2.0, 1.0), (0.3, 0.0, 0.4)),
     }
 
 
@@ -36,6 +38,8 @@ def test_errors_are_per_axis_in_millimetres():
 
 def test_a_frame_is_compared_with_the_setpoint_of_the_moment_it_was_taken():
     found = motion_errors(columns(late=0.5).__getitem__, 10.0, 2.0)
+
+    assert found["force_max_N"] == 0.5
 
     assert found["max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
     assert found["true_max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)

@@ -106,3 +106,11 @@ def test_what_others_know_and_what_is_wrong_are_shown_together(watched: Watched)
     assert "cannot follow its stages" in status.warnings[2]
     assert status.reserved.startswith("'calibrate tubes'")
     assert watched.monitor.troubles() == "no frames for 1 s"
+
+
+def test_what_held_the_robot_is_told_before_the_end_of_its_process(watched: Watched) -> None:
+    watched.tells(State.HOLD, "the tracker is silent")
+
+    assert watched.monitor.fault("the control process ended by signal 9", "3 stages stopped") == (
+        "the tracker is silent; then the control process ended by signal 9; 3 stages stopped; reset to start it anew"
+    )

@@ -1,5 +1,7 @@
 """The commands `report` and `replay`."""
 
+import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -34,6 +36,23 @@ def test_they_take_the_latest_a_name_or_a_folder(run, capsys):
         assert Path(capsys.readouterr().out.strip()).resolve() == made
         assert made.stat().st_size > 20_000
         made.unlink()
+
+
+@pytest.mark.parametrize("where", [("--data", "other", "report", "latest"), ("report", "latest", "--data", "other")])
+def test_the_latest_is_that_of_the_folder_of_data(run, place, capsys, where):
+    other = place / "other" / "elsewhere"
+    shutil.copytree(run, other, dirs_exist_ok=True)
+
+    assert main(where) == 0
+    assert Path(capsys.readouterr().out.strip()).resolve() == other / "report.html"
+
+
+def test_results_go_into_the_folder_of_data(place, monkeypatch, capsys):
+    monkeypatch.chdir(place)
+    assert main(("run", "own.toml", "--jobs", "1", "--json", "--data", "kept")) == 0
+
+    (folder,) = (place / "kept").iterdir()
+    assert json.loads(capsys.readouterr().out)["recording"] == str(Path("kept", folder.name))
 
 
 def test_out_is_where_everything_goes(run, capsys, place):

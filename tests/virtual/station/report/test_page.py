@@ -110,6 +110,15 @@ def test_the_papers_number_ours_and_the_ratio_stand_in_a_row(page, short_run):
     assert errors[0][2:] == [f"{value:.3f}" for value in numbers["true_rms_error_mm"]]
 
 
+def test_how_well_it_went_comes_first(page, short_run):
+    numbers = json.loads((short_run / "summary.json").read_text(encoding="utf-8"))["cases"]["two"]
+    before = page.text.split("The paper's numbers and ours")[0]
+
+    assert "Ended: complete." in before
+    assert f"The true tip (case two) was at most {numbers['true_max_distance_mm']:.2f} mm" in before
+    assert f"the force on it was at most {numbers['force_max_N']:.2f} N" in before
+
+
 def test_the_line_is_there_with_what_each_axis_got(page, short_run):
     rates = json.loads((short_run / "summary.json").read_text(encoding="utf-8"))["cases"]["two"]["line_rates"]
     rows = [row for row in page.rows if len(row) == 4 and row[1] in rates]
@@ -124,7 +133,7 @@ def test_configuration_and_versions_are_there_once(page, short_run):
     assert page.text.count("versions.numpy = ") == 1
     assert page.text.count("robot.tubes[0].bending_stiffness = 0.0413") == 1
     # the second case says only what is different
-    second = page.text.split("case 'two', what differs from the first case")[1]
+    second = page.text.split("(case two), what differs from the first case")[1]
     assert "settings.controller.feedforward = true" in second
     assert "settings.duration" not in second
 

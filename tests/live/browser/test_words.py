@@ -1,0 +1,123 @@
+"""What the page tells a person is done by a button beside it, and nothing that happened is left untold."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, Route
+
+from tests.harness.chromium import bare_page
+from tests.harness.serving import Served
+
+
+@pytest.fixture(scope="module")
+def open_page(running: Served, browser: Browser) -> Iterator[Page]:
+    running.ready()
+    with bare_page(browser, running) as page:
+        yield page
+
+
+@pytest.fixture
+def says(station: Served, page: Page) -> Iterator[Callable[..., None]]:
+    """Let the station's status say something else: `says(state="FAULT", act="reset")`; the truth again: `says()`."""
+    changes: dict[str, Any] = {}
+    before = station.status()
+
+    def change(**some: Any) -> None:
+        changes.clear()
+        changes.update(some)
+
+    def answer(route: Route) -> None:
+        if changes:
+            route.fulfill(json=before | changes)
+        else:
+            route.continue_()
+
+    page.route("**/api/status", answer)
+    yield change
+    page.unroute("**/api/status")
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (390, 844)])
+def test_what_has_happened_is_told_whole(page: Page, says: Callable[..., None], width: int, height: int) -> None:
+    axes = [f"axis {n} cannot be reached (2 replies are missing); last seen at 1{n}.0 deg" for n in range(6)]
+    says(state="FAULT", says="; ".join(axes), next="find the cause, then Reset", act="reset")
+    page.set_viewport_size({"width": width, "height": height})
+    try:
+        text = page.locator("#says")
+        page.locator("#state", has_text="FAULT").wait_for()
+        assert text.inner_text() == "; ".join(axes)
+        assert text.evaluate("box => box.scrollHeight <= box.clientHeight + 1")
+        assert page.locator("#reset").is_visible()
+        assert page.locator("#tab-faults").is_visible()
+    finally:
+        page.set_viewport_size({"width": 1280, "height": 720})
+
+
+def test_what_is_asked_for_is_a_button_wherever_it_is_told(page: Page, says: Callable[..., None]) -> None:
+    page.locator("#tab-start").click()
+    page.locator(".card", has_text="Keep the tip where it is").click()
+    says(state="CONNECTED", says="devices answer", next="home the stages", act="home")
+    for tab, place in (("start", "#start .sticky"), ("jog", "#jog"), ("faults", "#faults"), ("plots", "#act")):
+        page.locator(f"#tab-{tab}").click()
+        page.locator(place).get_by_role("button", name="Home…").click()
+        page.get_by_role("dialog", name="Home every stage?").get_by_role("button", name="Cancel").click()
+    says(state="OFF", says="no device is spoken to", next="connect the devices", act="connect")
+    page.locator("#act").get_by_role("button", name="Connect").click()
+    # refused as it is READY in truth
+    page.locator(".note", has_text="'connect' is not possible while READY").get_by_label("close").click()
+    says()
+    page.locator("#act").get_by_role("button", name="Choose a motion").click()
+    assert page.locator("#start").is_visible()
+    page.get_by_role("button", name="all motions").click()
+
+
+def test_a_refusal_comes_with_the_button_that_leads_out_of_it(
+    station: Served, page: Page, says: Callable[..., None]
+) -> None:
+    says(state="READY", act="start")
+    station.post("/api/stop")
+    station.rest.delete("/api/operator")
+
+    def learn(route: Route) -> None:
+        says()
+        route.continue_()
+
+    page.route("**/api/tare", learn)
+    page.locator("#tab-devices").click()
+    page.get_by_role("button", name="Zero the force sensors").click()
+    note = page.locator(".note", has_text="'tare' is not possible while STOPPED")
+    note.get_by_role("button", name="Reset").click()
+    page.locator("#state", has_text="READY").wait_for()
+    assert note.count() == 0
+    page.unroute("**/api/tare")
+
+
+def test_a_reload_keeps_the_tab_and_the_plots_history(station: Served, page: Page) -> None:
+    first = "import('/static/history.js').then((history) => history.samples[0]?.time ?? null)"
+    page.locator("#tab-plots").click()
+    page.wait_for_function(f"() => {first}")
+    before = page.evaluate(first)
+    page.reload()
+    page.locator("#state", has_text="READY").wait_for()
+    assert page.locator("#plots").is_visible()
+    assert page.evaluate(first) == pytest.approx(before, abs=1e-6)
+    page.wait_for_function(
+        f"() => import('/static/history.js').then(({{samples}}) => samples.at(-1).time > {before} + 1)"
+    )
+
+
+def test_who_loses_control_to_another_is_told(station: Served, page: Page) -> None:
+    page.locator("#operator", has_text="No operator").wait_for()
+    page.get_by_role("button", name="Take control").click()
+    page.get_by_label("your name").fill("Anna")
+    page.get_by_role("dialog").get_by_role("button", name="Take control").click()
+    page.locator("#operator", has_text="You are operator").wait_for()
+    station.rest.post("/api/operator", json={"name": "Ben", "take_over": True})
+    note = page.locator(".note", has_text="'Ben' has taken control")
+    note.get_by_role("button", name="Take over…").click()
+    page.get_by_role("dialog").get_by_role("button", name="Take over").click()
+    page.locator("#operator", has_text="You are operator").wait_for()
+    page.get_by_role("button", name="Release").click()
+    page.locator("#operator", has_text="No operator").wait_for()
+    assert page.locator(".note").count() == 0  # given back on purpose

@@ -1,0 +1,5 @@
+"""Recordings of rows that are made up."""
+
+from tests.harness.recordings import channels, make_rows, open_writer, recorded
+
+__all__ = ["channels", "make_rows", "open_writer", "recorded"]

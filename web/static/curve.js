@@ -1,0 +1,66 @@
+// A small picture of a few lines over one time, for runs that are over: axes, names, and values under the pointer.
+import { make } from "./station.js";
+import { step } from "./chart.js";
+
+export const LOOKS = [["#d55e00", ""], ["#0072b2", "6 3"], ["#009e73", "2 2"], ["#cc79a7", "9 2 2 2"], ["#56b4e9", ""], ["#e69f00", "4 2"]];
+const WIDTH = 420, HEIGHT = 128, LEFT = 40, RIGHT = 8, TOP = 6, BOTTOM = 18;
+
+function svg(tag, fields, ...children) {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(fields)) element.setAttribute(name, value);
+  element.append(...children);
+  return element;
+}
+
+/** Marks of an axis from `low` to `high`: [[value, text]]. */
+function marks(low, high, count) {
+  const pace = step(high - low, count), digits = Math.max(0, -Math.floor(Math.log10(pace) + 1e-9));
+  const found = [];
+  for (let value = Math.ceil(low / pace - 1e-9) * pace; value <= high + 1e-9 * pace; value += pace) found.push([value, value.toFixed(digits)]);
+  return found;
+}
+
+function at(line, time) {
+  let best = 0;
+  for (let i = 1; i < line.time.length; i++) if (Math.abs(line.time[i] - time) < Math.abs(line.time[best] - time)) best = i;
+  return line.value[best];
+}
+
+/** `lines`: [{name, time: [s], value: []}], from 0 up; before `from` [s] nothing counts, which is shaded. */
+export function curve(title, unit, lines, from = 0) {
+  const drawn = lines.filter((line) => line.time.length > 0);
+  if (drawn.length === 0) return make("p", { className: "small dim" }, `${title}: nothing was recorded`);
+  const end = Math.max(...drawn.map((line) => line.time.at(-1)), 1e-3), top = 1.08 * Math.max(...drawn.flatMap((line) => line.value), 1e-3);
+  const x = (time) => LEFT + (Math.max(0, time) / end) * (WIDTH - LEFT - RIGHT), y = (value) => HEIGHT - BOTTOM - (value / top) * (HEIGHT - TOP - BOTTOM);
+  const picture = svg("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${title} [${unit}] over time`, class: "curve" });
+  if (from > 0) picture.append(svg("rect", { x: LEFT, y: TOP, width: x(Math.min(from, end)) - LEFT, height: HEIGHT - TOP - BOTTOM, class: "uncounted" }));
+  for (const [value, text] of marks(0, top, 3)) {
+    picture.append(svg("line", { x1: LEFT, x2: WIDTH - RIGHT, y1: y(value), y2: y(value) }), svg("text", { x: LEFT - 5, y: y(value) + 4, "text-anchor": "end" }, text));
+  }
+  for (const [time, text] of marks(0, end, 6)) {
+    picture.append(svg("line", { x1: x(time), x2: x(time), y1: TOP, y2: HEIGHT - BOTTOM }),
+      svg("text", { x: Math.min(x(time), WIDTH - 14), y: HEIGHT - 4, "text-anchor": "middle" }, `${text} s`));
+  }
+  drawn.forEach((line, i) => {
+    const [colour, dash] = LOOKS[i % LOOKS.length];
+    const points = line.time.map((time, k) => `${x(time).toFixed(1)},${y(line.value[k]).toFixed(1)}`).join(" ");
+    picture.append(svg("polyline", { points, stroke: colour, "stroke-dasharray": dash }));
+  });
+  const mark = svg("line", { y1: TOP, y2: HEIGHT - BOTTOM, class: "mark", visibility: "hidden" });
+  picture.append(mark);
+  const names = drawn.map((line, i) => {
+    const key = make("span", {}, line.name), said = make("span", { className: "said" });
+    key.style.borderBottom = `2px ${LOOKS[i % LOOKS.length][1] === "" ? "solid" : "dashed"} ${LOOKS[i % LOOKS.length][0]}`;
+    return { element: make("span", { className: "key" }, key, said), said, line };
+  });
+  picture.addEventListener("pointermove", (event) => {
+    const box = picture.getBoundingClientRect(), place = ((event.clientX - box.left) / box.width) * WIDTH;
+    const time = Math.min(end, Math.max(0, ((place - LEFT) / (WIDTH - LEFT - RIGHT)) * end));
+    mark.setAttribute("x1", x(time));
+    mark.setAttribute("x2", x(time));
+    mark.setAttribute("visibility", "visible");
+    for (const { said, line } of names) said.textContent = ` ${at(line, time).toPrecision(3)} ${unit}`;
+  });
+  picture.addEventListener("pointerleave", () => { mark.setAttribute("visibility", "hidden"); for (const { said } of names) said.textContent = ""; });
+  return make("figure", { className: "small" }, make("figcaption", {}, make("b", {}, `${title} [${unit}]`), ...names.map((name) => name.element)), picture);
+}

@@ -1,0 +1,72 @@
+// Always in sight: error, force, deflection and the time left; and when a run is over, how well it went.
+import { $, ask, make, onStatus } from "./station.js";
+import { error, known, latestSample } from "./telemetry.js";
+import { atOneLook, ended, SHAPES } from "./result.js";
+
+const PERIOD = 200; // ms
+const length = (vector, scale = 1) => (vector === null ? null : scale * Math.hypot(...vector));
+const BEFORE = { approaching: "to start", settling: "at rest" };
+let status = null, stale = true;
+
+const against = (sample) => (sample?.truth_known ? "true" : "measured");
+function left() {
+  const run = status?.run;
+  if (stale || !run || status.state !== "RUNNING") return null;
+  if (run.phase !== "moving") return BEFORE[run.phase] ?? null;
+  const seconds = Math.max(0, Math.round(run.duration * (1 - run.progress)));
+  return `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")}`;
+}
+
+const fixed = (digits) => (value) => value.toFixed(digits);
+/** Name, unit, value of the newest sample (or null), how it is written, what a dash means. */
+const CELLS = [
+  { name: (sample) => `error, ${against(sample)}`, unit: "mm", value: (s) => s && length(error(s, `tip_${against(s)}`)), text: fixed(2), none: "known while a motion is on and its devices answer" },
+  { name: () => "force", unit: "N", value: (s) => s && length(known(s, "force_filtered")), text: fixed(2), none: "no fresh word of the force" },
+  { name: () => "deflection", unit: "mm", value: (s) => s && length(known(s, "deflection_filtered"), 1e3), text: fixed(1), none: "no fresh word of the force" },
+  { name: () => "time left", unit: "", value: left, text: String, none: "no motion is on" },
+].map((cell) => ({ ...cell, label: make("span", { className: "dim" }), shown: make("output") }));
+
+$("strip").append(...CELLS.map((cell) => make("div", {}, cell.label, cell.shown)));
+
+function show() {
+  const sample = stale ? null : latestSample();
+  for (const { name, unit, value, text, none, label, shown } of CELLS) {
+    const now = value(sample) ?? null, words = now === null ? "–" : `${text(now)}${unit && ` ${unit}`}`;
+    label.textContent = name(sample);
+    if (shown.textContent !== words) shown.textContent = words;
+    shown.title = now === null ? none : "";
+  }
+}
+
+// ---- the end of a run
+
+let told = null; // the run whose end has been told, or is not to be told
+
+async function tell(run) {
+  told = run.id;
+  let found;
+  try {
+    found = await ask("GET", `/api/runs/${encodeURIComponent(run.id)}`, undefined, 5000);
+  } catch {
+    return; // it was not recorded, or nobody answers
+  }
+  if (told !== run.id) return;
+  const [largest, rms] = atOneLook(found), force = Math.max(...Object.values(found.outcomes).map((one) => one.force ?? NaN));
+  const numbers = largest === "–" ? ended(found) : `${SHAPES[found.label] ?? "○"} ${found.label} · error at most ${largest}, RMS ${rms} mm${Number.isFinite(force) ? ` · force at most ${force.toFixed(2)} N` : ""}`;
+  const more = make("button", { type: "button" }, "Result"), close = make("button", { type: "button", "aria-label": "close" }, "×");
+  more.addEventListener("click", async () => (await import("./runs.js")).showRun(run.id));
+  close.addEventListener("click", () => { $("ended").hidden = true; });
+  $("ended").replaceChildren(make("div", {}, make("b", {}, run.title), make("span", { className: found.label }, numbers)), more, close);
+  $("ended").hidden = false;
+}
+
+onStatus((now, old) => {
+  status = now;
+  stale = old;
+  const run = now?.run;
+  if (!run) return;
+  if (now.state === "RUNNING") { told = null; $("ended").hidden = true; }
+  else if (run.id !== told && !run.recording && !old) tell(run);
+});
+setInterval(show, PERIOD);
+show();

@@ -1,0 +1,33 @@
+// The live telemetry, one socket for all of the page: what is known now, and nothing that is not.
+const RATE = 20, STALE = 500; // Hz, ms
+const listeners = [], openers = [];
+let newest = null, heard = -Infinity;
+
+/** Call `opener()` when the stream begins, and each time that it begins anew. */
+export const onOpen = (opener) => { openers.push(opener); };
+/** Call `listener(sample)` with each one as it comes. */
+export const onSample = (listener) => { listeners.push(listener); };
+/** The newest sample; null when none has come for half a second. */
+export const latestSample = () => (performance.now() - heard < STALE ? newest : null);
+
+/** A vector of a sample; null where it stands from before, or its device is not to be believed: the station knows. */
+export const known = (sample, group) => sample[group] ?? null;
+
+/** Desired minus `tip_true` or `tip_measured` [mm] while a motion is on; else null. */
+export function error(sample, group) {
+  const tip = sample.phase === "moving" ? known(sample, group) : null;
+  return tip && sample.tip_desired.map((x, i) => 1e3 * (x - tip[i]));
+}
+
+function connect() {
+  const scheme = location.protocol === "https:" ? "wss" : "ws";
+  const socket = new WebSocket(`${scheme}://${location.host}/api/telemetry?rate=${RATE}`);
+  socket.addEventListener("open", () => { for (const opener of openers) opener(); });
+  socket.addEventListener("message", (event) => {
+    newest = JSON.parse(event.data);
+    heard = performance.now();
+    for (const listener of listeners) listener(newest);
+  });
+  socket.addEventListener("close", () => setTimeout(connect, 1000));
+}
+connect();
