@@ -2,6 +2,7 @@
 
 import math
 import threading
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 import numpy as np
@@ -10,12 +11,14 @@ from pydantic import Field
 from core.errors import CtrError
 from station.config.controllers import BEST, ControllerFile
 from station.config.motions import HoldMotion, Orders, TipMotion
+from station.config.robots import named_pose
 from station.config.strict import Strict, preset_names
-from station.control.states import State
+from station.control.states import Event, State, after
 from station.control.task import Task
 from station.experiments.experiment import load_warnings, offered
 from station.lab.loads import Load, NoLoad
 from station.recording.tracking_errors import counted_from, settling_time
+from station.service.goto import check_way, to_joints, to_working_pose
 from station.service.start import Run, Start
 from station.service.supervisor import Supervisor
 
@@ -127,6 +130,35 @@ class StationService:
             about=about,
         )
         return self.supervisor.start(start)
+
+    def home(self, *, then_work: bool = True) -> None:
+        """Home every stage, then go to the working pose, if the robot has one; a person has said the way is clear.
+
+        Raises:
+            RefusedError: neither CONNECTED nor READY, or the stages cannot.
+        """
+        bench = self.supervisor.bench
+        self.supervisor.home(to_working_pose(bench) if then_work and bench.robot.working_pose is not None else None)
+
+    def go_to(self, joints: Mapping[str, float] | None) -> Run:
+        """Go to `joints` [rad or m], all at the same time; those not named stay. None: to the working pose.
+
+        Raises:
+            RefusedError: the state does not allow it.
+            CtrError: a joint is unknown or outside its travel, the tubes cannot stand there or would snap on the way.
+        """
+        supervisor = self.supervisor
+        bench, status = supervisor.bench, supervisor.status()
+        after(status.state, Event.START)
+        now = status.values["joints"]
+        if joints is None:
+            start = to_working_pose(bench)
+        else:
+            known = dict(zip(supervisor.robot.joint_names, now.tolist(), strict=True))
+            target = named_pose(known | dict(joints), bench.robot, "joints")
+            start = to_joints(bench, target, f"to {', '.join(joints)}")
+        check_way(bench, start, now)
+        return supervisor.start(start)
 
     def jog(self, space: Literal["joints", "tip"], velocity: tuple[float, ...]) -> None:
         """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].

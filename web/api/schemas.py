@@ -91,6 +91,8 @@ class RunOut(Strict):
     """part of the motion that is done, 0 ... 1"""
     duration: float
     """of the motion [s]"""
+    recorded: bool
+    """it has, or will have, a recording; going to a pose has none"""
     recording: bool
     """it is being recorded, or its recording is being finished"""
 
