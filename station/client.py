@@ -4,8 +4,8 @@
 from station.client import Station
 
 with Station() as station:
-    station.home()
-    run = station.start(trajectory={"kind": "circle", "radius": 0.01, "period": 20.0}, duration=60.0)
+    station.home()  # you have seen that the way is clear; then it goes to the robot's working pose
+    run = station.start(trajectory={"kind": "circle", "radius": 0.01, "period": 20.0}, duration=20.0)
     station.wait(run)
     station.download(run, "circle.mcap")
 ```

@@ -2,7 +2,7 @@
 import { $, ask, confirm, latest, make, mayCommand, note, onStatus, press } from "./station.js";
 import { isOpen, onTab } from "./tabs.js";
 import { holdable, mayJog } from "./jog.js";
-import { unit } from "./form.js";
+import { poseText, unit } from "./form.js";
 
 const bench = await ask("GET", "/api/bench");
 
@@ -15,8 +15,10 @@ const ALLOWED = { connect: ["OFF"], home: ["CONNECTED", "READY"], tare: ["READY"
 acts.connect.addEventListener("click", () => press("POST", "/api/connect", {}));
 acts.tare.addEventListener("click", async () => { if (await press("POST", "/api/tare", {})) note("the force sensors read zero from here on", true); });
 acts.home.addEventListener("click", async () => {
+  const toWork = bench.working_pose === null ? null
+    : make("p", {}, `Then the robot goes to its working pose: ${poseText(bench.joints, bench.working_pose)}.`);
   const sure = make("label", {}, make("input", { type: "checkbox" }), "The way is clear: I have looked, the tubes can be retracted and turned without touching anything.");
-  if (await confirm("Home every stage?", "Home", make("p", {}, "The translation is retracted first, then one axis after the other looks for its home sensor. STOP works all the time."), sure))
+  if (await confirm("Home every stage?", "Home", make("p", {}, "The translation is retracted first, then one axis after the other looks for its home sensor. STOP works all the time."), toWork, sure))
     await press("POST", "/api/home", { way_is_clear: true });
 });
 

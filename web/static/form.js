@@ -15,6 +15,12 @@ export const unit = (si) => SHOWN[si] ?? [si, 1];
 /** A number for a person: no more digits than matter. */
 export const tidy = (value) => String(Number(value.toPrecision(10)));
 
+/** Where joints stand, for a person: "outer rotation 90 °, ...". `joints` are of whatever robot the pose is. */
+export const poseText = (joints, pose) => joints.map((joint) => {
+  const [shown, scale] = unit(joint.unit);
+  return `${joint.name.replaceAll("_", " ")} ${tidy(Number((pose[joint.name] * scale).toFixed(1)))} ${shown}`;
+}).join(", ");
+
 const named = (reference) => reference.split("/").at(-1);
 /** The variants of a union by their `kind`: {circle: schema, ...}. */
 export function variants(all, field) {

@@ -6,6 +6,6 @@ import { open } from "./tabs.js";
 
 open("start");
 start();
-for (const part of ["run", "jog", "devices", "plots", "runs", "calibrate", "faults"]) {
+for (const part of ["run", "jog", "goto", "devices", "plots", "runs", "calibrate", "faults"]) {
   import(`./${part}.js`).catch((error) => note(`the tab '${part}' did not come up (${error.message}); reload the page`));
 }

@@ -1,6 +1,6 @@
 // Run: experiments that come with the station, and free motions with parameters of one's own.
 import { $, ask, confirm, fresh, latest, make, mayCommand, note, onStatus, press } from "./station.js";
-import { form, schemas, sentence, tidy, unit, variants } from "./form.js";
+import { form, poseText, schemas, sentence, variants } from "./form.js";
 
 /** Where a form begins for what has no default. SI. */
 const FIRST = {
@@ -60,19 +60,12 @@ async function overview() {
   experiments.replaceChildren(...known.map((one) => card(one.name, one.title, `/api/experiments/${one.name}/picture.svg`, () => experiment(one))));
 }
 
-function poseText(start) {
-  return bench.joints.map((joint) => {
-    const [shown, scale] = unit(joint.unit);
-    return `${joint.name.replaceAll("_", " ")} ${tidy(Number((start[joint.name] * scale).toFixed(1)))} ${shown}`;
-  }).join(", ");
-}
-
 async function experiment(one) {
   const select = make("select", { "aria-label": "case" }, ...one.cases.map((each) => make("option", { value: each.name }, each.name.replaceAll("_", " "))));
   const facts = make("div", { className: "rows" });
   const show = () => {
     const chosen = one.cases.find((each) => each.name === select.value);
-    const lines = [["motion", chosen.trajectory], ["load", chosen.load], ["control", chosen.strategy], ["duration", `${chosen.duration} s`], ["start pose", poseText(chosen.start)], ...chosen.warnings.map((text) => ["warning", text])];
+    const lines = [["motion", chosen.trajectory], ["load", chosen.load], ["control", chosen.strategy], ["duration", `${chosen.duration} s`], ["start pose", poseText(bench.joints, chosen.start)], ...chosen.warnings.map((text) => ["warning", text])];
     facts.replaceChildren(...lines.flatMap(([key, text]) => [make("span", { className: "dim" }, key), make("span", { className: "wide" }, text.replaceAll("_", " "))]));
     return chosen;
   };
@@ -81,8 +74,8 @@ async function experiment(one) {
     const chosen = show(), now = latest().joints;
     const far = bench.joints.some((joint) => !(Math.abs(now[joint.name] - chosen.start[joint.name]) < NEAR[joint.unit]));
     if (far && !await confirm(`Start ${one.name}?`, "Start",
-      make("p", {}, "The robot first goes to the start pose, all joints at the same time:"), make("p", {}, poseText(chosen.start)),
-      make("p", { className: "dim" }, `Now: ${poseText(now)}. Look that the way is clear; STOP works all the time.`))) return;
+      make("p", {}, "The robot first goes to the start pose, all joints at the same time:"), make("p", {}, poseText(bench.joints, chosen.start)),
+      make("p", { className: "dim" }, `Now: ${poseText(bench.joints, now)}. Look that the way is clear; STOP works all the time.`))) return;
     await begin({ experiment: one.name, case: chosen.name });
   });
   const whole = make("form", {}, back(one.name), make("p", {}, one.title),
