@@ -147,6 +147,7 @@ class StationFile(Strict):
             on_operator_loss=self.on_operator_loss,
             calibration=calibration,
             clock=clock,
+            lab_name=self.lab if devices is None else "",
             warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
         )
 
