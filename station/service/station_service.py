@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from core.errors import CtrError
+from core.errors import CtrError, Unreachable
 from station.config.controllers import BEST, ControllerFile
 from station.config.motions import HoldMotion, Orders, TipMotion
 from station.config.robots import named_pose
@@ -21,6 +21,7 @@ from station.recording.tracking_errors import counted_from, settling_time
 from station.service.fits import otherwise, refusal
 from station.service.goto import check_way, to_joints, to_working_pose
 from station.service.start import Run, Start
+from station.service.suggestion import MORE_ROOM, suggestion
 from station.service.supervisor import Supervisor
 
 #: Of the tip when it is moved by hand [m/s].
@@ -209,7 +210,11 @@ class StationService:
         status, warnings = self.supervisor.status(), ()
         if status.state is State.READY and "joints" in status.values:
             joints = status.values["joints"]
-            orders.check(task.controller, joints, task.duration)
+            try:
+                orders.check(task.controller, joints, task.duration)
+            except Unreachable as error:
+                instead = suggestion(settings.trajectory, task.controller, joints, task.duration) or MORE_ROOM
+                raise Unreachable(f"{error}; {instead}") from None
             warnings = load_warnings(orders, task.controller, joints, task.duration, settings.load)
         start = Start(
             task=task,

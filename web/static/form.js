@@ -1,19 +1,15 @@
 // Forms made from the station's own description of its requests (OpenAPI): names, units, bounds, defaults.
 // Metres and radians become millimetres and degrees, where a person reads; what is sent is SI.
 import { ask, make } from "./station.js";
+import { tidy, unit } from "./units.js";
 
-const SHOWN = {
-  m: ["mm", 1e3], "m/s": ["mm/s", 1e3], "m/s^2": ["mm/s²", 1e3], rad: ["°", 180 / Math.PI], "rad/s": ["°/s", 180 / Math.PI],
-};
+export { tidy, unit };
+
 const XYZ = ["x", "y", "z"];
 
 let description = null;
 /** The schemas of all requests, by name. */
 export const schemas = async () => (description ??= (await ask("GET", "/api/openapi.json")).components.schemas);
-
-export const unit = (si) => SHOWN[si] ?? [si, 1];
-/** A number for a person: no more digits than matter. */
-export const tidy = (value) => String(Number(value.toPrecision(10)));
 
 /** Where joints stand, for a person: "outer rotation 90 °, ...". `joints` are of whatever robot the pose is. */
 export const poseText = (joints, pose) => joints.map((joint) => {

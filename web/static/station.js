@@ -1,4 +1,5 @@
 // What every part of the page shares: who we are, asking the station, its status, and notes to the person.
+import { inPageUnits } from "./units.js";
 
 export const $ = (id) => document.getElementById(id);
 
@@ -58,7 +59,9 @@ export async function press(method, path, body) {
 }
 
 /** A note in the corner, gone after a while. */
-export function note(text, good = false) {
+export function note(said, good = false) {
+  const text = inPageUnits(said);
+  for (const old of $("notes").children) if (old.firstChild.textContent === text) old.remove(); // said once, not three times
   const close = make("button", { type: "button", "aria-label": "close" }, "×");
   const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), close);
   close.addEventListener("click", () => box.remove());
