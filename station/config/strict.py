@@ -198,16 +198,13 @@ def complaints(
         what: it is that is unknown.
     """
     # What is wrong inside something makes pydantic complain of the whole, too.
-    own = [one for one in errors if not any(_inside(other["loc"], one["loc"]) for other in errors)]
+    wholes = {one["loc"][:length] for one in errors for length in range(len(one["loc"]))}
+    own = [one for one in errors if one["loc"] not in wholes]
     # A misspelt key is also a missing one: name what the file has first.
     ordered = sorted(own, key=lambda one: one["type"] != "extra_forbidden")
     told = tuple(_complaint(one, key(one["loc"]), what) for one in ordered[:MOST_TOLD])
     more = len(own) - len(told)
     return (*told, f"and {more} more") if more else told
-
-
-def _inside(loc: tuple[int | str, ...], whole: tuple[int | str, ...]) -> bool:
-    return len(loc) > len(whole) and loc[: len(whole)] == whole
 
 
 def _complaint(one: Any, key: str, what: str) -> str:

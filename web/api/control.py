@@ -116,12 +116,13 @@ def control_routes(
     @router.get(
         "/experiments/{name}/picture.svg",
         responses={404: {"model": ErrorOut}},
-        summary="Path and load of its first case",
+        summary="Path and load of a case, the first when none is named",
     )
-    def experiment_picture(name: str) -> Response:
+    def experiment_picture(name: str, case: str | None = None) -> Response:
         if name not in preset_names("experiments"):
             return Response(status_code=404)
-        return Response(picture(offered(name).cases[0]), media_type="image/svg+xml")
+        drawn = next((one for one in offered(name).cases if case in (None, one.name)), None)
+        return Response(status_code=404) if drawn is None else Response(picture(drawn), media_type="image/svg+xml")
 
     @router.post("/model/solve", responses=REFUSED, summary="Ask the loaded model")
     def solve(request: SolveIn) -> SolveOut:

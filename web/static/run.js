@@ -85,10 +85,12 @@ const grouped = (all) => [...new Set(all.map(unfit))].map((why) => make("p", { c
   make("b", {}, all.filter((one) => unfit(one) === why).map((one) => one.name.replaceAll("_", " ")).join(", ")), `: ${inPageUnits(why)}`));
 
 async function experiment(one) {
-  const select = make("select", { "aria-label": "case" }, ...one.cases.map((each) => make("option", { value: each.name }, each.words)));
+  const select = make("select", { "aria-label": "case", className: "wide" }, ...one.cases.map((each) => make("option", { value: each.name }, each.words)));
   const facts = make("div", { className: "rows" });
+  const drawn = make("img", { alt: `path and load of ${one.name}`, width: 288, height: 144, style: "background:#fff;border-radius:6px" });
   const show = () => {
     const chosen = one.cases.find((each) => each.name === select.value);
+    drawn.src = `/api/experiments/${one.name}/picture.svg?case=${encodeURIComponent(chosen.name)}`;
     const lines = chosen.facts.map((fact) => [fact.what, fact.text, "wide"]);
     lines.push(...chosen.warnings.map((text) => ["warning", inPageUnits(text), "wide mind"]));
     if (chosen.refused !== "") lines.push(["not here", inPageUnits(chosen.refused), "wide mind"]);
@@ -107,11 +109,12 @@ async function experiment(one) {
     await begin({ experiment: one.name, case: chosen.name }, chosen.warnings);
   });
   const whole = make("form", {}, back(one.name), make("p", {}, one.title),
-    make("img", { src: `/api/experiments/${one.name}/picture.svg`, alt: `path and load of ${one.name}`, width: 288, height: 144, style: "background:#fff;border-radius:6px" }),
+    drawn,
     make("p", { className: "small dim" }, "left: path of the tip; right: load over the motion"),
-    make("div", { className: "rows" }, make("label", {}, "case"), select, make("span")), make("h3", {}, "What it does"), facts, frame);
+    make("div", { className: "rows" }, make("label", {}, "case"), select), make("h3", {}, "What it does"), facts, frame);
   on(whole);
   $("start").replaceChildren(whole);
+  $("start").scrollTop = 0;
   show();
   refresh();
 }
@@ -144,6 +147,7 @@ async function motion(kind, schema, all) {
     make("fieldset", {}, make("legend", {}, "Control"), control.element), frame);
   on(whole);
   $("start").replaceChildren(whole);
+  $("start").scrollTop = 0;
   refresh();
 }
 

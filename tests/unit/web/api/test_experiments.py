@@ -56,3 +56,14 @@ def test_each_case_is_named_in_words_and_told_with_numbers(app):
     assert "regulation, ramp 10s" in [case["words"] for case in listed["load_rate"]["cases"]]
     distorted = listed["fig8"]["cases"][-1]
     assert distorted["warnings"][0].startswith("written for lab 'distorted', carried out on this station's own")
+
+
+def test_each_case_has_a_picture_of_its_own(app):
+    def drawn(query: str) -> str:
+        answer = app.get(f"/api/experiments/fig8/picture.svg{query}")
+        assert answer.status_code == 200
+        return answer.text
+
+    assert drawn("") == drawn("?case=regulation")
+    assert drawn("?case=lift_and_drop") != drawn("")
+    assert app.get("/api/experiments/fig8/picture.svg?case=nope").status_code == 404
