@@ -67,9 +67,9 @@ class StationFile(Strict):
     """What `ctr-station serve --config FILE` reads."""
 
     robot: str = "paper"
-    """preset or file"""
+    """preset, or a .toml file beside this one"""
     lab: str = "gentle"
-    """virtual lab: preset or file"""
+    """virtual lab: preset, or a .toml file beside this one"""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """of everything random in the virtual lab"""
     park: Mapping[str, float] | None = None
@@ -172,8 +172,14 @@ def load_station(path: Path | None, changes: Mapping[str, Any] = MappingProxyTyp
     if path is None:
         return check(StationFile, dict(changes), "the command line")
     table = read_toml(path)
-    file = check(StationFile, {**table, **changes}, str(path), table)
+    file = check(StationFile, {**table, **_beside(path, table), **changes}, str(path), table)
     file._source, file._table, file._folder = str(path), table, path.parent
     if file.experiments.folder is not None:
         use_experiments(path.parent / file.experiments.folder)
     return file
+
+
+def _beside(path: Path, table: Mapping[str, Any]) -> dict[str, str]:
+    """The files that a station's file names, beside itself."""
+    named = {key: table.get(key) for key in ("robot", "lab")}
+    return {key: str(path.parent / to) for key, to in named.items() if isinstance(to, str) and to.endswith(".toml")}
