@@ -4,8 +4,8 @@
 from station.client import Station
 
 with Station() as station:
-    station.home()
-    run = station.start(trajectory={"kind": "circle", "radius": 0.01, "period": 20.0}, duration=60.0)
+    station.home()  # you have seen that the way is clear; then it goes to the robot's working pose
+    run = station.start(trajectory={"kind": "circle", "radius": 0.01, "period": 20.0}, duration=20.0)
     station.wait(run)
     station.download(run, "circle.mcap")
 ```
@@ -116,15 +116,35 @@ class Station:
         """Go on after a stop, hold or fault that somebody has looked at."""
         self._ask("POST", "/api/reset", {})
 
-    def home(self, timeout: float = 180.0) -> None:
-        """Home every stage and wait until the station is READY; whoever calls this has seen that the way is clear.
+    def home(self, timeout: float = 300.0, *, then_working_pose: bool = True) -> None:
+        """Home every stage, go to the robot's working pose, if it has one, and wait until the station is READY.
+
+        Whoever calls this has seen that the way is clear. From the working pose motions have room.
 
         Raises:
             Refused: neither CONNECTED nor READY.
-            StationError: not READY in time.
+            StationError: not READY in time, or stopped.
         """
-        self._ask("POST", "/api/home", {"way_is_clear": True})
-        self.wait_for("READY", timeout)
+        self._ask("POST", "/api/home", {"way_is_clear": True, "then_working_pose": then_working_pose})
+        deadline = time.monotonic() + timeout
+        while (status := self.status())["state"] in ("HOMING", "HOMED", "RUNNING"):
+            if time.monotonic() > deadline:
+                raise StationError(f"not READY within {timeout:g} s, but {status['state']}: {status['says']}")
+            time.sleep(LOOK)
+        if status["state"] != "READY":
+            raise StationError(f"homing ended with {status['state']}: {status['cause'] or status['says']}")
+
+    def goto(self, joints: Mapping[str, float] | None = None, timeout: float = 300.0) -> None:
+        """Go to joints [rad or m] by name, all at the same time, and wait until they are there; None: the working pose.
+
+        Joints that are not named stay where they are.
+
+        Raises:
+            Refused: not READY, or a pose that cannot be or is too near to a snap.
+            RunFailed: stopped or held on the way.
+            StationError: not there in time.
+        """
+        self.wait(self._ask("POST", "/api/goto", {} if joints is None else {"joints": joints})["run_id"], timeout)
 
     def tare(self) -> None:
         """Zero the force sensors."""

@@ -25,6 +25,7 @@ from rich.console import Console
 from starlette.exceptions import HTTPException
 
 from core.errors import CtrError
+from station.config.strict import complaints, key_of
 from station.control.realtime import leave_a_core
 from station.control.states import RefusedError
 from station.recording.history import History
@@ -229,15 +230,19 @@ def build_app(
 
 
 def _reason(error: RequestValidationError) -> str:
-    """The first complaint in one line: field, value, what was expected."""
-    first, count = error.errors()[0], len(error.errors())
-    field = ".".join(str(part) for part in first["loc"] if part not in ("body", "query")) or "body"
-    more = f" (and {count - 1} more)" if count > 1 else ""
-    if first["type"] == "extra_forbidden":
-        return f"unknown field '{field}'{more}"
-    if first["type"] == "missing":
-        return f"'{field}' is missing{more}"
-    if first["type"] == "json_invalid":
-        return f"the body is not JSON: {first.get('ctx', {}).get('error', '')}"
-    shown = repr(first.get("input"))
-    return f"{field} = {shown if len(shown) < 80 else shown[:77] + '...'}: {first['msg']}{more}"
+    """The complaints in one line: fields, values, what was expected."""
+    errors = error.errors()
+    if errors[0]["type"] == "json_invalid":
+        return f"the body is not JSON: {errors[0].get('ctx', {}).get('error', '')}"
+    return "; ".join(complaints(errors, lambda loc: _field(loc, error.body), "field"))
+
+
+def _field(loc: tuple[int | str, ...], body: Any) -> str:
+    """Where in a request something is, rows and numbers counted from one: `trajectory.points, row 1, number 4`."""
+    *parts, last = key_of(loc[1:] if loc[:1] in (("body",), ("query",)) else loc, body).split(".")
+    places = [f"number {int(last) + 1}"] if last.isdecimal() else []
+    name = ".".join(parts if places else (*parts, last))
+    head, _, row = name.rpartition(".")
+    if places and row.isdecimal():
+        return f"{head}, row {int(row) + 1}, {places[0]}"
+    return ", ".join((name, *places)) or "body"

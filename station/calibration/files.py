@@ -88,6 +88,9 @@ def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made
     lines += [f"name = {toml_string(described.name)}", f"source = {toml_string(f'calibrated: {made}')}"]
     if described.max_force is not None:
         lines.append(f"max_force = {described.max_force!r}")
+    if described.working_pose is not None:
+        pose = ", ".join(f"{toml_string(name)} = {value!r}" for name, value in described.working_pose.items())
+        lines.append(f"working_pose = {{ {pose} }}")
     lines += ["", "[base]", f"position = {_row(described.base.position)}"]
     lines.append(f"rotation_vector = {_row(described.base.rotation_vector)}")
     if described.workspace is not None:

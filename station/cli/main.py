@@ -13,7 +13,7 @@ from rich.console import Console
 
 from core.errors import CtrError
 from core.model.statics import PAPER_SUBLINK
-from station.cli import bench, calibrate, export, report, run, soak, sweep, validate
+from station.cli import bench, calibrate, export, keys, report, run, soak, sweep, validate
 from station.cli.options import between
 from station.cli.placed import command_first
 from station.config.strict import preset_names
@@ -65,6 +65,7 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     bench.add(commands)
     calibrate.add(commands)
     export.add(commands)
+    keys.add(commands)
     report.add(commands)
     sweep.add(commands)
     soak.add(commands)

@@ -103,6 +103,8 @@ class RobotFile(Strict):
     base: BaseFile = BaseFile()
     tubes: Annotated[tuple[TubeFile, ...], Row]
     joints: tuple[JointFile, ...] = Field(min_length=1, strict=False)
+    working_pose: Mapping[str, float] | None = None
+    """joints from which motions have room: where the station goes after homing [rad or m]; none: it stays there"""
     workspace: BoxFile | None = None
     """of the tip, world frame; none leaves what the joints reach"""
     max_force: Positive | None = None
@@ -183,24 +185,37 @@ def robot_of(text: str, source: str) -> RobotFile:
 def _checked(table: Document, source: str) -> RobotFile:
     file = check(RobotFile, table, source)
     try:
-        file.robot()
-        file.limits()
+        robot, limits = file.robot(), file.limits()
+        if file.working_pose is not None:
+            limits.check(pose := named_pose(file.working_pose, file, "working_pose"))
+            robot.check_pose(pose)
     except CtrError as error:
         raise ConfigError(f"{source}: {error}{on_line(table, str(error))}") from None
     return file
 
 
-def start_pose(start: Mapping[str, float], robot: RobotFile) -> Array:
-    """Joint positions (n,) by name [rad or m].
+def named_pose(joints: Mapping[str, float], robot: RobotFile, key: str) -> Array:
+    """Joint positions (n,) by name [rad or m]; `key` is where they stand, for messages.
 
     Raises:
-        ConfigError: a joint is missing or unknown.
+        ConfigError: joints are missing or unknown.
     """
     names = [joint.name for joint in robot.joints]
-    for name in start:
+    for name in joints:
         if name not in names:
-            raise ConfigError(f"start.{name}: robot '{robot.name}' has no such joint; it has {', '.join(names)}")
-    for name in names:
-        if name not in start:
-            raise ConfigError(f"start.{name} is missing")
-    return np.array([start[name] for name in names])
+            raise ConfigError(f"{key}.{name}: robot '{robot.name}' has no such joint; it has {', '.join(names)}")
+    if missing := [f"{key}.{name}" for name in names if name not in joints]:
+        verb = "is" if len(missing) == 1 else "are"
+        raise ConfigError(
+            f"{', '.join(missing)} {verb} missing: {key} needs every joint of robot '{robot.name}' ({', '.join(names)})"
+        )
+    return np.array([joints[name] for name in names])
+
+
+def start_pose(start: Mapping[str, float], robot: RobotFile) -> Array:
+    """Joint positions (n,) of a start [rad or m].
+
+    Raises:
+        ConfigError: joints are missing or unknown.
+    """
+    return named_pose(start, robot, "start")

@@ -7,7 +7,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -50,7 +50,8 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]*$", max_length=
 
 PRESETS = Path(__file__).parent / "presets"
 
-
+#: So many complaints about one file or request are told.
+MOST_TOLD = 6
 #: Environment variable that names the folder of one's own experiments, for child processes too.
 OWN_EXPERIMENTS = "CTR_STATION_EXPERIMENTS"
 
@@ -174,29 +175,49 @@ def check(
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        text = explain(error, table)
+        told = complaints(error.errors(include_url=False), lambda loc: key_of(loc, table))
     except CtrError as error:
-        text = str(error)
-    raise ConfigError(f"{source}: {text}{on_line(table if document is None else document, text, within)}")
+        told = (str(error),)
+    lines = table if document is None else document
+    raise ConfigError(f"{source}: {'; '.join(text + on_line(lines, text, within) for text in told)}")
 
 
 def explain(error: ValidationError, table: Mapping[str, Any]) -> str:
-    """One complaint of pydantic's about `table` in one line: key, value, what was expected."""
-    errors = error.errors(include_url=False)
-    # A misspelt key is also a missing one: name what the file has.
-    first = next((one for one in errors if one["type"] == "extra_forbidden"), errors[0])
-    key = _key(first["loc"], table)
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    if first["type"] == "extra_forbidden":
-        return f"unknown key '{key}'{more}"
-    if first["type"] == "missing":
-        return f"'{key}' is missing{more}"
-    text = str(first.get("ctx", {}).get("error", first["msg"]))
-    shown = repr(first["input"])
-    return f"{key} = {shown if len(shown) < 80 else shown[:77] + '...'}: {text}{more}"
+    """What pydantic complains of about `table` in one line: keys, values, what was expected."""
+    return "; ".join(complaints(error.errors(include_url=False), lambda loc: key_of(loc, table)))
 
 
-def _key(loc: tuple[int | str, ...], table: Any) -> str:
+def complaints(
+    errors: Sequence[Any], key: Callable[[tuple[int | str, ...]], str], what: str = "key"
+) -> tuple[str, ...]:
+    """Complaints, one line each; of a long list the rest is counted.
+
+    Args:
+        errors: as pydantic has them.
+        key: the words for where one of them is.
+        what: it is that is unknown.
+    """
+    # What is wrong inside something makes pydantic complain of the whole, too.
+    wholes = {one["loc"][:length] for one in errors for length in range(len(one["loc"]))}
+    own = [one for one in errors if one["loc"] not in wholes]
+    # A misspelt key is also a missing one: name what the file has first.
+    ordered = sorted(own, key=lambda one: one["type"] != "extra_forbidden")
+    told = tuple(_complaint(one, key(one["loc"]), what) for one in ordered[:MOST_TOLD])
+    more = len(own) - len(told)
+    return (*told, f"and {more} more") if more else told
+
+
+def _complaint(one: Any, key: str, what: str) -> str:
+    if one["type"] == "extra_forbidden":
+        return f"unknown {what} '{key}'"
+    if one["type"] == "missing":
+        return f"'{key}' is missing"
+    text = str(one.get("ctx", {}).get("error", one["msg"]))
+    shown = repr(one["input"])
+    return f"{key} = {shown if len(shown) < 80 else shown[:77] + '...'}: {text}"
+
+
+def key_of(loc: tuple[int | str, ...], table: Any) -> str:
     """The key as the file has it: pydantic adds the `kind` that it chose."""
     parts: list[str] = []
     for number, part in enumerate(loc):

@@ -50,6 +50,7 @@ class ControlLoop:
         self._row: Array | None = None
         self._troubles = NONE
         self._jog: Jog | None = None
+        self._once_homed: Task | None = None  # what follows by itself
         self._tare: Array | None = None
         self._rest: Rest | None = None  # before a motion, or for a tare that was asked for
         self._retry = 0.0  # when a tracker that is not there is looked for again [s]
@@ -86,6 +87,7 @@ class ControlLoop:
         if event in (Event.STOP, Event.FAULT, Event.HOLD):
             self._causes = (self._causes if before in LATCHED else Causes()).add(cause)
             self.progress, self._jog, self._rest = None, None, None
+            self._once_homed = None
         elif event in (Event.RESET, Event.RECONNECT, Event.CONNECT):
             self._causes = Causes()
 
@@ -116,8 +118,8 @@ class ControlLoop:
         for device in wrong:
             device.connect(now)
 
-    def home(self, now: float) -> None:
-        """Home every stage; a person has said that the way is clear.
+    def home(self, now: float, then: Task | None = None) -> None:
+        """Home every stage, and `then` carry that out; a person has said that the way is clear.
 
         Raises:
             RefusedError: neither CONNECTED nor READY.
@@ -127,6 +129,7 @@ class ControlLoop:
         self.devices.stages.home(now)
         self._rest = None
         self.request(Event.HOME)
+        self._once_homed = then
 
     def stop(self, now: float, event: Event = Event.STOP, cause: str = "stopped by the operator") -> None:
         """Stop every axis first, then change the state."""
@@ -280,6 +283,9 @@ class ControlLoop:
             self.request(Event.STOP)  # given up
         if self.state is State.HOMED and self._memory is not None:
             self.request(Event.PREPARE)
+            if self._once_homed is not None:
+                then, self._once_homed = self._once_homed, None
+                self.start(then)
 
     def _held(self, now: float, joints: JointReading, wrenches: WrenchReading) -> Array | None:
         """The last row as it stands now: time, state and what was read go on, the estimates do not."""
@@ -306,6 +312,9 @@ class ControlLoop:
             velocity = task.approach(joints.positions)
             if velocity is not None:
                 return JointMotion(velocity)
+            if task.duration == 0.0:
+                self._finish(now)
+                return None
             self.devices.stages.stop(now)
             self._rest = Rest(now)
             self.progress = replace(progress, phase=Phase.SETTLING, settle_start=now)

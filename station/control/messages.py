@@ -15,7 +15,7 @@ class Command(NamedTuple):
 
     number: int  #: echoed in the reply
     what: Event | Literal["tare", "jog"]
-    task: Task | None = None  #: to START
+    task: Task | None = None  #: to START, or to carry out after HOME
     run: int = 0
     space: Literal["joints", "tip"] = "joints"  #: of a jog
     velocity: Array | None = None  #: of a jog [rad/s or m/s]

@@ -205,7 +205,8 @@ class _LiveLoop:
                 case Event.CONNECT:
                     loop.connect(now)
                 case Event.HOME:
-                    loop.home(now)
+                    loop.home(now, command.task)
+                    self._run = command.run
                 case "tare":
                     loop.tare(now)
                 case "jog" if command.velocity is not None:

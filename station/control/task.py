@@ -39,7 +39,7 @@ class Task:
 
     controller: Controller
     orders: TimedOrders
-    duration: float  #: of the motion, after the preparation [s]
+    duration: float  #: of the motion, after the preparation [s]; 0: it is there once it is at its start pose
     start: Array | None = None  #: joints (n,) to begin from; None: from where they are
     margins: Margins | None = None  #: what is left before the tubes snap; None: the station's
 

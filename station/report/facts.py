@@ -35,6 +35,9 @@ def head(run: Run) -> Iterator[str]:
             " The paper's numbers come from a real bench (those of its Figs. 3 and 4 from a simulation of its own).",
             "note",
         )
+    for case in run.cases:
+        for text in case.metadata.get("otherwise", ()):
+            yield document.paragraph(f"Case '{case.name}' was {text}.", "note")
     if (rate := run.summary.get("clock_rate", 1.0)) != 1.0:
         yield document.paragraph(f"Not in real time: the station's clock went at {rate:g} of it.", "note")
     for name, numbers in run.summary.get("cases", {}).items():

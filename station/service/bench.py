@@ -37,6 +37,7 @@ class Bench:
     calibration: Calibration | None = None  #: None: everything is taken to be as described
     terminals: Path | None = None  #: folder for the virtual lab's pseudo-terminals; None: TCP
     clock: StationClock = REAL_TIME  #: of every process of this station
+    lab_name: str = "gentle"  #: preset or file of the lab; devices of one's own have none
 
     def controlled(self, file: ControllerFile) -> Controller:
         """A controller that knows what a calibration has found.

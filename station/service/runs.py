@@ -63,7 +63,8 @@ class Runs:
         if self._recording is not None and start.recorded:
             known = {
                 "run": run.id, "title": start.title, "seed": self._bench.seed, "clock_rate": self._bench.clock.rate,
-                "lab": self._bench.lab.model_dump(mode="json"),
+                "lab": self._bench.lab.model_dump(mode="json") if self._bench.devices is None
+                else {"title": self._bench.title},
             }  # fmt: skip
             self._recording.begin(run.id, start.task.duration, start.counted_from, {**known, **start.about})
             self._recorded = run

@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, model_validator
 
 from core.errors import CtrError
+from core.robot.robot import Array
 from station.config.controllers import BEST, ControllerFile
-from station.config.robots import load_robot, start_pose
+from station.config.robots import RobotFile, load_robot, named_pose
 from station.config.strict import ConfigError, Strict, check, on_line, read_toml, use_experiments
 from station.control.clock import StationClock
 from station.control.known_calibration import Calibration
@@ -66,13 +67,13 @@ class StationFile(Strict):
     """What `ctr-station serve --config FILE` reads."""
 
     robot: str = "paper"
-    """preset or file"""
+    """preset, or a .toml file beside this one"""
     lab: str = "gentle"
-    """virtual lab: preset or file"""
+    """virtual lab: preset, or a .toml file beside this one"""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """of everything random in the virtual lab"""
-    park: Mapping[str, float] = {"outer_rotation": 0.0, "inner_rotation": 1.5707963267948966, "inner_translation": -0.1}
-    """joints at power-up [rad or m]"""
+    park: Mapping[str, float] | None = None
+    """joints at power-up [rad or m]; the robot's working pose when left out"""
     devices: DevicesFile = "virtual"
     """those of the virtual lab, or of a bench (station/devices/README.md)"""
     controller: ControllerFile = BEST
@@ -116,7 +117,7 @@ class StationFile(Strict):
         robot = load_robot(self.robot)
         lab = load_lab(self.lab, robot)
         try:
-            park = start_pose(self.park, robot)
+            park = self._park(robot)
             robot.limits().check(park)
             robot.robot().check_pose(park)
             folder = None if self.calibration is None else self._folder / self.calibration
@@ -146,8 +147,20 @@ class StationFile(Strict):
             on_operator_loss=self.on_operator_loss,
             calibration=calibration,
             clock=clock,
+            lab_name=self.lab if devices is None else "",
             warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
         )
+
+
+    def _park(self, robot: RobotFile) -> Array:
+        """Joints at power-up (n,) [rad or m]."""
+        park = robot.working_pose if self.park is None else self.park
+        if park is None:
+            names = ", ".join(f"{joint.name} = ..." for joint in robot.joints)
+            raise ConfigError(
+                f"park is missing: robot '{robot.name}' has no working_pose to begin at; add park = {{ {names} }}"
+            )
+        return named_pose(park, robot, "park")
 
 
 def load_station(path: Path | None, changes: Mapping[str, Any] = MappingProxyType({})) -> StationFile:
@@ -159,8 +172,14 @@ def load_station(path: Path | None, changes: Mapping[str, Any] = MappingProxyTyp
     if path is None:
         return check(StationFile, dict(changes), "the command line")
     table = read_toml(path)
-    file = check(StationFile, {**table, **changes}, str(path), table)
+    file = check(StationFile, {**table, **_beside(path, table), **changes}, str(path), table)
     file._source, file._table, file._folder = str(path), table, path.parent
     if file.experiments.folder is not None:
         use_experiments(path.parent / file.experiments.folder)
     return file
+
+
+def _beside(path: Path, table: Mapping[str, Any]) -> dict[str, str]:
+    """The files that a station's file names, beside itself."""
+    named = {key: table.get(key) for key in ("robot", "lab")}
+    return {key: str(path.parent / to) for key, to in named.items() if isinstance(to, str) and to.endswith(".toml")}

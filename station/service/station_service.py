@@ -2,21 +2,26 @@
 
 import math
 import threading
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from core.errors import CtrError
+from core.errors import CtrError, Unreachable
 from station.config.controllers import BEST, ControllerFile
 from station.config.motions import HoldMotion, Orders, TipMotion
+from station.config.robots import named_pose
 from station.config.strict import Strict, preset_names
-from station.control.states import State
+from station.control.states import Event, State, after
 from station.control.task import Task
 from station.experiments.experiment import load_warnings, offered
 from station.lab.loads import Load, NoLoad
 from station.recording.tracking_errors import counted_from, settling_time
+from station.service.fits import otherwise, refusal
+from station.service.goto import check_way, to_joints, to_working_pose
 from station.service.start import Run, Start
+from station.service.suggestion import MORE_ROOM, suggestion
 from station.service.supervisor import Supervisor
 
 #: Of the tip when it is moved by hand [m/s].
@@ -92,13 +97,17 @@ class StationService:
     def start_experiment(self, name: str, case: str | None = None) -> Run:
         """Start a case of an experiment (the first when none is named) on this bench.
 
-        The robot goes to the start pose first. The lab is the one that is there, not the
-        experiment's.
+        The robot goes to the start pose first. The lab is the one that is there; what is otherwise than the case
+        has it is told, and recorded.
 
         Raises:
-            RequestError: no such preset or case.
+            RequestError: no such preset or case, or one for another robot.
             RefusedError: the state does not allow it.
         """
+        return self.supervisor.start(self.of_experiment(name, case))
+
+    def of_experiment(self, name: str, case: str | None = None) -> Start:
+        """The start of a case; raises as `start_experiment` does, whatever the state."""
         if name not in preset_names("experiments"):
             raise RequestError(f"'{name}' is not one of the experiments: {', '.join(preset_names('experiments'))}")
         experiment = offered(name)
@@ -107,26 +116,57 @@ class StationService:
             raise RequestError(
                 f"'{case}' is not one of the cases of {name}: {', '.join(c.name for c in experiment.cases)}"
             )
-        if chosen.robot != self.supervisor.bench.robot:
-            raise RequestError(f"{name} needs robot '{chosen.robot.name}', not '{self.supervisor.bench.robot.name}'")
-        controller = self.supervisor.bench.controlled(chosen.file.controller)
+        bench = self.supervisor.bench
+        if refused := refusal(chosen, bench):
+            raise RequestError(f"{name}, case {chosen.name}: {refused}")
+        differs = otherwise(chosen, bench)
+        controller = bench.controlled(chosen.file.controller)
         task = Task(controller, chosen.orders, chosen.file.duration, chosen.start)
         about = {
             "experiment": name,
             "case": chosen.name,
-            "settings": chosen.file.model_dump(mode="json"),
+            "settings": {**chosen.file.model_dump(mode="json"), "lab": bench.lab_name},
+            "otherwise": list(differs),
             "source": experiment.source,
         }
-        start = Start(
+        return Start(
             task=task,
             title=f"{name}, case {chosen.name}",
             load=chosen.file.load,
             faults=tuple(chosen.file.faults),
             counted_from=chosen.file.counted_from,
-            warnings=chosen.warnings,
+            warnings=(*differs, *chosen.warnings),
             about=about,
         )
-        return self.supervisor.start(start)
+
+    def home(self, *, then_work: bool = True) -> None:
+        """Home every stage, then go to the working pose, if the robot has one; a person has said the way is clear.
+
+        Raises:
+            RefusedError: neither CONNECTED nor READY, or the stages cannot.
+        """
+        bench = self.supervisor.bench
+        self.supervisor.home(to_working_pose(bench) if then_work and bench.robot.working_pose is not None else None)
+
+    def go_to(self, joints: Mapping[str, float] | None) -> Run:
+        """Go to `joints` [rad or m], all at the same time; those not named stay. None: to the working pose.
+
+        Raises:
+            RefusedError: the state does not allow it.
+            CtrError: a joint is unknown or outside its travel, the tubes cannot stand there or would snap on the way.
+        """
+        supervisor = self.supervisor
+        bench, status = supervisor.bench, supervisor.status()
+        after(status.state, Event.START)
+        now = status.values["joints"]
+        if joints is None:
+            start = to_working_pose(bench)
+        else:
+            known = dict(zip(supervisor.robot.joint_names, now.tolist(), strict=True))
+            target = named_pose(known | dict(joints), bench.robot, "joints")
+            start = to_joints(bench, target, "to a pose" if len(joints) == len(known) else f"to {', '.join(joints)}")
+        check_way(bench, start, now)
+        return supervisor.start(start)
 
     def jog(self, space: Literal["joints", "tip"], velocity: tuple[float, ...]) -> None:
         """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].
@@ -170,7 +210,11 @@ class StationService:
         status, warnings = self.supervisor.status(), ()
         if status.state is State.READY and "joints" in status.values:
             joints = status.values["joints"]
-            orders.check(task.controller, joints, task.duration)
+            try:
+                orders.check(task.controller, joints, task.duration)
+            except Unreachable as error:
+                instead = suggestion(settings.trajectory, task.controller, joints, task.duration) or MORE_ROOM
+                raise Unreachable(f"{error}; {instead}") from None
             warnings = load_warnings(orders, task.controller, joints, task.duration, settings.load)
         start = Start(
             task=task,

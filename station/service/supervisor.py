@@ -161,13 +161,18 @@ class Supervisor:
         """
         self._ask_freely(Event.CONNECT)
 
-    def home(self) -> None:
-        """Home every stage; a person has said that the way is clear.
+    def home(self, then: Start | None = None) -> None:
+        """Home every stage, and `then` carry that out; a person has said that the way is clear.
 
         Raises:
             RefusedError: neither CONNECTED nor READY, a procedure is on, or the stages cannot.
         """
-        self._ask_freely(Event.HOME)
+        if then is None:
+            self._ask_freely(Event.HOME)
+            return
+        self._check_free()
+        after(self._state.state, Event.HOME)
+        self._ask_for(Event.HOME, then)
 
     def tare(self) -> None:
         """Make what the force sensors feel zero.
@@ -218,9 +223,13 @@ class Supervisor:
     def _carry_out(self, start: Start) -> Run:
         self._processes.lab.check(start.faults)
         after(self._state.state, Event.START)
+        return self._ask_for(Event.START, start)
+
+    def _ask_for(self, what: Event, start: Start) -> Run:
+        """Number a start and ask for it; after homing, or now."""
         run = self._runs.prepare(start)
         try:
-            self._processes.ask(Event.START, task=start.task, run=run.number)
+            self._processes.ask(what, task=start.task, run=run.number)
         except RefusedError:
             self._runs.refused(run)
             raise

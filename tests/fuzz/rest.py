@@ -22,6 +22,7 @@ MOVES: list[tuple[str, str, Any]] = [
     ("POST", "/api/jog", {"space": "tip", "velocity": [0.0, 0.0, 0.001]}),
     ("POST", "/api/jog", {"space": "joints", "velocity": [0.0, 0.01, 0.0]}),
     ("POST", "/api/home", {"way_is_clear": True}),
+    ("POST", "/api/goto", {"joints": {"inner_rotation": 1.5}}),
     ("POST", "/api/calibration/start", {"what": "force", "effort": 1.0, "weights": [0.2, 0.5], "way_is_clear": True}),
 ]
 OTHERS: list[tuple[str, str, Any]] = [

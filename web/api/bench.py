@@ -1,6 +1,7 @@
 """The bench over REST: devices, homing, tare, moving by hand, and the virtual lab's loads and faults."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query
@@ -16,7 +17,7 @@ from station.lab.loads import Load
 from station.service.audit import Audit, Entry
 from station.service.station_service import JOG_TIP_SPEED, StationService
 from web.api.commands import Commands, aside
-from web.api.schemas import REFUSED, DoneOut
+from web.api.schemas import REFUSED, DoneOut, StartOut
 
 
 class JointOut(Strict):
@@ -39,6 +40,8 @@ class BenchOut(Strict):
     virtual: bool
     """a virtual lab: it can be pulled at and its devices can be made to fail"""
     joints: tuple[JointOut, ...]
+    working_pose: Mapping[str, float] | None
+    """where the station goes after homing [rad or m]; null: it stays there"""
     tubes: tuple[str, ...]
     """innermost first"""
     tip_speed: float
@@ -66,6 +69,17 @@ class HomeIn(Strict):
 
     way_is_clear: Literal[True]
     """somebody has looked: the tubes can be retracted and turned without touching anything"""
+    then_working_pose: bool = True
+    """go on to the working pose, where the robot's file has one; false: stay where homing ends"""
+
+
+class GotoIn(Strict):
+    """A pose in joints to go to, at half their top speed and no faster."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{}, {"joints": {"inner_translation": -0.08}}]})
+
+    joints: Annotated[Mapping[str, float], Field(min_length=1, max_length=20)] | None = None
+    """by name [rad or m]; what is not named stays; left out: the working pose of the robot's file"""
 
 
 class JogIn(Strict):
@@ -146,9 +160,16 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
         return done()
 
     @router.post("/home", responses=REFUSED, dependencies=operator, summary="Home every stage")
-    async def home(_word: HomeIn) -> DoneOut:
-        await aside(supervisor.home)
+    async def home(word: HomeIn) -> DoneOut:
+        await aside(partial(service.home, then_work=word.then_working_pose))
         return done()
+
+    @router.post(
+        "/goto", status_code=202, responses=REFUSED, dependencies=operator, summary="Go to joints, or to the working pose"
+    )
+    async def goto(request: GotoIn) -> StartOut:
+        run = await aside(service.go_to, request.joints)
+        return StartOut(run_id=run.id, warnings=run.start.warnings)
 
     @router.post("/tare", responses=REFUSED, dependencies=operator, summary="Zero the force sensors")
     async def tare() -> DoneOut:
@@ -201,6 +222,7 @@ def bench_out(service: StationService) -> BenchOut:
             )
             for joint in bench.robot.joints
         ),
+        working_pose=bench.robot.working_pose,
         tubes=tuple(tube.name for tube in bench.robot.tubes),
         tip_speed=JOG_TIP_SPEED,
         strategies=tuple(STRATEGIES),

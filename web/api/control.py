@@ -14,18 +14,18 @@ from station.config.robots import start_pose
 from station.config.strict import preset_names
 from station.control.states import State
 from station.control.task import Phase
-from station.experiments.experiment import Experiment, offered
+from station.experiments.experiment import offered
 from station.service.solve import model_answer
 from station.service.standing import standing
 from station.service.start import Run
 from station.service.station_service import StationService
 from web.access.identity import who_of
 from web.api.commands import Commands, aside, stopper
+from web.api.experiments import experiments_out
 from web.api.loop_health import RecentTiming
 from web.api.pictures import picture
 from web.api.schemas import (
     REFUSED,
-    CaseOut,
     DoneOut,
     ErrorOut,
     ExperimentOut,
@@ -115,19 +115,20 @@ def control_routes(
         service.set_controller(controller)
         return service.settings.controller
 
-    @router.get("/experiments", summary="Experiments that come with the station")
+    @router.get("/experiments", summary="Experiments, and why a file is none")
     def experiments() -> list[ExperimentOut]:
-        return [experiment_out(offered(name)) for name in preset_names("experiments")]
+        return experiments_out(supervisor.bench)
 
     @router.get(
         "/experiments/{name}/picture.svg",
         responses={404: {"model": ErrorOut}},
-        summary="Path and load of its first case",
+        summary="Path and load of a case, the first when none is named",
     )
-    def experiment_picture(name: str) -> Response:
+    def experiment_picture(name: str, case: str | None = None) -> Response:
         if name not in preset_names("experiments"):
             return Response(status_code=404)
-        return Response(picture(offered(name).cases[0]), media_type="image/svg+xml")
+        drawn = next((one for one in offered(name).cases if case in (None, one.name)), None)
+        return Response(status_code=404) if drawn is None else Response(picture(drawn), media_type="image/svg+xml")
 
     @router.post("/model/solve", responses=REFUSED, summary="Ask the loaded model")
     def solve(request: SolveIn) -> SolveOut:
@@ -161,26 +162,6 @@ def control_routes(
 def started(run: Run) -> StartOut:
     """A run that has begun, for a reader."""
     return StartOut(run_id=run.id, warnings=run.start.warnings)
-
-
-def experiment_out(experiment: Experiment) -> ExperimentOut:
-    """A preset for a reader."""
-    return ExperimentOut(
-        name=experiment.name,
-        title=experiment.title,
-        cases=tuple(
-            CaseOut(
-                name=case.name,
-                duration=case.file.duration,
-                strategy=case.file.controller.strategy,
-                trajectory=case.file.trajectory.kind,
-                load=case.file.load.kind,
-                start=case.file.start,
-                warnings=case.warnings,
-            )
-            for case in experiment.cases
-        ),
-    )
 
 
 def sample_out(service: StationService, row: Array, skipped: int, before: float | None) -> dict[str, Any]:

@@ -92,6 +92,8 @@ class RunOut(Strict):
     """part of the motion that is done, 0 ... 1"""
     duration: float
     """of the motion [s]"""
+    recorded: bool
+    """it has, or will have, a recording; going to a pose has none"""
     recording: bool
     """it is being recorded, or its recording is being finished"""
 
@@ -198,19 +200,36 @@ class StatusOut(Strict):
     """where the load acts instead of the tip; null: at the tip, too small, or the robot moves too fast to tell"""
 
 
+class FactOut(Strict):
+    """One line of what a case does, in words with numbers and units."""
+
+    what: str
+    text: str
+
+
 class CaseOut(Strict):
     """One case of an experiment."""
 
     name: str
+    words: str
+    """what it is, for a person"""
     duration: float
     """[s]"""
     strategy: str
     trajectory: str
     load: str
+    robot: str
+    """that it is for"""
+    lab: str
+    """that it is written for; it is carried out on this station's"""
     start: Mapping[str, float]
     """pose that the robot goes to first [rad or m]"""
+    facts: tuple[FactOut, ...]
+    """all of that in words, with numbers and units"""
     warnings: tuple[str, ...]
-    """from when on its load is more than the joints can make up for, and why"""
+    """what is otherwise here than the case has it; from when on its load is more than the joints can make up for"""
+    refused: str
+    """why this station cannot carry it out; empty when it can"""
 
 
 class ExperimentOut(Strict):
@@ -219,6 +238,8 @@ class ExperimentOut(Strict):
     name: str
     title: str
     cases: tuple[CaseOut, ...]
+    error: str = ""
+    """why its file is no experiment; it has no cases then"""
 
 
 class SolveIn(Strict):

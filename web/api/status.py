@@ -25,7 +25,7 @@ def status_out(service: StationService, of: Commands, who: Who, side_load: SideL
     if status.run is not None:
         run = RunOut(
             id=status.run.id, title=status.run.start.title, phase=status.phase.name.lower(), progress=status.progress,
-            duration=status.run.start.task.duration, recording=status.recording,
+            duration=status.run.start.task.duration, recorded=status.run.start.recorded, recording=status.recording,
         )  # fmt: skip
     return StatusOut(
         state=status.state.name,

@@ -1,12 +1,16 @@
 // What a message asks a person to do, as the button that does it.
-import { confirm, make, mayCommand, onRefusal, press } from "./station.js";
+import { ask, confirm, make, mayCommand, onRefusal, press } from "./station.js";
+import { poseText } from "./form.js";
 import { takeOver } from "./operator.js";
 import { alarm } from "./stop.js";
 import { open } from "./tabs.js";
 
 export async function home() {
+  const bench = await ask("GET", "/api/bench");
+  const toWork = bench.working_pose === null ? null
+    : make("p", {}, `Then the robot goes to its working pose: ${poseText(bench.joints, bench.working_pose)}.`);
   const sure = make("label", {}, make("input", { type: "checkbox" }), "The way is clear: I have looked, the tubes can be retracted and turned without touching anything.");
-  if (await confirm("Home every stage?", "Home", make("p", {}, "The translation is retracted first, then one axis after the other looks for its home sensor. STOP works all the time."), sure))
+  if (await confirm("Home every stage?", "Home", make("p", {}, "The translation is retracted first, then one axis after the other looks for its home sensor. STOP works all the time."), toWork, sure))
     await press("POST", "/api/home", { way_is_clear: true });
 }
 

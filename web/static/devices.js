@@ -3,7 +3,7 @@ import { $, ask, latest, make, mayCommand, note, onStatus, press } from "./stati
 import { home } from "./acts.js";
 import { isOpen, onTab } from "./tabs.js";
 import { holdable, mayJog } from "./jog.js";
-import { unit } from "./form.js";
+import { unit } from "./units.js";
 
 const bench = await ask("GET", "/api/bench");
 

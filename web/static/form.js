@@ -1,19 +1,22 @@
 // Forms made from the station's own description of its requests (OpenAPI): names, units, bounds, defaults.
 // Metres and radians become millimetres and degrees, where a person reads; what is sent is SI.
 import { ask, make } from "./station.js";
+import { tidy, unit } from "./units.js";
+import { waypoints } from "./waypoints.js";
 
-const SHOWN = {
-  m: ["mm", 1e3], "m/s": ["mm/s", 1e3], "m/s^2": ["mm/s²", 1e3], rad: ["°", 180 / Math.PI], "rad/s": ["°/s", 180 / Math.PI],
-};
+export { tidy, unit };
+
 const XYZ = ["x", "y", "z"];
 
 let description = null;
 /** The schemas of all requests, by name. */
 export const schemas = async () => (description ??= (await ask("GET", "/api/openapi.json")).components.schemas);
 
-export const unit = (si) => SHOWN[si] ?? [si, 1];
-/** A number for a person: no more digits than matter. */
-export const tidy = (value) => String(Number(value.toPrecision(10)));
+/** Where joints stand, for a person: "outer rotation 90 °, ...". `joints` are of whatever robot the pose is. */
+export const poseText = (joints, pose) => joints.map((joint) => {
+  const [shown, scale] = unit(joint.unit);
+  return `${joint.name.replaceAll("_", " ")} ${tidy(Number((pose[joint.name] * scale).toFixed(1)))} ${shown}`;
+}).join(", ");
 
 const named = (reference) => reference.split("/").at(-1);
 /** The variants of a union by their `kind`: {circle: schema, ...}. */
@@ -72,26 +75,9 @@ function build(key, field, value, required, choices) {
     return { elements: row(make("div", { className: "three" }, ...inputs), shown === "" ? "x y z" : `x y z ${shown}`),
       read: () => inputs.map((input) => Number(input.value) / scale) };
   }
-  if (core.type === "array" && core.items.prefixItems) return table(label, value, text);
+  if (core.type === "array" && core.items.prefixItems) return waypoints(label, value, text);
   const list = make("input", { type: "text", value: (value ?? []).join(", "), required, "aria-label": label, placeholder: "0, 2, 4" });
   return { elements: row(list, si), read: () => list.value.split(",").map(Number) };
-}
-
-/** Rows of time, x, y, z [s, mm], typed or from a CSV file. */
-function table(label, value, text) {
-  const area = make("textarea", { rows: 5, required: true, spellcheck: false, "aria-label": `${label}: time [s], x, y, z [mm]`,
-    value: (value ?? []).map((row) => row.map((x, i) => tidy(i ? 1e3 * x : x)).join(", ")).join("\n") });
-  const file = make("input", { type: "file", accept: ".csv,text/csv", "aria-label": "CSV file: time [s], x, y, z [m]" });
-  // Files are in SI, as experiment files have them.
-  file.addEventListener("change", async () => {
-    const lines = (await file.files[0].text()).split("\n").map((line) => line.trim()).filter((line) => /^[-+.\d]/.test(line));
-    area.value = lines.map((line) => line.split(",").map((x, i) => tidy(i ? 1e3 * Number(x) : Number(x))).join(", ")).join("\n");
-  });
-  const read = () => area.value.trim().split("\n").map((line) => line.split(",").map((x, i) => (i ? Number(x) / 1e3 : Number(x))));
-  const all = make("div", { className: "all" }, make("label", { title: text }, `${label}: time [s], x, y, z [mm]`), area,
-    make("div", { className: "small dim" }, "from a CSV file with time [s], x, y, z [m]: ", file));
-  area.style.width = "100%";
-  return { elements: [all], read };
 }
 
 /** A form for an object schema: {element, read()}. `more` names what is folded away; `choices` the words of a text field. */

@@ -1,7 +1,8 @@
 // Run: experiments that come with the station, and free motions with parameters of one's own.
 import { $, ask, confirm, fresh, latest, make, mayCommand, note, onStatus, press } from "./station.js";
 import { tellWhy } from "./acts.js";
-import { form, schemas, sentence, tidy, unit, variants } from "./form.js";
+import { inPageUnits } from "./units.js";
+import { form, poseText, schemas, sentence, variants } from "./form.js";
 
 /** Where a form begins for what has no default. SI. */
 const FIRST = {
@@ -14,7 +15,7 @@ const MORE = ["deflection_rate", "filter_bandwidth", "observer_bandwidth", "hold
 /** A start pose nearer than this needs no confirmation [rad, m]. */
 const NEAR = { rad: 0.02, m: 0.001 };
 
-let known = null, starting = false, bench = null, startButton = null, refusal = null;
+let known = null, starting = false, unable = "", bench = null, startButton = null, refusal = null;
 
 function card(title, text, picture, act) {
   const image = picture === null ? null : make("img", { src: picture, alt: "", width: 116, height: 58 });
@@ -31,6 +32,7 @@ function back(title) {
 
 function starter(label, act) {
   startButton = make("button", { type: "submit", className: "main" }, label);
+  unable = "";
   refusal = make("span", { className: "small dim" });
   const frame = make("div", { className: "acts sticky" }, startButton, refusal);
   return { frame, on: (element) => element.addEventListener("submit", async (event) => {
@@ -41,10 +43,10 @@ function starter(label, act) {
   }) };
 }
 
-/** Start, and tell what a person should know about it. */
-async function begin(wish) {
+/** Start, and tell what a person should know about it and was not told before. */
+async function begin(wish, told = []) {
   const answer = await press("POST", "/api/start", wish);
-  for (const text of answer?.warnings ?? []) note(`started, but ${text}`);
+  for (const text of answer?.warnings ?? []) if (!told.includes(text)) note(`started, but ${text}`);
 }
 
 async function overview() {
@@ -57,24 +59,45 @@ async function overview() {
     make("div", { className: "cards" }, ...motions.map(([kind, schema]) =>
       card(kind.replaceAll("_", " "), sentence(schema), null, () => motion(kind, schema, all)))),
   );
-  known ??= await ask("GET", "/api/experiments");
-  experiments.replaceChildren(...known.map((one) => card(one.name, one.title, `/api/experiments/${one.name}/picture.svg`, () => experiment(one))));
+  if (known !== null) listed(experiments, known);
+  try {
+    const now = await ask("GET", "/api/experiments"); // one's own may have been edited meanwhile
+    if (JSON.stringify(now) !== JSON.stringify(known)) listed(experiments, known = now);
+  } catch (error) {
+    const again = make("button", { type: "button" }, "Ask again");
+    again.addEventListener("click", overview);
+    experiments.replaceChildren(make("p", { className: "mind" }, `the experiments are not known: ${error.message}`), again);
+  }
 }
 
-function poseText(start) {
-  return bench.joints.map((joint) => {
-    const [shown, scale] = unit(joint.unit);
-    return `${joint.name.replaceAll("_", " ")} ${tidy(Number((start[joint.name] * scale).toFixed(1)))} ${shown}`;
-  }).join(", ");
+/** Why none of its cases can be started here: its file is none, or all of them are for another robot; else empty. */
+const unfit = (one) => one.error || (one.cases.every((each) => each.refused !== "") ? one.cases[0].refused : "");
+
+function listed(place, all) {
+  const misfits = all.filter((one) => unfit(one) !== "");
+  place.replaceChildren(...all.filter((one) => unfit(one) === "").map((one) =>
+    card(one.name.replaceAll("_", " "), one.title, `/api/experiments/${one.name}/picture.svg`, () => experiment(one))));
+  if (misfits.length) place.append(make("details", { open: misfits.some((one) => one.error !== "") },
+    make("summary", {}, `${misfits.length} that cannot be started here`), ...grouped(misfits)));
 }
+
+/** Experiments that cannot be started, those with the same reason together. */
+const grouped = (all) => [...new Set(all.map(unfit))].map((why) => make("p", { className: "small" },
+  make("b", {}, all.filter((one) => unfit(one) === why).map((one) => one.name.replaceAll("_", " ")).join(", ")), `: ${inPageUnits(why)}`));
 
 async function experiment(one) {
-  const select = make("select", { "aria-label": "case" }, ...one.cases.map((each) => make("option", { value: each.name }, each.name.replaceAll("_", " "))));
+  const select = make("select", { "aria-label": "case", className: "wide" }, ...one.cases.map((each) => make("option", { value: each.name }, each.words)));
   const facts = make("div", { className: "rows" });
+  const drawn = make("img", { alt: `path and load of ${one.name}`, width: 288, height: 144, style: "background:#fff;border-radius:6px" });
   const show = () => {
     const chosen = one.cases.find((each) => each.name === select.value);
-    const lines = [["motion", chosen.trajectory], ["load", chosen.load], ["control", chosen.strategy], ["duration", `${chosen.duration} s`], ["start pose", poseText(chosen.start)], ...chosen.warnings.map((text) => ["warning", text])];
-    facts.replaceChildren(...lines.flatMap(([key, text]) => [make("span", { className: "dim" }, key), make("span", { className: "wide" }, text.replaceAll("_", " "))]));
+    drawn.src = `/api/experiments/${one.name}/picture.svg?case=${encodeURIComponent(chosen.name)}`;
+    const lines = chosen.facts.map((fact) => [fact.what, fact.text, "wide"]);
+    lines.push(...chosen.warnings.map((text) => ["warning", inPageUnits(text), "wide mind"]));
+    if (chosen.refused !== "") lines.push(["not here", inPageUnits(chosen.refused), "wide mind"]);
+    facts.replaceChildren(...lines.flatMap(([key, text, className]) => [make("span", { className: "dim" }, key), make("span", { className }, text)]));
+    unable = chosen.refused === "" ? "" : "not on this station";
+    refresh();
     return chosen;
   };
   select.addEventListener("change", show);
@@ -82,16 +105,17 @@ async function experiment(one) {
     const chosen = show(), now = latest().joints;
     const far = bench.joints.some((joint) => !(Math.abs(now[joint.name] - chosen.start[joint.name]) < NEAR[joint.unit]));
     if (far && !await confirm(`Start ${one.name}?`, "Start",
-      make("p", {}, "The robot first goes to the start pose, all joints at the same time:"), make("p", {}, poseText(chosen.start)),
-      make("p", { className: "dim" }, `Now: ${poseText(now)}. Look that the way is clear; STOP works all the time.`))) return;
-    await begin({ experiment: one.name, case: chosen.name });
+      make("p", {}, "The robot first goes to the start pose, all joints at the same time:"), make("p", {}, poseText(bench.joints, chosen.start)),
+      make("p", { className: "dim" }, `Now: ${poseText(bench.joints, now)}. Look that the way is clear; STOP works all the time.`))) return;
+    await begin({ experiment: one.name, case: chosen.name }, chosen.warnings);
   });
   const whole = make("form", {}, back(one.name), make("p", {}, one.title),
-    make("img", { src: `/api/experiments/${one.name}/picture.svg`, alt: `path and load of ${one.name}`, width: 288, height: 144, style: "background:#fff;border-radius:6px" }),
+    drawn,
     make("p", { className: "small dim" }, "left: path of the tip; right: load over the motion"),
-    make("div", { className: "rows" }, make("label", {}, "case"), select, make("span")), make("h3", {}, "What it does"), facts, frame);
+    make("div", { className: "rows" }, make("label", {}, "case"), select), make("h3", {}, "What it does"), facts, frame);
   on(whole);
   $("start").replaceChildren(whole);
+  $("start").scrollTop = 0;
   show();
   refresh();
 }
@@ -124,6 +148,7 @@ async function motion(kind, schema, all) {
     make("fieldset", {}, make("legend", {}, "Control"), control.element), frame);
   on(whole);
   $("start").replaceChildren(whole);
+  $("start").scrollTop = 0;
   refresh();
 }
 
@@ -131,8 +156,8 @@ function refresh() {
   const status = latest();
   if (startButton === null || status === null) return;
   const ready = status.state === "READY", may = mayCommand(status);
-  startButton.disabled = !ready || !may || starting;
-  tellWhy(refusal, status);
+  startButton.disabled = !ready || !may || starting || unable !== "";
+  if (ready && may && unable !== "") { refusal.dataset.shown = ""; refusal.textContent = unable; } else tellWhy(refusal, status);
 }
 onStatus(refresh);
 

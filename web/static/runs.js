@@ -1,5 +1,6 @@
 // Runs: what was recorded and how well it went, with notes, replay, report, download, and two of them side by side.
 import { $, ask, confirm, make, mayCommand, note, onStatus, press, Refused } from "./station.js";
+import { draft } from "./drafts.js";
 import { isOpen, onTab, open as openTab } from "./tabs.js";
 import { address, atOneLook, card, flat, folded, readable, SHAPES, size, when } from "./result.js";
 import { comparison } from "./compare.js";
@@ -68,7 +69,11 @@ export async function details(id) {
   }
   const notes = make("textarea", { rows: 3, value: run.notes, "aria-label": "notes", style: "width:100%" });
   const save = make("button", { type: "button" }, "Save notes"), remove = make("button", { type: "button" }, "Delete…");
-  save.addEventListener("click", async () => { if (await press("PUT", address(id, "notes"), { notes: notes.value })) note("notes are saved", true); });
+  const unsaved = draft(notes, `notes ${id}`);
+  save.addEventListener("click", async () => {
+    const text = notes.value;
+    if (await press("PUT", address(id, "notes"), { notes: text })) { unsaved.saved(text); note("notes are saved", true); }
+  });
   remove.addEventListener("click", async () => {
     if (!await confirm("Delete this run for good?", "Delete", make("p", {}, id), make("p", {}, `Recording, report and notes, ${size(run.size)}, are removed from the disk.`))) return;
     if (await press("DELETE", `/api/runs/${encodeURIComponent(id)}?confirm=${encodeURIComponent(id)}`)) { chosen.delete(id); overview(); }
@@ -83,7 +88,7 @@ export async function details(id) {
     make("div", { className: "acts", style: "margin:0 0 10px" }, back(), make("b", {}, run.title || id)),
     card(run),
     make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · ${id}`),
-    make("div", { className: "acts" }, replay, report, ...cases), make("h3", {}, "Notes"), notes, make("div", { className: "acts" }, save, remove),
+    make("div", { className: "acts" }, replay, report, ...cases), make("h3", {}, "Notes"), notes, make("div", { className: "acts" }, save, remove, unsaved.element),
     folded("All numbers", () => flat(told).map(([key, value]) => make("tr", {}, make("td", { className: "any" }, key), make("td", { className: "any", style: "text-align:right" }, readable(value)))), "numbers"),
   );
 }

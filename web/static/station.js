@@ -1,4 +1,5 @@
 // What every part of the page shares: who we are, asking the station, its status, and notes to the person.
+import { inPageUnits } from "./units.js";
 
 export const $ = (id) => document.getElementById(id);
 
@@ -74,7 +75,9 @@ export async function press(method, path, body) {
 }
 
 /** A note in the corner, with a button or without, gone after a while unless it `stays`. */
-export function note(text, good = false, button = null, stays = false) {
+export function note(said, good = false, button = null, stays = false) {
+  const text = inPageUnits(said);
+  for (const old of $("notes").children) if (old.firstChild.textContent === text) old.remove(); // said once, not three times
   const close = make("button", { type: "button", "aria-label": "close" }, "×");
   const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), button, close);
   for (const one of [button, close]) one?.addEventListener("click", () => box.remove());

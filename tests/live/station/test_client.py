@@ -51,6 +51,19 @@ def test_refusals_carry_the_stations_reason(station: Station, running: Served, t
         another.tare()
 
 
+def test_joints_are_gone_to_by_name_and_the_working_pose_without_one(station: Station) -> None:
+    station.goto({"inner_rotation": 1.5})
+    joints = station.status()["joints"]
+    assert joints["inner_rotation"] == pytest.approx(1.5, abs=0.002)
+    assert joints["inner_translation"] == pytest.approx(-0.1, abs=0.02)  # not named: it stayed
+    with pytest.raises(Refused, match=r"inner_translation 0.2 m is outside -0.13 ... -0.005 m"):
+        station.goto({"inner_translation": 0.2})
+    with pytest.raises(Refused, match="joints.elbow: robot 'paper' has no such joint; it has outer_rotation"):
+        station.goto({"elbow": 0.2})
+    station.goto()
+    assert station.status()["joints"]["inner_rotation"] == pytest.approx(1.5708, abs=0.002)
+
+
 def test_telemetry_comes_at_the_rate_that_was_asked_for(station: Station) -> None:
     samples = [sample for _, sample in zip(range(5), station.telemetry(10.0), strict=False)]
     assert all(later["time"] - earlier["time"] > 0.02 for earlier, later in itertools.pairwise(samples))

@@ -36,7 +36,7 @@ driver = "netft"
         (PARK, "inner_translation -100 m is outside -0.13 ... -0.005 m (its travel)"),
         ("[controller]\nk1 = 100.0\n", "K1"),
         (PORTLESS, "devices.stages.port is missing: outer_rotation has neither a port of its own nor"),
-        ('[devices.stages]\ndriver = "zaber"\nport = "/dev/x"\n', "'devices.tracker' is missing (and 1 more) (line 1)"),
+        ('[devices.stages]\ndriver = "zaber"\nport = "/dev/x"\n', "'devices.tracker' is missing (line 1); 'devices.sensors' is missing (line 1)"),
         ("seed = [1\n", "not valid TOML"),
     ],
 )  # fmt: skip

@@ -61,6 +61,27 @@ def test_it_is_refused_by_field_and_reason(app: TestClient, path: str, body: str
     assert app.get("/api/operator").json()["name"] is None  # it made nobody operator
 
 
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        (
+            '{"trajectory": {"kind": "waypoints", "points": [[5, 0, 0, "a"]]}}',
+            "trajectory.points, row 1, number 4 = 'a': Input should be a valid number",
+        ),
+        (
+            '{"load": {"kind": "ramps", "times": [0, 1], "magnitudes": [0, -21]}}',
+            "load.magnitudes, number 2 = -21: Input should be greater than or equal to -20",
+        ),
+        (
+            '{"trajectory": {"kind": "circle", "radios": 0.1}}',
+            "unknown field 'trajectory.radios'; 'trajectory.radius' is missing; 'trajectory.period' is missing",
+        ),
+    ],
+)
+def test_where_and_what_is_told_whole_and_without_the_parsers_own_words(app: TestClient, body: str, told: str) -> None:
+    assert app.post("/api/start", content=body.encode(), headers=JSON).json()["error"] == told
+
+
 @pytest.mark.parametrize("path", ["/api/start", "/api/stop", "/api/jog"])
 def test_what_is_too_large_is_not_read_to_its_end(app: TestClient, path: str) -> None:
     huge = b'{"duration": 1' + b" " * 300_000 + b"}"

@@ -47,6 +47,7 @@ def test_the_first_command_makes_operator_and_the_second_person_is_told_who(peop
         ("/api/connect", None),
         ("/api/jog", {"space": "tip", "velocity": [0, 0, 0.001]}),
         ("/api/home", {"way_is_clear": True}),
+        ("/api/goto", {}),
         ("/api/operator", {}),
         ("/api/calibration/start", {"what": "axes", "way_is_clear": True}),
     ):

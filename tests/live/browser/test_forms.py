@@ -1,0 +1,82 @@
+"""Forms as a person fills them: one unit in box and file, refusals in that unit, and nothing typed is lost."""
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page
+
+from tests.harness.chromium import bare_page
+from tests.harness.serving import Served
+
+
+@pytest.fixture(scope="module")
+def open_page(running: Served, browser: Browser) -> Iterator[Page]:
+    running.ready()
+    with bare_page(browser, running) as page:
+        yield page
+
+
+def motion(page: Page, text: str) -> None:
+    page.locator("#tab-start").click()
+    if page.get_by_role("button", name="all motions").count():
+        page.get_by_role("button", name="all motions").click()
+    page.locator(".card", has_text=text).click()
+
+
+def test_a_file_of_waypoints_stands_in_the_box_as_it_is_and_is_sent_in_si(page: Page, station: Served) -> None:
+    motion(page, "Through places")
+    box, unit, says = page.get_by_label("points: time"), page.get_by_label("unit of x, y, z"), page.locator(".all [role=status]")
+    assert (box.input_value(), unit.input_value()) == ("5, 0, 10, 0\n10, 0, 0, 0", "mm")
+    assert says.inner_text() == "2 points in 10 s, up to 10 mm from the start tip"
+    file = "time [s], x [m], y [m], z [m]\n4, 0.0, 0.002, 0.0\n8, 0.0, 0.0, 0.0"
+    page.get_by_label("CSV file").set_input_files({"name": "a.csv", "mimeType": "text/csv", "buffer": file.encode()})
+    page.wait_for_function("() => document.querySelector('textarea').value.startsWith('time')")
+    assert (box.input_value(), unit.input_value()) == (file, "m")
+    assert says.inner_text() == "2 points in 8 s, up to 2 mm from the start tip"
+    with page.expect_request("**/api/start") as asked:
+        page.get_by_role("button", name="Start motion").click()
+    assert asked.value.post_data_json["trajectory"]["points"] == [[4, 0, 0.002, 0], [8, 0, 0, 0]]
+    station.wait_for(lambda status: status["state"] == "RUNNING")
+    station.post("/api/stop")
+
+
+def test_a_line_that_is_no_waypoint_is_named_and_not_sent(page: Page, station: Served) -> None:
+    motion(page, "Through places")
+    page.get_by_label("points: time").fill("5, 0, 10, 0\n10, 0, 0")
+    page.locator(".all [role=status]", has_text="line 2: 3 numbers; a line is time [s], x, y, z").wait_for()
+    page.get_by_role("button", name="Start motion").click()
+    assert page.locator("textarea").evaluate("field => !field.validity.valid")
+    assert station.status()["state"] == "READY"
+
+
+def test_a_refusal_is_told_once_in_the_pages_units_with_what_would_work(page: Page, station: Served) -> None:
+    motion(page, "Move the tip along a circle")
+    page.locator("#start").get_by_label("period").fill("4")
+    refused = page.locator(".note", has_text="circle cannot be followed")
+    for _ in range(2):
+        with page.expect_response("**/api/start"):
+            page.get_by_role("button", name="Start motion").click()
+        refused.wait_for()
+    assert refused.count() == 1
+    assert "speed of outer_rotation (20 °/s); a period of 8 s would work from here" in refused.inner_text()
+    assert station.status()["state"] == "READY"
+
+
+def test_notes_that_were_not_saved_are_there_again(page: Page, station: Served) -> None:
+    assert station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 0.5}).status_code == 202
+    station.wait_for(lambda status: status["state"] == "READY" and not status["run"]["recording"])
+
+    def open_newest() -> None:
+        page.locator("#tab-runs").click()
+        page.get_by_role("button", name="hold, free motion").first.click()
+        page.get_by_label("notes", exact=True).wait_for()
+
+    open_newest()
+    page.get_by_label("notes", exact=True).fill("a new coil")
+    page.reload()
+    open_newest()
+    assert page.get_by_label("notes", exact=True).input_value() == "a new coil"
+    page.get_by_text("not saved yet; kept in this browser").wait_for()
+    page.get_by_role("button", name="Save notes").click()
+    page.locator(".note", has_text="notes are saved").wait_for()
+    assert page.get_by_text("not saved yet").count() == 0

@@ -1,0 +1,54 @@
+"""README's script and curl lines, as they stand there but for the address, on a station that has to be homed."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.harness.root import ROOT
+from tests.harness.serving import Served, serving
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+#: Powered up near where homing ends, so that homing is short.
+NEAR_HOME = "park = { outer_rotation = 0.05, inner_rotation = 0.05, inner_translation = -0.128 }\n"
+
+
+@pytest.fixture(scope="module")
+def near_home():
+    with serving(settings=NEAR_HOME, rate=1.0) as served:
+        yield served
+
+
+def block(language: str, holding: str) -> str:
+    """README's block of code in which something stands."""
+    (found,) = [text for text in re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL) if holding in text]
+    return found
+
+
+def call(*command: str, folder: Path) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, timeout=400, cwd=folder, env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"})  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_script_homes_runs_its_circle_and_downloads_it(near_home: Served, tmp_path: Path):
+    script = block("python", "Station()").replace("Station()", f"Station({near_home.url!r})")
+    call(sys.executable, "-c", script, folder=tmp_path)
+    assert (tmp_path / "circle.mcap").read_bytes().startswith(b"\x89MCAP0\r\n")
+    status = near_home.status()
+    assert status["state"] == "READY"
+    assert status["run"]["title"] == "circle, free motion"
+    assert status["joints"]["inner_rotation"] == pytest.approx(1.57, abs=0.1)  # from the working pose
+
+
+def test_the_curl_lines_start_a_circle_tell_the_state_and_stop_it(near_home: Served, tmp_path: Path):
+    near_home.wait_for(lambda status: status["state"] == "READY")
+    lines = block("sh", "curl -X POST").replace("localhost:8000", f"localhost:{near_home.port}")
+    said = call("bash", "-ec", lines.replace("curl ", "curl -sS -w '\\n' "), folder=tmp_path)
+    begun, status, stopped = (json.loads(line) for line in said.splitlines())
+    assert begun["run_id"] == status["run"]["id"]
+    assert status["state"] == "RUNNING"
+    assert stopped == {"state": "STOPPED", "note": ""}
