@@ -16,7 +16,7 @@ from typing import Any
 
 import uvicorn
 import viser
-from fastapi import FastAPI, Request
+from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
@@ -42,6 +42,7 @@ from web.api.calibration import calibration_routes
 from web.api.commands import commands, operator_routes
 from web.api.control import control_routes
 from web.api.operator_watchdog import tell_when_alone
+from web.api.readable import readable, refusal
 from web.api.runs import runs_routes
 from web.api.scene import scene_routes
 from web.scene.proxy import viser_routes
@@ -190,6 +191,7 @@ def build_app(
         redoc_url=None,
         openapi_url="/api/openapi.json",
         lifespan=lifespan,
+        dependencies=[Depends(readable)],
     )
     of = commands(Lease(service.supervisor.bench.clock.now))
     routes, app.state.scene = viser_routes(view.scene_server, of.lease, audit)
@@ -211,19 +213,19 @@ def build_app(
     @app.exception_handler(RequestValidationError)
     def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
         # The input stays out of the answer: a NaN in it could not be sent back.
-        return JSONResponse({"error": _reason(error)}, 422)
+        return refusal(_reason(error), 422)
 
     @app.exception_handler(RefusedError)
     def refused(_request: Request, error: RefusedError) -> JSONResponse:
-        return JSONResponse({"error": str(error)}, 409)
+        return refusal(str(error), 409)
 
     @app.exception_handler(CtrError)
     def wrong(_request: Request, error: CtrError) -> JSONResponse:
-        return JSONResponse({"error": str(error)}, 422)
+        return refusal(str(error), 422)
 
     @app.exception_handler(HTTPException)
     def other(_request: Request, error: HTTPException) -> JSONResponse:
-        return JSONResponse({"error": str(error.detail)}, error.status_code, headers=error.headers)
+        return refusal(str(error.detail), error.status_code, error.headers)
 
     return Audited(Access(app, host, port, tokens), audit)
 
