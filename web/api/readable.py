@@ -1,4 +1,4 @@
-"""Texts on their way in and out: JSON can spell what is no text, half of a surrogate pair (`"\\ud800"`).
+"""Texts on their way in and out: JSON can spell what is no text, a lone half of a surrogate pair.
 
 No file, no log and no answer takes one, so it is refused at the door, wherever in a body it stands. A file's name
 that is not UTF-8 reaches Python as such halves too, so every reason is made presentable on its way out.
