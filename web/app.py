@@ -105,7 +105,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
                 app = build_app(service, view, calibration, data, audit, host, port, tokens)
                 settings = uvicorn.Config(
                     app, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
-                    timeout_graceful_shutdown=3, lifespan="on",
+                    timeout_graceful_shutdown=3, lifespan="on", proxy_headers=False,
                 )  # fmt: skip
                 page = f"http://{_shown(host)}:{port}/"
                 address = page + (f"?token={tokens.operator}" if tokens else "")
@@ -227,6 +227,7 @@ def build_app(
     def other(_request: Request, error: HTTPException) -> JSONResponse:
         return refusal(str(error.detail), error.status_code, error.headers)
 
+    app.openapi()  # now: the first to ask for it would hold up whoever presses STOP meanwhile
     return Audited(Access(app, host, port, tokens), audit)
 
 
