@@ -45,6 +45,7 @@ from web.api.operator_watchdog import tell_when_alone
 from web.api.readable import readable, refusal
 from web.api.runs import runs_routes
 from web.api.scene import scene_routes
+from web.ending import once
 from web.scene.proxy import viser_routes
 from web.scene.view import View
 
@@ -116,6 +117,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
                 if browser and sys.stdout.isatty():
                     threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
                 server = uvicorn.Server(settings)
+                server.handle_exit = once(server.handle_exit)
                 with contextlib.suppress(KeyboardInterrupt):
                     server.run(sockets=[listening])
             finally:

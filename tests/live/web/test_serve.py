@@ -1,8 +1,10 @@
 """From the first to the last: start, busy ports, ends of every kind."""
 
+import signal
 import socket
 import subprocess
 import sys
+import time
 
 from websockets.sync.client import connect
 
@@ -39,6 +41,14 @@ def test_ctrl_c_with_clients_connected_leaves_nothing_behind() -> None:
             assert station.end() == 0
         assert not control.is_running()
     assert not any(path.exists() for path in used)
+
+
+def test_ctrl_c_pressed_again_and_again_cuts_nothing_off() -> None:
+    with serving() as station:
+        while station.process.poll() is None:
+            station.process.send_signal(signal.SIGINT)
+            time.sleep(0.02)
+        assert station.process.returncode == 0
 
 
 def test_a_killed_control_process_is_a_fault_at_once_and_a_reset_starts_a_new_one(station: Served) -> None:
