@@ -25,8 +25,10 @@ from rich.console import Console
 from starlette.exceptions import HTTPException
 
 from core.errors import CtrError
+from station.control import ring
 from station.control.realtime import leave_a_core
 from station.control.states import RefusedError
+from station.devices.links import port_lock
 from station.recording.history import History
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
@@ -82,6 +84,8 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         CtrError: the control process does not start.
     """
     out = Console(highlight=False, soft_wrap=True)
+    ring.clear_left_behind()
+    port_lock.clear_left_behind()
     station = load_station(config, changes)
     bench = station.bench()
     tokens = None if is_loopback(host) else new_tokens()
