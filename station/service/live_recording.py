@@ -36,8 +36,8 @@ class LiveRecording:
         """Number of the recorder's process."""
         return self._recorder.child.pid
 
-    def begin(self, name: str, duration: float, metadata: Mapping[str, Any]) -> None:
-        """Record from now on, for about `duration` [s].
+    def begin(self, name: str, duration: float, metadata: Mapping[str, Any]) -> str:
+        """Record from now on, for about `duration` [s], as `name`; the name it got, which no other run has.
 
         Raises:
             RecordingError: there is no room, or the recorder cannot.
@@ -47,7 +47,7 @@ class LiveRecording:
             raise RecordingError(problem)
         self._problem, self._numbers = "", {}
         self._ring.clear_timing()
-        self._thread.submit(self._recorder.begin, name, metadata).result()
+        return self._thread.submit(self._recorder.begin, name, metadata).result().name
 
     @property
     def finishing(self) -> bool:
