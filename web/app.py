@@ -16,7 +16,7 @@ from typing import Any
 
 import uvicorn
 import viser
-from fastapi import FastAPI, Request
+from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
@@ -26,8 +26,10 @@ from starlette.exceptions import HTTPException
 
 from core.errors import CtrError
 from station.config.strict import complaints, key_of
+from station.control import ring
 from station.control.realtime import leave_a_core
 from station.control.states import RefusedError
+from station.devices.links import port_lock
 from station.recording.history import History
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
@@ -43,8 +45,10 @@ from web.api.calibration import calibration_routes
 from web.api.commands import commands, operator_routes
 from web.api.control import control_routes
 from web.api.operator_watchdog import tell_when_alone
+from web.api.readable import readable, refusal
 from web.api.runs import runs_routes
 from web.api.scene import scene_routes
+from web.ending import once
 from web.scene.proxy import viser_routes
 from web.scene.view import View
 
@@ -81,6 +85,8 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         CtrError: the control process does not start.
     """
     out = Console(highlight=False, soft_wrap=True)
+    ring.clear_left_behind()
+    port_lock.clear_left_behind()
     station = load_station(config, changes)
     bench = station.bench()
     tokens = None if is_loopback(host) else new_tokens()
@@ -105,7 +111,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
                 app = build_app(service, view, calibration, data, audit, host, port, tokens)
                 settings = uvicorn.Config(
                     app, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
-                    timeout_graceful_shutdown=3, lifespan="on",
+                    timeout_graceful_shutdown=3, lifespan="on", proxy_headers=False,
                 )  # fmt: skip
                 page = f"http://{_shown(host)}:{port}/"
                 address = page + (f"?token={tokens.operator}" if tokens else "")
@@ -116,6 +122,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
                 if browser and sys.stdout.isatty():
                     threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
                 server = uvicorn.Server(settings)
+                server.handle_exit = once(server.handle_exit)
                 with contextlib.suppress(KeyboardInterrupt):
                     server.run(sockets=[listening])
             finally:
@@ -191,6 +198,7 @@ def build_app(
         redoc_url=None,
         openapi_url="/api/openapi.json",
         lifespan=lifespan,
+        dependencies=[Depends(readable)],
     )
     of = commands(Lease(service.supervisor.bench.clock.now))
     routes, app.state.scene = viser_routes(view.scene_server, of.lease, audit)
@@ -212,20 +220,21 @@ def build_app(
     @app.exception_handler(RequestValidationError)
     def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
         # The input stays out of the answer: a NaN in it could not be sent back.
-        return JSONResponse({"error": _reason(error)}, 422)
+        return refusal(_reason(error), 422)
 
     @app.exception_handler(RefusedError)
     def refused(_request: Request, error: RefusedError) -> JSONResponse:
-        return JSONResponse({"error": str(error)}, 409)
+        return refusal(str(error), 409)
 
     @app.exception_handler(CtrError)
     def wrong(_request: Request, error: CtrError) -> JSONResponse:
-        return JSONResponse({"error": str(error)}, 422)
+        return refusal(str(error), 422)
 
     @app.exception_handler(HTTPException)
     def other(_request: Request, error: HTTPException) -> JSONResponse:
-        return JSONResponse({"error": str(error.detail)}, error.status_code, headers=error.headers)
+        return refusal(str(error.detail), error.status_code, error.headers)
 
+    app.openapi()  # now: the first to ask for it would hold up whoever presses STOP meanwhile
     return Audited(Access(app, host, port, tokens), audit)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from station.cli.main import execute, parser
 from station.cli.options import data_of, seed
+from web.ending import end_once
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -25,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _serve(parsed: argparse.Namespace) -> int:
+    end_once()
     from web.app import serve
 
     known = None if parsed.calibration is None else str(parsed.calibration.absolute())

@@ -21,6 +21,8 @@ from core.errors import DescriptionError, PoseError
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+#: Beyond these nobody builds one, and a slip of the unit would keep the model busy for ever.
+MOST_TUBES, MOST_SECTIONS, LONGEST = 8, 50, 5.0  # LONGEST: of a tube [m]
 #: Ends of tubes that are no further apart are flush: sums of lengths and positions round [m].
 FLUSH = 1e-9
 
@@ -66,6 +68,12 @@ class Tube:
             positive(f"tube '{self.name}': length of section {number}", section.length, "m")
             if not all(math.isfinite(u) for u in section.curvature):
                 raise DescriptionError(f"tube '{self.name}': curvature of section {number} is not finite")
+        if len(self.sections) > MOST_SECTIONS:
+            raise DescriptionError(f"tube '{self.name}' has {len(self.sections)} sections; at most {MOST_SECTIONS}")
+        if self.length > LONGEST:
+            raise DescriptionError(
+                f"tube '{self.name}': length {self.length:g} m is beyond {LONGEST:g} m; lengths are in metres"
+            )
         positive(f"tube '{self.name}': outer_diameter", self.outer_diameter, "m")
         if not 0.0 <= self.inner_diameter < self.outer_diameter:
             raise DescriptionError(
@@ -149,6 +157,8 @@ class Robot:
     def __post_init__(self) -> None:
         if not self.tubes:
             raise DescriptionError(f"robot '{self.name}' has no tubes; it needs at least one")
+        if len(self.tubes) > MOST_TUBES:
+            raise DescriptionError(f"robot '{self.name}' has {len(self.tubes)} tubes; at most {MOST_TUBES} are taken")
         for inner, outer in zip(self.tubes, self.tubes[1:], strict=False):
             if inner.outer_diameter > outer.inner_diameter:
                 raise DescriptionError(

@@ -2,18 +2,35 @@
 
 import json
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from pydantic import BaseModel, ConfigDict
 
 from core.errors import CtrError
+from station.calibration.catalogue import OFFERS
 from station.calibration.outcome import NUMBERS, VISITS
 from station.calibration.report import NAME as REPORT
 from station.config.strict import Strict
 from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS
 
-#: What the numbers of every calibration say.
-WANTED = {"procedure", "made", "lab", "simulated", "findings", "found", "visits", "robot_s"}
+
+class Numbers(BaseModel):
+    """What the numbers of every calibration say, and what some of them say besides."""
+
+    model_config = ConfigDict(strict=True, extra="ignore", allow_inf_nan=False)
+
+    procedure: str
+    made: str
+    lab: str
+    simulated: bool
+    findings: list[str]
+    found: list[dict[str, str]]
+    visits: int
+    robot_s: float
+    latency_s: float | None = None
+    signs: dict[str, float] = {}
 
 
 class NoResultError(CtrError):
@@ -34,7 +51,7 @@ class Kept(NamedTuple):
     """One calibration."""
 
     name: str  #: of its folder
-    numbers: Mapping[str, Any]  #: what `outcome` has written
+    numbers: Numbers  #: what `outcome` has written
     files: tuple[str, ...]  #: that can be had
     use: Use
 
@@ -48,7 +65,7 @@ class Results:
     def all(self) -> list[Kept]:
         """Every one, the newest first; what is damaged or only half written is left out."""
         found = [kept for path in self._folders() if (kept := _read(path)) is not None]
-        return sorted(found, key=lambda kept: (str(kept.numbers.get("made", "")), kept.name), reverse=True)
+        return sorted(found, key=lambda kept: (kept.numbers.made, kept.name), reverse=True)
 
     def one(self, name: str) -> Kept:
         """The calibration of that name.
@@ -93,15 +110,17 @@ def _files(folder: Path) -> tuple[str, ...]:
 
 def _read(folder: Path) -> Kept | None:
     try:
-        numbers = json.loads((folder / NUMBERS).read_text(encoding="utf-8"))
+        folder.name.encode()  # what is not UTF-8 nobody can ask for
+        # By the text: pydantic's reader knows neither half a surrogate pair nor a bottomless nest of brackets.
+        numbers = Numbers.model_validate_json((folder / NUMBERS).read_bytes())
     except (OSError, ValueError):
         return None
-    if not isinstance(numbers, dict) or WANTED - numbers.keys():
+    if numbers.procedure not in OFFERS:
         return None
     return Kept(folder.name, numbers, _files(folder), _use(folder.absolute(), numbers))
 
 
-def _use(folder: Path, numbers: Mapping[str, Any]) -> Use:
+def _use(folder: Path, numbers: Numbers) -> Use:
     if any((folder / name).is_file() for name in (REGISTRATION, SENSORS, ROBOT)):
         text = (
             "Put this line at the top of the station's file, or start the station with this option: then it is in use."
@@ -111,10 +130,10 @@ def _use(folder: Path, numbers: Mapping[str, Any]) -> Use:
             line=f"calibration = {json.dumps(str(folder))}",
             options=f"--calibration {shlex.quote(str(folder))}",
         )
-    if (late := numbers.get("latency_s")) is not None:
-        text = f"Add {1e3 * float(late):.1f} ms to `latency` under [devices.tracker] of the station's file."
+    if (late := numbers.latency_s) is not None:
+        text = f"Add {1e3 * late:.1f} ms to `latency` under [devices.tracker] of the station's file."
         return Use(text=text)
-    wrong = [name for name, sign in numbers.get("signs", {}).items() if sign < 0.0]
+    wrong = [name for name, sign in numbers.signs.items() if sign < 0.0]
     if wrong:
         turned = ", ".join(f"joints.{name}.backwards" for name in wrong)
         return Use(text=f"Turn round {turned} under [devices.stages] of the station's file, and do this again.")

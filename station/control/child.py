@@ -3,6 +3,7 @@
 import contextlib
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable
 from typing import Any
 
@@ -22,7 +23,12 @@ class Child:
         context: Any = multiprocessing.get_context("spawn")
         self.pipe, end = context.Pipe()  #: to it; has something to read when it has said something
         self._process = context.Process(target=main, args=(*arguments, end, os.getpid()), name=name, daemon=daemon)
-        self._process.start()
+        # Ctrl-C in a terminal reaches the whole group: the parent decides when we end, from the first instruction on.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         end.close()
 
     @property

@@ -5,7 +5,11 @@ writer fills a slot and then counts it; a reader copies slots and then looks at 
 whatever the writer may have touched meanwhile is thrown away and reported as missed.
 """
 
+import contextlib
+import os
+import secrets
 from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +17,9 @@ from numpy.typing import NDArray
 
 from core.robot.robot import Array
 from station.devices.interfaces import Truth
+
+PREFIX = "psm_ctr_"  #: of a segment's name, before the number of the process that made it
+SEGMENTS = Path("/dev/shm")  # noqa: S108 - where Linux has them
 
 ROWS = 4096  #: slots, about 8 s at 500 Hz
 BINS = 5001  #: 1 us each; the last holds everything from 5 ms on
@@ -40,7 +47,7 @@ class Ring:
     def __init__(self, width: int, name: str | None = None) -> None:
         """Create a segment for rows of `width` numbers, or attach to the one called `name`."""
         size = 8 * (COUNTERS + NUMBERS + TRUTH + 2 * BINS + ROWS * width)
-        self._memory = SharedMemory(name=name, create=name is None, size=size)
+        self._memory = SharedMemory(name or _new_name(), create=name is None, size=size)
         self.name: str = self._memory.name
         buffer: Any = self._memory.buf
         offset = 0
@@ -144,6 +151,30 @@ class Ring:
                 self._memory.unlink()
             except FileNotFoundError:
                 return  # somebody else tidied up after a crash
+
+
+def _new_name() -> str:
+    """Says whose it is, for `clear_left_behind`."""
+    return f"{PREFIX}{os.getpid()}_{secrets.token_hex(4)}"
+
+
+def clear_left_behind() -> None:
+    """Remove the segments of stations that were killed, where segments are files (Linux); those of others stay."""
+    for path in SEGMENTS.glob(f"{PREFIX}*_*"):
+        process = path.name.removeprefix(PREFIX).partition("_")[0]
+        with contextlib.suppress(OSError, ValueError):  # another's, another station has just removed it, or no number
+            if path.stat().st_uid == os.getuid() and not _runs(int(process)):
+                path.unlink()
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass  # another user's
+    return True
 
 
 def _percentiles(histogram: NDArray[np.int64], largest: float) -> dict[str, float]:

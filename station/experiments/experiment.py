@@ -36,6 +36,9 @@ from station.lab.faults import LabFault, check_faults
 from station.lab.loads import Load, NoLoad
 from station.recording.tracking_errors import counted_from
 
+#: Of one experiment.
+MOST_CASES = 1000
+
 
 class PaperNumbers(Strict):
     """What the paper reports, by axis or model; only what it reports."""
@@ -118,14 +121,20 @@ def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Expe
     table = read_toml(path)
     paper = check(_PaperTable, {"paper": table.pop("paper", {})}, str(path)).paper
     listed = {key: table.pop(key, {}) for key in ("cases", "cross")}
-    variations = variants(check(_CasesTable, listed, str(path)).model_dump()) or {path.stem: {}}
+    asked = check(_CasesTable, listed, str(path))
+    if (count := len(asked.cases) + math.prod(map(len, asked.cross.values())) * bool(asked.cross)) > MOST_CASES:
+        raise ConfigError(
+            f"{path}: {count} cases; at most {MOST_CASES} are taken, which are tried on the model one by one before"
+            " anything runs: divide them among several files"
+        )
+    variations = variants(asked.model_dump()) or {path.stem: {}}
     cases: list[Case] = []
     tried: dict[str, tuple[str, ...]] = {}
     for case, variation in variations.items():
         cases.append(_case(path, case, merged(merged(table, variation), changes or {}), table, tried))
     if unknown := [case for case in paper if case not in variations]:
         raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
-    return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, path.read_text(encoding="utf-8"))
+    return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, table.text)
 
 
 def variants(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

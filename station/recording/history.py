@@ -1,5 +1,6 @@
 """The runs that are kept: found by name, listed, annotated, thrown away."""
 
+import contextlib
 import json
 import math
 import shutil
@@ -19,6 +20,8 @@ NOTES = "notes.json"
 SWEEP = "sweep.json"
 #: The newest run, wherever a name is asked for.
 LATEST = "latest"
+#: No run has started then, whatever a summary says [s since 1970].
+LATER = 1e11
 #: Longest notes [characters].
 LONGEST = 20_000
 
@@ -72,7 +75,7 @@ class History:
             experiment, label: only these; empty for all.
             text: only those with it in name, title, cause or notes; upper and lower case are the same.
         """
-        found = [_look(folder) for folder in self._folders()]
+        found = [run for folder in self._folders() if (run := _look(folder)) is not None]
         words = text.casefold()
         chosen = [
             run
@@ -106,7 +109,7 @@ class History:
         Raises:
             NoRunError: there is no such run here.
         """
-        return _look(self.find(name))
+        return self._looked_at(self.find(name))
 
     def recording(self, name: str, case: str = "") -> Path:
         """The recording of a case; of the only one when no case is named.
@@ -115,7 +118,7 @@ class History:
             NoRunError: no such run or case, or several cases to choose from.
         """
         folder = self.find(name)
-        cases = {path.stem: path for path in sorted(folder.glob(f"*{RECORDING}"))}
+        cases = {path.stem: path for path in _recordings(folder)}
         if case in cases:
             return cases[case]
         if not case and len(cases) == 1:
@@ -136,7 +139,7 @@ class History:
             write_json(folder / NOTES, {"notes": notes})
         except OSError as error:
             raise RunError(f"run '{folder.name}': notes cannot be written: {error.strerror}") from None
-        return _look(folder)
+        return self._looked_at(folder)
 
     def delete(self, name: str, confirm: str) -> None:
         """Remove a run for good.
@@ -156,15 +159,22 @@ class History:
         except OSError as error:
             raise RunError(f"run '{folder.name}': cannot be deleted: {error.strerror}") from None
 
+    def _looked_at(self, folder: Path) -> RunDetails:
+        found = _look(folder)
+        if found is None:
+            raise NoRunError(f"run '{folder.name}' has been removed from {self._runs}, or cannot be read")
+        return found
+
     def _folders(self) -> Iterator[Path]:
-        """Folders of finished runs; links are left alone."""
+        """Folders of finished runs; what cannot be read, and names that are not UTF-8, are left alone, as links are."""
         if not self._runs.is_dir():
             return
         for folder in self._runs.iterdir():
-            if folder.name.endswith(PARTIAL) or folder.is_symlink() or not folder.is_dir():
+            if folder.name.endswith(PARTIAL) or not _is_text(folder) or folder.is_symlink() or not folder.is_dir():
                 continue
-            if any((folder / name).is_file() for name in (SUMMARY, SWEEP)) or any(folder.glob(f"*{RECORDING}")):
-                yield folder
+            with contextlib.suppress(OSError):
+                if any((folder / name).is_file() for name in (SUMMARY, SWEEP)) or any(folder.glob(f"*{RECORDING}")):
+                    yield folder
 
 
 def resolve_run(name: str, runs: Path) -> Path:
@@ -179,9 +189,17 @@ def resolve_run(name: str, runs: Path) -> Path:
     return History(runs).find(name)
 
 
-def _look(folder: Path) -> RunDetails:
+def _look(folder: Path) -> RunDetails | None:
+    """What is in the folder; None: it has just been removed, or cannot be read."""
+    try:
+        return _run_in(folder)
+    except OSError:
+        return None
+
+
+def _run_in(folder: Path) -> RunDetails:
     summary = _json(folder / SUMMARY)
-    recordings = sorted(folder.glob(f"*{RECORDING}"))
+    recordings = _recordings(folder)
     told = summary.get("started")
     return RunDetails(
         id=folder.name,
@@ -189,7 +207,7 @@ def _look(folder: Path) -> RunDetails:
         title=str(summary.get("title", "")),
         label=str(summary.get("label", "complete" if summary.get("completed") else "stopped")),
         cause=str(summary.get("cause", "")),
-        started=float(told) if isinstance(told, int | float) else folder.stat().st_mtime,
+        started=float(told) if isinstance(told, int | float) and abs(told) < LATER else folder.stat().st_mtime,
         cases=tuple(path.stem for path in recordings),
         size=sum(path.stat().st_size for path in folder.iterdir() if path.is_file()),
         notes=str(_json(folder / NOTES).get("notes", "")),
@@ -203,9 +221,23 @@ def _json(path: Path) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8")
         found = json.loads(text, parse_constant=lambda _: None, parse_float=_finite)
-    except (OSError, ValueError):
+        json.dumps(found, ensure_ascii=False).encode()  # half of a surrogate pair is no text
+    except (OSError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def _recordings(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob(f"*{RECORDING}") if _is_text(path))
+
+
+def _is_text(path: Path) -> bool:
+    """Whether the name is UTF-8."""
+    try:
+        path.name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _finite(text: str) -> float | None:

@@ -288,9 +288,8 @@ def _begin(
     except RecordingError as error:
         return None, Answer(None, str(error))
     try:
-        writer = CaseWriter(
-            folder.case(CASE), robot.robot(), channels.all, {**begin.metadata, "robot": robot.model_dump(mode="json")}
-        )
+        about = {**begin.metadata, "run": folder.path.name, "robot": robot.model_dump(mode="json")}
+        writer = CaseWriter(folder.case(CASE), robot.robot(), channels.all, about)
     except RecordingError as error:
         folder.let_go()
         recover(runs)

@@ -1,20 +1,20 @@
 """The audit log: who asked for what, from where, and what came of it; refusals too.
 
-One JSON object a line in `audit.jsonl`, with the wall-clock time. When the file has grown to its limit
-it becomes `audit.1.jsonl`, and the oldest of a few such files goes: the log never fills a disk.
+One JSON object a line, with the wall-clock time: what was done in `audit.jsonl`, what was refused in `refused.jsonl`,
+so that no number of refusals pushes a command out.
 """
 
-import contextlib
+import heapq
 import json
 import threading
-from collections import deque
 from datetime import datetime
 from pathlib import Path
 
 from core.errors import CtrError
 from station.config.strict import Strict
+from station.service.lines import Lines
 
-NAME = "audit.jsonl"
+NAME, REFUSED = "audit.jsonl", "refused.jsonl"
 #: Size at which a new file is begun [bytes], and how many old ones stay.
 LIMIT, KEPT = 2_000_000, 4
 #: Longest text of one field; what is longer is cut.
@@ -43,63 +43,54 @@ class Audit:
         """Open the log, making the folder when it is not there.
 
         Raises:
-            AuditError: the folder or the file cannot be written.
+            AuditError: the folder or the file cannot be written, or has a name that is no text.
         """
-        self._path, self._limit = folder / NAME, limit
         self._lock = threading.Lock()
         try:
+            str(folder.absolute()).encode()
             folder.mkdir(parents=True, exist_ok=True)
-            self._file = self._path.open("a", encoding="utf-8")
+            self._done, self._refused = (Lines(folder / name, limit, KEPT) for name in (NAME, REFUSED))
+        except UnicodeEncodeError:
+            raise AuditError(f"{str(folder)!r}: a folder's name must be UTF-8; rename it, or give another") from None
         except OSError as error:
-            raise AuditError(f"{self._path}: the audit log cannot be written: {error.strerror}") from None
+            raise AuditError(f"{folder / NAME}: the audit log cannot be written: {error.strerror}") from None
 
     def write(self, who: str, what: str, where: str, outcome: str) -> None:
-        """Add a line.
+        """Add what was done, or has happened.
 
         A full disk does not keep anybody from stopping the robot: what cannot be written is lost.
         """
-        told = {"who": who, "what": what, "where": where, "outcome": outcome}
-        entry = Entry(time=_now(), **{key: text[:LONGEST] for key, text in told.items()})
-        with self._lock:
-            try:
-                self._file.write(json.dumps(entry.model_dump(), ensure_ascii=True) + "\n")
-                self._file.flush()
-                if self._file.tell() >= self._limit:
-                    self._turn_over()
-            except OSError:
-                return
+        self._add(self._done, who, what, where, outcome)
+
+    def refused(self, who: str, what: str, where: str, outcome: str) -> None:
+        """Add what was refused, as in `write`."""
+        self._add(self._refused, who, what, where, outcome)
 
     def tail(self, count: int) -> list[Entry]:
         """The last `count` lines at most, the newest first; a damaged line is left out."""
-        lines: deque[str] = deque(maxlen=count)
         with self._lock:
-            for path in (self._older(1), self._path):
-                if path.exists():
-                    with path.open(encoding="utf-8", errors="replace") as file:
-                        lines.extend(file)
-        return [entry for line in reversed(lines) if (entry := _entry(line)) is not None]
+            lines = [log.last(count) for log in (self._done, self._refused)]
+        entries = ([entry for line in log if (entry := _entry(line)) is not None] for log in lines)
+        return list(heapq.merge(*entries, key=lambda entry: datetime.fromisoformat(entry.time), reverse=True))[:count]
 
     def close(self) -> None:
-        """Let go of the file; a line that the disk has not taken goes with it."""
-        with self._lock, contextlib.suppress(OSError):
-            self._file.close()
+        """Let go of the files."""
+        with self._lock:
+            self._done.close()
+            self._refused.close()
 
-    def _turn_over(self) -> None:
-        self._file.close()
-        for number in range(KEPT, 0, -1):
-            newer = self._path if number == 1 else self._older(number - 1)
-            if newer.exists():
-                newer.replace(self._older(number))
-        self._file = self._path.open("a", encoding="utf-8")
-
-    def _older(self, number: int) -> Path:
-        return self._path.with_name(f"audit.{number}.jsonl")
+    def _add(self, log: Lines, who: str, what: str, where: str, outcome: str) -> None:
+        told = {"who": who, "what": what, "where": where, "outcome": outcome}
+        entry = Entry(time=_now(), **{key: text[:LONGEST] for key, text in told.items()})
+        with self._lock:
+            log.add(json.dumps(entry.model_dump(), ensure_ascii=True))
 
 
 def _entry(line: str) -> Entry | None:
     try:
-        return Entry(**json.loads(line))
-    except (ValueError, TypeError):
+        entry = Entry(**json.loads(line))
+        return entry if datetime.fromisoformat(entry.time).tzinfo else None
+    except (ValueError, TypeError, RecursionError):
         return None  # cut off by a crash
 
 

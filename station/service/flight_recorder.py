@@ -4,6 +4,7 @@ All of it in a thread of its own: whoever watches the loop never waits for a dis
 """
 
 import csv
+import itertools
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -50,7 +51,9 @@ class FlightRecorder:
     def _write(self, state: State, cause: str, rows: Array | None, number: int) -> None:
         kept = ""
         if rows is not None and len(rows) and self._folder is not None:
-            path = self._folder / FOLDER / f"{self._session}-{number:03}-{state.name.lower()}.csv"
+            names = (f"{self._session}-{one:03}-{state.name.lower()}.csv" for one in itertools.count(number))
+            # Never over what another station on the same folder has kept.
+            path = next(path for name in names if not (path := self._folder / FOLDER / name).exists())
             try:
                 _keep(path, rows, self._channels, cause)
                 kept = f" (the last second before it: {path.name})"
@@ -64,7 +67,7 @@ def _keep(path: Path, rows: Array, channels: Channels, cause: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     for old in sorted(path.parent.glob("*.csv"))[: -(KEPT - 1)]:
         old.unlink(missing_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with path.open("x", newline="", encoding="utf-8") as file:
         file.write(f"# {' '.join(cause.split())}\n")
         lines = csv.writer(file)
         lines.writerow([channel.column for channel in channels.all])

@@ -35,8 +35,10 @@ class LiveRecording:
         """Number of the recorder's process."""
         return self._recorder.child.pid
 
-    def begin(self, name: str, duration: float, counted_from: float, metadata: Mapping[str, Any]) -> None:
-        """Record from now on, for about `duration` [s]; errors count from `counted_from` [s] of the motion on.
+    def begin(self, name: str, duration: float, counted_from: float, metadata: Mapping[str, Any]) -> str:
+        """Record from now on, for about `duration` [s], as `name`; the name it got, which no other run has.
+
+        Errors count from `counted_from` [s] of the motion on.
 
         Raises:
             RecordingError: there is no room, or the recorder cannot.
@@ -46,7 +48,7 @@ class LiveRecording:
             raise RecordingError(problem)
         self._problem = ""
         self._ring.clear_timing()
-        self._thread.submit(self._recorder.begin, name, metadata, counted_from).result()
+        return self._thread.submit(self._recorder.begin, name, metadata, counted_from).result().name
 
     @property
     def finishing(self) -> bool:

@@ -2,6 +2,7 @@
 
 import itertools
 import threading
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -62,12 +63,13 @@ class Runs:
         run = Run(number, f"{self.session}-{number}", start)
         if self._recording is not None and start.recorded:
             known = {
-                "run": run.id, "title": start.title, "seed": self._bench.seed, "clock_rate": self._bench.clock.rate,
+                "title": start.title, "seed": self._bench.seed, "clock_rate": self._bench.clock.rate,
                 "lab": self._bench.lab.model_dump(mode="json") if self._bench.devices is None
                 else {"title": self._bench.title},
             }  # fmt: skip
-            self._recording.begin(run.id, start.task.duration, start.counted_from, {**known, **start.about})
-            self._recorded = run
+            # What its folder is called: another station on the same folder may have taken that name.
+            name = self._recording.begin(run.id, start.task.duration, start.counted_from, {**known, **start.about})
+            self._recorded = run = replace(run, id=name)
         with self._lock:
             self._asked = run  # its first notice may come before the answer
         return run

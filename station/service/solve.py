@@ -2,15 +2,18 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from core.errors import CtrError
 from core.model.cosserat import ExactRod
+from core.model.solution import Solution
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 from station.config.strict import ConfigError
+
+Stability = Literal["stable", "unstable", "not known to be stable"]
 
 
 def solve_lines(lines: Iterable[str], robot: Robot, sublink: float, exact: bool) -> Iterator[str]:
@@ -57,7 +60,7 @@ def parse(line: str, robot: Robot) -> tuple[Array, Array]:
 
 
 def model_answer(statics: Statics, joints: Array, wrench: Array) -> dict[str, Any]:
-    """Tip [m], Jacobian [m/rad, m/m] and compliance [m/N] of the paper's model.
+    """Tip [m], Jacobian [m/rad, m/m] and compliance [m/N] of the paper's model, and whether the shape is stable.
 
     Raises:
         PoseError, NotFinite, NoSolution: see `Statics.solve`.
@@ -69,13 +72,28 @@ def model_answer(statics: Statics, joints: Array, wrench: Array) -> dict[str, An
         "jacobian": solution.jacobian[:3].tolist(),
         "compliance": solution.compliance[:3, :3].tolist(),
         "iterations": solution.iterations,
+        "stability": stability(statics, solution),
     }
 
 
+def stability(statics: Statics, solution: Solution) -> Stability:
+    """Whether the robot stays there, by the second variation of its elastic energy.
+
+    A moment at the tip has no energy: what falls under one may stay all the same.
+    """
+    if statics.negative_directions(solution) == 0:
+        return "stable"
+    return "not known to be stable" if solution.wrench[3:].any() else "unstable"
+
+
 def exact_answer(rod: ExactRod, joints: Array, wrench: Array) -> dict[str, Any]:
-    """Tip [m] of the exact rod."""
+    """Tip [m] of the exact rod, whose energy nobody has asked."""
     solution = rod.solve(joints, wrench)
-    return {"tip": solution.tip.tolist(), "joints": list(rod.robot.joint_names), "iterations": solution.iterations}
+    unknown: Stability = "not known to be stable"
+    return {
+        "tip": solution.tip.tolist(), "joints": list(rod.robot.joint_names), "iterations": solution.iterations,
+        "stability": unknown,
+    }  # fmt: skip
 
 
 def _three(what: str, value: Any) -> list[float]:

@@ -10,6 +10,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from station.service.audit import Audit
 from web.access.gate import CHANGES
+from web.access.refusals import Refusals
 
 #: A held jog asks ten times a second: the same by the same sender within this time is one line [s].
 REPEATED = "/api/jog"
@@ -27,12 +28,15 @@ class Audited:
 
     def __init__(self, app: ASGIApp, audit: Audit) -> None:
         self._app, self._audit = app, audit
+        self._refusals = Refusals(audit)
         self._last: tuple[tuple[str, ...], float] = ((), 0.0)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let one connection through and note how it went."""
+        self._refusals.sum_up()
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
+            self._refusals.sum_up(now=True)  # the application has ended
             return
         body, answer, status = bytearray(), bytearray(), 0
 
@@ -72,7 +76,8 @@ class Audited:
             if repeated:
                 return
         text = " ".join(body.decode("utf-8", "replace").split())
-        self._audit.write(name, f"{method} {scope['path']} {text}".strip(), where, outcome)
+        write = self._refusals.add if status >= 400 else self._audit.write
+        write(name, f"{method} {scope['path']} {text}".strip(), where, outcome)
 
 
 def _reason(answer: bytes) -> str:

@@ -9,7 +9,7 @@ import ipaddress
 import json
 import socket
 from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qs
+from urllib.parse import parse_qs, quote
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -114,8 +114,9 @@ class Access:
         given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
         if scope["type"] == "http" and self._tokens is not None and self._tokens.role(given):
             cookie = f"{self._cookie}={given}; Path=/; HttpOnly; SameSite=Strict"
-            # Only the path, and only one slash: an address that begins with two is another host's.
-            location = "/" + scope["path"].lstrip("/\\")
+            # Only the path, as it came, and only one slash: an address that begins with two is another host's, and
+            # browsers take `/<tab>/` for two.
+            location = "/" + quote(scope["path"].lstrip("/\\"))
             await _answer(send, 303, {"location": location, "set-cookie": cookie, "cache-control": "no-store"}, b"")
         else:
             await _refuse(

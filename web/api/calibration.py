@@ -115,12 +115,12 @@ def _listed(kept: Kept) -> dict[str, Any]:
     numbers = kept.numbers
     return {
         "name": kept.name,
-        "procedure": numbers["procedure"],
-        "title": OFFERS[numbers["procedure"]].title,
-        "made": numbers["made"],
-        "bench": numbers["lab"],
-        "simulated": numbers["simulated"],
-        "findings": tuple(numbers["findings"]),
+        "procedure": numbers.procedure,
+        "title": OFFERS[numbers.procedure].title,
+        "made": numbers.made,
+        "bench": numbers.lab,
+        "simulated": numbers.simulated,
+        "findings": tuple(numbers.findings),
     }
 
 
@@ -128,9 +128,9 @@ def _details(kept: Kept) -> KeptDetailsOut:
     numbers = kept.numbers
     return KeptDetailsOut(
         **_listed(kept),
-        found=tuple(numbers["found"]),
-        visits=numbers["visits"],
-        robot_s=numbers["robot_s"],
+        found=tuple(numbers.found),
+        visits=numbers.visits,
+        robot_s=numbers.robot_s,
         files=kept.files,
         use=kept.use,
     )

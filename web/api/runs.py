@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import FileResponse
 from pydantic import ConfigDict, Field
 from starlette.exceptions import HTTPException
@@ -16,6 +16,7 @@ from station.recording.label import RecordingError
 from station.report.curves import Curve, read_curves
 from web.api.commands import Commands, aside
 from web.api.schemas import REFUSED, ErrorOut
+from web.api.wanted import while_wanted
 
 MISSING: dict[int | str, dict[str, Any]] = {404: {"model": ErrorOut, "description": "no such run or case"}}
 MCAP = "application/octet-stream"
@@ -79,14 +80,14 @@ def runs_routes(history: History, of: Commands) -> APIRouter:
     @router.get(
         "/{run}/report", response_class=FileResponse, responses=MISSING, summary="Figures and tables, as a page"
     )
-    async def report(run: str, *, fresh: bool = False) -> FileResponse:
-        return await _page(await _found(history.find, run), "report", fresh=fresh)
+    async def report(request: Request, run: str, *, fresh: bool = False) -> FileResponse:
+        return await _page(request, await _found(history.find, run), "report", fresh=fresh)
 
     @router.get(
         "/{run}/replay", response_class=FileResponse, responses=MISSING, summary="The run as a page that plays it"
     )
-    async def replay(run: str, *, fresh: bool = False) -> FileResponse:
-        return await _page(await _found(history.find, run), "replay", fresh=fresh)
+    async def replay(request: Request, run: str, *, fresh: bool = False) -> FileResponse:
+        return await _page(request, await _found(history.find, run), "replay", fresh=fresh)
 
     @router.get("/{run}/curves", responses=MISSING, summary="Error and force of each case, for a small picture")
     async def curves(run: str) -> dict[str, Curve]:
@@ -103,11 +104,15 @@ def runs_routes(history: History, of: Commands) -> APIRouter:
         await _found(history.delete, run, confirm)
         return DeletedOut(deleted=run)
 
-    async def _page(folder: Path, command: str, *, fresh: bool) -> FileResponse:
+    async def _page(request: Request, folder: Path, command: str, *, fresh: bool) -> FileResponse:
         path = folder / f"{command}.html"
-        async with rendering:  # one at a time: each takes a processor for seconds
-            if fresh or not path.is_file():
-                await _rendered(command, folder)
+
+        async def made() -> None:
+            async with rendering:  # one at a time: each takes a processor for seconds
+                if fresh or not path.is_file():
+                    await _rendered(command, folder)
+
+        await while_wanted(request, made())
         return FileResponse(path, headers={"content-security-policy": STANDS_ALONE, "cache-control": "no-cache"})
 
     return router

@@ -9,6 +9,7 @@ from station.config.controllers import ControllerFile
 from station.config.motions import TipMotion
 from station.config.strict import Strict, Vector
 from station.lab.loads import Load
+from station.service.solve import Stability
 from web.access.identity import LONGEST_NAME
 from web.access.tokens import Role
 from web.api.messages import Act
@@ -276,3 +277,5 @@ class SolveOut(Strict):
     compliance: tuple[tuple[float, ...], ...]
     """3 x 3 [m/N]"""
     iterations: int
+    stability: Stability
+    """whether the robot stays in this shape; under a moment at the tip, which has no energy, that may not be known"""

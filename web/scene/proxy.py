@@ -82,7 +82,7 @@ def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple
         await browser.accept(subprotocol=scene.subprotocol)
 
         def report(reason: str) -> None:
-            audit.write(str(who), "scene message", who.where, f"dropped: {reason}")
+            audit.refused(str(who), "scene message", who.where, f"dropped: {reason}")
 
         gate = Gate(scene_server.handles, lease, who, time.monotonic, report)
         tasks = [asyncio.create_task(_to_scene(browser, scene, gate)), asyncio.create_task(_back(scene, browser))]

@@ -41,6 +41,20 @@ def lock_file(url: str) -> Path:
     return Path(tempfile.gettempdir()) / f"ctr-station-{quote(device_name(url), safe='')}.lock"
 
 
+def clear_left_behind() -> None:
+    """Remove the files of this user's stations that were killed: those that nobody locks."""
+    for path in Path(tempfile.gettempdir()).glob("ctr-station-*.lock"):
+        with contextlib.suppress(OSError):  # locked, another user's, or just gone
+            if sys.platform != "win32" and path.lstat().st_uid == os.getuid():
+                file = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    if os.path.samestat(os.fstat(file), path.stat(follow_symlinks=False)):
+                        path.unlink()
+                finally:
+                    os.close(file)
+
+
 class PortLock:
     """The right to use one device."""
 

@@ -1,8 +1,10 @@
 """From the first to the last: start, busy ports, ends of every kind."""
 
+import signal
 import socket
 import subprocess
 import sys
+import time
 
 from websockets.sync.client import connect
 
@@ -41,6 +43,14 @@ def test_ctrl_c_with_clients_connected_leaves_nothing_behind() -> None:
     assert not any(path.exists() for path in used)
 
 
+def test_ctrl_c_pressed_again_and_again_cuts_nothing_off() -> None:
+    with serving() as station:
+        while station.process.poll() is None:
+            station.process.send_signal(signal.SIGINT)
+            time.sleep(0.02)
+        assert station.process.returncode == 0
+
+
 def test_a_killed_control_process_is_a_fault_at_once_and_a_reset_starts_a_new_one(station: Served) -> None:
     killed = station.control_process()
     killed.kill()
@@ -55,3 +65,9 @@ def test_a_killed_control_process_is_a_fault_at_once_and_a_reset_starts_a_new_on
     assert station.control_process().pid != killed.pid
     assert station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 0.5}).status_code == 202
     station.wait_for(lambda s: s["state"] == "READY" and s["run"]["id"] != "")
+
+
+def test_nobody_is_believed_who_says_that_he_passes_on_another(station: Served) -> None:
+    headers = {"x-forwarded-for": "192.0.2.1", "x-forwarded-proto": "https", "forwarded": "for=192.0.2.1"}
+    assert station.rest.get("/api/status", headers={**headers, "host": "evil.example"}).status_code == 403
+    assert station.rest.get("/api/log?count=1").json()[0]["where"] == "127.0.0.1"

@@ -82,6 +82,38 @@ def test_where_and_what_is_told_whole_and_without_the_parsers_own_words(app: Tes
     assert app.post("/api/start", content=body.encode(), headers=JSON).json()["error"] == told
 
 
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("POST", "/api/start", '{"experiment": "HALF"}'),
+        ("POST", "/api/start", '{"experiment": "fig10", "case": "HALF"}'),
+        ("POST", "/api/start", '{"HALF": 1}'),
+        ("POST", "/api/start", '{"trajectory": {"kind": "HALF"}}'),
+        ("POST", "/api/model/solve", '{"joints": {"HALF": 0}}'),
+        ("POST", "/api/calibration/exchange", '{"robot": "HALF"}'),
+        ("POST", "/api/calibration/exchange", '{"file": "name = \\"HALF\\""}'),
+        ("POST", "/api/calibration/start", '{"what": "HALF", "way_is_clear": true}'),
+        ("POST", "/api/operator", '{"name": "HALF"}'),
+        ("POST", "/api/faults", '{"faults": [{"kind": "mute", "device": "HALF"}]}'),
+        ("PUT", "/api/runs/latest/notes", '{"notes": "HALF"}'),
+        ("PUT", "/api/scene", '{"HALF": true}'),
+    ],
+)
+@pytest.mark.parametrize("half", [b"\\ud800", b"a\\uDfFf", b"\xed\xa0\x80"])  # the last one as raw bytes
+def test_half_of_a_surrogate_pair_is_no_text(app: TestClient, method: str, path: str, body: str, half: bytes) -> None:
+    answer = app.request(method, path, content=body.encode().replace(b"HALF", half), headers=JSON)
+
+    assert answer.status_code == 422
+    assert "half of a surrogate pair" in answer.json()["error"]
+    assert app.get("/api/operator").json()["name"] is None
+
+
+def test_a_whole_pair_is_a_text(app: TestClient) -> None:
+    answer = app.post("/api/operator", content=b'{"name": "\\ud83d\\ude00"}', headers=JSON)
+    assert answer.json()["name"] == "\U0001f600"
+    app.delete("/api/operator")
+
+
 @pytest.mark.parametrize("path", ["/api/start", "/api/stop", "/api/jog"])
 def test_what_is_too_large_is_not_read_to_its_end(app: TestClient, path: str) -> None:
     huge = b'{"duration": 1' + b" " * 300_000 + b"}"

@@ -104,7 +104,7 @@ def test_solve_answers_line_by_line_and_ends_with_its_input(command_line):
     assert done.returncode == 0
     assert done.stderr == b""
     assert first == last
-    assert set(first) == {"tip", "joints", "jacobian", "compliance", "iterations"}
+    assert set(first) == {"tip", "joints", "jacobian", "compliance", "iterations", "stability"}
     assert list(bytes_) == list(bad) == ["error"]
 
 

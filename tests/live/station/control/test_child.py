@@ -45,6 +45,14 @@ def test_asked_to_end_it_ends(child: Child) -> None:
     child.tell("nobody hears that")
 
 
+def test_ctrl_c_in_the_terminal_does_not_end_it_not_even_while_it_starts(child: Child) -> None:
+    os.kill(child.pid, signal.SIGINT)
+    assert child.pipe.recv() == ("hello", os.getpid())
+    os.kill(child.pid, signal.SIGINT)
+    child.tell("more")
+    assert child.pipe.recv() == "more"
+
+
 def test_killed_it_is_told_by_which_signal(child: Child) -> None:
     os.kill(child.pid, signal.SIGKILL)
     assert child.ended() == "by signal 9"

@@ -48,6 +48,8 @@ def test_the_layout_is_the_description_in_numbers(paper_robot):
     [
         ({"bending_stiffness": -0.04}, ["'thin'", "bending_stiffness", "-0.04 N m^2", "greater than 0"]),
         ({"bending_stiffness": 0.0}, ["bending_stiffness", "0 N m^2", "greater than 0"]),
+        ({"sections": (Section(1e6),)}, ["'thin'", "length", "1e+06 m", "5 m", "metres"]),
+        ({"sections": (Section(0.001),) * 51}, ["'thin'", "51 sections", "at most 50"]),
         ({"bending_stiffness": math.nan}, ["bending_stiffness", "nan", "finite"]),
         ({"bending_stiffness": math.inf}, ["bending_stiffness", "inf", "finite"]),
         ({"poisson_ratio": 0.6}, ["'thin'", "poisson_ratio", "0.6", "-1 ... 0.5"]),
@@ -82,8 +84,18 @@ def test_an_impossible_tube_is_refused_by_name_value_and_bound(change, words):
         ((TUBE,), (TURN, Joint("again", 0, "rotation")), ["'again'", "rotation of tube 0", "twice"]),
         ((TUBE, WIDE), (TURN, Joint("turn", 1, "rotation")), ["'bad'", "same name"]),
         ((TUBE,), (Joint("odd", 0, "rotate"),), ["'odd'", "'rotate'", "rotation", "translation"]),
+        ((TUBE,) * 9, (), ["'bad'", "9 tubes", "at most 8"]),
     ],
-    ids=["no tubes", "does not fit", "no such tube", "negative tube", "moved twice", "name twice", "no such motion"],
+    ids=[
+        "no tubes",
+        "does not fit",
+        "no such tube",
+        "negative tube",
+        "moved twice",
+        "name twice",
+        "no such motion",
+        "too many tubes",
+    ],
 )
 def test_an_impossible_robot_is_refused_by_name_value_and_bound(tubes, joints, words):
     with pytest.raises(DescriptionError) as refused:

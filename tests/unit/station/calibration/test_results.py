@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shlex
 import tomllib
 from pathlib import Path
@@ -38,6 +39,13 @@ def test_the_newest_comes_first_and_what_is_damaged_not_at_all(tmp_path):
     (keep(tmp_path, "cut") / "report.json").write_text('{"procedure": "ax')
     (keep(tmp_path, "other") / "report.json").write_text("[]")
     (tmp_path / "empty").mkdir()
+    for number, spoilt in enumerate(
+        ({"procedure": "magic"}, {"findings": 5}, {"found": [{"name": 1}]}, {"made": 2026})
+    ):
+        keep(tmp_path, f"spoilt {number}", **spoilt)
+    (keep(tmp_path, "half") / "report.json").write_text(json.dumps(NUMBERS | {"lab": "\ud800"}))
+    (keep(tmp_path, "deep") / "report.json").write_text("[" * 100_000)
+    keep(tmp_path, os.fsdecode(b"copy\xff"))
 
     assert [kept.name for kept in Results(tmp_path).all()] == ["new", "old"]
     assert Results(tmp_path / "nowhere").all() == []
@@ -113,7 +121,7 @@ def test_a_real_bench_is_not_called_simulated(tmp_path, paper):
     write_all(tmp_path / "one", carry_out(begin("tracker", subject, 0.5), bench), subject, told("tracker"))
 
     kept = Results(tmp_path).one("one")
-    assert kept.numbers["simulated"] is False
+    assert kept.numbers.simulated is False
     for name in kept.files:
         text = (tmp_path / "one" / name).read_text(encoding="utf-8")
         assert "simulated devices" not in text

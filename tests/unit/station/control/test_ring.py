@@ -1,11 +1,13 @@
 """Shared memory between the processes: rows in order, and a truth that is never half of one and half of another."""
 
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
-from station.control.ring import ROWS, STUCK, Ring
+from station.control.ring import PREFIX, ROWS, SEGMENTS, STUCK, Ring, clear_left_behind
 from station.devices.interfaces import Truth
 
 
@@ -59,3 +61,20 @@ def test_rows_come_in_order_and_those_that_were_overwritten_are_counted(ring: Ri
     assert missed == since - len(rows)
     assert rows[:, 0].tolist() == [float(number) for number in range(missed, since)]
     assert ring.read(since)[0].shape == (0, 4)
+
+
+def test_what_a_killed_station_left_is_removed_and_nobody_elses(ring: Ring) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    left = SEGMENTS / f"{PREFIX}{gone.pid}_0123abcd"
+    others = [SEGMENTS / f"{PREFIX}1_0123abcd", SEGMENTS / f"{PREFIX}nobody_{gone.pid}", SEGMENTS / f"psm_{gone.pid}"]
+    try:
+        for path in (left, *others):
+            path.touch()
+        clear_left_behind()
+        assert not left.exists()
+        assert all(path.exists() for path in others)
+        assert (SEGMENTS / ring.name).exists()
+    finally:
+        for path in (left, *others):
+            path.unlink(missing_ok=True)

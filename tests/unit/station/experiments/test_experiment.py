@@ -219,6 +219,12 @@ def test_a_mistake_in_a_choice_is_told_with_the_case(write, short):
             load_experiment(str(write(text)))
 
 
+def test_more_cases_than_anybody_waits_for_are_refused_before_they_are_tried(write, short):
+    axes = "".join(f"[cross.axis{axis}.choice{number}]\n" for axis in range(6) for number in range(10))
+    with pytest.raises(ConfigError, match=r"own\.toml: 1000000 cases; at most 1000"):
+        load_experiment(str(write(short + axes)))
+
+
 FASTER = ("ramp_1s", "ramp_0_5s", "ramp_0_25s", "ramp_0_1s", "step", "rubber_band", "lift_and_drop", "tap")
 
 

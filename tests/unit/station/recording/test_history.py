@@ -1,6 +1,6 @@
 """The runs that are kept."""
 
-import json
+import os
 
 import pytest
 
@@ -97,11 +97,39 @@ def test_a_recording_is_found_by_its_case(history):
         history.recording("second")
 
 
-def test_a_spoilt_summary_hides_no_run(history, tmp_path):
-    for text in ("{", "[1]", json.dumps({"started": "yesterday"})):
-        (tmp_path / "runs" / "first" / "summary.json").write_text(text, encoding="utf-8")
-        assert "first" in ids(history.runs())
-        assert history.run("first").cases == ("regulation",)
+SPOILT = {
+    "cut": "{",
+    "no object": "[1]",
+    "text for a time": '{"started": "yesterday"}',
+    "a time beyond all floats": f'{{"started": 1{"0" * 400}}}',
+    "more digits than are read": f'{{"started": 1{"0" * 5000}}}',
+    "deep": "[" * 100_000,
+    "half of a surrogate pair": '{"title": "\\ud800"}',
+    "half of one as a key": '{"cases": {"\\udfff": 1}}',
+    "not finite": '{"started": NaN, "cases": {"x": [1e999, -Infinity]}}',
+}
+
+
+@pytest.mark.parametrize("file", ["summary.json", "notes.json"])
+@pytest.mark.parametrize("text", SPOILT.values(), ids=SPOILT)
+def test_a_spoilt_file_hides_no_run(history, tmp_path, file, text):
+    (tmp_path / "runs" / "first" / file).write_text(text, encoding="utf-8")
+    assert set(ids(history.runs())) == {"first", "second", "third"}
+    assert history.run("first").cases == ("regulation",)
+    assert history.run("first").model_dump_json()  # it can be sent
+
+
+def test_a_name_that_is_not_utf_8_hides_no_run(history, tmp_path):
+    """Neither a folder's nor a recording's: nobody can ask for it, and no answer can name it."""
+    second = tmp_path / "runs" / "second"
+    (second / os.fsdecode(b"\xff.mcap")).write_bytes(b"")
+    second.with_name("copy").mkdir()
+    (second.with_name("copy") / "summary.json").write_text("{}")
+    second.with_name("copy").rename(second.with_name(os.fsdecode(b"copy\xff")))
+    assert ids(history.runs()) == ["third", "second", "first"]
+    assert [run.model_dump_json() for run in history.runs()]
+    with pytest.raises(RunError, match="not one of the cases"):
+        history.recording("second", os.fsdecode(b"\xff"))
 
 
 def test_a_folder_is_taken_as_it_is_and_a_name_is_looked_up(history, tmp_path, monkeypatch):

@@ -75,3 +75,12 @@ def test_a_folder_that_cannot_be_written_is_said_in_the_log(ring, channels, tmp_
     audit.close()
 
     assert line.outcome.startswith("cause (the last second before it could not be kept: ")
+
+
+def test_two_stations_of_the_same_second_keep_both_their_last_seconds(ring, channels, tmp_path: Path) -> None:
+    for cause in ("of the one", "of the other"):
+        recorder = FlightRecorder(ring, channels, None, tmp_path, "session")
+        recorder.state(State.HOLD, cause)
+        recorder.close()
+    kept = sorted((tmp_path / FOLDER).iterdir())
+    assert [path.read_text().splitlines()[0] for path in kept] == ["# of the one", "# of the other"]

@@ -7,7 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.service.solve import solve_lines
+from core.model.solution import at_rest
+from core.model.statics import Statics
+from core.robot.robot import Joint, Robot, Section, Tube
+from station.service.solve import solve_lines, stability
 
 EXACT_TIPS = Path(__file__).parents[2] / "exact_tips.csv"
 POSE = {"outer_rotation": 0.0, "inner_rotation": 1.5708, "inner_translation": -0.1}
@@ -27,12 +30,27 @@ def answers(paper_robot):
 def test_an_answer_has_the_documented_keys_and_shapes(answers):
     (answer,) = answers({"joints": POSE, "force": [0.2, 0, 0]})
 
-    assert set(answer) == {"tip", "joints", "jacobian", "compliance", "iterations"}
+    assert set(answer) == {"tip", "joints", "jacobian", "compliance", "iterations", "stability"}
     assert answer["joints"] == ["outer_rotation", "inner_rotation", "inner_translation"]
     assert np.shape(answer["tip"]) == (3,)
     assert np.shape(answer["jacobian"]) == (3, 3)
     assert np.shape(answer["compliance"]) == (3, 3)
     assert isinstance(answer["iterations"], int)
+    assert answer["stability"] == "stable"
+
+
+@pytest.mark.parametrize(
+    ("part", "moment", "told"),
+    [(0.9, 0.0, "stable"), (1.1, 0.0, "unstable"), (0.9, 1e-9, "stable"), (1.1, 1e-9, "not known to be stable")],
+)
+def test_a_straight_tube_is_stable_up_to_eulers_load(part, moment, told):
+    """A cold solve would bend it to a side; a moment at the tip has no energy."""
+    length = 0.15
+    wrench = np.array([0.0, 0.0, -part * math.pi**2 * 0.04 / (4.0 * length**2), 0.0, 0.0, moment])
+    moved = (Joint("turn", 0, "rotation"), Joint("push", 0, "translation"))
+    model = Statics(Robot("one", (Tube("one", (Section(0.2),), 0.04),), moved), 0.0025)
+    joints = np.array([0.0, -0.05])
+    assert stability(model, model.solve(joints, wrench, at_rest(joints, math.inf, 1))) == told
 
 
 def test_jacobian_and_compliance_are_the_published_derivatives(answers):
@@ -76,7 +94,8 @@ def test_model_and_exact_rod_agree_within_a_tenth_of_a_millimetre(answers):
 def test_the_exact_rod_gives_the_tip_only(answers):
     (answer,) = answers({"joints": POSE}, exact=True)
 
-    assert set(answer) == {"tip", "joints", "iterations"}
+    assert set(answer) == {"tip", "joints", "iterations", "stability"}
+    assert answer["stability"] == "not known to be stable"
 
 
 def test_joints_may_come_in_any_order_and_force_may_be_left_out(answers):

@@ -141,6 +141,17 @@ def test_the_first_visit_with_a_token_leaves_a_cookie_and_a_clean_address(token:
 
 def test_a_token_does_not_lead_to_another_host() -> None:
     assert _ask(f"/%2Fevil.example/?token={TOKENS.viewer}").headers["location"] == "/evil.example/"
+    assert _ask(f"/%09/evil.example/?token={TOKENS.viewer}").headers["location"] == "/%09/evil.example/"
+
+
+@pytest.mark.parametrize("path", ["/%e2%82%ac", "/%0a", "/%0d%0aset-cookie:%20a=b", "/%00", "/a%20b", "/api/runs/%ff"])
+def test_nor_does_any_path_break_the_answer(path: str) -> None:
+    answer = _ask(f"{path}?token={TOKENS.viewer}")
+    assert answer.status_code == 303
+    assert all(0x20 < ord(letter) < 0x7F for letter in answer.headers["location"])
+    assert answer.headers.get_list("set-cookie") == [
+        f"ctr_station_8000={TOKENS.viewer}; Path=/; HttpOnly; SameSite=Strict"
+    ]
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE"])
