@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import uvicorn
 import viser
@@ -34,6 +34,7 @@ from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from web.access.audited import Audited
+from web.access.connections import Connections, places
 from web.access.gate import Access, is_loopback
 from web.access.lease import Lease
 from web.access.tokens import Tokens, new_tokens
@@ -56,6 +57,8 @@ START_TIME = 120.0
 CALIBRATIONS = "calibrations"
 #: That a browser may send over a websocket [bytes].
 LONGEST_MESSAGE = 64 * 1024
+#: Connections that are taken before the requests of those before them are read.
+ACCEPTED_AT_ONCE = 64
 
 
 class PortError(CtrError):
@@ -102,10 +105,13 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
             view = View(scene, service)
             try:
                 app = build_app(service, view, calibration, data, audit, host, port, tokens)
+                connections = Connections(app, places())
                 settings = uvicorn.Config(
-                    app, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
-                    timeout_graceful_shutdown=3, lifespan="on",
+                    connections, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
+                    timeout_graceful_shutdown=3, lifespan="on", backlog=ACCEPTED_AT_ONCE, proxy_headers=False,
                 )  # fmt: skip
+                settings.load()
+                settings.http_protocol_class = cast("Any", connections.admitting(settings.http_protocol_class))
                 page = f"http://{_shown(host)}:{port}/"
                 address = page + (f"?token={tokens.operator}" if tokens else "")
                 if tokens:
@@ -135,7 +141,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listening = socket.socket(family, socket.SOCK_STREAM)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((host, port))
-        listening.listen(64)
+        listening.listen(ACCEPTED_AT_ONCE)
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise PortError(f"port {port} on {host} cannot be had: {reason}; choose another with --port") from None
