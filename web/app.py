@@ -23,6 +23,7 @@ from fastapi.staticfiles import StaticFiles
 from fastapi_offline import FastAPIOffline
 from rich.console import Console
 from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp
 
 from core.errors import CtrError
 from station.control.realtime import leave_a_core
@@ -30,6 +31,7 @@ from station.control.states import RefusedError
 from station.recording.history import History
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
+from station.service.signals import ended_once
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
@@ -76,6 +78,9 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         data: folder of runs, calibrations and audit log.
         browser: open one on a terminal.
 
+    Returns:
+        0 when every axis has been seen to stop, 1 when not.
+
     Raises:
         ConfigError: the configuration cannot be.
         AuditError: the folder cannot be written.
@@ -85,7 +90,6 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
     out = Console(highlight=False, soft_wrap=True)
     station = load_station(config, changes)
     bench = station.bench()
-    tokens = None if is_loopback(host) else new_tokens()
     with contextlib.closing(_listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
         port = listening.getsockname()[1]
         out.print(f"ctr-station: {bench.title}")
@@ -94,44 +98,79 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         if station.own_core:
             bench = replace(bench, core=leave_a_core())
         supervisor = Supervisor(bench, data, audit)
-        try:
-            supervisor.open()
-            supervisor.wait_ready(START_TIME)
-            service = StationService(supervisor)
-            calibration = LiveCalibration(supervisor, data / CALIBRATIONS)
-            # viser knows no access control: loopback only, the page comes through our own port.
-            with contextlib.redirect_stdout(io.StringIO()):  # it announces its own address
-                scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
-            view = View(scene, service)
+        with ended_once():
             try:
-                app = build_app(service, view, calibration, data, audit, host, port, tokens)
-                connections = Connections(app, places())
-                settings = uvicorn.Config(
-                    connections, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
-                    timeout_graceful_shutdown=3, lifespan="on", backlog=ACCEPTED_AT_ONCE, proxy_headers=False,
-                )  # fmt: skip
-                settings.load()
-                settings.http_protocol_class = cast("Any", connections.admitting(settings.http_protocol_class))
-                page = f"http://{_shown(host)}:{port}/"
-                address = page + (f"?token={tokens.operator}" if tokens else "")
-                if tokens:
-                    out.print(f"read-only: {page}?token={tokens.viewer}")
-                out.print(f"ctr-station is at {address}   (Ctrl-C ends it)")
-                sys.stdout.flush()
-                if browser and sys.stdout.isatty():
-                    threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-                server = uvicorn.Server(settings)
-                with contextlib.suppress(KeyboardInterrupt):
-                    server.run(sockets=[listening])
+                supervisor.open()
+                supervisor.wait_ready(START_TIME)
+                _serve_web(supervisor, listening, (host, port), data, audit, out, browser=browser)
             finally:
-                calibration.close()
-                view.close()
-                with contextlib.redirect_stdout(io.StringIO()):
-                    scene.stop()
+                stopped = supervisor.end_control()  # again, if it never came to serve
+                supervisor.close()
+                if not stopped.seen:
+                    sys.stderr.write(f"ctr-station has ended; {stopped.text}\n")
+    if stopped.seen:
+        out.print("ctr-station has ended; every axis is stopped")
+    return 0 if stopped.seen else 1
+
+
+def _serve_web(
+    supervisor: Supervisor,
+    listening: socket.socket,
+    address: tuple[str, int],
+    data: Path,
+    audit: Audit,
+    out: Console,
+    *,
+    browser: bool,
+) -> None:
+    """Serve until Ctrl-C; the axes are stopped before anything else ends, whoever is in the middle of a request."""
+    host, port = address
+    tokens = None if is_loopback(host) else new_tokens()
+    service = StationService(supervisor)
+    calibration = LiveCalibration(supervisor, data / CALIBRATIONS)
+    # viser knows no access control: loopback only, the page comes through our own port.
+    with contextlib.redirect_stdout(io.StringIO()):  # it announces its own address
+        scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
+    view = View(scene, service)
+    try:
+        server = _server(build_app(service, view, calibration, data, audit, host, port, tokens))
+        # The main thread hears the signals, and has nothing else to do.
+        web = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, name="web")
+        page = f"http://{_shown(host)}:{port}/"
+        at = page + (f"?token={tokens.operator}" if tokens else "")
+        if tokens:
+            out.print(f"read-only: {page}?token={tokens.viewer}")
+        out.print(f"ctr-station is at {at}   (Ctrl-C ends it)")
+        sys.stdout.flush()
+        if browser and sys.stdout.isatty():
+            threading.Thread(target=webbrowser.open, args=(at,), daemon=True).start()
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                web.start()
+                while web.is_alive():
+                    web.join(0.5)
         finally:
-            supervisor.close()
-    out.print("ctr-station has ended; every axis is stopped")
-    return 0
+            supervisor.end_control()
+            server.should_exit = True
+            if web.ident is not None:
+                web.join()
+    finally:
+        calibration.close()
+        view.close()
+        with contextlib.redirect_stdout(io.StringIO()):
+            scene.stop()
+
+
+def _server(app: ASGIApp) -> uvicorn.Server:
+    """Of the application, with bounded connections."""
+    connections = Connections(app, places())
+    settings = uvicorn.Config(
+        connections, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
+        timeout_graceful_shutdown=3, lifespan="on", backlog=ACCEPTED_AT_ONCE, proxy_headers=False,
+    )  # fmt: skip
+    settings.load()
+    settings.http_protocol_class = cast("Any", connections.admitting(settings.http_protocol_class))
+    return uvicorn.Server(settings)
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -1,6 +1,6 @@
 """The live recorder: a process of its own that copies the telemetry ring to disk every 0.2 s.
 
-It only ever reads the ring, so the control loop cannot feel it; what the ring has overwritten before it
+It only ever reads the ring's rows, so the control loop cannot feel it; what the ring has overwritten before it
 was read is counted. When its parent is gone it finishes the recording as interrupted and ends.
 """
 
@@ -20,7 +20,7 @@ from station.config.robots import RobotFile
 from station.control.child import Child
 from station.control.clock import REAL_TIME, StationClock
 from station.control.realtime import show_as
-from station.control.ring import Ring
+from station.control.ring import RECORDER_HEARTBEAT, Ring
 from station.control.telemetry import Channels
 from station.recording.drawing import Drawing
 from station.recording.events import WARNING, Event
@@ -169,12 +169,14 @@ def run_recorder(
     due = clock.now() + FLUSH
     try:
         while not asked and os.getppid() == parent:
+            ring.numbers[RECORDER_HEARTBEAT] = clock.now()
             if asks.poll(max(0.0, 1e3 * clock.real(due - clock.now()))):
                 message: Begin | End | Event | None = pipe.recv()
                 if message is None:
                     break
                 if isinstance(message, Begin):
                     recording, answer = _begin(message, recording, robot, channels, runs, ring)
+                    ring.numbers[RECORDER_HEARTBEAT] = clock.now()  # from here on somebody looks
                     pipe.send(answer)
                 elif isinstance(message, End):
                     answer = recording.end(message) if recording else Answer(None, "nothing is being recorded")

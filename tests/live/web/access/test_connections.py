@@ -16,7 +16,6 @@ from websockets.sync.client import connect
 from tests.harness.waiting import NET, until
 from web.access.connections import Connections
 
-
 asked: list[str] = []  #: for the slow answer
 
 
