@@ -81,5 +81,5 @@ class _Installed:
         self._device, self._call = device, call
 
     def __getattr__(self, name: str) -> Any:
-        value = self._call(name, getattr, self._device, name)
+        value = self._call(name, lambda: getattr(self._device, name))
         return partial(self._call, name, value) if callable(value) else value
