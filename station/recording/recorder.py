@@ -139,7 +139,7 @@ class Recorder:
             raise RecordingError(self._gone()) from None
         # A late answer would be taken for the answer to the next question.
         self.child.kill()
-        raise RecordingError(f"the recorder did not answer within {patience:g} s and was ended; is the disk very slow?")
+        raise RecordingError(f"the recorder did not answer within {patience:g} s and was ended; is the disk very slow? reset starts another one")
 
     def _note(self, message: Answer | Trouble) -> None:
         if isinstance(message, Trouble):
@@ -147,7 +147,7 @@ class Recorder:
 
     def _gone(self) -> str:
         how = self.child.ended(self._clock.real(1.0))
-        return f"the recorder ended {how}; what it had written is recovered at the next start"
+        return f"the recorder ended {how}; reset starts another one, and recovers what it had written"
 
 
 def run_recorder(

@@ -11,7 +11,7 @@ from station.control.ring import RECORDER_HEARTBEAT, Ring
 from station.control.states import State
 from station.recording.events import ERROR, INFO, Event
 from station.recording.label import Label, RecordingError
-from station.recording.recorder import Recorder
+from station.recording.recorder import START_TIME, Recorder
 from station.recording.recover import recover
 from station.recording.space import free_space_problem
 from station.service.sign_of_life import goes_on
@@ -28,6 +28,7 @@ class LiveRecording:
         self.recovered = recover(runs)  #: folders of runs that were left behind
         self._ring, self._clock = ring, clock
         self._numbers: dict[str, float] = {}
+        ring.numbers[RECORDER_HEARTBEAT], self._started = 0.0, clock.now()
         self._recorder = Recorder(ring, robot, runs, clock)
         # One thread: the recorder answers one question at a time.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
@@ -46,7 +47,7 @@ class LiveRecording:
         Raises:
             RecordingError: there is no room, or the recorder cannot.
         """
-        problem = free_space_problem(self.runs, duration)
+        problem = self._stands_still() or free_space_problem(self.runs, duration)
         if problem:
             raise RecordingError(problem)
         self._problem, self._lost, self._numbers = "", "", {}
@@ -77,8 +78,8 @@ class LiveRecording:
 
     def problem(self) -> str:
         """Why the recording that was on has ended by itself; empty while all is well. Does not wait."""
-        if self._clock.now() - float(self._ring.numbers[RECORDER_HEARTBEAT]) > SILENT:
-            return f"the recorder has stood still for {SILENT:g} s; reset starts it anew"
+        if still := self._stands_still():
+            return still
         if self._looking is None or self._looking.done():
             self._looking = self._thread.submit(self._look)
         return self._problem
@@ -93,17 +94,25 @@ class LiveRecording:
         """Whether the recorder lives, and does not stand still; looks for a sign of it, for `SILENT` at most."""
         if not self._recorder.child.alive:
             return False
-        return self.finishing or goes_on(self._ring, RECORDER_HEARTBEAT, self._clock, SILENT)
+        starting = not self._ring.numbers[RECORDER_HEARTBEAT] and self._clock.now() - self._started < START_TIME
+        return starting or self.finishing or goes_on(self._ring, RECORDER_HEARTBEAT, self._clock, SILENT)
 
     def close(self) -> None:
         """Finish what is on, as interrupted."""
         self._thread.submit(self._recorder.close).result()
         self._thread.shutdown()
 
-    def give_up(self) -> None:
-        """End the recorder at once; what it had written can be recovered then."""
-        self._recorder.child.kill()  # whoever waits for its answer learns that
-        self.close()
+    def kill(self) -> None:
+        """End the recorder at once; what it had written can be recovered then, and `close` does not wait for it."""
+        self._recorder.child.kill()
+        self._recorder.child.ended()
+
+    def _stands_still(self) -> str:
+        """Why nothing can be recorded now; empty while it shows that it lives, or is starting."""
+        beat = float(self._ring.numbers[RECORDER_HEARTBEAT])
+        if not beat or self._clock.now() - beat <= SILENT:
+            return ""
+        return f"the recorder has stood still for {SILENT:g} s; reset starts another one"
 
     def _look(self) -> None:
         self._problem = self._problem or self._recorder.trouble()

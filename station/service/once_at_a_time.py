@@ -18,20 +18,18 @@ class OnceAtATime(Generic[T]):
 
     def __call__(self) -> T:
         """Its answer; any thread may ask."""
+        mine = Future[T]()
         with self._lock:
             waited_for = self._under_way
             if waited_for is None:
-                mine = self._under_way = Future[T]()
+                self._under_way = mine
         if waited_for is not None:
             return waited_for.result()
         try:
-            answer = self._act()
+            mine.set_result(self._act())
         except BaseException as error:
+            mine.set_exception(error)
+        finally:
             with self._lock:
                 self._under_way = None
-            mine.set_exception(error)
-            raise
-        with self._lock:
-            self._under_way = None
-        mine.set_result(answer)
-        return answer
+        return mine.result()

@@ -35,11 +35,13 @@ class Runs:
     def renew(self) -> bool:
         """Start another recorder in the place of one that has died or stands still; whether it was so."""
         with self._renewing:
-            if self._recording is None or self._recording.well:
+            old = self._recording
+            if old is None or old.well:
                 return False
-            self._recording.give_up()
+            old.kill()
             self._recorded = None
             self.open()
+            old.close()
             return True
 
     @property

@@ -92,23 +92,18 @@ def test_a_killed_control_process_ends_with_its_stages_stopped_and_is_started_an
     assert processes.pids()["control"] != first
 
 
-def test_a_stop_that_is_not_acknowledged_is_made_without_the_control_process(
+def test_what_stands_still_is_ended_with_the_stages_stopped_and_replaced(
     started: Started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     processes = started.processes
     monkeypatch.setattr(processes, "_patience", 3600.0)  # as in the first ticks, or homing: no watchdog ends it
-    os.kill(processes.pids()["control"], signal.SIGSTOP)
+    before = processes.pids()
+    os.kill(before["control"], signal.SIGSTOP)
     said = processes.stop()
-
     assert said.startswith("the control process did not answer 'stop' within 1 s and was ended; 3 stages on ")
     assert started.ended[0].stopped.startswith("3 stages on ")
 
-
-def test_one_that_stands_still_is_ended_with_its_stages_stopped_and_the_lab_is_replaced(started: Started) -> None:
-    processes = started.processes
-    before = processes.pids()
-    for name in ("lab", "control"):
-        os.kill(before[name], signal.SIGSTOP)
+    os.kill(before["lab"], signal.SIGSTOP)
     gone = processes.gone()
     assert gone == (LAB, CONTROL)
     processes.end_dead(gone)
@@ -117,7 +112,6 @@ def test_one_that_stands_still_is_ended_with_its_stages_stopped_and_the_lab_is_r
     until(lambda: started.state() is State.READY)
     os.kill(processes.pids()["control"], signal.SIGSTOP)
     stopped = processes.end_control()
-
     assert stopped.seen, stopped.text
     assert stopped.text.startswith("3 stages on ")
     with pytest.raises(RefusedError, match="the station is ending"):

@@ -50,7 +50,9 @@ def ring() -> Iterator[Ring]:
 def test_driver_method_and_exception_are_named(ring: Ring) -> None:
     stages = named(Devices(Stages(ring), None, None), BENCH, Calls(ring, REAL_TIME)).stages
 
-    with pytest.raises(DriverError, match="driver 'line-stages' of devices.stages: poll raised ZeroDivisionError: div"):
+    with pytest.raises(
+        DriverError, match=r"driver 'line-stages' of devices\.stages: poll raised ZeroDivisionError: div"
+    ):
         stages.poll(0.0)
     with pytest.raises(DriverError, match="ready raised KeyError"):
         _ = stages.ready
