@@ -139,7 +139,9 @@ class Recorder:
             raise RecordingError(self._gone()) from None
         # A late answer would be taken for the answer to the next question.
         self.child.kill()
-        raise RecordingError(f"the recorder did not answer within {patience:g} s and was ended; is the disk very slow? reset starts another one")
+        raise RecordingError(
+            f"the recorder did not answer within {patience:g} s and was ended (a slow disk?); reset starts another one"
+        )
 
     def _note(self, message: Answer | Trouble) -> None:
         if isinstance(message, Trouble):
@@ -181,6 +183,7 @@ def run_recorder(
                 elif isinstance(message, End):
                     answer = recording.end(message) if recording else Answer(None, "nothing is being recorded")
                     recording = None
+                    ring.numbers[RECORDER_HEARTBEAT] = clock.now()  # it may have taken a while
                     pipe.send(answer)
                 elif recording is not None:
                     recording.writer.event(message)

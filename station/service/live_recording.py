@@ -108,9 +108,9 @@ class LiveRecording:
         self._recorder.child.ended()
 
     def _stands_still(self) -> str:
-        """Why nothing can be recorded now; empty while it shows that it lives, or is starting."""
+        """Why nothing can be recorded now; empty while it shows that it lives, is starting or finishing a recording."""
         beat = float(self._ring.numbers[RECORDER_HEARTBEAT])
-        if not beat or self._clock.now() - beat <= SILENT:
+        if not beat or self.finishing or self._clock.now() - beat <= SILENT:
             return ""
         return f"the recorder has stood still for {SILENT:g} s; reset starts another one"
 
