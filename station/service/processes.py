@@ -67,10 +67,11 @@ class Processes:
         control = self._control
         if control is None:
             return ()
-        lab_goes_on = self.lab.alive and (self.lab.pid is None or self._goes_on(LAB_HEARTBEAT))
+        lab_goes_on = self.lab.alive and (self.lab.pid is None or self._goes_on(LAB_HEARTBEAT, SIGN_OF_LIFE))
         found = () if lab_goes_on else (LAB,)
         # Whoever spoke to a lab that has gone has to find the devices of the new one.
-        return found if lab_goes_on and control.alive and self._goes_on(HEARTBEAT) else (*found, CONTROL)
+        patience = max(SIGN_OF_LIFE, self._patience)
+        return found if lab_goes_on and control.alive and self._goes_on(HEARTBEAT, patience) else (*found, CONTROL)
 
     def pids(self) -> dict[str, int]:
         """Number of every process that lives."""
@@ -142,8 +143,8 @@ class Processes:
             self._watchdog.join(timeout=self._clock.real(3.0))
         return stopped
 
-    def _goes_on(self, heartbeat: int) -> bool:
-        return goes_on(self._ring, heartbeat, self._clock, SIGN_OF_LIFE)
+    def _goes_on(self, heartbeat: int, patience: float) -> bool:
+        return goes_on(self._ring, heartbeat, self._clock, patience)
 
     def _start_control(self) -> None:
         self._control = ControlHost(self._bench, self._ring, self.lab.devices, self._heard, self._ended)
