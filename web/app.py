@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import uvicorn
 import viser
@@ -23,6 +23,7 @@ from fastapi.staticfiles import StaticFiles
 from fastapi_offline import FastAPIOffline
 from rich.console import Console
 from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp
 
 from core.errors import CtrError
 from station.config.strict import complaints, key_of
@@ -37,6 +38,7 @@ from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from web.access.audited import Audited
+from web.access.connections import Connections, places
 from web.access.gate import Access, is_loopback
 from web.access.lease import Lease
 from web.access.tokens import Tokens, new_tokens
@@ -48,7 +50,6 @@ from web.api.operator_watchdog import tell_when_alone
 from web.api.readable import readable, refusal
 from web.api.runs import runs_routes
 from web.api.scene import scene_routes
-from web.ending import once
 from web.scene.proxy import viser_routes
 from web.scene.view import View
 
@@ -61,6 +62,8 @@ START_TIME = 120.0
 CALIBRATIONS = "calibrations"
 #: That a browser may send over a websocket [bytes].
 LONGEST_MESSAGE = 64 * 1024
+#: Connections that are taken before the requests of those before them are read.
+ACCEPTED_AT_ONCE = 64
 
 
 class PortError(CtrError):
@@ -78,6 +81,9 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         data: folder of runs, calibrations and audit log.
         browser: open one on a terminal.
 
+    Returns:
+        0 when every axis has been seen to stop, 1 when not.
+
     Raises:
         ConfigError: the configuration cannot be.
         AuditError: the folder cannot be written.
@@ -89,7 +95,6 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
     port_lock.clear_left_behind()
     station = load_station(config, changes)
     bench = station.bench()
-    tokens = None if is_loopback(host) else new_tokens()
     with contextlib.closing(_listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
         port = listening.getsockname()[1]
         out.print(f"ctr-station: {bench.title}")
@@ -101,39 +106,75 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         try:
             supervisor.open()
             supervisor.wait_ready(START_TIME)
-            service = StationService(supervisor)
-            calibration = LiveCalibration(supervisor, data / CALIBRATIONS)
-            # viser knows no access control: loopback only, the page comes through our own port.
-            with contextlib.redirect_stdout(io.StringIO()):  # it announces its own address
-                scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
-            view = View(scene, service)
-            try:
-                app = build_app(service, view, calibration, data, audit, host, port, tokens)
-                settings = uvicorn.Config(
-                    app, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
-                    timeout_graceful_shutdown=3, lifespan="on", proxy_headers=False,
-                )  # fmt: skip
-                page = f"http://{_shown(host)}:{port}/"
-                address = page + (f"?token={tokens.operator}" if tokens else "")
-                if tokens:
-                    out.print(f"read-only: {page}?token={tokens.viewer}")
-                out.print(f"ctr-station is at {address}   (Ctrl-C ends it)")
-                sys.stdout.flush()
-                if browser and sys.stdout.isatty():
-                    threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-                server = uvicorn.Server(settings)
-                server.handle_exit = once(server.handle_exit)
-                with contextlib.suppress(KeyboardInterrupt):
-                    server.run(sockets=[listening])
-            finally:
-                calibration.close()
-                view.close()
-                with contextlib.redirect_stdout(io.StringIO()):
-                    scene.stop()
+            _serve_web(supervisor, listening, (host, port), data, audit, out, browser=browser)
         finally:
+            stopped = supervisor.end_control()  # again, if it never came to serve
             supervisor.close()
-    out.print("ctr-station has ended; every axis is stopped")
-    return 0
+            if not stopped.seen:
+                sys.stderr.write(f"ctr-station has ended; {stopped.text}\n")
+    if stopped.seen:
+        out.print("ctr-station has ended; every axis is stopped")
+    return 0 if stopped.seen else 1
+
+
+def _serve_web(
+    supervisor: Supervisor,
+    listening: socket.socket,
+    address: tuple[str, int],
+    data: Path,
+    audit: Audit,
+    out: Console,
+    *,
+    browser: bool,
+) -> None:
+    """Serve until Ctrl-C; the axes are stopped before anything else ends, whoever is in the middle of a request."""
+    host, port = address
+    tokens = None if is_loopback(host) else new_tokens()
+    service = StationService(supervisor)
+    calibration = LiveCalibration(supervisor, data / CALIBRATIONS)
+    # viser knows no access control: loopback only, the page comes through our own port.
+    with contextlib.redirect_stdout(io.StringIO()):  # it announces its own address
+        scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
+    view = View(scene, service)
+    try:
+        server = _server(build_app(service, view, calibration, data, audit, host, port, tokens))
+        # The main thread hears the signals, and has nothing else to do.
+        web = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, name="web")
+        page = f"http://{_shown(host)}:{port}/"
+        at = page + (f"?token={tokens.operator}" if tokens else "")
+        if tokens:
+            out.print(f"read-only: {page}?token={tokens.viewer}")
+        out.print(f"ctr-station is at {at}   (Ctrl-C ends it)")
+        sys.stdout.flush()
+        if browser and sys.stdout.isatty():
+            threading.Thread(target=webbrowser.open, args=(at,), daemon=True).start()
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                web.start()
+                while web.is_alive():
+                    web.join(0.5)
+        finally:
+            supervisor.end_control()
+            server.should_exit = True
+            if web.ident is not None:
+                web.join()
+    finally:
+        calibration.close()
+        view.close()
+        with contextlib.redirect_stdout(io.StringIO()):
+            scene.stop()
+
+
+def _server(app: ASGIApp) -> uvicorn.Server:
+    """Of the application, with bounded connections."""
+    connections = Connections(app, places())
+    settings = uvicorn.Config(
+        connections, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
+        timeout_graceful_shutdown=3, lifespan="on", backlog=ACCEPTED_AT_ONCE, proxy_headers=False,
+    )  # fmt: skip
+    settings.load()
+    settings.http_protocol_class = cast("Any", connections.admitting(settings.http_protocol_class))
+    return uvicorn.Server(settings)
 
 
 def _listen(host: str, port: int) -> socket.socket:
@@ -143,7 +184,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listening = socket.socket(family, socket.SOCK_STREAM)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((host, port))
-        listening.listen(64)
+        listening.listen(ACCEPTED_AT_ONCE)
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise PortError(f"port {port} on {host} cannot be had: {reason}; choose another with --port") from None

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from station.cli.main import execute, parser
 from station.cli.options import data_of, seed
-from web.ending import end_once
+from station.service.signals import ended_once
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -26,13 +26,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _serve(parsed: argparse.Namespace) -> int:
-    end_once()
-    from web.app import serve
-
     known = None if parsed.calibration is None else str(parsed.calibration.absolute())
     given = {"lab": parsed.lab, "seed": parsed.seed, "calibration": known}
     changes = {key: value for key, value in given.items() if value is not None}
-    return serve(parsed.config, changes, parsed.host, parsed.port, data_of(parsed), browser=not parsed.no_browser)
+    with ended_once():
+        from web.app import serve
+
+        return serve(parsed.config, changes, parsed.host, parsed.port, data_of(parsed), browser=not parsed.no_browser)
 
 
 def _port(text: str) -> int:

@@ -1,5 +1,6 @@
 """What the station process and the control process say to each other through their pipe."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -20,6 +21,7 @@ class Command(NamedTuple):
     space: Literal["joints", "tip"] = "joints"  #: of a jog
     velocity: Array | None = None  #: of a jog [rad/s or m/s]
     cause: str = ""  #: of a HOLD or STOP
+    until: float = math.inf  #: it is carried out by then or not at all, by the station's clock [s]
 
 
 class Reply(NamedTuple):

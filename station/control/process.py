@@ -16,6 +16,7 @@ from core.errors import CtrError
 from station.config.controllers import PERIOD
 from station.config.robots import RobotFile
 from station.control.clock import REAL_TIME, StationClock
+from station.control.installed import Calls, DriverError, named
 from station.control.loop import ControlLoop
 from station.control.margins import Margins
 from station.control.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Refused, Reply
@@ -28,6 +29,7 @@ from station.control.telemetry import Channels
 from station.devices.config import BenchFile
 from station.devices.interfaces import Devices, Severity
 from station.devices.open_devices import open_devices
+from station.devices.registry import emergency_stop
 
 #: A station process that says nothing for so long counts as gone while something moves [s].
 STATION_SILENT = 1.0
@@ -61,25 +63,43 @@ def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: i
     ring = Ring(ring_width(setup.robot), ring_name)
     try:
         setup.rehearse(setup.controller)
-        told: BenchFile | None = pipe.recv()
+        told, stopped = _told(pipe)
         if told is None:
             return
-        devices = open_devices(told, setup.robot)
+        calls = Calls(ring, setup.clock)
+        devices = named(open_devices(told, setup.robot), told, calls)
         try:
             loop = ControlLoop(setup.controller, devices, setup.margins)
             granted = be_punctual(fifo=setup.fifo, core=setup.core)
             ring.counters[SCHEDULER] = granted.fifo
             pipe.send(Refused(granted.refused))
-            _LiveLoop(loop, setup, ring, pipe, parent).run()
+            _LiveLoop(loop, calls, setup, ring, pipe, parent).run(stopped)
         finally:
             _close(devices)
+            if os.getppid() != parent or is_dying(parent):
+                _stop_at_last(told, setup)
     except (EOFError, ConnectionError):
         return  # nobody is there any more
     except CtrError as error:
         with contextlib.suppress(OSError):
             pipe.send(Notice(State.FAULT, str(error), 0))
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            pipe.send(Notice(State.FAULT, f"the control process failed ({type(error).__name__}: {error})", 0))
+        raise
     finally:
         ring.close(remove=os.getppid() != parent)
+
+
+def _told(pipe: Connection) -> tuple[BenchFile | None, bool]:
+    """Where the devices are (None to end), and whether somebody has said STOP before that; all else is too early."""
+    stopped = False
+    while isinstance(message := pipe.recv(), Command):
+        stop = message.what is Event.STOP
+        stopped = stopped or stop
+        refused = f"'{message.what}' is not possible: the control process is starting"
+        pipe.send(Reply(message.number, "" if stop else refused))
+    return message, stopped
 
 
 def ring_width(robot: RobotFile) -> int:
@@ -87,21 +107,33 @@ def ring_width(robot: RobotFile) -> int:
     return len(Channels(robot.robot()))
 
 
+def _stop_at_last(told: BenchFile, setup: ControlSetup) -> None:
+    """The station process would make sure that every axis stops, those that home too; it is gone."""
+    stop = emergency_stop(told.stages, setup.robot)
+    if stop is not None:
+        with contextlib.suppress(CtrError):  # there is nobody to tell it to
+            stop(setup.clock)
+
+
 class _LiveLoop:
     """The control loop with its clock and its commands."""
 
-    def __init__(self, loop: ControlLoop, setup: ControlSetup, ring: Ring, pipe: Connection, parent: int) -> None:
+    def __init__(
+        self, loop: ControlLoop, calls: Calls, setup: ControlSetup, ring: Ring, pipe: Connection, parent: int
+    ) -> None:
         self._loop, self._ring, self._pipe, self._parent = loop, ring, pipe, parent
-        self._clock = setup.clock
+        self._calls, self._clock = calls, setup.clock
         self._overruns = Overruns(setup.overruns, PERIOD)
         self._begun = 0.0
         self._run = 0
         self._told = Notice(State.OFF, "", 0)
 
-    def run(self) -> None:
-        """Tick until the station process closes the pipe or is gone."""
+    def run(self, stopped: bool) -> None:
+        """Tick until the station process closes the pipe or is gone; it begins OFF if it has been `stopped` already."""
         self._begun = self._clock.now()
         self._loop.connect(0.0)
+        if stopped:
+            self._loop.stop(0.0)
         try:
             self._ticks()
         finally:
@@ -136,7 +168,7 @@ class _LiveLoop:
         if late is not None:
             event = Event.FAULT if late.severity is Severity.FAULT else Event.HOLD
             if event is Event.FAULT or self._loop.state is State.RUNNING:
-                self._loop.stop(now, event, late.text)
+                self._loop.stop(now, event, "; ".join(text for text in (late.text, self._calls.longest()) if text))
 
     def _tick(self, tick: int) -> None:
         loop, ring, now = self._loop, self._ring, tick * PERIOD
@@ -191,6 +223,8 @@ class _LiveLoop:
     def _obey(self, command: Command, now: float) -> str:
         """Carry out one command; why not, if so."""
         loop = self._loop
+        if self._clock.now() > command.until:
+            return f"'{command.what}' came too late to be carried out"  # whoever asked has been told so
         try:
             match command.what:
                 case Event.STOP:
@@ -220,10 +254,11 @@ class _LiveLoop:
     def _wind_down(self) -> None:
         """Stop every axis and give the lines the time to carry the stops."""
         begin = self._clock.now()
-        self._loop.stop(begin - self._begun, cause="the station process is gone")
-        while self._clock.now() - begin < LAST_WORDS:
-            self._clock.sleep(PERIOD)
-            self._loop.devices.stages.poll(self._clock.now() - self._begun)
+        with contextlib.suppress(DriverError):  # somebody else stops them then, and tells
+            self._loop.stop(begin - self._begun, cause="the station process is gone")
+            while self._clock.now() - begin < LAST_WORDS:
+                self._clock.sleep(PERIOD)
+                self._loop.devices.stages.poll(self._clock.now() - self._begun)
 
 
 def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:

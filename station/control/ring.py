@@ -24,9 +24,11 @@ SEGMENTS = Path("/dev/shm")  # noqa: S108 - where Linux has them
 ROWS = 4096  #: slots, about 8 s at 500 Hz
 BINS = 5001  #: 1 us each; the last holds everything from 5 ms on
 
-WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK = range(7)  #: places of the counters
+#: Places of the counters; the last one is an installed driver that is being called, counted from 1; 0: none.
+WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK, CALLED = range(8)
 COUNTERS = 8
-LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT = range(5)  #: places of the numbers
+#: Places of the numbers; a heartbeat is when its process has shown last that it lives, by the station's clock [s].
+LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECORDER_HEARTBEAT = range(7)
 NUMBERS = 8
 TRUTH = 8  #: a count that is odd while they are being written, then tip and force
 

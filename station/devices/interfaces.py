@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple, Protocol
 
+from core.errors import CtrError
 from core.robot.robot import Array
 
 
@@ -135,8 +136,13 @@ class Clock(Protocol):
         ...
 
 
+class NotStopped(CtrError):
+    """Stages that have not said that they stop: which of them, why, and what a person has to do."""
+
+
 #: Stops every stage from another process than the one that drives them, whose ports may still be held for some
-#: milliseconds by what is left of it. Says in words what came of it, and what a person has to do.
+#: milliseconds by what is left of it. Says in words what came of it; raises NotStopped unless every axis has said
+#: that it stops.
 EmergencyStop = Callable[[Clock], str]
 
 

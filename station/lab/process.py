@@ -18,7 +18,7 @@ from core.errors import CtrError
 from station.config.robots import RobotFile
 from station.control.clock import REAL_TIME, StationClock
 from station.control.realtime import ask_for_fifo, show_as
-from station.control.ring import Ring
+from station.control.ring import LAB_HEARTBEAT, Ring
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.lab_server import LabServer
@@ -98,6 +98,7 @@ class _Visitor:
     def look(self) -> bool:
         """True when the lab is to end."""
         self._ring.publish_ground_truth(self._lab.lab.truth, bool(self._lab.lab.trouble))
+        self._ring.numbers[LAB_HEARTBEAT] = self._lab.clock.now()
         if self._alone_since or os.getppid() != self._parent:
             self._alone_since = self._alone_since or self._lab.clock.now()
             return self._lab.clock.now() - self._alone_since > OUTLIVES

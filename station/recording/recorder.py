@@ -1,6 +1,6 @@
 """The live recorder: a process of its own that copies the telemetry ring to disk every 0.2 s, to the end of a run.
 
-It only ever reads the ring, so the control loop cannot feel it; what the ring has overwritten before it
+It only ever reads the ring's rows, so the control loop cannot feel it; what the ring has overwritten before it
 was read is counted. When its parent is gone it finishes the recording as interrupted and ends.
 """
 
@@ -20,7 +20,7 @@ from station.config.robots import RobotFile
 from station.control.child import Child
 from station.control.clock import REAL_TIME, StationClock
 from station.control.realtime import show_as
-from station.control.ring import Ring
+from station.control.ring import RECORDER_HEARTBEAT, Ring
 from station.control.telemetry import Channels
 from station.recording.drawing import Drawing
 from station.recording.events import WARNING, Event
@@ -145,7 +145,9 @@ class Recorder:
             raise RecordingError(self._gone()) from None
         # A late answer would be taken for the answer to the next question.
         self.child.kill()
-        raise RecordingError(f"the recorder did not answer within {patience:g} s and was ended; is the disk very slow?")
+        raise RecordingError(
+            f"the recorder did not answer within {patience:g} s and was ended (a slow disk?); reset starts another one"
+        )
 
     def _note(self, message: Answer | Trouble) -> None:
         if isinstance(message, Trouble):
@@ -153,7 +155,7 @@ class Recorder:
 
     def _gone(self) -> str:
         how = self.child.ended(self._clock.real(1.0))
-        return f"the recorder ended {how}; what it had written is recovered at the next start"
+        return f"the recorder ended {how}; reset starts another one, and recovers what it had written"
 
 
 def run_recorder(
@@ -175,16 +177,19 @@ def run_recorder(
     due = clock.now() + FLUSH
     try:
         while not asked and os.getppid() == parent:
+            ring.numbers[RECORDER_HEARTBEAT] = clock.now()
             if asks.poll(max(0.0, 1e3 * clock.real(due - clock.now()))):
                 message: Begin | End | Event | None = pipe.recv()
                 if message is None:
                     break
                 if isinstance(message, Begin):
                     recording, answer = _begin(message, recording, robot, channels, runs, ring)
+                    ring.numbers[RECORDER_HEARTBEAT] = clock.now()  # from here on somebody looks
                     pipe.send(answer)
                 elif isinstance(message, End):
                     answer = recording.end(message) if recording else Answer(None, "nothing is being recorded")
                     recording = None
+                    ring.numbers[RECORDER_HEARTBEAT] = clock.now()  # it may have taken a while
                     pipe.send(answer)
                 elif recording is not None:
                     recording.writer.event(message)

@@ -1,28 +1,38 @@
 """The station process's side of control: it starts and hears the control process, and stops the stages after it."""
 
 import itertools
+import math
 import threading
+import traceback
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from core.errors import CtrError
 from station.control.child import Child
+from station.control.installed import called
 from station.control.messages import Command, DeviceReport, Notice, Refused, Reply
 from station.control.process import run_control
 from station.control.realtime import ask_for_fifo
-from station.control.ring import HEARTBEAT, Ring
+from station.control.ring import CALLED, HEARTBEAT, Ring
 from station.control.states import Event, RefusedError
 from station.devices.config import BenchFile
-from station.devices.interfaces import EmergencyStop
-from station.devices.registry import emergency_stop
-from station.lab.host import LabError
 from station.service.bench import Bench
+from station.service.last_stop import NOTHING, LastStop, Stopped
 
 #: The control process answers a command within this time or counts as gone [s].
 ANSWER_TIME = 1.0
+#: It has this long to end once it is asked to [s].
+END_TIME = 3.0
+#: The last stop is over after this time, or hangs [s].
+LAST_STOP_TIME = 10.0
 #: Of the threads that stop the stages when the control process cannot; below its own.
 WATCHER_PRIORITY = 45
 
 Said = Notice | DeviceReport | Refused
+
+
+class Unanswered(RefusedError):
+    """The control process does not answer, though it lives."""
 
 
 class Ending(NamedTuple):
@@ -51,19 +61,21 @@ class ControlHost:
             devices: where the devices are; may wait, and raise LabError.
             hear, ended: called in a thread of their own with what it says, and when it has ended unasked.
         """
-        self._fifo, self._clock = bench.fifo, bench.clock
+        self._fifo, self._clock, self._ring = bench.fifo, bench.clock, ring
         self._devices, self._registered, self._hear, self._ended = devices, bench.registered, hear, ended
         self._numbers = itertools.count(1)
-        self._lock = threading.Lock()
-        self._answered = threading.Condition(self._lock)
+        self._sending = threading.Lock()
+        self._answered = threading.Condition()
         self._waiting: set[int] = set()
         self._replies: dict[int, str] = {}
         self._robot = bench.robot
-        self._stages = ""  # name of their driver, once they may have been opened
-        self._emergency_stop: EmergencyStop | None = None
+        self._last_stop: LastStop | None = None  # once the stages may have been opened
+        self._stopped = NOTHING
+        self._over = threading.Event()  # the process has ended, and the stages have been stopped
         self._closing = False
         self._killed = ""  # why, if it was
-        ring.numbers[HEARTBEAT] = 0.0
+        self._told: BenchFile | None = None
+        ring.numbers[HEARTBEAT], ring.counters[CALLED] = 0.0, 0
         self._child = Child(run_control, bench.control, ring.name, name="control")
         self._watcher = threading.Thread(target=self._watch, name="control watcher")
         self._watcher.start()
@@ -74,6 +86,16 @@ class ControlHost:
         return self._child.alive
 
     @property
+    def ticking(self) -> bool:
+        """Whether its loop has begun; nothing moves before."""
+        return float(self._ring.numbers[HEARTBEAT]) > 0.0
+
+    @property
+    def waits_for(self) -> str:
+        """The installed driver that its loop is just waiting for; empty if there is none."""
+        return "" if self._told is None else called(self._ring, self._told)
+
+    @property
     def pid(self) -> int:
         """Number of the control process."""
         return self._child.pid
@@ -82,75 +104,129 @@ class ControlHost:
         """Have a command carried out, with what else `Command` says about it.
 
         Raises:
-            RefusedError: the state does not allow it, or there is nobody who answers.
+            Unanswered: it does not answer in time; what moves anything is not carried out any more then.
+            RefusedError: the state does not allow it, or the process is gone.
         """
-        command = Command(next(self._numbers), what, **about)
-        with self._lock:
+        until = math.inf if what in (Event.STOP, Event.HOLD) else self._clock.now() + ANSWER_TIME
+        command = Command(next(self._numbers), what, until=until, **about)
+        silent = Unanswered(f"the control process did not answer '{what}' within {ANSWER_TIME:g} s")
+        with self._answered:
             self._waiting.add(command.number)
         try:
+            # A process that stands still takes nothing more from a full pipe.
+            if not self._sending.acquire(timeout=self._clock.real(ANSWER_TIME)):
+                raise silent
             try:
-                with self._lock:
-                    self._child.pipe.send(command)
+                self._child.pipe.send(command)
             except OSError:
                 raise RefusedError("the control process is gone; reset to start it anew") from None
+            finally:
+                self._sending.release()
             with self._answered:
                 if not self._answered.wait_for(lambda: command.number in self._replies, self._clock.real(ANSWER_TIME)):
-                    raise RefusedError(f"the control process did not answer '{what}' within {ANSWER_TIME:g} s")
+                    raise silent
                 refused = self._replies.pop(command.number)
         finally:
-            with self._lock:
+            with self._answered:
                 self._waiting.discard(command.number)
         if refused:
             raise RefusedError(refused)
 
+    def stop(self, cause: str = "stopped by the operator") -> str:
+        """Stop every axis, without the control process if it does not do it: what a person should know about it."""
+        try:
+            self.ask(Event.STOP, cause=cause)
+            return ""
+        except Unanswered as error:
+            if not self.ticking:
+                return f"{error}: it is starting, and the stop is the next thing that it does"
+            return self._stop_instead(f"{error} and was ended")
+        except RefusedError as error:
+            if self._last_stop is None:
+                return "there is no control process and nothing that moves"
+            if self.alive:
+                return self._stop_instead(f"the control process could not stop ({error}) and was ended")
+            self._after_it()
+            return self._last_stop().text
+
     def hold(self, cause: str) -> None:
         """End a motion; does not wait for an answer."""
-        with self._lock:
-            self._child.tell(Command(next(self._numbers), Event.HOLD, cause=cause))
-
-    def stop_stages(self) -> str:
-        """Stop them without the control process, which is no more: what came of it, in words."""
-        if not self._stages:
-            return ""
-        if self._emergency_stop is None:
-            return f"driver '{self._stages}' cannot stop its stages from another process: press the emergency stop"
-        try:
-            return self._emergency_stop(self._clock)
-        except Exception as error:  # whatever an installed driver does
-            return f"the stages could not be stopped ({type(error).__name__}: {error}): press the emergency stop"
+        if self._sending.acquire(blocking=False):
+            try:
+                self._child.tell(Command(next(self._numbers), Event.HOLD, cause=cause))
+            finally:
+                self._sending.release()
 
     def kill(self, why: str) -> None:
         """End it at once; the stages are stopped then, and `why` is told."""
-        self._killed = why
+        self._killed = self._killed or why
         self._child.kill()
 
-    def close(self) -> None:
-        """End it, its axes stopped; of one that has ended already only the rest is put away."""
+    def close(self) -> Stopped:
+        """End it, its axes stopped; of one that has ended already only the rest is put away.
+
+        Returns:
+            What has been seen of the stages' stop.
+        """
         self._closing = True
-        self._child.end(self._clock.real(3.0))
-        self._watcher.join(timeout=self._clock.real(5.0))
+        if self.alive and self.ticking:
+            try:
+                self.ask(Event.STOP, cause=cause)
+            except RefusedError:
+                self._child.kill()  # one that does not listen stops nothing
+        self._child.end(self._clock.real(END_TIME))
+        stopped = self._after_it()
+        self._watcher.join(0.0)
         self._child.pipe.close()
+        if self._last_stop is not None:
+            self._last_stop.close()
+        return stopped
+
+    def _stop_instead(self, why: str) -> str:
+        """Stop the stages in the place of a process that lives and does not; what came of it, in words."""
+        waits_for = self.waits_for
+        why = f"{why}; it was waiting for {waits_for}" if waits_for else why
+        self.kill(why)
+        return f"{why}; {self._after_it().text}"
+
+    def _after_it(self) -> Stopped:
+        """What has become of the stages once the process has ended."""
+        if self._over.wait(self._clock.real(LAST_STOP_TIME)) or self._last_stop is None:
+            return self._stopped
+        return Stopped(False, "the last stop of the stages does not come to an end: press the emergency stop")
 
     def _watch(self) -> None:
-        """Give it its devices, take what it says until it ends; its end unasked is a fault."""
+        """Give it its devices, take what it says until it ends, stop the stages; its end unasked is a fault."""
         if self._fifo:
             ask_for_fifo(WATCHER_PRIORITY)  # what is left of a run must not wait for a page to be drawn
         try:
-            told = self._registered(self._devices())
-            self._emergency_stop = emergency_stop(told.stages, self._robot)
-            self._stages = str(told.stages["driver"])
-            with self._lock:
+            self._listen()
+        except CtrError as error:
+            self.kill(str(error))
+        except Exception as error:  # nobody else would stop the stages
+            traceback.print_exc()
+            self.kill(f"the station could not go on with the control process ({type(error).__name__}: {error})")
+        if self._last_stop is not None:
+            self._stopped = self._last_stop()
+        if not self._closing:
+            how = self._killed or f"the control process ended {self._child.ended()}"
+            self._ended(Ending(how, self._stopped.text))
+        self._over.set()
+
+    def _listen(self) -> None:
+        self._told = told = self._registered(self._devices())
+        self._last_stop = LastStop(told.stages, self._robot, self._clock)
+        try:
+            with self._sending:
                 self._child.pipe.send(told)
             while True:
-                self._take(self._child.pipe.recv())
-        except LabError as error:
-            self.kill(str(error))
+                message = self._child.pipe.recv()
+                try:
+                    self._take(message)
+                except Exception:  # whatever becomes of one message, the next one is heard
+                    traceback.print_exc()
         except (EOFError, OSError):
-            pass  # it has ended
-        if self._closing:
-            return
-        stopped = self.stop_stages()
-        self._ended(Ending(self._killed or f"the control process ended {self._child.ended()}", stopped))
+            return  # it has ended
 
     def _take(self, message: Reply | Said) -> None:
         if not isinstance(message, Reply):

@@ -7,13 +7,17 @@ from typing import Any
 
 from station.config.robots import RobotFile
 from station.control.clock import StationClock
-from station.control.ring import Ring
+from station.control.ring import RECORDER_HEARTBEAT, Ring
 from station.control.states import State
 from station.recording.events import ERROR, INFO, Event
 from station.recording.label import Label, RecordingError
-from station.recording.recorder import Recorder
+from station.recording.recorder import START_TIME, Recorder
 from station.recording.recover import recover
 from station.recording.space import free_space_problem
+from station.service.sign_of_life import goes_on
+
+#: A recorder that has shown no sign of life for so long stands still [s]; the ring holds 8 s.
+SILENT = 3.0
 
 
 class LiveRecording:
@@ -22,13 +26,14 @@ class LiveRecording:
     def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock) -> None:
         self.runs = runs
         self.recovered = recover(runs)  #: folders of runs that were left behind
-        self._ring = ring
+        self._ring, self._clock = ring, clock
+        ring.numbers[RECORDER_HEARTBEAT], self._started = 0.0, clock.now()
         self._recorder = Recorder(ring, robot, runs, clock)
         # One thread: the recorder answers one question at a time.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
         self._looking: Future[None] | None = None
         self._ending: Future[None] | None = None
-        self._problem = ""
+        self._problem = self._lost = ""
 
     @property
     def pid(self) -> int:
@@ -43,10 +48,10 @@ class LiveRecording:
         Raises:
             RecordingError: there is no room, or the recorder cannot.
         """
-        problem = free_space_problem(self.runs, duration)
+        problem = self._stands_still() or free_space_problem(self.runs, duration)
         if problem:
             raise RecordingError(problem)
-        self._problem = ""
+        self._problem, self._lost = "", ""
         self._ring.clear_timing()
         return self._thread.submit(self._recorder.begin, name, metadata, counted_from).result().name
 
@@ -70,14 +75,41 @@ class LiveRecording:
 
     def problem(self) -> str:
         """Why the recording that was on has ended by itself; empty while all is well. Does not wait."""
+        if still := self._stands_still():
+            return still
         if self._looking is None or self._looking.done():
             self._looking = self._thread.submit(self._look)
         return self._problem
+
+    def lost(self) -> str:
+        """Why the last recording could not be finished, told once; empty while all is well."""
+        lost, self._lost = self._lost, ""
+        return lost
+
+    @property
+    def well(self) -> bool:
+        """Whether the recorder lives, and does not stand still; looks for a sign of it, for `SILENT` at most."""
+        if not self._recorder.child.alive:
+            return False
+        starting = not self._ring.numbers[RECORDER_HEARTBEAT] and self._clock.now() - self._started < START_TIME
+        return starting or self.finishing or goes_on(self._ring, RECORDER_HEARTBEAT, self._clock, SILENT)
 
     def close(self) -> None:
         """Finish what is on, as interrupted."""
         self._thread.submit(self._recorder.close).result()
         self._thread.shutdown()
+
+    def kill(self) -> None:
+        """End the recorder at once; what it had written can be recovered then, and `close` does not wait for it."""
+        self._recorder.child.kill()
+        self._recorder.child.ended()
+
+    def _stands_still(self) -> str:
+        """Why nothing can be recorded now; empty while it shows that it lives, is starting or finishing a recording."""
+        beat = float(self._ring.numbers[RECORDER_HEARTBEAT])
+        if not beat or self.finishing or self._clock.now() - beat <= SILENT:
+            return ""
+        return f"the recorder has stood still for {SILENT:g} s; reset starts another one"
 
     def _look(self) -> None:
         self._problem = self._problem or self._recorder.trouble()
@@ -93,3 +125,5 @@ class LiveRecording:
             self._recorder.end(label, cause, numbers)
         except RecordingError as error:
             self._problem = self._problem or str(error)
+            why = self._recorder.trouble() or str(error)
+            self._lost = f"the recording of the last run was not finished: {why}"

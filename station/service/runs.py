@@ -22,7 +22,7 @@ class Runs:
         self._bench, self._ring, self._folder = bench, ring, folder
         self.session = f"{datetime.now().astimezone():%Y%m%d-%H%M%S}"
         self._numbers = itertools.count(1)
-        self._lock = threading.Lock()
+        self._lock, self._renewing = threading.Lock(), threading.Lock()
         self._asked: Run | None = None
         self._current: Run | None = None
         self._recorded: Run | None = None  # the one that is being recorded
@@ -32,6 +32,18 @@ class Runs:
         """Start the recorder's process, if there is a folder for it."""
         if self._folder is not None:
             self._recording = LiveRecording(self._ring, self._bench.robot, self._folder, self._bench.clock)
+
+    def renew(self) -> bool:
+        """Start another recorder in the place of one that has died or stands still; whether it was so."""
+        with self._renewing:
+            old = self._recording
+            if old is None or old.well:
+                return False
+            old.kill()
+            self._recorded = None
+            self.open()
+            old.close()
+            return True
 
     @property
     def pid(self) -> int | None:
@@ -114,16 +126,25 @@ class Runs:
             self._recording.interrupted(cause)
 
     def problem(self) -> str:
-        """Why the recording of the run that is on has ended by itself, told once; empty while all is well."""
-        if self._recording is None or self._recorded is None or not (problem := self._recording.problem()):
+        """Why the recording of the run that is on has ended by itself, told once; empty while all is well.
+
+        The same of the last run, if it could not be finished.
+        """
+        if self._recording is None:
+            return ""
+        if self._recorded is None:
+            return self._recording.lost()
+        if not (problem := self._recording.problem()):
             return ""
         self._recorded = None
         return f"the recording has ended: {problem}"
 
     def close(self) -> None:
         """Finish what is being recorded, as interrupted."""
-        if self._recording is not None:
-            self._recording.close()
+        with self._renewing:
+            recording, self._recording = self._recording, None
+        if recording is not None:
+            recording.close()
 
     def _finish(self, state: State, cause: str) -> None:
         if self._recording is not None:

@@ -21,9 +21,11 @@ from station.lab.faults import LabFault
 from station.lab.loads import Load
 from station.service.audit import Audit
 from station.service.bench import Bench
-from station.service.control_host import Ending, Said
+from station.service.control_host import Ending, Said, Unanswered
 from station.service.flight_recorder import FlightRecorder
-from station.service.processes import Processes
+from station.service.last_stop import Stopped
+from station.service.once_at_a_time import OnceAtATime
+from station.service.processes import CONTROL, Processes
 from station.service.runs import Runs
 from station.service.start import Run, Start
 from station.service.status import StateMonitor, Status
@@ -43,6 +45,7 @@ class Supervisor:
         self._state = StateMonitor(self.ring, self.channels, bench.clock)
         self._flight_recorder = FlightRecorder(self.ring, self.channels, audit, folder, self._runs.session)
         self._processes = Processes(bench, self.ring, self._hear, self._ended, self._runs.problem)
+        self._reset_once = OnceAtATime(self._reset)
         self._reserved = ""  # why nobody but a procedure may move anything
 
     def open(self) -> None:
@@ -64,6 +67,10 @@ class Supervisor:
         ):
             if self._state.said is State.FAULT:
                 raise CtrError(f"the station did not come up: {self._state.cause}")
+            if self._processes.closing:
+                raise RefusedError("the station is ending")
+            if self._state.said is State.OFF and self._state.cause:
+                raise CtrError(f"the station did not come up: {self._state.cause}; connect to go on")
             if self._clock.now() > deadline:
                 raise CtrError(f"the station did not come up within {timeout:g} s: {self._state.troubles()}")
             self._clock.sleep(0.02)
@@ -126,32 +133,45 @@ class Supervisor:
 
     def stop(self, cause: str = "stopped by the operator") -> str:
         """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
-        stopped = self._processes.stop_stages()
-        if stopped is not None:
-            return stopped or "there is no control process and nothing that moves"
-        try:
-            self._processes.ask(Event.STOP, cause=cause)
-        except RefusedError as error:
-            return f"{error}; the stop is the next thing that it does"
-        return ""
+        return self._processes.stop(cause)
 
-    def reset(self) -> None:
-        """A person has seen the fault, stop or hold; processes that have died are started anew.
+    def reset(self) -> str:
+        """A person has seen the fault, stop or hold; processes that have died or stand still are started anew.
+
+        Two at the same time are one.
+
+        Returns:
+            What has been started anew, in words; empty when it was nothing.
 
         Raises:
             RefusedError: there is nothing to reset.
             CtrError: they do not come back.
         """
-        if self._processes.well:
-            self._processes.ask(Event.RESET)
-            return
-        self._processes.end_dead()
-        self.ring.clear_timing()
-        since = self.ring.written
-        self._state.forget()
-        self._runs.forget()
-        self._processes.start_anew()
-        self.wait_ready(60.0, since)
+        return self._reset_once()
+
+    def _reset(self) -> str:
+        anew = ("the recorder",) if self._runs.renew() else ()
+        gone = self._processes.gone()
+        if not gone:
+            try:
+                self._processes.ask(Event.RESET)
+            except Unanswered:
+                gone = self._processes.gone() or (CONTROL,)
+            except RefusedError:
+                if not anew:
+                    raise
+        if gone:
+            self._processes.end_dead(gone)
+            self.ring.clear_timing()
+            since = self.ring.written
+            self._state.forget()
+            self._runs.forget()
+            self._processes.start_anew()
+            self.wait_ready(60.0, since)
+        told = " and ".join((*anew, *gone))
+        if told:
+            self._flight_recorder.note("reset", f"started anew: {told}")
+        return told and f"started anew: {told}"
 
     def connect(self) -> None:
         """Find the devices, after they were given up.
@@ -204,6 +224,14 @@ class Supervisor:
     def inject(self, faults: Sequence[LabFault]) -> None:
         """Let these faults of the virtual lab's devices happen from now on; none: clear all."""
         self._processes.lab.inject(faults)
+
+    def end_control(self) -> Stopped:
+        """End the control process, its axes stopped first; from now on nothing moves any more.
+
+        Returns:
+            What has been seen of the stages' stop.
+        """
+        return self._processes.end_control()
 
     def close(self) -> None:
         """End the control process, its axes stopped, then the lab, and remove the shared memory."""

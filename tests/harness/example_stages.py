@@ -8,7 +8,7 @@ import numpy as np
 from core.errors import CtrError
 from station.config.robots import RobotFile
 from station.config.strict import Strict, check
-from station.devices.interfaces import Clock, Condition, JointReading, Severity, Trouble
+from station.devices.interfaces import Clock, Condition, JointReading, NotStopped, Severity, Trouble
 from station.devices.links.link import LinkError, SerialLink, reopen
 
 
@@ -98,7 +98,7 @@ def emergency_stop(options: Mapping[str, Any], robot: RobotFile, clock: Clock) -
         answer = b""
         while b"stopped" not in answer:
             if clock.now() - begin > 2.0:
-                return f"the stages at {link.name} do not say that they stop: press the emergency stop"
+                raise NotStopped(f"the stages at {link.name} do not say that they stop: press the emergency stop")
             clock.sleep(0.005)
             answer += link.read()
     finally:

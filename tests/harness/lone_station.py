@@ -106,7 +106,7 @@ def _settled(supervisor: Supervisor) -> None:
 
 
 def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[str, Any]:
-    refused = ""
+    refused = note = ""
     try:
         match what:
             case "start":
@@ -114,7 +114,7 @@ def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[
             case "stop":
                 supervisor.stop()
             case "reset":
-                supervisor.reset()
+                note = supervisor.reset()
                 _settled(supervisor)
             case "home":
                 supervisor.home()
@@ -129,6 +129,7 @@ def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[
         "cause": status.cause,
         "run": "" if status.run is None else status.run.id,
         "refused": refused,
+        "note": note,
         "recovered": [path.name for path in supervisor.recovered],
     }
 

@@ -22,8 +22,9 @@ from tests.harness.waiting import NET, until
 class Served:
     """A running station."""
 
-    def __init__(self, process: "subprocess.Popen[bytes]", port: int, tokens: list[str]) -> None:
+    def __init__(self, process: "subprocess.Popen[bytes]", port: int, tokens: list[str], said: Path) -> None:
         self.process = process
+        self.said = said  #: what it has written to its terminal
         self.port = port
         self.url = f"http://127.0.0.1:{port}"
         self.tokens = tokens  #: the viewers', then the operators'; none on loopback
@@ -87,11 +88,11 @@ class Served:
         """The child that runs the loop."""
         return self.child("ctr-control")
 
-    def end(self) -> int:
-        """Ctrl-C; the exit status."""
+    def end(self, by: signal.Signals = signal.SIGINT) -> int:
+        """Ctrl-C, or another signal; the exit status."""
         self.rest.close()
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
+            self.process.send_signal(by)
         return self.process.wait(NET)
 
 
@@ -137,7 +138,7 @@ def serving(*arguments: str, settings: str = "", rate: float | None = RATE) -> I
         try:
             text = _until_started(process, Path(said.name))
             tokens = [line.split("?token=")[1].split()[0] for line in text.splitlines() if "?token=" in line]
-            served = Served(process, port, tokens)
+            served = Served(process, port, tokens, Path(said.name))
             _until_answering(served)
             yield served
             text = Path(said.name).read_text()

@@ -94,8 +94,8 @@ def control_routes(
         "/reset", responses=REFUSED, dependencies=operator, summary="Go on after a stop, hold or fault that was seen"
     )
     async def reset() -> DoneOut:
-        await aside(supervisor.reset)
-        return DoneOut(state=supervisor.status().state.name)
+        note = await aside(supervisor.reset)
+        return DoneOut(state=supervisor.status().state.name, note=note)
 
     @router.get("/trajectory", summary="The next free motion")
     def get_trajectory() -> TipMotionIn:

@@ -1,10 +1,13 @@
 """From the first to the last: start, busy ports, ends of every kind."""
 
+import json
 import signal
 import socket
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
+from pathlib import Path
 
 from websockets.sync.client import connect
 
@@ -31,15 +34,25 @@ def test_a_busy_port_is_named() -> None:
     assert len(ended.stderr.splitlines()) == 1
 
 
-def test_ctrl_c_with_clients_connected_leaves_nothing_behind() -> None:
-    with serving() as station:
+def test_ctrl_c_stops_the_axes_before_anything_else_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    with serving("--data", str(tmp_path)) as station, ExitStack() as clients:
         control, used = station.control_process(), shared_memory(station.process.pid)
         assert used
-        address = f"ws://127.0.0.1:{station.port}"
-        with connect(f"{address}/api/telemetry", proxy=None) as telemetry:
-            telemetry.recv()
-            assert station.end() == 0
+        telemetry = clients.enter_context(connect(f"ws://127.0.0.1:{station.port}/api/telemetry", proxy=None))
+        telemetry.recv()
+        station.ready()
+        assert station.post("/api/start", {"trajectory": {"kind": "hold"}}).status_code == 202
+        station.wait_for(lambda status: status["state"] == "RUNNING")
+        for _ in range(3):
+            # The server waits for the rest of such requests before it ends.
+            half = clients.enter_context(socket.create_connection(("127.0.0.1", station.port)))
+            head = f"POST /api/tare HTTP/1.1\r\nhost: 127.0.0.1:{station.port}\r\ncontent-type: application/json\r\n"
+            half.sendall(f"{head}content-length: 100\r\n\r\n{{".encode())
+        assert station.end() == 0
         assert not control.is_running()
+        assert "every axis is stopped" in station.said.read_text()
+    log = [json.loads(line)["what"] for line in (tmp_path / "audit.jsonl").read_text().splitlines()]
+    assert log.index("state STOPPED") < min(i for i, what in enumerate(log) if what.startswith("POST /api/tare"))
     assert not any(path.exists() for path in used)
 
 
@@ -49,6 +62,17 @@ def test_ctrl_c_pressed_again_and_again_cuts_nothing_off() -> None:
             station.process.send_signal(signal.SIGINT)
             time.sleep(0.02)
         assert station.process.returncode == 0
+
+
+def test_axes_that_nobody_has_seen_stop_are_not_said_to_be_stopped() -> None:
+    with serving() as station:
+        station.ready()
+        for name in ("ctr-lab", "ctr-control"):
+            station.child(name).send_signal(signal.SIGSTOP)
+        assert station.end(by=signal.SIGTERM) == 1
+        said = station.said.read_text()
+        assert "every axis is stopped" not in said
+        assert "press the emergency stop" in said
 
 
 def test_a_killed_control_process_is_a_fault_at_once_and_a_reset_starts_a_new_one(station: Served) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.harness.calm import CLOCK
+from tests.harness.kill_stations import back
 from tests.harness.lone_station import lone_station
 from tests.harness.waiting import until
 from tests.harness.watched_lab import WatchedLab
@@ -73,17 +74,26 @@ def installed(tmp_path: Path, monkeypatch) -> Path:
     folder = tmp_path / "site" / "my_bench-1.0.dist-info"
     folder.mkdir(parents=True)
     (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: my-bench\nVersion: 1.0\n", encoding="utf-8")
-    entry = "line-stages = tests.harness.example_stages:open_stages"
+    entry = "faulty-stages = tests.harness.faulty_stages:open_stages"
     (folder / "entry_points.txt").write_text(f"[ctr_station.devices]\n{entry}\n", encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")]))
     return tmp_path
 
 
 def test_the_station_process_stops_them_by_their_own_emergency_stop(box: Box, installed: Path) -> None:
-    stages = {"driver": "line-stages", "host": "127.0.0.1", "port": box.port}
+    stages = {"driver": "faulty-stages", "host": "127.0.0.1", "port": box.port}
     with WatchedLab(CLOCK) as lab, lone_station(installed / "runs", lab, stages=stages) as station:
-        station.child("control").kill()
-        status = until(lambda: (now := station.ask("status"))["state"] == "FAULT" and now["cause"] and now)
 
-    assert f"3 stages at socket://127.0.0.1:{box.port} say that they have stopped" in status["cause"]
-    assert b"stop" in box.told
+        def fault() -> str:
+            """Its cause, once it is there; what the box was told is forgotten."""
+            status = until(lambda: (now := station.ask("status"))["state"] == "FAULT" and now["cause"] and now)
+            assert f"3 stages at socket://127.0.0.1:{box.port} say that they have stopped" in status["cause"]
+            assert b"stop" in box.told
+            box.told.clear()
+            return status["cause"]
+
+        station.child("control").kill()
+        assert fault().startswith("the control process ended by signal 9")
+        back(station)
+        assert station.ask("home")["refused"] == ""
+        assert fault().startswith("driver 'faulty-stages' of devices.stages: poll raised ZeroDivisionError: float div")

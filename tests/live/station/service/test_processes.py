@@ -19,7 +19,7 @@ from station.control.task import Task
 from station.recording.label import Label
 from station.recording.read import read_case
 from station.service.control_host import Ending, Said
-from station.service.processes import Processes
+from station.service.processes import CONTROL, LAB, Processes
 from station.service.runs import Runs
 from station.service.start import Start
 from station.service.station_file import load_station
@@ -68,23 +68,54 @@ def hold(paper: RobotFile) -> Start:
 
 def test_a_killed_control_process_ends_with_its_stages_stopped_and_is_started_anew(started: Started) -> None:
     processes = started.processes
-    assert processes.well
-    assert processes.stop_stages() is None  # it lives: it is to be asked
+    assert processes.gone() == ()
     first = processes.pids()["control"]
     os.kill(first, signal.SIGKILL)
     until(lambda: bool(started.ended))
 
     assert started.ended[0].how == "the control process ended by signal 9"
     assert started.ended[0].stopped.startswith("3 stages on ")
-    assert not processes.well
+    assert processes.gone() == (CONTROL,)
     with pytest.raises(RefusedError, match="gone"):
         processes.ask(Event.STOP)
     started.heard.clear()
-    processes.end_dead()
+    processes.end_dead(processes.gone())
+    processes.start_anew()
+    # Whatever is asked of one that is starting is answered, and a stop is not forgotten.
+    with pytest.raises(RefusedError):
+        processes.ask("tare")
+    assert "it is starting" in processes.stop()
+    until(lambda: Notice(State.OFF, "stopped by the operator", 0) in started.heard)
+    processes.ask(Event.CONNECT)
+    until(lambda: started.state() is State.READY)
+    assert processes.gone() == ()
+    assert processes.pids()["control"] != first
+
+
+def test_what_stands_still_is_ended_with_the_stages_stopped_and_replaced(
+    started: Started, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    processes = started.processes
+    monkeypatch.setattr(processes, "_patience", 3600.0)  # as in the first ticks, or homing: no watchdog ends it
+    before = processes.pids()
+    os.kill(before["control"], signal.SIGSTOP)
+    said = processes.stop()
+    assert said.startswith("the control process did not answer 'stop' within 1 s and was ended; 3 stages on ")
+    assert started.ended[0].stopped.startswith("3 stages on ")
+
+    os.kill(before["lab"], signal.SIGSTOP)
+    gone = processes.gone()
+    assert gone == (LAB, CONTROL)
+    processes.end_dead(gone)
+    started.heard.clear()
     processes.start_anew()
     until(lambda: started.state() is State.READY)
-    assert processes.well
-    assert processes.pids()["control"] != first
+    os.kill(processes.pids()["control"], signal.SIGSTOP)
+    stopped = processes.end_control()
+    assert stopped.seen, stopped.text
+    assert stopped.text.startswith("3 stages on ")
+    with pytest.raises(RefusedError, match="the station is ending"):
+        processes.start_anew()
 
 
 def test_a_run_is_recorded_until_its_recording_is_finished(started: Started, paper: RobotFile, tmp_path: Path) -> None:

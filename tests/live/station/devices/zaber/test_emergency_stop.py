@@ -4,14 +4,17 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 
 from station.control.clock import REAL_TIME
+from station.devices.interfaces import NotStopped
 from station.devices.links.link import SerialLink
 from station.devices.zaber.emergency_stop import Units, stop_stages
 from station.devices.zaber.protocol import BAUD, MESSAGE_TIME, SIZE, Command, Message, Status, decode, encode
+from station.devices.zaber.shifts import IGNORED
+from tests.harness.waiting import until
 from tests.harness.watched_lab import WatchedLab
 
 
@@ -65,12 +68,29 @@ def test_half_a_message_before_it_does_not_swallow_the_stop(lab: WatchedLab) -> 
 
 def test_of_what_cannot_be_stopped_a_person_is_told(lab: WatchedLab) -> None:
     set_going(lab).close()
-    said = stop_stages({"/dev/not-there": {1}, **units(lab)}, REAL_TIME)
+    with pytest.raises(NotStopped) as raised:
+        stop_stages({"/dev/not-there": {1}, **units(lab)}, REAL_TIME)
 
+    said = str(raised.value)
     assert "the stages on /dev/not-there cannot be told to stop" in said
     assert "press the emergency stop" in said
     assert "3 stages on" in said
+    assert not lab.notes()[-1].moving
     assert stop_stages({}, REAL_TIME) == ""
+
+
+def test_units_that_home_and_obey_no_stop_are_reset(lab: WatchedLab) -> None:
+    link = SerialLink(lab.endpoints["zaber"], BAUD)
+    for device in (1, 3):
+        link.write(encode(Message(device, Command.HOME, IGNORED)))
+        time.sleep(2 * MESSAGE_TIME)
+    until(lambda: lab.notes()[-1].statuses == (1, 0, 1))
+    link.close()
+    said = stop_stages(units(lab), REAL_TIME)
+
+    assert said.startswith("3 stages on")
+    assert said.endswith("number 1, 3 homed and was reset: home again")
+    assert not lab.notes()[-1].moving
 
 
 @contextmanager
@@ -80,7 +100,7 @@ def chain(third: float | None) -> Iterator[str]:
 
         def answer() -> None:
             host, _ = server.accept()
-            with host:
+            with host, suppress(OSError):  # the other end goes when it has heard enough
                 while data := host.recv(SIZE, socket.MSG_WAITALL):
                     if decode(data).command != Command.STATUS:
                         continue
@@ -103,6 +123,6 @@ def test_a_unit_that_answers_late_is_waited_for() -> None:
 
 
 def test_a_unit_that_says_nothing_is_not_taken_for_stopped() -> None:
-    with chain(third=None) as port:
-        said = stop_stages({port: {1, 2, 3}}, REAL_TIME, patience=0.5)
-    assert said == f"of 3 stages on {port} number 3 was told to stop and does not say so: press the emergency stop"
+    said = "number 3 was told to stop and does not say so: press the emergency stop"
+    with chain(third=None) as port, pytest.raises(NotStopped, match=said):
+        stop_stages({port: {1, 2, 3}}, REAL_TIME, patience=0.5)
