@@ -73,14 +73,14 @@ export async function press(method, path, body) {
   }
 }
 
-/** A note in the corner, with a button or without, gone after a while unless it `stays`. */
-export function note(text, good = false, button = null, stays = false) {
+/** A note in the corner, gone after a while; one with a button stays until that is pressed or it is closed. */
+export function note(text, good = false, button = null) {
   const close = make("button", { type: "button", "aria-label": "close" }, "×");
   const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), button, close);
   for (const one of [button, close]) one?.addEventListener("click", () => box.remove());
   $("notes").append(box);
   while ($("notes").children.length > 4) $("notes").firstChild.remove();
-  if (!stays) setTimeout(() => box.remove(), 12000);
+  if (button === null) setTimeout(() => box.remove(), 12000);
 }
 
 let dismiss = () => {}; // the question that is open
