@@ -68,19 +68,22 @@ export async function press(method, path, body) {
     await question;
     await look(); // the way out is that of the state that has refused it
     const button = error instanceof Refused && error.status === 409 && status !== null ? remedy(status) : null;
-    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`, false, button);
+    const before = status, same = (now) => now.state === before.state && now.operator.name === before.operator.name;
+    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`, false, button, button && same);
     return null;
   }
 }
 
-/** A note in the corner, gone after a while; one with a button stays until that is pressed or it is closed. */
-export function note(text, good = false, button = null) {
+const standing = new Map(); // notes, and what must hold for them
+
+/** A note in the corner, with a button or without; gone after a while, or when `holds(status)` does no more. */
+export function note(text, good = false, button = null, holds = null) {
   const close = make("button", { type: "button", "aria-label": "close" }, "×");
   const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), button, close);
   for (const one of [button, close]) one?.addEventListener("click", () => box.remove());
   $("notes").append(box);
   while ($("notes").children.length > 4) $("notes").firstChild.remove();
-  if (button === null) setTimeout(() => box.remove(), 12000);
+  if (holds === null) setTimeout(() => box.remove(), 12000); else standing.set(box, holds);
 }
 
 let dismiss = () => {}; // the question that is open
@@ -132,6 +135,7 @@ function tell() {
   wasStale = status === null || status.stale || age() > STALE;
   document.body.classList.toggle("stale", wasStale);
   for (const listener of listeners) listener(status, wasStale);
+  for (const [box, holds] of standing) if (status !== null && !(box.isConnected && holds(status))) { box.remove(); standing.delete(box); }
 }
 
 /** Ask for the status, or wait for the answer to the question that is open. */
