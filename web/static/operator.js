@@ -27,8 +27,8 @@ export function takeOver() {
 
 function tellLoss(operator) {
   if (mine && !operator.you && !leaving) {
-    if (operator.name === null) note("You are operator no longer: the station has heard nothing from this page for too long. Your next command makes you operator again.", false, null, true);
-    else note(`'${operator.name}' has taken control: you may look, and STOP.`, false, takeOver(), true);
+    if (operator.name === null) note("You are operator no longer: the station has heard nothing from this page for too long. Your next command makes you operator again.");
+    else note(`'${operator.name}' has taken control: you may look, and STOP.`, false, takeOver(), (now) => now.operator.name === operator.name);
   }
   if (!operator.you) leaving = false;
   mine = operator.you;

@@ -69,13 +69,16 @@ export async function press(method, path, body) {
     await question;
     await look(); // the way out is that of the state that has refused it
     const button = error instanceof Refused && error.status === 409 && status !== null ? remedy(status) : null;
-    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`, false, button);
+    const before = status, same = (now) => now.state === before.state && now.operator.name === before.operator.name;
+    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`, false, button, button && same);
     return null;
   }
 }
 
-/** A note in the corner, with a button or without, gone after a while unless it `stays`. */
-export function note(said, good = false, button = null, stays = false) {
+const standing = new Map(); // notes, and what must hold for them
+
+/** A note in the corner, with a button or without; gone after a while, or when `holds(status)` does no more. */
+export function note(said, good = false, button = null, holds = null) {
   const text = inPageUnits(said);
   for (const old of $("notes").children) if (old.firstChild.textContent === text) old.remove(); // said once, not three times
   const close = make("button", { type: "button", "aria-label": "close" }, "×");
@@ -83,7 +86,7 @@ export function note(said, good = false, button = null, stays = false) {
   for (const one of [button, close]) one?.addEventListener("click", () => box.remove());
   $("notes").append(box);
   while ($("notes").children.length > 4) $("notes").firstChild.remove();
-  if (!stays) setTimeout(() => box.remove(), 12000);
+  if (holds === null) setTimeout(() => box.remove(), 12000); else standing.set(box, holds);
 }
 
 let dismiss = () => {}; // the question that is open
@@ -135,6 +138,7 @@ function tell() {
   wasStale = status === null || status.stale || age() > STALE;
   document.body.classList.toggle("stale", wasStale);
   for (const listener of listeners) listener(status, wasStale);
+  for (const [box, holds] of standing) if (status !== null && !(box.isConnected && holds(status))) { box.remove(); standing.delete(box); }
 }
 
 /** Ask for the status, or wait for the answer to the question that is open. */
