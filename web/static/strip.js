@@ -67,7 +67,7 @@ async function tell(run) {
 
 onStatus((now, old) => {
   status = now;
-  stale = old;
+  if (stale !== old) { stale = old; show(); } // what is old is gone at once
   const run = now?.run;
   if (!run) return;
   if (now.state === "RUNNING") { told = null; $("ended").hidden = true; }
