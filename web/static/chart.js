@@ -10,7 +10,11 @@ export function step(span, count) {
 }
 
 /** A number that keeps its width. */
-const shown = (value) => (Number.isFinite(value) ? value.toFixed(Math.abs(value) >= 99.95 ? 0 : Math.abs(value) >= 9.995 ? 1 : 2) : "–");
+function shown(value) {
+  if (!Number.isFinite(value)) return "–";
+  const text = value.toFixed(Math.abs(value) >= 99.95 ? 0 : Math.abs(value) >= 9.995 ? 1 : 2);
+  return Number(text) === 0 ? text.replace("-", "") : text;
+}
 
 export class Chart {
   /**

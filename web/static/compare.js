@@ -2,7 +2,9 @@
 import { make } from "./station.js";
 import { atOneLook, curvesOf, ended, flat, folded, mm, pictures, readable } from "./result.js";
 
-const text = (value) => make("td", { className: "any", style: "text-align:right" }, value);
+const text = (value) => make("td", { className: "any", style: "text-align:right" }, value), number = (value) => make("td", { className: "number" }, value);
+
+const signed = (value) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(2)}`;
 
 /** Which cases belong together: those of the same name, else the first of either. */
 function pairs(a, b) {
@@ -14,17 +16,17 @@ function numbers(runs) {
   const [a, b] = runs.map((run) => run.outcomes);
   const rows = pairs(a, b).flatMap(([one, other]) => {
     const [x, y] = [a[one], b[other]], named = one === other ? one : `${one}, ${other}`;
-    const line = (title, p, q, digits = mm) => [title, p === null ? "–" : digits(p), q === null ? "–" : digits(q), p === null || q === null ? "" : readable(Number((q - p).toFixed(3)))];
+    const line = (title, p, q, digits = mm) => [title, p === null ? "–" : digits(p), q === null ? "–" : digits(q), p === null || q === null ? "" : signed(q - p)];
     return [
       ...(pairs(a, b).length > 1 ? [[named.replaceAll("_", " "), "", "", ""]] : []),
-      line("largest distance [mm]", x.largest_distance, y.largest_distance),
-      ...["x", "y", "z"].map((axis, i) => line(`largest in ${axis} [mm]`, x.largest[i], y.largest[i])),
-      line("RMS distance [mm]", x.rms_distance, y.rms_distance),
-      line("largest force [N]", x.force, y.force, (force) => force.toFixed(2)),
+      line("largest distance", x.largest_distance, y.largest_distance),
+      ...["x", "y", "z"].map((axis, i) => line(`largest in ${axis}`, x.largest[i], y.largest[i])),
+      line("RMS distance", x.rms_distance, y.rms_distance),
+      line("largest force", x.force, y.force, (force) => force.toFixed(2)),
     ];
   });
-  if (rows.length === 0) rows.push(["largest, RMS [mm]", ...runs.map((run) => atOneLook(run).join(", ")), ""]);
-  return rows.map(([title, ...values]) => make("tr", {}, make("td", {}, title), ...values.map(text)));
+  if (rows.length === 0) rows.push(["largest, RMS", ...runs.map((run) => atOneLook(run).join(", ")), ""]);
+  return rows.map(([title, ...values]) => make("tr", {}, make("td", {}, title), ...values.map(number)));
 }
 
 /** All that the summaries say and that is not the same. */
@@ -58,7 +60,7 @@ function overEachOther(runs) {
 export function comparison(chosen) {
   const runs = [...chosen].sort((a, b) => a.started - b.started);
   const names = runs.map((run, i) => make("th", {}, `${i + 1}: ${run.title || run.experiment || run.id}`));
-  const head = make("tr", {}, make("th", {}, ""), ...names, make("th", {}, "2 − 1"));
+  const head = make("tr", {}, make("th", {}, "errors in mm, force in N"), ...names, make("th", { className: "number" }, "2 − 1"));
   const how = make("tr", {}, make("td", {}, "ended"), ...runs.map((run) => text(ended(run))), make("td", {}, ""));
   return make("div", { className: "result" }, make("table", { id: "comparison" }, head, how, ...numbers(runs)), overEachOther(runs),
     folded("Everything that is different", () => differences(runs)));

@@ -2,7 +2,8 @@
 import { make } from "./station.js";
 import { step } from "./chart.js";
 
-export const LOOKS = [["#d55e00", ""], ["#0072b2", "6 3"], ["#009e73", "2 2"], ["#cc79a7", "9 2 2 2"], ["#56b4e9", ""], ["#e69f00", "4 2"]];
+const DARK = matchMedia("(prefers-color-scheme: dark)").matches; // blue lines need a light ground
+const LOOKS = [["#d55e00", ""], [DARK ? "#56b4e9" : "#0072b2", "6 3"], ["#009e73", "2 2"], ["#cc79a7", "9 2 2 2"], [DARK ? "#f0e442" : "#56b4e9", ""], ["#e69f00", "4 2"]];
 const WIDTH = 420, HEIGHT = 128, LEFT = 40, RIGHT = 8, TOP = 6, BOTTOM = 18;
 
 function svg(tag, fields, ...children) {
@@ -49,7 +50,7 @@ export function curve(title, unit, lines, from = 0) {
   const mark = svg("line", { y1: TOP, y2: HEIGHT - BOTTOM, class: "mark", visibility: "hidden" });
   picture.append(mark);
   const names = drawn.map((line, i) => {
-    const key = make("span", {}, line.name), said = make("span", { className: "said" });
+    const key = make("span", { hidden: drawn.length === 1 }, line.name), said = make("span", { className: "said" });
     key.style.borderBottom = `2px ${LOOKS[i % LOOKS.length][1] === "" ? "solid" : "dashed"} ${LOOKS[i % LOOKS.length][0]}`;
     return { element: make("span", { className: "key" }, key, said), said, line };
   });

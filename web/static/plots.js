@@ -7,7 +7,8 @@ import { gap, samples } from "./history.js";
 import { error, known, onOpen, onSample } from "./telemetry.js";
 
 const LONGEST = 300; // s
-const COLOURS = ["#d55e00", "#009e73", "#0072b2", "#cc79a7", "#56b4e9"], DASHES = [[], [6, 3], [2, 2], [9, 2, 2, 2], []];
+const DARK = matchMedia("(prefers-color-scheme: dark)").matches; // blue lines need a light ground
+const COLOURS = ["#d55e00", "#009e73", DARK ? "#56b4e9" : "#0072b2", "#cc79a7", DARK ? "#e69f00" : "#56b4e9"], DASHES = [[], [6, 3], [2, 2], [9, 2, 2, 2], []];
 const bench = await ask("GET", "/api/bench");
 
 /** Traces of a vector's parts: `read` gives what is drawn, `raw` what it was filtered from, if it was. */
@@ -18,10 +19,10 @@ const both = (read, raw) => [...xyz(read, raw), size(read)];
 
 /** What can be shown: title, unit, traces, least span. */
 const ALL = {
-  error: ["Error, desired − measured", "mm", both((s) => error(s, "tip_measured")), 1],
-  true: ["Error, desired − true", "mm", both((s) => error(s, "tip_true")), 1],
+  error: ["Error, measured", "mm", both((s) => error(s, "tip_measured")), 1],
+  true: ["Error, true", "mm", both((s) => error(s, "tip_true")), 1],
   force: ["Force at the tip", "N", both((s) => known(s, "force_filtered"), (s) => known(s, "force")), 0.1],
-  deflection: ["Deflection by the load", "mm", both((s) => scaled(s, "deflection_filtered", 1e3), (s) => scaled(s, "deflection", 1e3)), 1],
+  deflection: ["Deflection", "mm", both((s) => scaled(s, "deflection_filtered", 1e3), (s) => scaled(s, "deflection", 1e3)), 1],
   timing: ["Loop timing, 99 % over a second", "µs", [
     { name: "late", value: (s) => s.late_us ?? NaN }, { name: "work", value: (s) => s.tick_us ?? NaN }], 100],
   tip: ["Measured tip", "mm", xyz((s) => scaled(s, "tip_measured", 1e3)), 1],
@@ -41,7 +42,7 @@ const spans = make("select", { "aria-label": "time shown" }, ...[10, 30, 60, 300
 const near = make("button", { type: "button", "aria-label": "zoom in" }, "+"), far = make("button", { type: "button", "aria-label": "zoom out" }, "−");
 spans.value = "30";
 $("plots").append(chips, make("div", { className: "acts" }, spans, pause, near, far, whole,
-  make("span", { className: "small dim" }, "drag over a chart to zoom; bold: filtered, pale: single samples")), area);
+  make("span", { className: "small dim" }, "drag to zoom · pale: single samples")), area);
 
 for (const key of Object.keys(ALL)) {
   const chip = make("button", { type: "button", "aria-pressed": "false" }, key.replace("joint ", "").replaceAll("_", " "));

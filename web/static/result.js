@@ -59,7 +59,7 @@ export function card(run) {
   const drawing = make("div", {}, make("p", { className: "small dim" }, run.cases.length ? "drawing its curves …" : "Nothing was recorded."));
   if (run.cases.length) {
     curvesOf(run.id).then((found) => {
-      const cases = Object.entries(found).map(([name, one]) => [name === "run" ? "this run" : name.replaceAll("_", " "), one]);
+      const cases = Object.entries(found).map(([name, one]) => [name.replaceAll("_", " "), one]);
       drawing.replaceChildren(...(cases.length ? [pictures(cases)] : []));
     }).catch((error) => drawing.replaceChildren(make("p", { className: "small dim" }, `no curves: ${error.message}`)));
   }

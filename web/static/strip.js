@@ -1,5 +1,5 @@
 // Always in sight: error, force, deflection and the time left; and when a run is over, how well it went.
-import { $, ask, make, onStatus } from "./station.js";
+import { $, ask, make, onStatus, Refused } from "./station.js";
 import { error, known, latestSample } from "./telemetry.js";
 import { atOneLook, ended, SHAPES } from "./result.js";
 
@@ -8,7 +8,11 @@ const length = (vector, scale = 1) => (vector === null ? null : scale * Math.hyp
 const BEFORE = { approaching: "to start", settling: "at rest" };
 let status = null, stale = true;
 
-const against = (sample) => (sample?.truth_known ? "true" : "measured");
+let truth = false; // whether the newest sample had one
+const against = (sample) => {
+  if (sample !== null) truth = Boolean(sample.truth_known);
+  return truth ? "true" : "measured";
+};
 function left() {
   const run = status?.run;
   if (stale || !run || status.state !== "RUNNING") return null;
@@ -20,7 +24,7 @@ function left() {
 const fixed = (digits) => (value) => value.toFixed(digits);
 /** Name, unit, value of the newest sample (or null), how it is written, what a dash means. */
 const CELLS = [
-  { name: (sample) => `error, ${against(sample)}`, unit: "mm", value: (s) => s && length(error(s, `tip_${against(s)}`)), text: fixed(2), none: "known while a motion is on and its devices answer" },
+  { name: (sample) => `error, ${against(sample) === "true" ? "true" : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${against(s)}`)), text: fixed(2), none: "known while a motion is on and its devices answer" },
   { name: () => "force", unit: "N", value: (s) => s && length(known(s, "force_filtered")), text: fixed(2), none: "no fresh word of the force" },
   { name: () => "deflection", unit: "mm", value: (s) => s && length(known(s, "deflection_filtered"), 1e3), text: fixed(1), none: "no fresh word of the force" },
   { name: () => "time left", unit: "", value: left, text: String, none: "no motion is on" },
@@ -47,8 +51,9 @@ async function tell(run) {
   let found;
   try {
     found = await ask("GET", `/api/runs/${encodeURIComponent(run.id)}`, undefined, 5000);
-  } catch {
-    return; // it was not recorded, or nobody answers
+  } catch (error) {
+    if (!(error instanceof Refused)) told = null; // nobody answers: asked again; else it was not recorded
+    return;
   }
   if (told !== run.id) return;
   const [largest, rms] = atOneLook(found), force = Math.max(...Object.values(found.outcomes).map((one) => one.force ?? NaN));
@@ -62,7 +67,7 @@ async function tell(run) {
 
 onStatus((now, old) => {
   status = now;
-  stale = old;
+  if (stale !== old) { stale = old; show(); } // what is old is gone at once
   const run = now?.run;
   if (!run) return;
   if (now.state === "RUNNING") { told = null; $("ended").hidden = true; }

@@ -87,7 +87,7 @@ def test_the_robot_is_drawn_in_its_colours(at_start: Page) -> None:
 def test_no_table_is_over_the_robot(at_start: Page, width: int, height: int) -> None:
     before = at_start.viewport_size
     at_start.set_viewport_size({"width": width, "height": height})
-    scene, numbers = (at_start.locator(name).bounding_box() for name in ("#scene", "#numbers"))
+    scene, numbers = (at_start.locator(name).bounding_box() for name in ("#scene", "#side"))
     assert before is not None
     at_start.set_viewport_size(before)
 
