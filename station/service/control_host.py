@@ -176,7 +176,6 @@ class ControlHost:
                 self._child.kill()  # one that does not listen stops nothing
         self._child.end(self._clock.real(END_TIME))
         stopped = self._after_it()
-        self._watcher.join(0.0)
         self._child.pipe.close()
         if self._last_stop is not None:
             self._last_stop.close()

@@ -43,32 +43,42 @@ class LastStop:
         self._stop = emergency_stop(stages, robot)
         self._lock = threading.Lock()
         self._kept: list[int] = []
+        self._last, self._closed = NOTHING, False
         self._keep()
 
     def __call__(self) -> Stopped:
-        """Stop them: what has been seen of that. Raises nothing."""
+        """Stop them: what has been seen of that. Raises nothing; once closed it says what it saw last."""
+        with self._lock:
+            if not self._closed:
+                self._let_go()
+                self._last = self._stopped()
+                self._keep()
+            return self._last
+
+    def close(self) -> None:
+        """Somebody else drives the stages from now on; waits for a stop that is being made."""
+        with self._lock:
+            self._closed = True
+            self._let_go()
+
+    def _stopped(self) -> Stopped:
         if self._stop is None:
             return Stopped(
                 False, f"driver '{self._driver}' cannot stop its stages from another process: press the emergency stop"
             )
-        with self._lock:
-            self.close()
-            try:
-                return Stopped(True, self._stop(self._clock))
-            except NotStopped as error:
-                return Stopped(False, str(error))
-            except Exception as error:  # whatever an installed driver does
-                how = f"{type(error).__name__} of driver '{self._driver}': {error}"
-                return Stopped(False, f"the stages could not be stopped ({how}): press the emergency stop")
-            finally:
-                self._keep()
-
-    def close(self) -> None:
-        """Let go of what it keeps."""
-        while self._kept:
-            os.close(self._kept.pop())
+        try:
+            return Stopped(True, self._stop(self._clock))
+        except NotStopped as error:
+            return Stopped(False, str(error))
+        except Exception as error:  # whatever an installed driver does
+            how = f"{type(error).__name__} of driver '{self._driver}': {error}"
+            return Stopped(False, f"the stages could not be stopped ({how}): press the emergency stop")
 
     def _keep(self) -> None:
         with contextlib.suppress(OSError):  # there are no more
             while len(self._kept) < KEPT:
                 self._kept.append(os.open(os.devnull, os.O_RDONLY))
+
+    def _let_go(self) -> None:
+        while self._kept:
+            os.close(self._kept.pop())

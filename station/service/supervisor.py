@@ -30,6 +30,9 @@ from station.service.runs import Runs
 from station.service.start import Run, Start
 from station.service.status import StateMonitor, Status
 
+#: A control process that is started anew has so long to load what it needs and to begin [s].
+RESTART_TIME = 120.0
+
 
 class Supervisor:
     """One station. OFF, without a process, until it is opened; any thread may ask."""
@@ -167,7 +170,7 @@ class Supervisor:
             self._state.forget()
             self._runs.forget()
             self._processes.start_anew()
-            self.wait_ready(60.0, since)
+            self.wait_ready(RESTART_TIME, since)
         told = " and ".join((*anew, *gone))
         if told:
             self._flight_recorder.note("reset", f"started anew: {told}")
