@@ -8,8 +8,14 @@ from core.control.step import Controller
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.motions import (
-    CircleMotion, HelixMotion, Orders, SinusoidMotion, StepMotion, TipMotion, WaypointsMotion,
-)  # fmt: skip
+    CircleMotion,
+    HelixMotion,
+    Orders,
+    SinusoidMotion,
+    StepMotion,
+    TipMotion,
+    WaypointsMotion,
+)
 from station.config.units import shown
 
 #: How many times slower, and which part of the size, is tried, the mildest change first.
