@@ -29,7 +29,8 @@ def facts(case: Case) -> tuple[Fact, ...]:
     """Everything that a person should know of a case before it is started."""
     file = case.file
     sweep = file.trajectory if isinstance(file.trajectory, JointSweepMotion) else None
-    turns = sweep is None or any(joint.name == sweep.joint and joint.motion == "rotation" for joint in case.robot.joints)
+    rotations = [joint.name for joint in case.robot.joints if joint.motion == "rotation"]
+    turns = sweep is None or sweep.joint in rotations
     found = [
         Fact("motion", described(file.trajectory, turns=turns)),
         Fact("load", described(file.load)),
@@ -72,9 +73,7 @@ def pose(joints: Mapping[str, float], robot: RobotFile) -> str:
 def _parts(model: Strict, keys: tuple[str, ...], *, turns: bool = True) -> list[str]:
     fields = type(model).model_fields
     return [
-        text
-        for key in keys
-        if (text := _part(key, getattr(model, key), unit_in(fields[key].description, turns=turns)))
+        text for key in keys if (text := _part(key, getattr(model, key), unit_in(fields[key].description, turns=turns)))
     ]
 
 

@@ -151,7 +151,6 @@ class StationFile(Strict):
             warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
         )
 
-
     def _park(self, robot: RobotFile) -> Array:
         """Joints at power-up (n,) [rad or m]."""
         park = robot.working_pose if self.park is None else self.park

@@ -29,7 +29,8 @@ def block(language: str, holding: str) -> str:
 
 
 def call(*command: str, folder: Path) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, timeout=400, cwd=folder, env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"})  # fmt: skip
+    environment = {"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=400, cwd=folder, env=environment)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -164,9 +164,7 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
         await aside(partial(service.home, then_work=word.then_working_pose))
         return done()
 
-    @router.post(
-        "/goto", status_code=202, responses=REFUSED, dependencies=operator, summary="Go to joints, or to the working pose"
-    )
+    @router.post("/goto", status_code=202, responses=REFUSED, dependencies=operator, summary="Go to a pose in joints")
     async def goto(request: GotoIn) -> StartOut:
         run = await aside(service.go_to, request.joints)
         return StartOut(run_id=run.id, warnings=run.start.warnings)

@@ -25,7 +25,8 @@ def motion(page: Page, text: str) -> None:
 
 def test_a_file_of_waypoints_stands_in_the_box_as_it_is_and_is_sent_in_si(page: Page, station: Served) -> None:
     motion(page, "Through places")
-    box, unit, says = page.get_by_label("points: time"), page.get_by_label("unit of x, y, z"), page.locator(".all [role=status]")
+    box, unit = page.get_by_label("points: time"), page.get_by_label("unit of x, y, z")
+    says = page.locator(".all [role=status]")
     assert (box.input_value(), unit.input_value()) == ("5, 0, 10, 0\n10, 0, 0, 0", "mm")
     assert says.inner_text() == "2 points in 10 s, up to 10 mm from the start tip"
     file = "time [s], x [m], y [m], z [m]\n4, 0.0, 0.002, 0.0\n8, 0.0, 0.0, 0.0"

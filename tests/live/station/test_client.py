@@ -58,7 +58,7 @@ def test_joints_are_gone_to_by_name_and_the_working_pose_without_one(station: St
     assert joints["inner_translation"] == pytest.approx(-0.1, abs=0.02)  # not named: it stayed
     with pytest.raises(Refused, match=r"inner_translation 0.2 m is outside -0.13 ... -0.005 m"):
         station.goto({"inner_translation": 0.2})
-    with pytest.raises(Refused, match="joints.elbow: robot 'paper' has no such joint; it has outer_rotation"):
+    with pytest.raises(Refused, match=r"joints.elbow: robot 'paper' has no such joint; it has outer_rotation"):
         station.goto({"elbow": 0.2})
     station.goto()
     assert station.status()["joints"]["inner_rotation"] == pytest.approx(1.5708, abs=0.002)

@@ -13,6 +13,7 @@ outer_rotation = 0.0
 inner_rotation = 0.0
 inner_translation = -100.0
 """
+STAGES = '[devices.stages]\ndriver = "zaber"\nport = "/dev/x"\n'
 PORTLESS = """seed = 1
 [devices.stages]
 driver = "zaber"
@@ -36,7 +37,7 @@ driver = "netft"
         (PARK, "inner_translation -100 m is outside -0.13 ... -0.005 m (its travel)"),
         ("[controller]\nk1 = 100.0\n", "K1"),
         (PORTLESS, "devices.stages.port is missing: outer_rotation has neither a port of its own nor"),
-        ('[devices.stages]\ndriver = "zaber"\nport = "/dev/x"\n', "'devices.tracker' is missing (line 1); 'devices.sensors' is missing (line 1)"),
+        (STAGES, "'devices.tracker' is missing (line 1); 'devices.sensors' is missing (line 1)"),
         ("seed = [1\n", "not valid TOML"),
     ],
 )  # fmt: skip

@@ -15,18 +15,33 @@ from tests.harness.cases import a_case
     ("model", "text"),
     [
         (CircleMotion(radius=0.01, period=12.0), "circle: radius 10 mm, period 12 s, along z"),
-        (CircleMotion(radius=0.01, period=12.0, normal=(0.0, 0.6, -0.8)), "circle: radius 10 mm, period 12 s, along (0, 0.6, -0.8)"),
+        (
+            CircleMotion(radius=0.01, period=12.0, normal=(0.0, 0.6, -0.8)),
+            "circle: radius 10 mm, period 12 s, along (0, 0.6, -0.8)",
+        ),
         (StepMotion(offset=(0.001, 0.0, 0.0), stay=6.0), "step: offset 1, 0, 0 mm, stay 6 s"),
         (StepMotion(offset=(0.001, 0.0, 0.0)), "step: offset 1, 0, 0 mm"),
-        (WaypointsMotion(points=((5.0, 0.0, 0.01, 0.0), (10.0, 0.0, 0.0, 0.0))), "waypoints: 2 points in 10 s, up to 10 mm from the start"),
-        (JointSweepMotion(joint="outer_rotation", speed=0.05235988, distance=6.2831853), "joint sweep: joint outer rotation, speed 3 °/s, distance 360 °"),
+        (
+            WaypointsMotion(points=((5.0, 0.0, 0.01, 0.0), (10.0, 0.0, 0.0, 0.0))),
+            "waypoints: 2 points in 10 s, up to 10 mm from the start",
+        ),
+        (
+            JointSweepMotion(joint="outer_rotation", speed=0.05235988, distance=6.2831853),
+            "joint sweep: joint outer rotation, speed 3 °/s, distance 360 °",
+        ),
         (NoLoad(), "none"),
-        (HungWeightLoad(weight=0.2, lowering=3.0), "hung weight: along x, weight 0.2 N, lowering 3 s, frequency 2 Hz, damping 0.05, start 0 s"),
+        (
+            HungWeightLoad(weight=0.2, lowering=3.0),
+            "hung weight: along x, weight 0.2 N, lowering 3 s, frequency 2 Hz, damping 0.05, start 0 s",
+        ),
         (RampLoad(times=(0.0, 2.5), magnitudes=(0.0, 0.5)), "ramps: along x, times 0, 2.5 s, magnitudes 0, 0.5 N"),
-        (LabFault(kind="mute", device="tracker", at=10.0, duration=0.2), "mute: device tracker, at 10 s, duration 0.2 s"),
+        (
+            LabFault(kind="mute", device="tracker", at=10.0, duration=0.2),
+            "mute: device tracker, at 10 s, duration 0.2 s",
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
-)  # fmt: skip
+)
 def test_a_motion_load_or_fault_has_its_numbers_with_units(model: Strict, text: str):
     assert described(model) == text
 

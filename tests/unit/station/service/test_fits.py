@@ -63,7 +63,8 @@ def test_faults_need_the_virtual_lab(write, short):
 def test_another_calibration_is_told(bench):
     case = a_case("fig8", "regulation", calibration="found/monday")
     (text,) = otherwise(case, bench)
-    assert text.startswith(f"written with the calibration {Path('found/monday')}, carried out with this station's (none)")
+    begin = f"written with the calibration {Path('found/monday')}, carried out with this station's (none)"
+    assert text.startswith(begin)
 
 
 def test_the_recording_has_the_lab_that_was_there_and_says_what_was_otherwise(bench):

@@ -29,7 +29,7 @@ TOO_QUICK = [
 ]
 
 
-@pytest.mark.parametrize(("motion", "said", "key"), TOO_QUICK, ids=lambda value: value if isinstance(value, str) else "")
+@pytest.mark.parametrize(("motion", "said", "key"), TOO_QUICK)
 def test_what_is_suggested_really_works(motion: TipMotion, said: str, key: str):
     with pytest.raises(Unreachable):
         Orders(motion, ROBOT.robot()).check(CONTROLLER, POSE, 60.0)
