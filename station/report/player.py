@@ -62,13 +62,11 @@ def write_player(folder: Path, out: Path | None = None, told: Callable[[float], 
 
 def _page(run: Run, cases: list[dict[str, Any]]) -> str:
     title = str(run.table.get("title") or run.summary.get("title") or run.experiment)
-    # A text that would end the script must not.
-    data = json.dumps({"simulated": run.simulated, "cases": cases}, allow_nan=False).replace("</", "<\\/")
     parts = {
         "TITLE": escape(title),
         "RUN": escape(run.folder.name),
         "STYLE": (STATIC / "player.css").read_text(encoding="utf-8"),
-        "DATA": data,
+        "DATA": script_data({"simulated": run.simulated, "cases": cases}),
         "SCENE": (STATIC / "scene.js").read_text(encoding="utf-8"),
         "PLAYER": (STATIC / "player.js").read_text(encoding="utf-8"),
     }
@@ -78,6 +76,11 @@ def _page(run: Run, cases: list[dict[str, Any]]) -> str:
         name, after = piece.split("}}", 1)
         before += parts[name] + after
     return before
+
+
+def script_data(value: Any) -> str:
+    """JSON for a script element: no text in it ends the element, or begins a comment or another script."""
+    return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
 def _played(case: Case, told: Callable[[float], None]) -> dict[str, Any]:

@@ -30,9 +30,8 @@ class Lines:
         """The last `count` lines at most, the newest first."""
         lines: deque[str] = deque(maxlen=count)
         for path in (self._older(1), self._path):
-            if path.exists():
-                with path.open(encoding="utf-8", errors="replace") as file:
-                    lines.extend(file)
+            with contextlib.suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:  # not there yet
+                lines.extend(file)
         return list(reversed(lines))
 
     def close(self) -> None:
