@@ -1,5 +1,7 @@
 """How much room a robot takes: for the camera, the grid and the rail. From its tubes alone, without a solution."""
 
+from itertools import product
+
 import numpy as np
 
 from core.robot.limits import Limits
@@ -24,15 +26,16 @@ def translations(robot: Robot, limits: Limits) -> tuple[Array, Array]:
 def extent(robot: Robot, limits: Limits) -> Bounds:
     """What robot and stages take, world frame: whatever the rotations, without a load."""
     rear, front = translations(robot, limits)
-    side, length = _bent(robot, front)
-    reach = max(side, BELOW)
+    places = product(*zip(rear, 0.5 * (rear + front), front, strict=True))
+    reach = max(BELOW, *(_aside(robot, np.array(beta)) for beta in set(places)))
+    length = max(float(start) + tube.length for tube, start in zip(robot.tubes, front, strict=True))
     lower, upper = (-reach, -reach, float(rear.min())), (reach, reach, length)
     base = robot.base
     return Bounds.around(Bounds(np.array(lower), np.array(upper)).corners @ base.rotation.T + np.array(base.position))
 
 
-def _bent(robot: Robot, beta: Array) -> tuple[float, float]:
-    """How far the tip comes off the axis and along it [m], pushed out to `beta`, all bent the same way.
+def _aside(robot: Robot, beta: Array) -> float:
+    """How far the tip comes off the axis [m] with the tubes' proximal ends at `beta` (q,) [m], all bent the same way.
 
     Tubes that are turned alike take the mean of their curvatures, weighed by their stiffness.
     """
@@ -43,7 +46,7 @@ def _bent(robot: Robot, beta: Array) -> tuple[float, float]:
         stiffness += tube.bending_stiffness * (at < start + tube.length)
         moment += tube.bending_stiffness * _curvature(tube, at - start)
     angle = np.cumsum(moment / stiffness) * STEP
-    return float(np.abs(np.sum(np.sin(angle)) * STEP)), length
+    return float(np.abs(np.sum(np.sin(angle)) * STEP))
 
 
 def _curvature(tube: Tube, at: Array) -> Array:
