@@ -35,9 +35,18 @@ class Cameras:
         async def _(client: viser.ClientHandle) -> None:
             with self._lock:
                 self._clients[self._who(client)] = client
-            # A page that comes back after a cut keeps the place that its person has chosen.
-            if np.linalg.norm(np.array(client.camera.position) - unit * first.eye) < NEAR:
-                self._place(client, "Overview")
+            # A page that is new reports a camera of viser's own, then the first one; one that comes back after a cut
+            # reports the place that its person has chosen, and keeps it.
+            fitted = False
+
+            async def fit(_: viser.CameraHandle) -> None:
+                nonlocal fitted
+                if not fitted and np.linalg.norm(np.array(client.camera.position) - unit * first.eye) < NEAR:
+                    fitted = True
+                    self._place(client, "Overview")
+
+            client.camera.on_update(fit)
+            await fit(client.camera)
 
         @server.on_client_disconnect
         async def _(client: viser.ClientHandle) -> None:

@@ -13,7 +13,7 @@ FINE, COARSE = 0.01, 0.05  # [m]
 #: Neither light nor dark, since the page may be both.
 GREY, INK = (128, 134, 140), (128, 137, 146)
 #: About as much of the lines is seen where the camera stands at first.
-STRENGTH = 0.32
+STRENGTH = 0.17
 #: Height of a number, and from the grid's edge to its middle, as parts of the longest edge.
 LETTER, GAP = 0.018, 0.026
 
@@ -43,8 +43,8 @@ def draw_grid(scene: viser.SceneApi, grid: Grid, distance: float, unit: float) -
     for name, plane, width, position in planes:
         scene.add_grid(
             f"/grid/{name}", width=unit * width, height=unit * size[2], plane=plane,
-            cell_size=unit * FINE, cell_color=GREY, cell_thickness=0.9,
-            section_size=unit * COARSE, section_color=GREY, section_thickness=1.4,
+            cell_size=unit * FINE, cell_color=GREY, cell_thickness=0.8,
+            section_size=unit * COARSE, section_color=GREY, section_thickness=1.1,
             # Fading with the distance is the one way in which viser's lines can be translucent.
             fade_distance=far, fade_strength=-1e3 * np.log(STRENGTH), fade_from="camera",
             shadow_opacity=0.12, position=tuple(unit * np.array(position)),
@@ -65,9 +65,9 @@ def _numbers(grid: Grid) -> list[Array]:
     along_x = [(f"{1e3 * at:.0f}", (at, y1, z0 - 1.5 * gap), z, -x) for at in _ticks(x0, x1)]
     along_y = [(f"{1e3 * at:.0f}", (x1, at, z1 + 1.5 * gap), z, y) for at in _ticks(y0, y1)[:-1]]
     titles = [
-        ("z mm", (x0 - 2.2 * gap, y1, 0.5 * (z0 + z1)), z, -x),
-        ("x mm", (0.5 * (x0 + x1), y1, z0 - 3.6 * gap), z, -x),
-        ("y mm", (x1, 0.5 * (y0 + y1), z1 + 3.6 * gap), z, y),
+        ("z mm", (x0 - 2.4 * gap, y1, 0.5 * (z0 + z1)), z, -x),
+        ("x mm", (0.5 * (x0 + x1), y1, z0 - 4.4 * gap), z, -x),
+        ("y mm", (x1, 0.5 * (y0 + y1), z1 + 4.4 * gap), z, y),
     ]
     return [
         strokes(text, np.array(middle), right, up, height)

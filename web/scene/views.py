@@ -15,6 +15,9 @@ MARGIN = 1.06
 #: What the view of the tip holds: half an edge of a cube around it [m].
 NEAR = 0.03
 
+#: Of the room beside the axis so much is looked at in the overview: the tip is seldom as far out as it can be.
+ASIDE = 0.45
+
 _DOWN = (-1.0, 0.0, 0.0)  # the screen's up; gravity is +x
 #: From what is looked at to the eye, of any length, and the screen's upward direction.
 DIRECTIONS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
@@ -67,7 +70,12 @@ def camera(view: str, robot: Bounds, tip: Array, aspect: float) -> Camera:
         tip: where the tip is (3,) [m].
         aspect: width of the picture by its height.
     """
-    seen = Bounds(tip - NEAR, tip + NEAR) if view == "Tip" else robot
+    seen = robot
+    if view == "Tip":
+        seen = Bounds(tip - NEAR, tip + NEAR)
+    elif view == "Overview":
+        middle, along = robot.middle, robot.upper - robot.lower == np.max(robot.upper - robot.lower)
+        seen = Bounds(*(middle + np.where(along, 1.0, ASIDE) * (end - middle) for end in robot))
     direction, up = (np.array(vector) for vector in DIRECTIONS[view])
     toward = direction / np.linalg.norm(direction)
     right = np.cross(up, toward)

@@ -159,6 +159,6 @@ export function draw(canvas, picture, legend, plane, field, old) {
     const [[across, way], [upward, sense]] = [plane.right, plane.up];
     const words = `${AXES[across]} ${way > 0 ? "→" : "←"}  ${AXES[upward]} ${sense > 0 ? "↑" : "↓"}`;
     pen.fillStyle = colours.dim;
-    pen.fillText(words, w - 8 - pen.measureText(words).width, y + 2);
+    pen.fillText(words, w - 8 - pen.measureText(words).width, 16);
   }
 }
