@@ -11,11 +11,12 @@ BLUE: Colour = (0, 114, 178)
 VERMILLION: Colour = (213, 94, 0)
 PURPLE: Colour = (204, 121, 167)
 SLATE: Colour = (86, 98, 112)
+STEEL: Colour = (118, 133, 150)  # seen on white and on black
 GREY: Colour = (150, 158, 166)
 
 DESIRED, MEASURED, ESTIMATED, FORCE, CONTACT = GREEN, ORANGE, BLUE, PURPLE, VERMILLION
 #: Of the tubes, innermost first; more tubes begin again.
-TUBES: tuple[Colour, ...] = (SKY, SLATE, YELLOW, BLACK)
+TUBES: tuple[Colour, ...] = (SKY, STEEL, YELLOW, SLATE)
 #: Of x, y and z in plots.
 AXES: tuple[Colour, ...] = (VERMILLION, GREEN, BLUE)
 

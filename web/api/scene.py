@@ -1,7 +1,11 @@
 """What the scene shows, and the target in it, over REST: for the page's switches, the keyboard and scripts."""
 
+import asyncio
+from collections.abc import Callable
+from typing import Annotated
+
 import numpy as np
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Query, Request, WebSocket, WebSocketDisconnect
 
 from station.config.strict import Strict, Vector
 from station.control.states import RefusedError
@@ -10,8 +14,10 @@ from web.access.identity import who_of
 from web.api.commands import Commands, aside
 from web.api.control import started
 from web.api.schemas import REFUSED, StartOut
+from web.scene.legend import Legend, signs, tube_signs
 from web.scene.overlays import Shown
 from web.scene.view import View
+from web.scene.views import VIEWS
 
 
 class ShownOut(Shown):
@@ -55,6 +61,29 @@ def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter
         view.show(shown)
         return get_shown(request)
 
+    @router.get("/legend", summary="What the marks mean, and the views that there are")
+    def legend() -> Legend:
+        return Legend(signs=signs(), tubes=tube_signs(service.supervisor.robot), views=VIEWS)
+
+    @router.websocket("/tip")
+    async def tip(
+        socket: WebSocket,
+        client: Annotated[str, Query(max_length=64)] = "",
+        rate: Annotated[float, Query(ge=1.0, le=30.0)] = 8.0,
+    ) -> None:
+        """Sends what is drawn around the tip; a view's name that arrives moves the camera of the page `client`."""
+        await socket.accept()
+        listening = asyncio.create_task(_until_closed(socket, lambda asked: view.cameras.look(client, asked)))
+        try:
+            while not listening.done():
+                await socket.send_json(view.drawn.told())
+                await asyncio.wait([listening], timeout=1.0 / rate)
+        except (WebSocketDisconnect, RuntimeError):
+            return  # the other side has gone
+        finally:
+            listening.cancel()
+            await asyncio.gather(listening, return_exceptions=True)
+
     @router.get("/target", summary="The target, and whether the tip can get there")
     def get_target() -> TargetOut:
         way = view.way_to_target()
@@ -79,3 +108,11 @@ def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter
         return started(await aside(service.start_motion, way.motion, None, None, way.duration))
 
     return router
+
+
+async def _until_closed(socket: WebSocket, hear: Callable[[str], object]) -> None:
+    while True:
+        message = await socket.receive()
+        if message["type"] == "websocket.disconnect":
+            return
+        hear(message.get("text") or "")

@@ -1,4 +1,4 @@
-"""A contact on the shaft in the scene: a marker, the stretch in which it lies with 95 % confidence, and words."""
+"""A contact on the shaft in the scene: a marker, and the stretch in which it lies with 95 % confidence."""
 
 import numpy as np
 import viser
@@ -12,8 +12,6 @@ from web.scene.tubes import centre_line
 POINTS = 24
 #: Around the shaft, so that it is seen beside the tubes [m].
 THICKNESS, MARKER = 4.4e-3, 3.2e-3
-#: The words stand lower than the place, beside the shaft (3,) [m].
-BELOW = np.array((0.012, 0.0, 0.0))
 
 
 class ContactMark:
@@ -28,24 +26,19 @@ class ContactMark:
             "/contact/stretch", np.zeros((1, 2, 3)), palette.CONTACT, thickness=THICKNESS * unit, scale=unit,
             visible=False,
         )  # fmt: skip
-        self._label = scene.add_label("/contact/label", "", anchor="top-center", visible=False)
 
     def hide(self) -> None:
         """There is none."""
-        self._marker.visible = self._stretch.visible = self._label.visible = False
+        self._marker.visible = self._stretch.visible = False
 
     def draw(self, side_load: SideLoad, shape: Array) -> Array:
         """Show it on a shaft with the sections `shape` of the model; where the force most likely acts (3,) [m]."""
         place = centre_line(shape, np.array([side_load.contact.place]))[0][0]
-        size = f"{float(np.linalg.norm(side_load.force)):.2f} N"
-        known = side_load.contact.located
         stretches = [_segments(shape, first, last) for first, last in side_load.contact.intervals]
         self._stretch.points = np.concatenate(stretches).astype(np.float32)
         self._marker.position = self._unit * place
-        self._label.position = self._unit * (place + BELOW)
-        self._label.text = f"{size} at {side_load.place}" if known else f"{size}, place not known"
-        self._marker.visible = known
-        self._stretch.visible = self._label.visible = True
+        self._marker.visible = side_load.contact.located
+        self._stretch.visible = True
         return place
 
 

@@ -1,4 +1,4 @@
-"""What a browser may say to the scene: a camera, a press on one of its own buttons, a drag by the operator.
+"""What a browser may say to the scene: where its camera is, and a drag by the operator.
 
 viser obeys any message of any client: it would let one remove or overwrite what all see. So each is
 read strictly here, and only what is known, finite and in range goes on, written anew.
@@ -43,11 +43,6 @@ class _Camera(_Message, tag="ViewerCameraMessage"):
     up_direction: Vec3
 
 
-class _Press(_Message, tag="GuiUpdateMessage"):
-    uuid: str
-    updates: dict[str, str]
-
-
 class _Move(_Message, tag="TransformControlsUpdateMessage"):
     name: str
     wxyz: Quaternion
@@ -65,7 +60,7 @@ class _MoveEnd(_Message, tag="TransformControlsDragEndMessage"):
     owner: str = ""
 
 
-_decoder = msgspec.msgpack.Decoder(_Camera | _Press | _Move | _MoveStart | _MoveEnd)
+_decoder = msgspec.msgpack.Decoder(_Camera | _Move | _MoveStart | _MoveEnd)
 _encoder = msgspec.msgpack.Encoder()
 
 
@@ -80,18 +75,11 @@ class Box(NamedTuple):
         return all(low <= x <= up for low, x, up in zip(self.lower, place, self.upper, strict=True))
 
 
-class Handles(NamedTuple):
-    """What the scene lets browsers touch."""
-
-    buttons: Mapping[str, tuple[str, ...]]  #: values of a button group by its identity; for anybody
-    gizmos: Mapping[str, Box]  #: what the operator may drag, by name
-
-
 @dataclass
 class Gate:
     """One socket's way in."""
 
-    handles: Handles
+    gizmos: Mapping[str, Box]  #: what the operator may drag, by name
     lease: Lease
     who: Who
     clock: Callable[[], float]  #: [s]
@@ -123,15 +111,11 @@ class Gate:
                 sizes = (message.fov, message.near, message.far, message.image_height, message.image_width)
                 good = all(abs(x) <= FAR for x in numbers) and all(0.0 < x <= 1e5 for x in sizes)
                 return None if good else "a camera out of range"
-            case _Press():
-                options = self.handles.buttons.get(message.uuid, ())
-                good = list(message.updates) == ["value"] and message.updates["value"] in options
-                return None if good else "a button that is not there"
             case _:
                 return self._refused_drag(message)
 
     def _refused_drag(self, message: _Move | _MoveStart | _MoveEnd) -> str | None:
-        box = self.handles.gizmos.get(message.name)
+        box = self.gizmos.get(message.name)
         if box is None or message.owner:
             return "a drag of what cannot be dragged"
         if self.who.role is not Role.OPERATOR or not self.lease.holds(self.who.client):

@@ -5,14 +5,12 @@ import viser
 
 from core.errors import CtrError
 from core.model.statics import Solution, Statics
-from core.robot.limits import Limits
 from core.robot.robot import Array
 from station.config import palette
 from station.config.strict import Strict
 from web.scene.tubes import centre_line
+from web.scene.workspace import Workspace
 
-#: Poses drawn from the joints' travel for the cloud of reachable tips.
-POSES = 4000
 #: The sphere of the estimate's uncertainty: standard deviations, and how much larger than life.
 SIGMAS, LARGER = 2.0, 10.0
 GHOST_POINTS = 60
@@ -37,8 +35,9 @@ class Shown(Strict):
 class Overlays:
     """Handles of what is shown on demand."""
 
-    def __init__(self, scene: viser.SceneApi, statics: Statics, limits: Limits, unit: float) -> None:
-        self._statics, self._limits, self._unit = statics, limits, unit
+    def __init__(self, scene: viser.SceneApi, statics: Statics, workspace: Workspace, unit: float) -> None:
+        self._statics, self._unit, self._workspace = statics, unit, workspace
+        self._scene, self._hull = scene, None
         self._near: Solution | None = None
         self._ghost = scene.add_line_segments(
             "/ghost", np.zeros((GHOST_POINTS - 1, 2, 3)), palette.SLATE,
@@ -47,10 +46,6 @@ class Overlays:
         self._sphere = scene.add_icosphere(
             "/tip/uncertainty", radius=1.0, color=palette.ESTIMATED, opacity=0.25, cast_shadow=False, visible=False
         )
-        self._cloud = scene.add_point_cloud(
-            "/workspace", np.zeros((1, 3), np.float32), palette.SKY, point_size=0.006, visible=False
-        )
-        self._cloud_is_there = False
 
     def update(self, shown: Shown, joints: Array, tip: Array, uncertainty: float) -> None:
         """One frame: joints (n,), the estimated tip (3,) [m] and its standard deviation [m]."""
@@ -59,10 +54,18 @@ class Overlays:
         if shown.uncertainty:
             self._sphere.position = self._unit * tip
             self._sphere.radius = max(self._unit * LARGER * SIGMAS * uncertainty, 1e-3)
-        if shown.workspace and not self._cloud_is_there:
-            self._cloud.points = (self._unit * reachable_tips(self._statics, self._limits)).astype(np.float32)
-            self._cloud_is_there = True
-        self._cloud.visible = shown.workspace
+        self._draw_workspace(shown.workspace)
+
+    def _draw_workspace(self, shown: bool) -> None:
+        surface = self._workspace.surface() if shown and self._hull is None else None
+        if surface is not None:
+            corners, faces = surface
+            self._hull = self._scene.add_mesh_simple(
+                "/workspace", corners, faces, color=palette.SKY, opacity=0.18, side="double", scale=self._unit,
+                cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+        if self._hull is not None:
+            self._hull.visible = shown
 
     def _draw_ghost(self, shown: bool, joints: Array) -> None:
         points = self._unloaded_line(joints) if shown else None
@@ -78,18 +81,3 @@ class Overlays:
             return None
         shape = self._statics.shape(self._near)
         return centre_line(shape, np.linspace(0.0, shape[-1, 0], GHOST_POINTS))[0]
-
-
-def reachable_tips(statics: Statics, limits: Limits, poses: int = POSES) -> Array:
-    """Tips (k, 3) [m] of unloaded poses spread evenly over the joints' travel; poses that cannot be are left out."""
-    lower = np.array([limit.lower for limit in limits.joints])
-    upper = np.array([limit.upper for limit in limits.joints])
-    tips: list[Array] = []
-    for share in np.random.default_rng(0).random((poses, len(lower))):
-        joints = lower + share * (upper - lower)
-        try:
-            limits.check(joints)
-            tips.append(statics.solve(joints, np.zeros(6)).tip)
-        except CtrError:
-            continue
-    return np.array(tips).reshape(-1, 3)

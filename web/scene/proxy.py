@@ -7,8 +7,9 @@ page asks for the scene under its own identity, so that its socket can be told f
 import asyncio
 import time
 from collections import Counter
+from collections.abc import Mapping
 from typing import NamedTuple
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 import httpx
 from fastapi import APIRouter, Request, Response, WebSocket, WebSocketDisconnect
@@ -19,7 +20,8 @@ from websockets.typing import Subprotocol
 from station.service.audit import Audit
 from web.access.identity import Who, is_client, who_of
 from web.access.lease import Lease
-from web.scene.messages import Gate, Handles
+from web.scene.cameras import CLIENT
+from web.scene.messages import Box, Gate
 
 #: Where the page finds viser; with an identity below `AS`.
 PREFIX = "/viser"
@@ -31,7 +33,7 @@ class SceneServer(NamedTuple):
     """Where the scene is, and what of it can be touched."""
 
     port: int  #: viser's, on loopback
-    handles: Handles
+    gizmos: Mapping[str, Box]  #: what the operator may drag, by name
     open: Counter[str]  #: sockets through it, by their senders' identity
 
 
@@ -70,7 +72,7 @@ def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple
         wanted = [Subprotocol(name) for name in browser.scope.get("subprotocols", [])]
         try:
             scene = await connect(
-                f"ws://127.0.0.1:{scene_server.port}/",
+                f"ws://127.0.0.1:{scene_server.port}/?{urlencode({CLIENT: who.client})}",
                 subprotocols=wanted or None,
                 max_size=None,
                 compression=None,
@@ -84,7 +86,7 @@ def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple
         def report(reason: str) -> None:
             audit.refused(str(who), "scene message", who.where, f"dropped: {reason}")
 
-        gate = Gate(scene_server.handles, lease, who, time.monotonic, report)
+        gate = Gate(scene_server.gizmos, lease, who, time.monotonic, report)
         tasks = [asyncio.create_task(_to_scene(browser, scene, gate)), asyncio.create_task(_back(scene, browser))]
         scene_server.open[who.client] += 1
         try:

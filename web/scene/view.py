@@ -10,18 +10,20 @@ import numpy as np
 import viser
 
 from core.robot.robot import Array
+from station.config import palette
 from station.lab.loads import GRAVITY, ConstantLoad, NoLoad
 from station.service.station_service import StationService
 from station.service.status import STALE, Status
+from web.scene.cameras import Cameras
 from web.scene.contact import ROWS, ContactMonitor, SideLoad
+from web.scene.drawn import Drawn
 from web.scene.gizmos import FORCE, FORCE_SIZE, TARGET, TARGET_SIZE, Gizmo, boxes, pull
 from web.scene.history import History
-from web.scene.legend import add_legend
-from web.scene.messages import Handles
 from web.scene.overlays import Overlays, Shown
 from web.scene.proxy import SceneServer
 from web.scene.scene import ARROW, UNIT, Scene
 from web.scene.target import Way, way_to
+from web.scene.workspace import Workspace
 
 #: Pictures a second; trace and target come with every third, a look at the load with every tenth.
 RATE = 30.0
@@ -43,22 +45,28 @@ class View:
         server.request_share_url = _no_share
         self._history = History(service.supervisor.channels)
         self._limits = service.supervisor.bench.robot.limits()
+        server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=palette.BLUE)
         self._scene = Scene(server, service.supervisor)
+        self.cameras = Cameras(server, self._scene.extent, UNIT, lambda: self._scene.drawn.tip)
         self._contact_monitor = ContactMonitor(
             service.supervisor.robot, service.supervisor.statics, service.supervisor.channels
         )
-        self._overlays = Overlays(server.scene, service.supervisor.statics, self._limits, UNIT)
+        self._workspace = Workspace(service.supervisor.statics, self._limits)
+        self._overlays = Overlays(server.scene, service.supervisor.statics, self._workspace, UNIT)
         self._target = Gizmo(server.scene, TARGET, UNIT, TARGET_SIZE)
         self._hand = Gizmo(server.scene, FORCE, UNIT, FORCE_SIZE)
         self._pulls = False
-        self._verdict = server.scene.add_label("/handle/verdict", "", anchor="bottom-center", visible=False)
-        buttons = add_legend(server, service.supervisor.robot)
-        self.scene_server = SceneServer(server.get_port(), Handles(buttons, boxes(UNIT)), Counter())
+        self.scene_server = SceneServer(server.get_port(), boxes(UNIT), Counter())
         self._shown = Shown()
         self._way: Way | None = None
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="viser view")
         self._thread.start()
+
+    @property
+    def drawn(self) -> Drawn:
+        """What the last picture shows around the tip."""
+        return self._scene.drawn
 
     @property
     def shown(self) -> Shown:
@@ -100,6 +108,7 @@ class View:
         """End the thread; the server is the caller's to stop."""
         self._end.set()
         self._thread.join()
+        self._workspace.close()
 
     def _run(self) -> None:
         due, number = time.monotonic(), 0
@@ -142,14 +151,10 @@ class View:
 
     def _show_target(self) -> None:
         self._target.show(self._shown.target)
-        self._verdict.visible = self._shown.target
         if not self._shown.target:
             return
         if self._target.taken() is not None or self._way is None:
             self._way = self.way_to_target()
-        self._verdict.position = UNIT * (self._target.place - np.array((0.012, 0.0, 0.0)))
-        reachable = f"\N{CHECK MARK} reachable in {self._way.duration:.0f} s"
-        self._verdict.text = reachable if self._way.motion else "\N{CROSS MARK} out of reach"
 
     def _pull_by_hand(self, status: Status) -> None:
         """The force's handle: dragged it pulls at the simulated tip, else it stays at the arrow's end."""

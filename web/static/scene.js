@@ -1,5 +1,5 @@
 // The scene in its frame: under this page's identity, kept connected, and the switches below it.
-import { $, ask, client, latest, mayCommand, onStatus, press } from "./station.js";
+import { $, ask, client, latest, mayCommand, note, onStatus, press } from "./station.js";
 
 const frame = $("scene"), boxes = [...document.querySelectorAll("#switches input")];
 
@@ -9,7 +9,8 @@ frame.addEventListener("load", () => {
   frame.contentDocument.hasFocus = () => !document.hidden;
   // Its own control panel is empty: all controls are ours.
   const style = frame.contentDocument.createElement("style");
-  style.textContent = "[data-testid=floating-panel] { display: none !important; }";
+  style.textContent = "[data-testid=floating-panel], #root .mantine-Paper-root, #webgl-software-rendering { display: none !important; }"
+    + ` canvas[data-engine] { background: ${getComputedStyle(document.body).backgroundColor}; }`;
   frame.contentDocument.head.append(style);
 });
 // In the page's colours.
@@ -20,6 +21,9 @@ draw();
 
 // A dropped socket: viser looks at the focus only when it changes.
 setInterval(() => { if (frame.contentDocument !== null) frame.contentWindow.dispatchEvent(new Event("focus")); }, 2000);
+
+// What lies over it waits for the station; the scene does not.
+import("./views.js").catch((error) => note(`the views and the close-up of the tip did not come up (${error.message}); reload the page`));
 
 let changes = 0, pending = 0; // made by this page's person; an older answer must not undo them
 

@@ -124,7 +124,9 @@ function prepare() {
   });
   const tip = shown.tip(0, 1);
   scene.target = add(position, add(tip, position, -1), 0.55);
-  scene.distance = 2.0 * Math.hypot(...add(tip, position, -1));
+  // A picture that is higher than wide is looked at from further away: the tip must be in it.
+  const narrow = Math.max(1, (1.4 * scene.canvas.clientHeight) / Math.max(scene.canvas.clientWidth, 1));
+  scene.distance = 2.0 * narrow * Math.hypot(...add(tip, position, -1));
 }
 
 function show() {

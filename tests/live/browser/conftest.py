@@ -46,12 +46,9 @@ def open_page(running: Served, browser: Browser) -> Iterator[Page]:
     running.ready()
     page = scene_page(browser)
     page.goto(running.url)
-    scene = page.frame_locator("#scene")
-    scene.get_by_text("desired tip").first.wait_for()
-    scene.locator("canvas").first.wait_for()
+    page.frame_locator("#scene").locator("canvas").first.wait_for()
+    page.locator("#tip canvas").wait_for()
     page.wait_for_timeout(4000)
-    for notice in scene.locator(".mantine-Notification-closeButton").all():
-        notice.click()  # that there is no graphics card, over a part of the picture
     yield page
     page.close()
 

@@ -26,7 +26,7 @@ def cut_page(station: Served, wire: Relay) -> Iterator[Page]:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS, rule])
         page = scene_page(browser)
         page.goto(f"http://localhost:{station.port}/")
-        page.frame_locator("#scene").get_by_text("desired tip").first.wait_for()
+        page.frame_locator("#scene").locator("canvas").first.wait_for()
         yield page
         browser.close()
 
@@ -49,4 +49,4 @@ def test_the_scene_says_that_it_is_cut_off_and_comes_back_by_itself_and_stop_wor
     wire.mend()
     said.wait_for(state="hidden")
     assert wire.scenes > scenes
-    page.frame_locator("#scene").get_by_text("desired tip").first.wait_for()
+    page.frame_locator("#scene").locator("canvas").first.wait_for()

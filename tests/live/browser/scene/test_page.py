@@ -8,16 +8,18 @@ import numpy as np
 from playwright.sync_api import FrameLocator, Page, Response
 
 from station.config.palette import CONTACT
+from station.config.robots import load_robot
 from tests.harness.serving import Served
 from tests.harness.waiting import until
+from web.scene.extent import extent
 from web.scene.gizmos import FORCE_SIZE, TARGET_SIZE
-from web.scene.legend import FIELD, VIEWS
-from web.scene.scene import ARROW, UNIT
+from web.scene.scene import ARROW
+from web.scene.views import FIELD, camera
 
 Picture = Callable[[Page, str], None]
 
-#: The part of a 1280 x 720 page where the robot is: below the header, left of the tabs, right of the legend.
-VIEW = {"x": 280, "y": 90, "width": 540, "height": 560}
+#: The part of a 1280 x 720 page where the robot is: below the views, left of the close-up of the tip.
+VIEW = {"x": 10, "y": 140, "width": 520, "height": 480}
 CIRCLE = {
     "trajectory": {"kind": "circle", "radius": 0.003, "period": 12.0, "normal": [0, 0, 1]},
     "controller": {"strategy": "dual_layer", "feedforward": True},
@@ -58,7 +60,9 @@ def test_the_page_says_the_state_and_every_device_answers(page: Page, picture: P
 
 
 def test_the_scene_shows_units_and_a_legend(page: Page) -> None:
-    text = scene(page).locator("body").inner_text()
+    page.locator("#legend summary").click()
+    text = page.locator("#legend").inner_text()
+    page.locator("#legend summary").click()
     for name in ("desired tip", "measured tip", "estimated tip", "100 mm for 1 N"):
         assert name in text
 
@@ -105,11 +109,9 @@ def test_shift_space_stops_with_the_focus_on_the_page_and_in_the_scene(page: Pag
 
 def test_a_view_is_chosen(page: Page) -> None:
     before = pixels(page)
-    scene(page).get_by_text("View", exact=True).click()
-    scene(page).get_by_role("button", name="Tip").click()
+    page.locator("#views button", has_text="Tip").click()
     until(lambda: changed(before, pixels(page)) > 5000)
-    scene(page).get_by_role("button", name="Overview").click()
-    scene(page).get_by_text("Legend", exact=True).click()
+    page.locator("#views button", has_text="Overview").click()
     page.wait_for_timeout(2500)
 
 
@@ -139,11 +141,13 @@ def on_screen(page: Page, place: np.ndarray) -> np.ndarray:
     """Where a place (3,) [m] is drawn by the camera that the scene begins with, in pixels of the page."""
     box = page.locator("#scene").bounding_box()
     assert box is not None
-    eye, centre = (np.array(point) for point in VIEWS["Overview"])
+    robot = load_robot("paper")
+    room = extent(robot.robot(), robot.limits())
+    eye, centre, _ = camera("Overview", room, room.middle, box["width"] / box["height"])
     ahead = (centre - eye) / np.linalg.norm(centre - eye)
     right = np.cross(ahead, (-1.0, 0.0, 0.0))
     right /= np.linalg.norm(right)
-    seen = UNIT * place - eye
+    seen = place - eye
     scale = 0.5 * box["height"] / (np.tan(0.5 * FIELD) * (seen @ ahead))
     middle = np.array((box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]))
     return middle + scale * np.array((seen @ right, -seen @ np.cross(right, ahead)))
@@ -254,11 +258,10 @@ def test_the_scene_follows_the_page_into_the_dark_and_back(page: Page, picture: 
     assert back() > 200
     page.emulate_media(color_scheme="dark")
     try:
-        scene(page).get_by_text("desired tip").first.wait_for()
         scene(page).locator("canvas").first.wait_for()
         until(lambda: back() < 60)
         picture(page, "dark")
     finally:
         page.emulate_media(color_scheme="light")
-    scene(page).get_by_text("desired tip").first.wait_for()
+    scene(page).locator("canvas").first.wait_for()
     until(lambda: back() > 200)

@@ -24,11 +24,13 @@ SAYS = {
 
 
 def robot(page: Page) -> int:
-    """Pixels as blue as the inner tube, whatever the shading, beside the legend."""
+    """Pixels as blue as the inner tube, whatever the shading, left of the close-up."""
     box = page.locator("#scene").bounding_box()
     assert box is not None
     seen = iio.imread(page.screenshot(scale="css")).astype(float)[..., :3]
-    red, green, blue = np.moveaxis(seen[int(box["y"]) : int(box["y"] + box["height"]), 320 : int(box["width"])], -1, 0)
+    red, green, blue = np.moveaxis(
+        seen[int(box["y"]) : int(box["y"] + box["height"]), : int(0.6 * box["width"])], -1, 0
+    )
     return int(((blue > red + 35) & (green > red + 10)).sum())
 
 

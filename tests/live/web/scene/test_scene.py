@@ -137,7 +137,7 @@ def test_at_rest_the_robot_stands_where_the_model_says(viewed: Viewed) -> None:
     )
     assert scene._measured.visible
     assert not scene._desired.visible
-    assert not scene._stale.visible
+    assert viewed.view.drawn.says == ""
 
 
 def test_a_motion_shows_its_path_its_setpoint_and_its_load(viewed: Viewed) -> None:
@@ -145,8 +145,7 @@ def test_a_motion_shows_its_path_its_setpoint_and_its_load(viewed: Viewed) -> No
     viewed.service.start_motion(CircleMotion(radius=0.01, period=10.0), load=ConstantLoad(magnitude=0.2), duration=20.0)
     scene = viewed.view._scene
     until(lambda: scene._path.visible)
-    until(lambda: scene._newton.visible and 0.15 < float(scene._newton.text.split()[0]) < 0.25)
-    assert scene._newton.text.endswith(" N")
+    until(lambda: (force := viewed.view.drawn.force) is not None and 0.15 < np.linalg.norm(force) < 0.25)
     tail, head = scene._force.points[0]
     assert np.linalg.norm(head - tail) == pytest.approx(0.2 * ARROW, rel=0.25)
     assert (head - tail)[0] > 0.9 * np.linalg.norm(head - tail)  # gravity is +x
@@ -185,12 +184,13 @@ def test_old_telemetry_is_called_stale_and_a_restart_is_followed(viewed: Viewed)
     until(lambda: scene._measured.visible)
     os.kill(viewed.supervisor.pids()["control"], signal.SIGKILL)
     until(lambda: viewed.supervisor.status().state is State.FAULT)
-    until(lambda: scene._stale.visible)
-    assert scene._stale.text.startswith("STALE")
+    until(lambda: viewed.view.drawn.says.startswith("old"))
     assert not scene._measured.visible
+    assert not scene._estimated.visible
+    assert viewed.view.drawn.measured is viewed.view.drawn.force is None
     viewed.supervisor.reset()
-    until(lambda: not scene._stale.visible)
-    assert scene._measured.visible
+    until(lambda: scene._measured.visible)
+    until(lambda: viewed.view.drawn.says == "")
 
 
 def test_a_simulated_robot_that_cannot_follow_its_stages_is_a_warning(viewed: Viewed) -> None:

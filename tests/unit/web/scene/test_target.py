@@ -7,9 +7,9 @@ from core.model.statics import Statics
 from core.robot.robot import Array
 from station.config.robots import RobotFile, load_robot
 from web.scene.gizmos import LOWER, MOST_FORCE, UPPER, boxes, pull
-from web.scene.overlays import reachable_tips
 from web.scene.scene import ARROW, UNIT
 from web.scene.target import STAY, way_to
+from web.scene.workspace import reachable_tips
 
 POSE = np.array([0.0, np.pi / 2, -0.1])
 NOTHING = np.zeros(3)

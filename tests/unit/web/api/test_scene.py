@@ -1,0 +1,29 @@
+"""The scene over REST and its stream, on a station that is OFF."""
+
+import json
+
+from starlette.testclient import TestClient
+
+from station.config.robots import load_robot
+from tests.harness.web_app import HOST, PORT
+from web.scene.drawn import NOTHING
+from web.scene.views import VIEWS
+
+
+def test_the_legend_names_every_mark_every_tube_and_every_view(app: TestClient) -> None:
+    legend = app.get("/api/scene/legend").json()
+    assert legend["views"] == list(VIEWS)
+    assert [tube["diameter"] for tube in legend["tubes"]] == [
+        tube.outer_diameter for tube in load_robot("paper").robot().tubes
+    ]
+    names = [sign["name"] for sign in legend["signs"]]
+    for word in ("desired", "measured", "estimated", "force", "reference"):
+        assert any(name.startswith(word) for name in names)  # the close-up takes its colours by these
+
+
+def test_the_close_up_says_that_nothing_is_known_and_takes_any_word(app: TestClient) -> None:
+    with app.websocket_connect(f"ws://{HOST}:{PORT}/api/scene/tip?client=nobody-at-all&rate=30") as socket:
+        assert socket.receive_json() == json.loads(json.dumps(NOTHING.told()))
+        for text in ("Tip", "", "\x00", "x" * 5000):
+            socket.send_text(text)
+        assert socket.receive_json()["says"] == "no telemetry yet"
