@@ -21,7 +21,8 @@ WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK = range(7)  #: places of th
 COUNTERS = 8
 LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT = range(5)  #: places of the numbers
 NUMBERS = 8
-TRUTH = 8  #: a count that is odd while they are being written, then tip and force
+#: A count that is odd while they are being written, then tip, force, whether there is a target, and where it is.
+TRUTH = 12
 
 
 class Timing(NamedTuple):
@@ -70,7 +71,9 @@ class Ring:
         cells = self._truth
         self.counters[STUCK] = stuck
         cells[0] += 1.0
-        cells[1:4], cells[4:7] = truth.tip, truth.force
+        cells[1:4], cells[4:7], cells[7] = truth.tip, truth.force, truth.target is not None
+        if truth.target is not None:
+            cells[8:11] = truth.target
         cells[0] += 1.0
 
     def truth(self) -> Truth | None:
@@ -78,7 +81,7 @@ class Ring:
         before = self._truth[0]
         values = self._truth.copy()
         if before and not before % 2.0 and values[0] == before and self._truth[0] == before:
-            self._told = Truth(values[1:4], values[4:7])
+            self._told = Truth(values[1:4], values[4:7], values[8:11] if values[7] else None)
         return self._told  # what it told before, while it is just telling: a loop does not wait for it
 
     def time_late(self, late: float, skipped: int) -> None:
