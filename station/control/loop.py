@@ -81,6 +81,7 @@ class ControlLoop:
         self.state = after(self.state, event)
         if event in (Event.STOP, Event.FAULT, Event.HOLD):
             self.cause, self.progress, self._jog, self._rest = cause, None, None, None
+            self._target.end()
         elif event in (Event.RESET, Event.RECONNECT, Event.CONNECT):
             self.cause = ""
 
