@@ -125,7 +125,7 @@ class FollowMotion(Strict):
     """of the tip from the target [m]; as at the start when left out"""
     predict: bool = True
     """go where the target will be by its rhythms; without, to where the newest frame saw it"""
-    lag: Annotated[float, Field(ge=0.0, le=0.2)] = 0.01
+    lag: Annotated[float, Field(ge=0.0, le=0.2)] = 0.02
     """from a velocity's arrival at the stages until the tip has it, on top of the line's delays [s]"""
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """of the tip [m/s]"""

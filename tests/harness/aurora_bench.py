@@ -26,7 +26,7 @@ class AuroraBench:
         self.now = 0.0
 
     def run(self, seconds: float, tip=lambda time: REST, target=lambda time: REST) -> list[tuple[float, TipReading]]:
-        """Let time pass with the true tip at `tip(time)` and a second coil at `target(time)`; what was read and when."""
+        """Let time pass, the true tip at `tip(time)`, a second coil at `target(time)`; what was read and when."""
         read = []
         for _ in range(round(seconds / TICK)):
             before, self.now = self.now, self.now + TICK
