@@ -117,6 +117,28 @@ class WaypointsMotion(Strict):
         return Waypoints(times, places, self.max_speed, self.max_acceleration)
 
 
+class FollowMotion(Strict):
+    """Keep the tip beside a target that moves and has a coil of its own."""
+
+    kind: Literal["follow"] = "follow"
+    offset: Vector | None = None
+    """of the tip from the target [m]; as at the start when left out"""
+    predict: bool = True
+    """go where the target will be by its rhythms; without, to where the newest frame saw it"""
+    lag: Annotated[float, Field(ge=0.0, le=0.2)] = 0.02
+    """from a velocity's arrival at the stages until the tip has it, on top of the line's delays [s]"""
+    max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
+    """of the tip [m/s]"""
+    max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
+    """[m/s^2]"""
+    patience: Annotated[float, Field(ge=0.25, le=60.0)] = 2.0
+    """a target that is lost for longer ends the run in HOLD [s]"""
+
+    def trajectory(self) -> Trajectory:
+        """What is known of it beforehand: where it begins."""
+        return Hold()
+
+
 class CsvMotion(Strict):
     """Waypoints from a file; for experiment files, not over REST."""
 
@@ -204,7 +226,7 @@ class JointSweepMotion(Strict):
 
 
 #: What can be asked for in a file and over REST alike.
-TipMotion = HoldMotion | SinusoidMotion | CircleMotion | HelixMotion | WaypointsMotion | StepMotion
+TipMotion = HoldMotion | SinusoidMotion | CircleMotion | HelixMotion | WaypointsMotion | StepMotion | FollowMotion
 Motion = Annotated[TipMotion | CsvMotion | JointSweepMotion, Field(discriminator="kind")]
 
 
@@ -214,6 +236,8 @@ class Orders:
     def __init__(self, motion: TipMotion | CsvMotion | JointSweepMotion, robot: Robot) -> None:
         """Raises DescriptionError when the robot has no such joint, ConfigError for a file that is none."""
         self._motion = motion
+        #: The target decides where the tip should be; `at` says where it begins.
+        self.follow = motion if isinstance(motion, FollowMotion) else None
         self._trajectory: Trajectory | None = None
         if isinstance(motion, JointSweepMotion):
             if motion.joint not in robot.joint_names:

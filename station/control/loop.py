@@ -12,6 +12,7 @@ from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.control.causes import Causes
+from station.control.follow import Target
 from station.control.jog import Jog
 from station.control.margins import Margins, SnapMonitor
 from station.control.progress_monitor import ProgressMonitor
@@ -56,6 +57,7 @@ class ControlLoop:
         self._retry = 0.0  # when a tracker that is not there is looked for again [s]
         self._frame_at = 0.0  # when the newest frame has come [s]
         self._stall, self._snap = ProgressMonitor(), SnapMonitor(self._margins)
+        self._target = Target()
 
     @property
     def cause(self) -> str:
@@ -88,6 +90,7 @@ class ControlLoop:
             self._causes = (self._causes if before in LATCHED else Causes()).add(cause)
             self.progress, self._jog, self._rest = None, None, None
             self._once_homed = None
+            self._target.end()
         elif event in (Event.RESET, Event.RECONNECT, Event.CONNECT):
             self._causes = Causes()
 
@@ -140,9 +143,12 @@ class ControlLoop:
         """Go to the start pose, rest there for tare and start tip, then carry out the motion.
 
         Raises:
-            RefusedError: not READY.
+            RefusedError: not READY, or it should follow a target that nobody sees.
         """
+        if task.follow is not None and self._target.missing:
+            raise RefusedError(self._target.missing)
         self.request(Event.START)
+        self._target.end()
         self.controller, self._rest = task.controller, None
         self.progress = Progress(task, Phase.APPROACHING)
         self._snap = SnapMonitor(task.margins or self._margins)
@@ -198,6 +204,7 @@ class ControlLoop:
         wrenches = devices.sensors.poll(now)
         if frame is not None:
             self._frame_at = now
+        self._target.see(now, frame)
         trouble = self._look(now)
         self._go_on(now, stages.condition, trouble)
         if not stages.ready:
@@ -232,7 +239,10 @@ class ControlLoop:
             self._act_on(Trouble(Severity.HOLD, stalled) if stalled else None, now)
         if order is not None and self.state is State.RUNNING:
             stages.command(tick.command, now)
-        self._row = self.channels.row(now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles)
+        target = self._target.numbers(truth)
+        self._row = self.channels.row(
+            now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles, target
+        )
         return self._row
 
     def _connect(self, now: float) -> None:
@@ -330,6 +340,9 @@ class ControlLoop:
         if now - progress.motion_start >= task.duration - 1e-9:
             self._finish(now)
             return None
+        if task.follow is not None:
+            self._act_on(self._target.trouble(), now)
+            return self._target.order()
         return task.order(now - progress.motion_start, now - self._frame_at)
 
     def _set_out(self, now: float, joints: JointReading, rest: Rest, task: Task) -> bool:
@@ -341,6 +354,8 @@ class ControlLoop:
             return False
         self._tare = self.controller.tare(rest.wrenches, joints.positions)
         self._memory = set_origin(self.controller, self._memory, tip)
+        if task.follow is not None:
+            self._target.follow(task.follow, task.controller, tip)
         self._stall, self._snap = ProgressMonitor(), SnapMonitor(task.margins or self._margins)
         return True
 
@@ -352,6 +367,7 @@ class ControlLoop:
     def _finish(self, now: float) -> None:
         self.devices.stages.stop(now)
         self.request(Event.FINISH)
+        self._target.end()
         self.progress = self._jog = None
 
     def _go_on_taring(self, now: float, joints: JointReading, wrenches: Array) -> None:

@@ -30,7 +30,8 @@ COUNTERS = 8
 #: Places of the numbers; a heartbeat is when its process has shown last that it lives, by the station's clock [s].
 LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECORDER_HEARTBEAT = range(7)
 NUMBERS = 8
-TRUTH = 8  #: a count that is odd while they are being written, then tip and force
+#: A count that is odd while they are being written, then tip, force, whether there is a target, and where it is.
+TRUTH = 12
 
 
 class Timing(NamedTuple):
@@ -79,7 +80,9 @@ class Ring:
         cells = self._truth
         self.counters[STUCK] = stuck
         cells[0] += 1.0
-        cells[1:4], cells[4:7] = truth.tip, truth.force
+        cells[1:4], cells[4:7], cells[7] = truth.tip, truth.force, truth.target is not None
+        if truth.target is not None:
+            cells[8:11] = truth.target
         cells[0] += 1.0
 
     def truth(self) -> Truth | None:
@@ -87,7 +90,7 @@ class Ring:
         before = self._truth[0]
         values = self._truth.copy()
         if before and not before % 2.0 and values[0] == before and self._truth[0] == before:
-            self._told = Truth(values[1:4], values[4:7])
+            self._told = Truth(values[1:4], values[4:7], values[8:11] if values[7] else None)
         return self._told  # what it told before, while it is just telling: a loop does not wait for it
 
     def time_late(self, late: float, skipped: int) -> None:

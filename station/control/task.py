@@ -7,6 +7,7 @@ from typing import Protocol
 from core.control.step import Controller
 from core.control.trajectories import JointMotion, Setpoint
 from core.robot.robot import Array
+from station.config.motions import FollowMotion, Orders
 from station.control.approach import approach
 from station.control.margins import Margins
 from station.control.settle_and_tare import AVERAGE, SETTLE
@@ -42,6 +43,11 @@ class Task:
     duration: float  #: of the motion, after the preparation [s]; 0: it is there once it is at its start pose
     start: Array | None = None  #: joints (n,) to begin from; None: from where they are
     margins: Margins | None = None  #: what is left before the tubes snap; None: the station's
+
+    @property
+    def follow(self) -> FollowMotion | None:
+        """A target that decides where the tip should be; None: the orders do."""
+        return self.orders.follow if isinstance(self.orders, Orders) else None
 
     def approach(self, joints: Array) -> Array | None:
         """Velocities (n,) from `joints` (n,) toward the start pose; None when there."""

@@ -13,6 +13,8 @@ from station.control.states import State
 from station.devices.interfaces import JointReading, TipReading, Truth, WrenchReading
 
 XYZ = ("x", "y", "z")
+#: Columns of a target, the last ones.
+TARGET = 14
 
 
 class Channel(NamedTuple):
@@ -62,16 +64,18 @@ class Channels:
         tick: Tick,
         truth: Truth | None,
         troubles: tuple[int, int, int] = (0, 0, 0),
+        target: Array | None = None,
     ) -> Array:
         """One tick as numbers, in the order of `all`.
 
         Between tracker frames `tip_new` is 0 and the last frame's values stand. Without a virtual
         lab nothing is known to be true: `truth_known` is 0 and the true channels are 0. `phase` is what the
         run is doing, as `task.Phase` numbers it, 0 without one; `troubles` are the severities of what is
-        wrong with stages, tracker and force sensors, 0 where nothing is.
+        wrong with stages, tracker and force sensors, 0 where nothing is; `target` (14,) is what is known of a
+        target, 0 without.
         """
         memory, now = tick.memory, tick.memory.estimate
-        true_tip, true_force = truth or _UNKNOWN
+        true_tip, true_force, _ = truth or _UNKNOWN
         new, frame_time = (False, 0.0) if frame is None else (True, frame.time)
         stages, tracker, sensors = troubles
         row = np.empty(self._width)
@@ -82,6 +86,7 @@ class Channels:
             memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
             tick.u_int, tick.sigma, tick.at_bound, now.numbers,
         )  # fmt: skip
+        row[-TARGET:] = 0.0 if target is None else target
         return row
 
     def held(
@@ -104,7 +109,7 @@ class Channels:
             self.of(row, "velocity_sent")[:] = joints.sent
         if np.isfinite(wrenches.wrenches).all():
             self.of(row, "wrench_raw")[:] = wrenches.wrenches.ravel()
-        self.of(row, "tip_new")[:] = 0.0
+        self.of(row, "tip_new")[:] = self.of(row, "target_new")[:] = 0.0
         self.of(row, "trouble")[:] = troubles
         return row
 
@@ -202,4 +207,10 @@ def _channels(robot: Robot) -> list[Channel]:
         Channel("bias_covariance.bias", "m^2"),
         Channel("bias_covariance.both", "m^2/s"),
         Channel("bias_covariance.drift", "m^2/s^2"),
+        Channel("target_new", ""),
+        Channel("target_followed", ""),
+        *vector("target_measured", "m"),
+        *vector("target_predicted", "m"),
+        *vector("target_offset", "m"),
+        *vector("target_true", "m"),
     ]

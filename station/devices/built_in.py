@@ -85,6 +85,7 @@ def aurora(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], AuroraT
     try:
         settings = AuroraSettings(
             tool_serial=file.tool,
+            target_serial=file.target,
             baud=file.baud,
             frame_rate=file.frame_rate,
             latency=file.latency,
@@ -93,7 +94,8 @@ def aurora(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], AuroraT
             fault_bits=file.fault_bits,
         )
     except CtrError as error:
-        raise ConfigError(f"{key}.baud = {file.baud}: {error}") from None
+        wrong = f"target = '{file.target}'" if file.target and file.target == file.tool else f"baud = {file.baud}"
+        raise ConfigError(f"{key}.{wrong}: {error}") from None
     registration = Registration(file.mount.rotation, np.array(file.mount.position))
     return lambda: AuroraTracker(SerialLink(file.port, POWER_UP_BAUD), settings, registration, reopen)
 

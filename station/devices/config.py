@@ -115,6 +115,8 @@ class AuroraFile(Strict):
     port: Serial
     tool: str = ""
     """serial number of the tip's coil, as the unit tells it; "": the first tool"""
+    target: str = ""
+    """serial number of a second coil, on what the motion `follow` follows; "": there is none"""
     baud: int = AuroraSettings.baud
     """to change to; a rate that the unit has"""
     frame_rate: Annotated[float, Field(gt=0.0, le=1000.0)] = AuroraSettings.frame_rate

@@ -53,6 +53,7 @@ class TipReading(NamedTuple):
     frame: int  #: the tracker's own count
     time: float  #: when it was measured, by the frame number, not by its arrival [s]
     position: Array  #: (3,) world frame [m]
+    target: Array | None = None  #: (3,) of a target with a coil of its own, in the same frame [m]; None: not seen
 
 
 class WrenchReading(NamedTuple):
@@ -68,6 +69,7 @@ class Truth(NamedTuple):
 
     tip: Array  #: (3,) [m]
     force: Array  #: (3,) at the tip [N]
+    target: Array | None = None  #: (3,) what moves and may be followed [m]; None: there is nothing
 
 
 class Device(Protocol):

@@ -44,7 +44,11 @@ class Bounded(NamedTuple):
 def has_bound(case: Case) -> bool:
     """Whether the tip is meant to be somewhere, whoever controls it, while a load acts on it."""
     file = case.file
-    return file.trajectory.kind != "joint_sweep" and bool(file.load.changes) and math.isinf(file.load.contact)
+    return (
+        file.trajectory.kind not in ("joint_sweep", "follow")
+        and bool(file.load.changes)
+        and math.isinf(file.load.contact)
+    )
 
 
 def same_bound(case: Case) -> str:

@@ -197,6 +197,11 @@ def _case(
         controller.limits.check(start)
         controller.statics.robot.check_pose(start)
         orders = Orders(file.trajectory, controller.statics.robot)
+        if orders.follow is not None and lab.target is None:
+            raise ConfigError(
+                f"trajectory.kind = 'follow': lab '{file.lab}' has no target; choose one with a table [target],"
+                " for instance 'breathing'"
+            )
         # Cases that differ in nothing that the way depends on try it once.
         way = repr((file.robot, file.calibration, file.controller.sublink, file.start, file.trajectory, file.duration))
         if way not in tried:

@@ -173,6 +173,9 @@ def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterato
         if key in case:
             x, y, z = (f"{value:.3f}" for value in case[key])
             yield title, x, y, z, beside
+    for key, begin in (("true_max_distance_mm", "counted_from_s"), ("settled_true_max_distance_mm", "settled_from_s")):
+        if "settled_from_s" in case:
+            yield f"max distance true from {case[begin]:g} s on [mm]", "", "", f"{case[key]:.3f}", ""
     if "best_possible_mm" in case:
         for name, part in case["by_change"].items():
             words = f"max distance true from {name} on [mm] (best possible: {part['best_possible_mm']:.3f})"

@@ -10,7 +10,7 @@ from station.config.motions import StepMotion
 from station.experiments.changes import window_name, windows
 from station.experiments.runner import Recording
 from station.experiments.step_fit import fit_step, fold
-from station.recording.tracking_errors import errors, largest_force, rms, rounded
+from station.recording.tracking_errors import desired, errors, frame_errors, largest_force, rms, rounded
 
 #: Ticks over which the model's tip is averaged before it is compared: the noise of one force sample, 0.02 N in each
 #: sensor, moves it by a millimetre, and that says nothing about the model.
@@ -37,29 +37,37 @@ def summarise(recording: Recording) -> dict[str, Any]:
         summary["line_rates"] = {axis: dict(rates) for axis, rates in recording.rates.items()}
     if recording.case.warnings:
         summary["warnings"] = list(recording.case.warnings)
-    counted = rows[channels.of(rows, "time")[:, 0] >= first - 1e-9]
-    frames = counted[channels.of(counted, "tip_new")[:, 0] > 0.0]
-    if len(counted) == 0 or len(frames) == 0:
+
+    def of(group: str) -> Array:
+        return channels.of(rows, group)
+
+    is_counted = of("time")[:, 0] >= first - 1e-9
+    is_frame = is_counted & (of("tip_new")[:, 0] > 0.0)
+    frames = rows[is_frame]
+    if len(frames) == 0:
         return summary
+    counted = rows[is_counted]
     summary["counted_from_s"] = first
     summary |= largest_force(channels.of(counted, "force_filtered"))
-    times, frame_times = channels.of(rows, "time")[:, 0], channels.of(frames, "tip_time")[:, 0]
+    times, frame_times = of("time")[:, 0], channels.of(frames, "tip_time")[:, 0]
 
     def at_frames(group: str, *, averaged: bool = False) -> Array:
-        values = channels.of(rows, group)
+        values = of(group)
         columns = (averaged_model(values) if averaged else values).T
         return np.stack([np.interp(frame_times, times, column) for column in columns], axis=1)
 
     measured = channels.of(frames, "tip_measured")
     sweeps = recording.case.file.trajectory.kind == "joint_sweep"
     if not sweeps:
-        summary |= errors("", at_frames("tip_desired") - measured)
+        summary |= errors("", frame_errors(of, is_frame, 0.0))
     known = bool(channels.of(counted, "truth_known").all())
     if known:
-        true = channels.of(counted, "tip_true")
         if not sweeps:
-            summary |= errors("true_", channels.of(counted, "tip_desired") - true)
-            summary |= _by_change(recording)
+            error = desired(of, "target_true") - of("tip_true")
+            summary |= errors("true_", error[is_counted])
+            summary |= _by_change(recording, error)
+            if recording.case.orders.follow is not None:
+                summary |= _settled(recording, error)
         for group in ("force", "force_filtered"):
             force_error = channels.of(counted, group) - channels.of(counted, "force_true")
             summary[f"{group}_rms_error_N"] = rounded(rms(force_error), 4)
@@ -77,10 +85,16 @@ def summarise(recording: Recording) -> dict[str, Any]:
     return summary
 
 
-def _by_change(recording: Recording) -> dict[str, Any]:
-    """True errors from each change of the load to the next."""
-    channels, rows, file = recording.channels, recording.rows, recording.case.file
-    time, error = channels.of(rows, "time")[:, 0], channels.of(rows, "tip_desired") - channels.of(rows, "tip_true")
+def _settled(recording: Recording, error: Array) -> dict[str, Any]:
+    """True errors (ticks, 3) [m] beside a target once its rhythms are known, whatever the load does."""
+    begin = recording.case.file.settling
+    settled = error[recording.channels.of(recording.rows, "time")[:, 0] >= begin - 1e-9]
+    return {"settled_from_s": begin, **errors("settled_true_", settled)} if len(settled) else {}
+
+
+def _by_change(recording: Recording, error: Array) -> dict[str, Any]:
+    """True errors (ticks, 3) [m] from each change of the load to the next."""
+    file, time = recording.case.file, recording.channels.of(recording.rows, "time")[:, 0]
     found: dict[str, Any] = {}
     for begin, end in windows(file.load, file.duration):
         within = error[(time >= begin - 1e-9) & (time < end - 1e-9)]

@@ -149,6 +149,27 @@ class HiddenConfig(Strict):
             )
 
 
+class TargetConfig(Strict):
+    """What moves beside the robot and carries the tracker's second coil; lines and phases are drawn from the seed."""
+
+    place: Vector = (0.0, 0.0, 0.015)
+    """of its middle, from the tip at power-up [m]"""
+    breathing: NotNegative = 5e-3
+    """from the middle to either end of a line [m]"""
+    breathing_rate: Annotated[float, Field(gt=0.0, le=2.0)] = 0.25
+    """[Hz]"""
+    breathing_second: Annotated[float, Field(ge=0.0, le=1.0)] = 0.15
+    """part of the size that a wave of twice the rate has"""
+    heartbeat: NotNegative = 0.5e-3
+    """the same along a line of its own [m]"""
+    heartbeat_rate: Annotated[float, Field(gt=0.0, le=5.0)] = 1.2
+    """[Hz]"""
+    rate_drift: Annotated[float, Field(ge=0.0, le=0.5)] = 0.05
+    """largest change of both rates, there and back in a minute, as a part"""
+    size_drift: Annotated[float, Field(ge=0.0, le=0.5)] = 0.1
+    """of both sizes"""
+
+
 class LabConfig(Strict):
     """The virtual lab."""
 
@@ -159,6 +180,15 @@ class LabConfig(Strict):
     tracker: TrackerConfig = TrackerConfig()
     sensors: BaseSensorConfig = BaseSensorConfig()
     hidden: HiddenConfig = HiddenConfig()
+    target: TargetConfig | None = None
+    """none: the tracker has one coil"""
+
+    @model_validator(mode="after")
+    def _coil_on_a_wire(self) -> Self:
+        """Refuse a target that nobody would see."""
+        if self.target is not None and self.devices == "ideal":
+            raise ValueError("target: ideal devices have no second coil; use devices = 'wire'")
+        return self
 
 
 #: Labs that had another name.

@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 from station.config.strict import check
 from station.devices.config import BenchFile
 from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.simulated import TARGET_SERIAL
 from station.lab.config import LabConfig
 
 #: What a simulated device's word may take [s]. Real ones have processors of their own: a busy computer makes these
@@ -18,7 +19,7 @@ LATE = 0.15
 def devices_at(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
     """The `[devices]` of a lab that has told its endpoints."""
     tubes = {box["tube"]: _box(box) for box in endpoints["netft"]}
-    tables = {
+    tables: dict[str, dict[str, Any]] = {
         "stages": {"driver": "zaber", "port": endpoints["zaber"], "deadline": LATE},
         "tracker": {
             "driver": "aurora",
@@ -30,6 +31,8 @@ def devices_at(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
         },
         "sensors": {"driver": "netft", "tubes": tubes, "stale_after": LATE},
     }
+    if config.target is not None:
+        tables["tracker"]["target"] = TARGET_SERIAL
     return check(BenchFile, tables, "virtual lab")
 
 

@@ -147,6 +147,7 @@ def aurora_faults(active: Sequence[Incident]) -> AuroraFaults:
         delay=_worst(mine, "delay"),
         mute="mute" in kinds,
         tool_lost="lose_tool" in kinds,
+        target_lost="lose_target" in kinds,
         jump=_worst(mine, "jump"),
         freeze="freeze" in kinds,
     )

@@ -28,6 +28,7 @@ FaultKind = Literal[
     "restart",
     "stall",
     "lose_tool",
+    "lose_target",
     "unplug",
     "jump",
     "saturate",
@@ -64,6 +65,8 @@ KINDS: dict[FaultKind, Kind] = {
     "stall": Kind(("joint",)),
     # the coil is not seen
     "lose_tool": Kind(("tracker",)),
+    # the same of the target's coil, where there is one
+    "lose_target": Kind(("tracker",)),
     # the coil's plug is pulled
     "unplug": Kind(("tracker",)),
     # the coil seems to be so far off, along the world's x

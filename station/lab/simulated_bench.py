@@ -18,7 +18,7 @@ from station.devices.links.memory_pipe import memory_pipe
 from station.devices.zaber.setup import StageSetup
 from station.lab.aurora import wire as aurora_wire
 from station.lab.aurora.coil import MOUNT
-from station.lab.aurora.simulated import SimulatedAurora
+from station.lab.aurora.simulated import TARGET_SERIAL, SimulatedAurora
 from station.lab.aurora.wire import HostPort
 from station.lab.config import LabConfig
 from station.lab.fault_script import DeviceLine, FaultScript
@@ -27,6 +27,7 @@ from station.lab.hidden import Hidden
 from station.lab.loads import Load, NoLoad
 from station.lab.netft.simulated import BoxSettings, SimulatedNetft
 from station.lab.netft.wire import DeviceEnd, MemoryDatagrams, MemoryEnd
+from station.lab.target import MovingTarget
 from station.lab.true_plant import true_plant
 from station.lab.zaber import simulated as simulated_zaber
 from station.lab.zaber.simulated import SimulatedChain
@@ -86,8 +87,8 @@ class SimulatedBench:
             PoseError, NoSolution: the true robot cannot stand there.
         """
         # One stream for each part, so that another part does not change what this one draws.
-        streams = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
-        plant, tracker, sensors, unknown = streams
+        streams = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5))
+        plant, tracker, sensors, unknown, moving = streams
         memory, self.hosts = memory_wires(len(robot.tubes))
         self.config = config
         self._wires = wires or memory
@@ -103,7 +104,9 @@ class SimulatedBench:
         self._axes = [(s.home_at, s.joint.microstep, u) for s, u in zip(self.setups, self.chain.units, strict=True)]
         self.hidden = Hidden(robot, config.hidden, unknown)
         self._off_tip = bool(self.hidden.coil.any())
-        self.aurora = SimulatedAurora(self.hidden.tracker(config.tracker), tracker, mount=self.hidden.mount(MOUNT))
+        second = "" if config.target is None else TARGET_SERIAL
+        mount = self.hidden.mount(MOUNT)
+        self.aurora = SimulatedAurora(self.hidden.tracker(config.tracker), tracker, mount=mount, target=second)
         self.boxes = tuple(
             SimulatedNetft(end, config.sensors, rng, BoxSettings(rate=RECORDS, serial=f"FT{number:05}"))
             for number, (end, rng) in enumerate(zip(self._wires.netft, sensors.spawn(len(robot.tubes)), strict=True), 1)
@@ -119,6 +122,8 @@ class SimulatedBench:
         self.truth: Truth
         self.truth, self._wrenches = self._plant.advance(at, np.zeros(3))
         self._coil_at = self._coil()
+        self._target = None if config.target is None else MovingTarget(config.target, self.truth.tip, moving)
+        self._target_at = None if self._target is None else self._target.at(0.0)
 
     @property
     def positions(self) -> Array:
@@ -164,12 +169,20 @@ class SimulatedBench:
             # A bench goes on: the robot stays as it was until the stages are back where it can stand.
             self.trouble = str(error)
         axis = self._plant.rotation[:, 2] if self._tells_axis else None
-        self.aurora.advance(self.time, now, before, self._coil_at, axis)
+        self.aurora.advance(self.time, now, before, self._coil_at, axis, self._move_target(now))
         aurora_wire.pump(self._wires.aurora, self.aurora, now)
         for number, box in enumerate(self.boxes):
             box.advance(now, self._wrenches[number])
         self.time = now
         return self.truth
+
+    def _move_target(self, now: float) -> tuple[Array, Array] | None:
+        """Begin and end of the target's way until `now` [s]."""
+        if self._target is None or self._target_at is None:
+            return None
+        before, self._target_at = self._target_at, self._target.at(now)
+        self.truth = self.truth._replace(target=self._target_at)
+        return before, self._target_at
 
     def _coil(self) -> Array:
         """Where the tracker's coil is (3,), world frame [m]."""

@@ -14,6 +14,7 @@ from station.devices.netft.sensors import NetftSensors
 from station.devices.zaber.setup import Port
 from station.devices.zaber.stages import ZaberStages
 from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.simulated import TARGET_SERIAL
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.ideal_lab import IdealLab
@@ -75,7 +76,8 @@ def virtual_bench(
 def drivers(lab: SimulatedBench, registration: Registration = MOUNT) -> Devices:
     """Drivers on the other ends of the lab's wires in memory."""
     tracker = lab.config.tracker
-    settings = AuroraSettings(frame_rate=tracker.rate, latency=tracker.latency)
+    target = "" if lab.config.target is None else TARGET_SERIAL
+    settings = AuroraSettings(target_serial=target, frame_rate=tracker.rate, latency=tracker.latency)
     return Devices(
         ZaberStages(lab.setups, [Port(lab.hosts.zaber, tuple(range(len(lab.setups))))], reopen=_reopened),
         AuroraTracker(lab.hosts.aurora, settings, registration, reopen),

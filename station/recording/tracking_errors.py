@@ -46,22 +46,38 @@ def errors(prefix: str, error: Array) -> dict[str, Any]:
     }
 
 
+def desired(of: Callable[[str], Array], target: str) -> Array:
+    """Where the tip should be (ticks, 3) [m]: at the setpoint; beside a target while one is followed.
+
+    `of` gives the columns of a group of channels (ticks, k); `target` is the group that says where the target is.
+    """
+    return np.where(of("target_followed") > 0.0, of(target) + of("target_offset"), of("tip_desired"))
+
+
+def frame_errors(of: Callable[[str], Array], frames: Array, start: float) -> Array:
+    """Desired minus measured (f, 3) [m] at `frames` (ticks,), of a motion that began at `start` [s].
+
+    A setpoint is that of the moment at which the frame was taken; a target was measured in the frame itself.
+    """
+    time, taken = of("time")[:, 0] - start, of("tip_time")[frames, 0] - start
+    wanted = np.stack([np.interp(taken, time, column) for column in of("tip_desired").T], axis=1)
+    beside = desired(of, "target_measured")[frames]
+    return np.where(of("target_followed")[frames] > 0.0, beside, wanted) - of("tip_measured")[frames]
+
+
 def motion_errors(of: Callable[[str], Array], start: float, first: float) -> Mapping[str, Any]:
     """Errors of a motion that began at `start` [s] of its rows, from `first` [s] on, and the largest force meanwhile.
 
-    Empty when there are none. `of` gives the columns of a group of channels (ticks, k). Each tracker frame is
-    compared with the setpoint of the moment at which it was taken; `true_` errors are those of the virtual lab's tip.
+    Empty when there are none. `of` gives the columns of a group of channels (ticks, k). `true_` errors are those of
+    the virtual lab's tip.
     """
-    time, desired = of("time")[:, 0] - start, of("tip_desired")
-    counted = time >= first
+    counted = of("time")[:, 0] - start >= first
     frames = counted & (of("tip_new")[:, 0] > 0.0)
     if not frames.any():
         return {}
-    taken = of("tip_time")[frames, 0] - start
-    wanted = np.stack([np.interp(taken, time, column) for column in desired.T], axis=1)
-    found = errors("", wanted - of("tip_measured")[frames])
+    found = errors("", frame_errors(of, frames, start))
     if of("truth_known")[counted].all():
-        found |= errors("true_", desired[counted] - of("tip_true")[counted])
+        found |= errors("true_", (desired(of, "target_true") - of("tip_true"))[counted])
     return found | largest_force(of("force_filtered")[counted])
 
 

@@ -2,7 +2,19 @@
 
 from collections.abc import Callable, Iterator, Mapping
 
-from station.report import deflection, force, load_rate, model, overview, rates, steps, strategies, timing, tracking
+from station.report import (
+    deflection,
+    follow,
+    force,
+    load_rate,
+    model,
+    overview,
+    rates,
+    steps,
+    strategies,
+    timing,
+    tracking,
+)
 from station.report.drawn import Drawn
 from station.report.run import Run
 
@@ -18,6 +30,7 @@ FIGURES: Mapping[str, tuple[Draw, ...]] = {
     "fig10": (tracking.draw, force.draw, rates.draw),
     "step_response": (steps.draw,),
     "load_rate": (load_rate.draw,),
+    "follow": (follow.draw,),
 }
 
 

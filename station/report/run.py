@@ -15,12 +15,14 @@ from station.control.task import Phase
 from station.control.telemetry import Channel
 from station.experiments.experiment import variants
 from station.recording.read import open_case
+from station.recording.tracking_errors import desired
 
 #: Groups of channels that reports and players show.
 KEPT = frozenset((
     "time", "phase", "joints", "force", "force_filtered", "force_true", "tip_new", "tip_time", "tip_measured",
     "tip_estimated", "tip_unloaded", "tip_desired", "tip_observed", "truth_known", "tip_true", "deflection",
     "deflection_rate_raw", "deflection_rate", "deflection_rate_exact", "delta_1", "delta_2",
+    "target_followed", "target_measured", "target_offset", "target_true",
 ))  # fmt: skip
 #: Rows of a case that are kept in memory; a recording of more than 33 minutes is thinned out.
 MOST = 1_000_000
@@ -93,16 +95,32 @@ class Case:
             (self.of("phase") == Phase.MOVING).any()
         )
 
+    @property
+    def follows(self) -> bool:
+        """Whether a target said where the tip should be."""
+        return self.file.get("trajectory", {}).get("kind") == "follow"
+
+    @property
+    def settled_from(self) -> float:
+        """What is left of a beginning is over here [s]."""
+        return float(self.file.get("settling", 0.0))
+
+    def beside(self) -> Array:
+        """(ticks, 3) where the tip should be [m]: at the setpoint, or at the offset from a true target."""
+        return desired(self.of, "target_true") if self.follows else self.of("tip_desired")
+
     def true_error(self) -> Array:
         """(ticks, 3) desired minus the plant's tip [mm]."""
-        return 1e3 * (self.of("tip_desired") - self.of("tip_true"))
+        return 1e3 * (self.beside() - self.of("tip_true"))
 
     def measured_error(self) -> tuple[Array, Array]:
         """Desired minus measured of every tracker frame, at the time it was taken: (f,) [s] and (f, 3) [mm]."""
         new = self.of("tip_new")[:, 0] > 0.0
         at = self.of("tip_time")[new, 0]
-        desired = np.stack([np.interp(at, self.time, column) for column in self.of("tip_desired").T], axis=1)
-        return at, 1e3 * (desired - self.of("tip_measured")[new])
+        if self.follows:  # both were measured in the same frame
+            return at, 1e3 * (desired(self.of, "target_measured") - self.of("tip_measured"))[new]
+        wanted = np.stack([np.interp(at, self.time, column) for column in self.of("tip_desired").T], axis=1)
+        return at, 1e3 * (wanted - self.of("tip_measured")[new])
 
 
 @dataclass(frozen=True)

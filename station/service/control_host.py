@@ -171,7 +171,7 @@ class ControlHost:
         self._closing = True
         if self.alive and self.ticking:
             try:
-                self.ask(Event.STOP, cause=cause)
+                self.ask(Event.STOP)
             except RefusedError:
                 self._child.kill()  # one that does not listen stops nothing
         self._child.end(self._clock.real(END_TIME))

@@ -25,12 +25,13 @@ class AuroraBench:
         self.tracker = AuroraTracker(self.port, settings, MOUNT)
         self.now = 0.0
 
-    def run(self, seconds: float, tip=lambda time: REST) -> list[tuple[float, TipReading]]:
-        """Let time pass with the true tip at `tip(time)`; what was read and when."""
+    def run(self, seconds: float, tip=lambda time: REST, target=lambda time: REST) -> list[tuple[float, TipReading]]:
+        """Let time pass, the true tip at `tip(time)`, a second coil at `target(time)`; what was read and when."""
         read = []
         for _ in range(round(seconds / TICK)):
             before, self.now = self.now, self.now + TICK
-            self.unit.advance(before, self.now, tip(before), tip(self.now))
+            ways = (tip(before), tip(self.now)), (target(before), target(self.now))
+            self.unit.advance(before, self.now, *ways[0], target=ways[1])
             pump(self.port.device, self.unit, self.now)
             reading = self.tracker.poll(self.now)
             if reading is not None:

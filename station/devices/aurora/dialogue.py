@@ -62,6 +62,7 @@ class Dialogue:
         self.firmware = ""  #: the unit's freeze tag
         self.tools: dict[int, ToolIdentity] = {}  #: by handle
         self.handle: int | None = None  #: of the coil at the tip
+        self.target: int | None = None  #: handle of the target's coil; None while it is not plugged in
 
     def ask(self, command: str, answers: Callable[[str], bool], timeout: float, tries: int = 3) -> Script:
         """Ask, again if need be; the text of the answer, perhaps an ERROR."""

@@ -27,6 +27,7 @@ class Measurement(NamedTuple):
     quality: Quality
     position: tuple[float, ...] | None  #: of the robot's tip in the field generator's frame, only when GOOD [mm]
     error: float = 0.0  #: the unit's own figure [mm]
+    target: tuple[float, ...] | None = None  #: of the target's coil in the same frame, only when good [mm]
 
 
 @dataclass

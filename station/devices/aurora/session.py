@@ -46,6 +46,8 @@ class AuroraSession:
         self.last_arrival = -math.inf  #: of a new frame [s]
         self._clock = FrameClock(settings.frame_rate)
         self._gate = JumpGate(settings.fastest, settings.jitter, settings.confirm_jump)
+        self._target_gate = JumpGate(settings.fastest, settings.jitter, settings.confirm_jump)
+        self.target_quality = Quality.CONNECTING  #: what the newest frame of the target's coil is worth
         self._newest: int | None = None  # frame number
         self._orders: list[bytes | Rate | Break] = []
         self._script = self._whole()
@@ -113,6 +115,8 @@ class AuroraSession:
             self.quality = Quality.DISABLED
         else:
             measurements = self._measure(tool, tool.frame, len(raw) + (5 if isinstance(raw, str) else 8))
+            if self.talk.settings.target_serial:
+                measurements = [each._replace(target=self._target(reply, each.time)) for each in measurements]
         if isinstance(self._step, Ask) and self._step.answers is None:
             self._go_on(reply)
         return measurements
@@ -131,14 +135,21 @@ class AuroraSession:
             self.counts.skipped += frame - self._newest - 1
         self._newest, self.last_arrival = frame, self.talk.now
         time = begin - (self.talk.settings.latency - USUAL_REPLY)
-        self.quality = self._judge(tool, time)
+        self.quality = self._judge(tool, time, self._gate)
         transform = tool.transform if self.quality is Quality.GOOD else None
         if transform is None:
             return [Measurement(frame, time, self.quality, None)]
         tip = transform.ahead(self.talk.settings.coil_to_tip)
         return [Measurement(frame, time, self.quality, tip, transform.error)]
 
-    def _judge(self, tool: ToolFrame, time: float) -> Quality:
+    def _target(self, reply: FrameReply, time: float) -> tuple[float, ...] | None:
+        """Where the target's coil was at `time` [s]; None when nobody can tell."""
+        tool = next((tool for tool in reply.tools if tool.handle == self.talk.target), None)
+        self.target_quality = Quality.DISABLED if tool is None else self._judge(tool, time, self._target_gate)
+        good = tool is not None and tool.transform is not None and self.target_quality is Quality.GOOD
+        return tool.transform.position if good else None
+
+    def _judge(self, tool: ToolFrame, time: float, gate: JumpGate) -> Quality:
         if self.system_status & HARDWARE_FAILURE or tool.port_status & self.talk.settings.fault_bits:
             return Quality.FAULT
         if tool.port_status & (OUT_OF_VOLUME | PARTLY_OUT_OF_VOLUME):
@@ -147,10 +158,13 @@ class AuroraSession:
             return Quality.DISABLED
         if tool.transform is None:
             return Quality.MISSING
-        if not self._gate.passes(time, tool.transform.position):
+        if not gate.passes(time, tool.transform.position):
             self.counts.jumps += 1
             return Quality.JUMP
         return Quality.GOOD
+
+    def _unplugged_target(self, reply: FrameReply) -> bool:
+        return not any(tool.handle == self.talk.target and tool.frame is not None for tool in reply.tools)
 
     # -- the engine of the script ---------------------------------------------------------------
 
@@ -225,6 +239,9 @@ class AuroraSession:
                 gone = gone + 1 if tool is None or tool.frame is None else 0
                 if gone and (gone >= settings.misses or reply.system_status & PORT_OCCUPIED):
                     self.tracking, self.quality, self.talk.trouble = False, Quality.DISABLED, "the tool is unplugged"
+                    return None
+                if reply.system_status & PORT_OCCUPIED and settings.target_serial and self._unplugged_target(reply):
+                    self.tracking, self.talk.trouble = False, "the target is plugged in and not set up yet"
                     return None
                 # A little earlier each time, until a frame is asked for before it is there: so every
                 # frame is fetched soon, with hardly more questions than frames.

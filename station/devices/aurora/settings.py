@@ -10,6 +10,7 @@ class AuroraSettings:
     """How to talk to one unit. Times in seconds."""
 
     tool_serial: str = ""  #: of the coil at the tip, as PHINF tells it; empty: the lowest handle
+    target_serial: str = ""  #: of a second coil, a target's; empty: there is none
     baud: int = 115200  #: to change to; 40 frames/s do not fit into 9600
     frame_rate: float = 40.0  #: [1/s]
     latency: float = 0.024  #: from a measurement to the soonest arrival of its BX reply at 115200 baud (unconfirmed)
@@ -29,5 +30,9 @@ class AuroraSettings:
     fault_bits: int = 0  #: port status bits that spoil a measurement besides those of the volume (bits 8.. unconfirmed)
 
     def __post_init__(self) -> None:
+        if self.target_serial and self.target_serial == self.tool_serial:
+            raise AuroraError(
+                f"Aurora: tool {self.tool_serial} cannot be the tip's coil and the target's; name another"
+            )
         if self.baud not in BAUD_CODES:
             raise AuroraError(f"Aurora: {self.baud} baud is not one of {', '.join(map(str, BAUD_CODES))}")

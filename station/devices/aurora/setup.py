@@ -78,7 +78,11 @@ def prepare_tools(talk: Dialogue) -> Script:
             identity = None if error_code(str(reply)) is not None else parse_phinf(str(reply))
             if identity is not None:
                 talk.tools[handle] = identity
-        mine = [h for h, tool in talk.tools.items() if settings.tool_serial in ("", tool.serial)]
+        talk.target = next(
+            (h for h, tool in talk.tools.items() if settings.target_serial and tool.serial == settings.target_serial),
+            None,
+        )
+        mine = [h for h, tool in talk.tools.items() if settings.tool_serial in ("", tool.serial) and h != talk.target]
         if mine:
             talk.handle = min(mine)
             return None

@@ -64,7 +64,7 @@ class AuroraTracker:
         self._registration = registration or Registration()
         self._session = AuroraSession(self._settings)
         self._lost = ""
-        self._good_time = -math.inf
+        self._good_time = self._target_time = -math.inf
 
     @property
     def condition(self) -> Condition:
@@ -84,12 +84,23 @@ class AuroraTracker:
     def trouble(self, now: float) -> Trouble | None:
         """No good position: a warning, after 0.25 s a HOLD, with the reason."""
         if now - self._good_time <= SILENCE and not self._lost:
-            return None
+            return self._target_trouble(now)
         report = self.report(now)
         severity = Severity.HOLD if self._lost or report.good_age > BLIND else Severity.WARN
         what = report.quality.name.lower().replace("_", " ")
         since = "" if math.isinf(report.good_age) else f"; no good position for {report.good_age:.2f} s"
         return Trouble(severity, f"tracker ({self._link.name}): {what}{since}{report.trouble and '; '}{report.trouble}")
+
+    def _target_trouble(self, now: float) -> Trouble | None:
+        """No good position of the target that was asked for: a warning."""
+        serial, age = self._settings.target_serial, now - self._target_time
+        if not serial or age <= SILENCE:
+            return None
+        what = self._session.target_quality.name.lower().replace("_", " ")
+        if self._session.talk.target is None:
+            what = f"not plugged in; tools that are: {', '.join(t.serial for t in self._session.talk.tools.values())}"
+        since = "" if math.isinf(age) else f"; no good position for {age:.2f} s"
+        return Trouble(Severity.WARN, f"tracker ({self._link.name}): target {serial}: {what}{since}")
 
     def details(self) -> Mapping[str, Any]:
         """Who it is and what it has counted."""
@@ -98,6 +109,7 @@ class AuroraTracker:
             "port": self._link.name,
             "firmware": report.firmware,
             "tool": None if report.tool is None else report.tool._asdict(),
+            **({"target": self._session.talk.target is not None} if self._settings.target_serial else {}),
             **vars(report.counts),
             "noise_bytes": report.noise,
             "crc_errors": report.crc_errors,
@@ -121,7 +133,10 @@ class AuroraTracker:
         if newest is None or newest.position is None:
             return None
         self._good_time = newest.time
-        return TipReading(newest.frame, newest.time, self._registration.world(newest.position))
+        target = None
+        if newest.target is not None:
+            target, self._target_time = self._registration.world(newest.target), newest.time
+        return TipReading(newest.frame, newest.time, self._registration.world(newest.position), target)
 
     def report(self, now: float) -> TrackerReport:
         """How it stands at `now` [s]."""
@@ -149,7 +164,8 @@ class AuroraTracker:
         report = self.report(0.0)
         if report.tool is not None:
             self._settings = replace(self._settings, tool_serial=report.tool.serial)
-        self._link, self._lost, self._good_time = link, "", -math.inf
+        self._link, self._lost = link, ""
+        self._good_time = self._target_time = -math.inf
         self._session = AuroraSession(self._settings)
 
     def close(self) -> None:

@@ -36,14 +36,17 @@ class Seen(NamedTuple):
 class Coil:
     """A five-degree-of-freedom coil in the generator's field."""
 
-    def __init__(self, config: TrackerConfig, rng: np.random.Generator, mount: Registration) -> None:
+    def __init__(
+        self, config: TrackerConfig, rng: np.random.Generator, mount: Registration, field: Distortion | None = None
+    ) -> None:
+        """`field` is another coil's in the same place; without it is drawn, as far as `config` has one."""
         self.due = 0.0  #: when the next frame is measured [s]
         self._config, self._rng, self._mount = config, rng, mount
         # From a stream of its own, so that the noise is the same with and without.
-        self._distortion = (
+        self.distortion = (
             Distortion.drawn(config.distortion, 1e-3 * np.array(VOLUME), rng.spawn(1)[0])
-            if config.distortion > 0.0
-            else None
+            if config.distortion > 0.0 and field is None
+            else field
         )
         # Likewise the noise of the direction.
         self._wobble = None if config.direction_noise is None else rng.spawn(1)[0]
@@ -61,8 +64,8 @@ class Coil:
                 self._noise = (self._config.noise * self._rng.standard_normal((BLOCK, 3)))[::-1].tolist()
             tip = tip_begin + part * (tip_end - tip_begin) + self._noise.pop()
             place = self._mount.rotation.T @ (tip - self._mount.position)
-            if self._distortion is not None:
-                place += self._distortion.at(place)
+            if self.distortion is not None:
+                place += self.distortion.at(place)
             position = (1e3 * place).tolist()
             beyond = max(max(low - x, x - high) for x, (low, high) in zip(position, VOLUME, strict=True))
             axis = None if direction is None else self._mount.rotation.T @ self._wobbling(direction)

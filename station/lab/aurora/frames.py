@@ -1,6 +1,7 @@
 """How a simulated Aurora tells a frame: the replies to BX and TX."""
 
 import struct
+from collections.abc import Sequence
 
 from station.devices.aurora.protocol import binary, framed
 from station.devices.aurora.replies import OUT_OF_VOLUME
@@ -25,15 +26,15 @@ def wants_beyond_volume(options: int) -> bool:
     return bool(options & OPTION_BEYOND_VOLUME)
 
 
-def bx_reply(ports: list[Port], seen: Seen | None, beyond: bool, system_status: int) -> bytes:
-    """All enabled `ports` in binary."""
-    body = bytes([len(ports)]) + b"".join(_bx_tool(port, seen, beyond) for port in ports)
+def bx_reply(tools: Sequence[tuple[Port, Seen | None]], beyond: bool, system_status: int) -> bytes:
+    """All enabled ports and what is seen of their coils, in binary."""
+    body = bytes([len(tools)]) + b"".join(_bx_tool(port, seen, beyond) for port, seen in tools)
     return binary(body + struct.pack("<H", system_status))
 
 
-def tx_reply(ports: list[Port], seen: Seen | None, beyond: bool, system_status: int) -> bytes:
-    """All enabled `ports` in text."""
-    text = f"{len(ports):02X}" + "".join(_tx_tool(port, seen, beyond) for port in ports)
+def tx_reply(tools: Sequence[tuple[Port, Seen | None]], beyond: bool, system_status: int) -> bytes:
+    """All enabled ports and what is seen of their coils, in text."""
+    text = f"{len(tools):02X}" + "".join(_tx_tool(port, seen, beyond) for port, seen in tools)
     return framed(text + f"{system_status:04X}")
 
 

@@ -11,6 +11,8 @@ class Port:
     """A port handle."""
 
     handle: int
+    serial: str  #: of the tool
+    target: bool = False  #: the tool is the target's coil, not the tip's
     initialised: bool = False
     enabled: bool = False
     gone: bool = False  #: unplugged and to be freed
@@ -22,26 +24,38 @@ class Port:
 
 
 class PortHandles:
-    """The handles of a unit into which one tool is plugged."""
+    """The handles of a unit into which the tip's coil is plugged, and perhaps a target's."""
 
-    def __init__(self, serial: str) -> None:
-        self.ports = [Port(0x0A)]
+    def __init__(self, serial: str, target: str = "") -> None:
+        self._serial, self._target = serial, target
+        self.ports = self._plugged()
         self.changed = 0  #: system status bits, until the host looks at the ports
-        self._serial = serial
 
     def unplug(self) -> None:
-        """Pull the tool's plug."""
-        self.ports[-1].gone = True
+        """Pull the plug of the tip's coil."""
+        self._tip.gone = True
         self.changed |= 0x80
 
     def plug(self) -> None:
         """Put it back: it gets another handle."""
-        self.ports.append(Port((self.ports[-1].handle + 1) & 0xFF))
+        self.ports.append(Port((max(port.handle for port in self.ports) + 1) & 0xFF, self._serial))
         self.changed |= PORT_OCCUPIED
 
     def restart(self) -> None:
         """As at power up."""
-        self.ports = [Port(0x0A)] if not self.ports[-1].gone else self.ports[-1:]
+        tip = self._tip
+        self.ports = self._plugged()
+        if tip.gone:
+            self.ports[0] = tip
+
+    @property
+    def _tip(self) -> Port:
+        """The newest handle of the tip's coil."""
+        return next(port for port in reversed(self.ports) if not port.target)
+
+    def _plugged(self) -> list[Port]:
+        """Handles of what is plugged in, as they are given at power up."""
+        return [Port(0x0A, self._serial), *([Port(0x0B, self._target, target=True)] if self._target else [])]
 
     def forget(self) -> None:
         """As INIT does: no tool is initialised or enabled."""
@@ -75,9 +89,9 @@ class PortHandles:
         if port.gone:
             return "UNOCCUPIED"
         fields = {
-            0x0001: f"{'02000000':8}{'simulated':12}{'001':3}{self._serial:8}{port.status:02X}",
+            0x0001: f"{'02000000':8}{'simulated':12}{'001':3}{port.serial:8}{port.status:02X}",
             0x0002: "00000000",
-            0x0004: f"{'CTR-TIP-5DOF':20}",
+            0x0004: f"{'CTR-TARGET-5DOF' if port.target else 'CTR-TIP-5DOF':20}",
             0x0008: "00",
             0x0010: "00",
             0x0020: "00000000000001",

@@ -24,6 +24,7 @@ from station.lab.config import TrackerConfig
 #: From the last byte of a command to the first of its reply (unconfirmed) [s].
 TURN_ROUND = {"INIT": 0.02, "PINIT": 0.05, "PENA": 0.02, "TSTART": 0.02, "TSTOP": 0.02}
 USUAL_TURN_ROUND = 0.0005
+TARGET_SERIAL = "3A5C1D01"  #: of the target's coil, where there is one
 RESET_TIME = 0.5  #: from a break to RESET (unconfirmed) [s]
 MOST_HEARD = 64  #: commands, and replies, that wait; more are lost
 
@@ -37,6 +38,7 @@ class AuroraFaults:
     mute: bool = False  #: hears nothing, says nothing
     delay: float = 0.0  #: of each reply on top of the usual [s]
     tool_lost: bool = False  #: the coil is not seen
+    target_lost: bool = False  #: the target's coil is not seen
     jump: float = 0.0  #: the coil seems to be so far off along the world's x [m]
     freeze: bool = False  #: no new frame is measured
 
@@ -51,7 +53,7 @@ class Saying(NamedTuple):
 
 
 class SimulatedAurora:
-    """One unit with one five-degree-of-freedom coil."""
+    """One unit with a five-degree-of-freedom coil at the tip, and perhaps another on a target."""
 
     def __init__(
         self,
@@ -61,16 +63,18 @@ class SimulatedAurora:
         firmware: str = "AURORA Rev 009",
         mount: Registration = MOUNT,
         lacks: tuple[str, ...] = (),
+        target: str = "",
     ) -> None:
-        """`lacks` are commands that this firmware does not know."""
+        """`lacks` are commands that this firmware does not know; `target` is the serial number of a second coil."""
         self.faults = AuroraFaults()
         self.baud = POWER_UP_BAUD
         self.tracking = False
         self.executed: deque[str] = deque(maxlen=1000)  #: commands that were carried out, without CRC
         self.refused = 0  #: commands answered with an error
-        self.handles = PortHandles(serial)
+        self.handles = PortHandles(serial, target)
         self._coil = Coil(config, rng, mount)
         self._line_noise = rng.spawn(1)[0]
+        self._target = Coil(config, rng.spawn(1)[0], mount, self._coil.distortion) if target else None
         self._firmware, self._lacks = firmware, lacks
         self._initialised = False
         self._character = 10  # bits
@@ -86,9 +90,15 @@ class SimulatedAurora:
     # -- the world about it -----------------------------------------------------------------------
 
     def advance(
-        self, begin: float, end: float, tip_begin: Array, tip_end: Array, direction: Array | None = None
-    ) -> None:
-        """See the true tip go from `tip_begin` to `tip_end`, world frame [m]; the coil along `direction`."""
+        self, begin: float, end: float, tip_begin: Array, tip_end: Array, direction: Array | None = None,
+        target: tuple[Array, Array] | None = None,
+    ) -> None:  # fmt: skip
+        """See the true tip go from `tip_begin` to `tip_end`, world frame [m], the coil along `direction`.
+
+        `target` are begin and end of the way of the target's coil.
+        """
+        if self._target is not None and target is not None and not self.faults.freeze:
+            self._target.advance(begin, end, *target, None, self.faults.target_lost)
         if self._coil.due <= end + 1e-9 and not self.faults.freeze:
             if self.faults.jump:
                 off = np.array([self.faults.jump, 0.0, 0.0])
@@ -107,7 +117,7 @@ class SimulatedAurora:
         """Power up, or answer a break: 9600 baud, nothing initialised."""
         self.baud, self._character, self._rate_after = POWER_UP_BAUD, 10, None
         self.tracking = self._initialised = False
-        self._coil.count_anew()
+        self._count_anew()
         self.handles.restart()
         self._line.clear()
         self._heard.clear()
@@ -235,7 +245,12 @@ class SimulatedAurora:
             raise Refused(0x23)
         self.tracking = not self.tracking
         if parameters == "80":
-            self._coil.count_anew()
+            self._count_anew()
+
+    def _count_anew(self) -> None:
+        for coil in (self._coil, self._target):
+            if coil is not None:
+                coil.count_anew()
 
     def _tell(self, name: str, parameters: str) -> str:
         """Answers in words."""
@@ -272,4 +287,9 @@ class SimulatedAurora:
             raise Refused(0x0C)
         beyond = wants_beyond_volume(options)
         reply = bx_reply if name == "BX" else tx_reply
-        return reply(self.handles.enabled(), self._coil.newest(time), beyond, self.handles.changed)
+        tools = [
+            (port, coil.newest(time))
+            for port in self.handles.enabled()
+            if (coil := self._target if port.target else self._coil) is not None
+        ]
+        return reply(tools, beyond, self.handles.changed)

@@ -35,6 +35,18 @@ def test_the_truth_is_what_the_lab_told_last(ring: Ring) -> None:
         assert truth.force.tolist() == [-number] * 3
 
 
+def test_a_target_is_told_where_there_is_one(ring: Ring) -> None:
+    ring.publish_ground_truth(a_truth(1.0))
+    alone = ring.truth()
+    ring.publish_ground_truth(a_truth(1.0)._replace(target=np.full(3, 7.0)))
+    beside = ring.truth()
+    assert alone is not None
+    assert alone.target is None
+    assert beside is not None
+    assert beside.target is not None
+    assert beside.target.tolist() == [7.0] * 3
+
+
 def test_while_the_lab_is_telling_what_it_told_before_holds(ring: Ring) -> None:
     ring.publish_ground_truth(a_truth(1.0))
     ring.truth()

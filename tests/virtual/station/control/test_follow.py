@@ -1,0 +1,112 @@
+"""A run that follows a target: how close, what happens when the target is lost, and that nobody follows nothing."""
+
+import numpy as np
+import pytest
+
+from station.config.motions import FollowMotion
+from station.control.states import RefusedError, State
+from station.devices.interfaces import Severity
+from station.lab.config import load_lab
+from tests.harness.cases import a_case
+from tests.harness.virtual_station import VirtualStation
+
+FOLLOW = FollowMotion()
+
+
+@pytest.fixture
+def virtual() -> VirtualStation:
+    return VirtualStation(a_case("follow", "breathing"))
+
+
+def errors(virtual: VirtualStation, since: float) -> np.ndarray:
+    """Distance (ticks,) [m] of the true tip from where it should be beside the true target."""
+    rows = virtual.rows[-round(since / virtual.case.controller.period) :]
+    wanted = virtual.of("target_true", rows) + virtual.of("target_offset", rows)
+    return np.linalg.norm(wanted - virtual.of("tip_true", rows), axis=1)
+
+
+def check_acceleration(virtual: VirtualStation, motion: FollowMotion = FOLLOW) -> None:
+    """The setpoint of a run never moves faster, nor changes its speed more quickly, than it may."""
+    moving = virtual.of("target_followed")[:, 0] > 0.0
+    period = virtual.case.controller.period
+    # The telemetry's setpoint is where the led one is now: a lead of velocity is taken off again.
+    velocity = np.diff(virtual.of("tip_desired")[moving], axis=0) / period
+    change = np.linalg.norm(velocity[25:] - velocity[:-25], axis=1) / (25 * period)
+    assert np.linalg.norm(velocity, axis=1).max() < 1.3 * motion.max_speed
+    assert change.max() < 2.0 * motion.max_acceleration
+
+
+def test_the_tip_stays_beside_a_target_that_breathes(virtual: VirtualStation) -> None:
+    virtual.moving(FOLLOW, since=6.0)
+    virtual.seconds(6.0)
+
+    assert errors(virtual, 6.0).max() < 0.5e-3
+    target = virtual.of("target_true", virtual.rows[-3000:])
+    assert np.ptp(target, axis=0).max() > 4e-3  # it does breathe
+    assert np.linalg.norm(target - virtual.of("target_predicted", virtual.rows[-3000:]), axis=1).max() < 0.4e-3
+    check_acceleration(virtual)
+
+
+def test_without_prediction_it_lags_behind(virtual: VirtualStation) -> None:
+    virtual.moving(FollowMotion(predict=False), since=3.0)
+    virtual.seconds(4.0)
+
+    assert errors(virtual, 4.0).max() > 1.5e-3
+
+
+def test_a_given_offset_is_gone_to_within_the_bounds(virtual: VirtualStation) -> None:
+    motion = FollowMotion(offset=(0.004, 0.0, -0.015))
+    virtual.moving(motion, since=5.0)
+    virtual.seconds(2.0)
+
+    assert virtual.of("target_offset")[-1].tolist() == [0.004, 0.0, -0.015]
+    assert errors(virtual, 2.0).max() < 0.6e-3
+    check_acceleration(virtual, motion)
+
+
+def test_a_target_that_is_lost_for_a_moment_lets_the_tip_rest_and_go_on(virtual: VirtualStation) -> None:
+    virtual.moving(FOLLOW, since=4.0)
+    virtual.fail("lose_target", "tracker", duration=1.2)
+    virtual.seconds(0.9)
+
+    desired = virtual.of("tip_desired", virtual.rows[-50:])
+    assert np.ptp(desired, axis=0).max() < 1e-9  # at rest
+    trouble = virtual.devices.tracker.trouble(virtual.now)
+    assert trouble is not None
+    assert trouble.severity is Severity.WARN
+    assert "target" in trouble.text
+    assert virtual.state is State.RUNNING
+
+    virtual.seconds(5.0)
+    assert virtual.state is State.RUNNING
+    assert errors(virtual, 2.0).max() < 0.6e-3
+    check_acceleration(virtual)
+
+
+def test_a_target_that_stays_away_ends_the_run_and_says_so(virtual: VirtualStation) -> None:
+    virtual.moving(FOLLOW, since=2.0)
+    virtual.fail("lose_target", "tracker")
+
+    assert virtual.becomes(State.HOLD, 5.0) == pytest.approx(FOLLOW.patience, abs=0.1)
+    assert virtual.loop.cause.startswith("target: not seen for 2.0 s")
+    assert "devices.tracker.target" in virtual.loop.cause
+    assert not virtual.of("target_followed")[-1]
+    virtual.seconds(0.3)
+    assert virtual.rests()
+    virtual.loop.reset(virtual.now)
+    with pytest.raises(RefusedError, match="target: not seen for"):
+        virtual.moving(FOLLOW)
+    virtual.mend()
+    virtual.seconds(0.2)
+    virtual.moving(FOLLOW)
+
+
+def test_a_bench_without_a_second_coil_refuses() -> None:
+    usual = a_case("follow", "breathing")
+    bench = VirtualStation(usual._replace(lab=load_lab("gentle", usual.robot)))
+
+    with pytest.raises(RefusedError, match="target: has not been seen yet"):
+        bench.moving(FOLLOW)
+    assert bench.state is State.READY
+    assert not bench.of("target_true").any()
+    assert not bench.of("target_measured").any()
