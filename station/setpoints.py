@@ -1,5 +1,6 @@
 """Leading the tip from a script, message by message; see `Station.setpoints`."""
 
+import contextlib
 import json
 import math
 import time
@@ -80,10 +81,8 @@ class Setpoints:
 
     def _say(self, message: dict[str, Any]) -> dict[str, Any]:
         assert self._socket is not None, "lead within `with station.setpoints() as tip:`"  # noqa: S101
-        try:
+        with contextlib.suppress(OSError, ConnectionClosed):  # what was heard last tells why
             self._socket.send(json.dumps(message))
-        except (OSError, ConnectionClosed):
-            pass  # what was said last tells why
         return self._hear()
 
     def _hear(self) -> dict[str, Any]:

@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 from station.client import Station, StationError
+from station.setpoints import Setpoints
 from tests.harness.serving import Served
 
 WIDE = {"silence": 2.0, "end": 20.0}  # the station's clock is slow and the computer busy
@@ -52,8 +53,7 @@ def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> No
             assert "RUNNING" in json.loads(second.recv())["error"]
         assert station.status()["state"] == "RUNNING"
         with pytest.raises(ConnectionClosed):
-            for _ in range(20_000):
-                socket.send('{"velocity": [0, 0, 0]}')
+            _flood(socket)
     station.wait_for(lambda status: status["state"] == "READY")
 
 
@@ -62,5 +62,14 @@ def test_stop_ends_it_and_is_told(station: Served) -> None:
         tip.move(0.0, 0.0, 0.001)
         assert script.stop() == ""
         with pytest.raises(StationError, match="STOPPED"):
-            for _ in tip.every(0.02, 60.0):
-                tip.move(0.0, 0.0, 0.001)
+            _go_on(tip)
+
+
+def _flood(socket: ClientConnection) -> None:
+    for _ in range(20_000):
+        socket.send('{"velocity": [0, 0, 0]}')
+
+
+def _go_on(tip: Setpoints) -> None:
+    for _ in tip.every(0.02, 60.0):
+        tip.move(0.0, 0.0, 0.001)
