@@ -20,7 +20,7 @@ def said(app: TestClient, first: str, **headers: str) -> dict[str, Any]:
         ('{"speed": 1e9}', "speed: Input should be less than or equal to 0.1"),
         ('{"reach": -1}', "reach"),
         ('{"unknown": 1}', "unknown"),
-        ('{X),
+        ('{"controller": {"k1": 1e6}}', "K1"),
         ("[]", "a JSON object is needed"),
         ('{"tip": [0, 0', "not JSON"),
         ("[" * 20_000, "not JSON"),
