@@ -19,7 +19,7 @@ from station.service.leader import Leader, LeadIn, NotTaken, TooFast
 from station.service.start import Run
 from station.service.station_service import StationService
 from web.access.identity import Who, who_of
-from web.access.lease import Lease
+from web.access.lease import HeldError, Lease
 from web.access.tokens import Role
 
 #: Between two looks at whether the run goes on [s].
@@ -111,13 +111,11 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
                 if message == {"end": True}:
                     service.lead(run, None)
                     continue
-                if not lease.holds(who.client):
-                    raise NotTaken("you are not the operator any more; the tip comes to rest")
+                lease.take(who.client, who.name)
                 service.lead(run, _wish(leader, message, now()))
-                lease.renew(who.client)
             except TooFast as error:
                 raise _Refused(str(error), TOO_MUCH) from None
-            except NotTaken as error:
+            except (NotTaken, HeldError) as error:
                 refused = str(error)
             await socket.send_json(_answer(service, run, refused))
     finally:
