@@ -24,16 +24,13 @@ import httpx
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect
 
-from core.errors import CtrError
+from station.errors import StationError
+from station.setpoints import Setpoints
 
 #: Between two looks at the status while waiting [s]; each of them also keeps the lease.
 LOOK = 0.2
 #: An answer takes no longer [s], but for what moves something home or renders a report.
 PATIENCE = 70.0
-
-
-class StationError(CtrError):
-    """The station does not answer, or answers with something else than it should."""
 
 
 class Refused(StationError):
@@ -233,6 +230,23 @@ class Station:
                     yield json.loads(message)
         except (OSError, WebSocketException, ConnectionClosed) as error:
             raise StationError(f"{url}: {error}") from None
+
+    def setpoints(self, **asked: Any) -> Setpoints:
+        """Lead the tip: `with station.setpoints() as tip: tip.go(0.001, 0.0, 0.0)`.
+
+        A run begins; when the block ends the tip comes to rest and the run ends. The last place wins. Silence of
+        0.2 s lets the tip come to rest, 2 s end the run.
+
+        Args:
+            asked: `frame` ("start": places are told from the tip at the start, or "world"), `speed` [m/s],
+                `acceleration` [m/s^2] and `reach` [m] that the tip keeps to, `silence`, `end`, `duration` [s],
+                `controller`.
+
+        Raises:
+            StationError: on entering: the state, another operator or a value does not allow it.
+        """
+        url = str(self._http.base_url.join("/api/setpoints")).replace("http", "ws", 1)
+        return Setpoints(url, self._headers, asked)
 
     def _ask(self, method: str, path: str, body: Any = None) -> Any:
         try:

@@ -50,6 +50,7 @@ from web.api.operator_watchdog import tell_when_alone
 from web.api.readable import readable, refusal
 from web.api.runs import runs_routes
 from web.api.scene import scene_routes
+from web.api.setpoints import setpoint_routes
 from web.scene.proxy import viser_routes
 from web.scene.view import View
 
@@ -247,6 +248,7 @@ def build_app(
     app.include_router(operator_routes(of))
     app.include_router(bench_routes(service, of, audit))
     app.include_router(scene_routes(view, service, of))
+    app.include_router(setpoint_routes(service, of.lease, audit))
     app.include_router(calibration_routes(calibration, of))
     app.include_router(runs_routes(History(runs), of))
     app.include_router(routes)

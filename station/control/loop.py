@@ -14,11 +14,12 @@ from core.robot.robot import Array
 from station.control.causes import Causes
 from station.control.follow import Target
 from station.control.jog import Jog
+from station.control.led import Asked, Lead, LedMotion
 from station.control.margins import Margins, SnapMonitor
 from station.control.progress_monitor import ProgressMonitor
 from station.control.settle_and_tare import AVERAGE, SETTLE, Rest
 from station.control.states import LATCHED, Event, RefusedError, State, after
-from station.control.task import Phase, Progress, Task
+from station.control.task import FREEZE, Phase, Progress, Task
 from station.control.telemetry import Channels
 from station.control.troubles import EVENTS, NONE, holds, not_finite, severities, troubles, worst
 from station.devices.interfaces import (
@@ -52,6 +53,7 @@ class ControlLoop:
         self._troubles = NONE
         self._jog: Jog | None = None
         self._once_homed: Task | None = None  # what follows by itself
+        self._led: LedMotion | None = None
         self._tare: Array | None = None
         self._rest: Rest | None = None  # before a motion, or for a tare that was asked for
         self._retry = 0.0  # when a tracker that is not there is looked for again [s]
@@ -184,12 +186,13 @@ class ControlLoop:
 
     # A period
 
-    def tick(self, now: float, truth: Truth | None = None) -> Array | None:
+    def tick(self, now: float, truth: Truth | None = None, asked: Asked | None = None) -> Array | None:
         """One period.
 
         Args:
             now: time of this tick [s].
             truth: what a virtual lab knows, for the record only.
+            asked: what was asked of this run's tip last, if it is led.
 
         Returns:
             The row of `channels`: while positions are not known, or in a tick whose samples the
@@ -214,7 +217,7 @@ class ControlLoop:
             # One sample for a beginning; the mean of more follows.
             self._tare, self._rest = self.controller.tare(wrenches.wrenches, joints.positions), Rest(now)
         tare = wrenches.wrenches if self._tare is None else self._tare
-        order = None if trouble else self._order(now, joints, wrenches.wrenches, frame)
+        order = None if trouble else self._order(now, joints, wrenches.wrenches, frame, asked)
         tip, age = (None, 0.0) if frame is None else (frame.position, now - frame.time)
         sample = Sample(joints.positions, joints.sent, wrenches.wrenches - tare, tip, age)
         try:
@@ -241,7 +244,7 @@ class ControlLoop:
             stages.command(tick.command, now)
         target = self._target.numbers(truth)
         self._row = self.channels.row(
-            now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles, target
+            now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles, asked, target
         )
         return self._row
 
@@ -305,7 +308,7 @@ class ControlLoop:
         return self._row
 
     def _order(
-        self, now: float, joints: JointReading, wrenches: Array, frame: TipReading | None
+        self, now: float, joints: JointReading, wrenches: Array, frame: TipReading | None, asked: Asked | None
     ) -> Setpoint | JointMotion | None:
         """What this tick has to do, and the progress of the run."""
         if self._jog is not None:
@@ -343,6 +346,12 @@ class ControlLoop:
         if task.follow is not None:
             self._act_on(self._target.trouble(), now)
             return self._target.order()
+        if self._led is not None:
+            blind = now - self._frame_at > FREEZE and not task.controller.observes
+            order = self._led.order(now, task.controller.period, asked, blind=blind)
+            if order is None:
+                self._finish(now)
+            return order
         return task.order(now - progress.motion_start, now - self._frame_at)
 
     def _set_out(self, now: float, joints: JointReading, rest: Rest, task: Task) -> bool:
@@ -357,6 +366,7 @@ class ControlLoop:
         if task.follow is not None:
             self._target.follow(task.follow, task.controller, tip)
         self._stall, self._snap = ProgressMonitor(), SnapMonitor(task.margins or self._margins)
+        self._led = LedMotion(task.orders, now) if isinstance(task.orders, Lead) else None
         return True
 
     def _tip(self, frame: TipReading | None) -> Array | None:

@@ -17,6 +17,7 @@ from station.config.controllers import PERIOD
 from station.config.robots import RobotFile
 from station.control.clock import REAL_TIME, StationClock
 from station.control.installed import Calls, DriverError, named
+from station.control.led import Asked
 from station.control.loop import ControlLoop
 from station.control.margins import Margins
 from station.control.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Refused, Reply
@@ -172,7 +173,7 @@ class _LiveLoop:
 
     def _tick(self, tick: int) -> None:
         loop, ring, now = self._loop, self._ring, tick * PERIOD
-        row = loop.tick(now, ring.truth())
+        row = loop.tick(now, ring.truth(), self._asked())
         if row is not None:
             ring.write(row)
         self._report(now)
@@ -183,6 +184,15 @@ class _LiveLoop:
                 self._pipe.send(DeviceReport(_statuses(loop.devices, now)))
         elif loop.state in (State.RUNNING, State.HOMING):
             loop.stop(now, cause=f"the station process has said nothing for {silent:.1f} s")
+
+    def _asked(self) -> Asked | None:
+        """What was asked of this run's tip last, in the loop's time."""
+        asked = self._ring.asked()
+        if asked is None or asked.run != self._run:
+            return None
+        if asked.wish is None:
+            return asked
+        return Asked(asked.run, asked.wish._replace(asked=asked.wish.asked - self._begun))
 
     def _report(self, now: float) -> None:
         loop, ring = self._loop, self._ring

@@ -15,7 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from core.control.leading import Wish
 from core.robot.robot import Array
+from station.control.led import Asked
 from station.devices.interfaces import Truth
 
 PREFIX = "psm_ctr_"  #: of a segment's name, before the number of the process that made it
@@ -32,6 +34,7 @@ LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECOR
 NUMBERS = 8
 #: A count that is odd while they are being written, then tip, force, whether there is a target, and where it is.
 TRUTH = 12
+WISH = 11  #: such a count, run, whether it is a place, place, velocity, when it came, how long it goes on
 
 
 class Timing(NamedTuple):
@@ -49,7 +52,7 @@ class Ring:
 
     def __init__(self, width: int, name: str | None = None) -> None:
         """Create a segment for rows of `width` numbers, or attach to the one called `name`."""
-        size = 8 * (COUNTERS + NUMBERS + TRUTH + 2 * BINS + ROWS * width)
+        size = 8 * (COUNTERS + NUMBERS + TRUTH + WISH + 2 * BINS + ROWS * width)
         self._memory = SharedMemory(name or _new_name(), create=name is None, size=size)
         self.name: str = self._memory.name
         buffer: Any = self._memory.buf
@@ -64,10 +67,12 @@ class Ring:
         self.counters: NDArray[np.int64] = view(COUNTERS, np.int64)
         self.numbers: Array = view(NUMBERS, np.float64)
         self._truth: Array = view(TRUTH, np.float64)
+        self._wish: Array = view(WISH, np.float64)
         self.late: NDArray[np.int64] = view(BINS, np.int64)
         self.busy: NDArray[np.int64] = view(BINS, np.int64)
         self._rows: Array = view(ROWS * width, np.float64).reshape(ROWS, width)
         self._told: Truth | None = None
+        self._asked: Asked | None = None
 
     def write(self, row: Array) -> None:
         """Add a row; only the one writer may."""
@@ -92,6 +97,28 @@ class Ring:
         if before and not before % 2.0 and values[0] == before and self._truth[0] == before:
             self._told = Truth(values[1:4], values[4:7], values[8:11] if values[7] else None)
         return self._told  # what it told before, while it is just telling: a loop does not wait for it
+
+    def ask(self, asked: Asked) -> None:
+        """Ask something of a tip that is led; only the station process may."""
+        cells, wish = self._wish, asked.wish
+        cells[0] += 1.0
+        cells[1], cells[2] = asked.run, -1.0 if wish is None else float(wish.place is not None)
+        if wish is not None:
+            cells[3:6], cells[6:9] = 0.0 if wish.place is None else wish.place, wish.velocity
+            cells[9], cells[10] = wish.asked, wish.goes_on
+        cells[0] += 1.0
+
+    def asked(self) -> Asked | None:
+        """What was asked of a led tip last, by the station's clock; None before anything was."""
+        before = self._wish[0]
+        values = self._wish.copy()
+        if before and not before % 2.0 and values[0] == before and self._wish[0] == before:
+            wish = None
+            if values[2] >= 0.0:
+                place = values[3:6] if values[2] else None
+                wish = Wish(place, values[6:9], float(values[9]), float(values[10]))
+            self._asked = Asked(int(values[1]), wish)
+        return self._asked  # what was asked before, while something is just being asked
 
     def time_late(self, late: float, skipped: int) -> None:
         """Count how late a tick begins [s] and how many whole periods that skips."""
@@ -149,7 +176,7 @@ class Ring:
 
     def close(self, *, remove: bool) -> None:
         """Let go of the segment; the one who created it also removes it."""
-        del self.counters, self.numbers, self._truth, self.late, self.busy, self._rows
+        del self.counters, self.numbers, self._truth, self._wish, self.late, self.busy, self._rows
         self._memory.close()
         if remove:
             try:

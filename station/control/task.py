@@ -9,6 +9,7 @@ from core.control.trajectories import JointMotion, Setpoint
 from core.robot.robot import Array
 from station.config.motions import FollowMotion, Orders
 from station.control.approach import approach
+from station.control.led import Lead
 from station.control.margins import Margins
 from station.control.settle_and_tare import AVERAGE, SETTLE
 
@@ -39,7 +40,7 @@ class Task:
     """A motion to carry out and how."""
 
     controller: Controller
-    orders: TimedOrders
+    orders: TimedOrders | Lead  #: known beforehand, or led from outside
     duration: float  #: of the motion, after the preparation [s]; 0: it is there once it is at its start pose
     start: Array | None = None  #: joints (n,) to begin from; None: from where they are
     margins: Margins | None = None  #: what is left before the tubes snap; None: the station's
@@ -59,6 +60,7 @@ class Task:
         While no frame comes the error of the last one stands: a setpoint that went on would be chased
         with a tip that is not measured. An observer sees to that itself: its correction of the model stands.
         """
+        assert not isinstance(self.orders, Lead), "whoever leads gives the orders"  # noqa: S101
         order = self.orders.at(time)
         if blind <= FREEZE or self.controller.observes or not isinstance(order, Setpoint):
             return order

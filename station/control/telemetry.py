@@ -6,9 +6,11 @@ import numpy as np
 
 from core.compiled import compiled
 from core.control.estimation import NEWEST, USED, VECTORS, known_of
+from core.control.leading import Wish
 from core.control.step import Tick
 from core.model.solution import PASSES, STABILITY, parts
 from core.robot.robot import Array, Robot
+from station.control.led import Asked
 from station.control.states import State
 from station.devices.interfaces import JointReading, TipReading, Truth, WrenchReading
 
@@ -64,6 +66,7 @@ class Channels:
         tick: Tick,
         truth: Truth | None,
         troubles: tuple[int, int, int] = (0, 0, 0),
+        asked: Asked | None = None,
         target: Array | None = None,
     ) -> Array:
         """One tick as numbers, in the order of `all`.
@@ -71,13 +74,17 @@ class Channels:
         Between tracker frames `tip_new` is 0 and the last frame's values stand. Without a virtual
         lab nothing is known to be true: `truth_known` is 0 and the true channels are 0. `phase` is what the
         run is doing, as `task.Phase` numbers it, 0 without one; `troubles` are the severities of what is
-        wrong with stages, tracker and force sensors, 0 where nothing is; `target` (14,) is what is known of a
-        target, 0 without.
+        wrong with stages, tracker and force sensors, 0 where nothing is. Of a tip that is led, `asked` is where it
+        was last asked to be (`asked_kind` 1) or at which velocity (2), and when; `target` (14,) is what is known of
+        a target, 0 without.
         """
         memory, now = tick.memory, tick.memory.estimate
         true_tip, true_force, _ = truth or _UNKNOWN
         new, frame_time = (False, 0.0) if frame is None else (True, frame.time)
         stages, tracker, sensors = troubles
+        wish = _NOTHING if asked is None or asked.wish is None else asked.wish
+        kind = 0 if wish is _NOTHING else 1 if wish.place is not None else 2
+        place = memory.origin + wish.place if wish.place is not None else _NOWHERE
         row = np.empty(self._width)
         _fill(
             row, time, int(state), int(phase), new, frame_time, stages, tracker, sensors, truth is not None,
@@ -85,6 +92,7 @@ class Channels:
             joints.positions, tick.command, joints.sent, wrenches.wrenches, tick.load.force, tick.load.moment,
             memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
             tick.u_int, tick.sigma, tick.at_bound, now.numbers,
+            kind, wish.asked, place, wish.velocity,
         )  # fmt: skip
         row[-TARGET:] = 0.0 if target is None else target
         return row
@@ -114,6 +122,8 @@ class Channels:
         return row
 
 
+_NOWHERE = np.zeros(3)
+_NOTHING = Wish(None, np.zeros(3), 0.0, 0.0)
 _UNKNOWN = Truth(np.zeros(3), np.zeros(3))
 
 
@@ -124,6 +134,7 @@ def _fill(
     positions: Array, command: Array, sent: Array, wrenches: Array, force: Array, moment: Array,
     tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
     u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
+    asked_kind: int, asked_time: float, asked: Array, asked_velocity: Array,
 ) -> None:  # fmt: skip
     """One row in the order of `_channels`; a call of numpy for each part would take longer than the model."""
     row[0], row[1], row[2], row[3], row[4], row[5] = time, state, phase, 0.0, new, frame_time
@@ -157,6 +168,10 @@ def _fill(
     for i in range(now.vectors.shape[0]):
         for k in range(3):
             row[at + 3 + 3 * i + k] = now.vectors[i, k]
+    at += 3 + 3 * now.vectors.shape[0]
+    row[at], row[at + 1] = asked_kind, asked_time
+    for k in range(3):
+        row[at + 2 + k], row[at + 5 + k] = asked[k], asked_velocity[k]
 
 
 def _channels(robot: Robot) -> list[Channel]:
@@ -207,6 +222,10 @@ def _channels(robot: Robot) -> list[Channel]:
         Channel("bias_covariance.bias", "m^2"),
         Channel("bias_covariance.both", "m^2/s"),
         Channel("bias_covariance.drift", "m^2/s^2"),
+        Channel("asked_kind", ""),
+        Channel("asked_time", "s"),
+        *vector("asked", "m"),
+        *vector("asked_velocity", "m/s"),
         Channel("target_new", ""),
         Channel("target_followed", ""),
         *vector("target_measured", "m"),

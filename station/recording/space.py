@@ -6,7 +6,7 @@ from pathlib import Path
 
 #: What a recording takes [bytes/s]: 500 rows of about a hundred numbers compressed to three quarters, and
 #: 10 pictures (measured: 400 kB/s with two tubes), with something to spare.
-RATE = 600_000.0
+RATE = 650_000.0
 #: Left free on the disk for everybody else [bytes].
 RESERVE = 100e6
 

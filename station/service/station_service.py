@@ -8,11 +8,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from core.control.leading import Wish
 from core.errors import CtrError, Unreachable
 from station.config.controllers import BEST, ControllerFile
 from station.config.motions import HoldMotion, Orders, TipMotion
 from station.config.robots import named_pose
 from station.config.strict import Strict, preset_names
+from station.control.led import Asked
 from station.control.states import Event, State, after
 from station.control.task import Task
 from station.experiments.experiment import load_warnings, offered
@@ -20,6 +22,7 @@ from station.lab.loads import Load, NoLoad
 from station.recording.tracking_errors import counted_from, settling_time
 from station.service.fits import otherwise, refusal
 from station.service.goto import check_way, to_joints, to_working_pose
+from station.service.leader import LeadIn
 from station.service.start import Run, Start
 from station.service.suggestion import MORE_ROOM, suggestion
 from station.service.supervisor import Supervisor
@@ -167,6 +170,22 @@ class StationService:
             start = to_joints(bench, target, "to a pose" if len(joints) == len(known) else f"to {', '.join(joints)}")
         check_way(bench, start, now)
         return supervisor.start(start)
+
+    def start_led(self, asked: LeadIn) -> Run:
+        """Start a motion from where the robot is that is led by what is asked for while it goes on.
+
+        Raises:
+            RefusedError: the state does not allow it.
+            CtrError: the controller cannot be.
+        """
+        task = Task(self.supervisor.bench.controlled(asked.controller), asked.lead(), asked.duration)
+        about = {"settings": {"controller": asked.controller.model_dump(mode="json"), "duration": asked.duration,
+                              "led": asked.model_dump(mode="json", exclude={"controller"})}}  # fmt: skip
+        return self.supervisor.start(Start(task=task, title="led from outside", load=None, about=about))
+
+    def lead(self, run: Run, wish: Wish | None) -> None:
+        """Ask something of the tip of a run that is led; None: that was all, the tip is to come to rest."""
+        self.supervisor.ring.ask(Asked(run.number, wish))
 
     def jog(self, space: Literal["joints", "tip"], velocity: tuple[float, ...]) -> None:
         """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].

@@ -8,6 +8,7 @@ import numpy as np
 from core.robot.robot import Array
 from station.config.controllers import PERIOD
 from station.config.motions import CircleMotion, Orders
+from station.control.led import Asked
 from station.control.loop import ControlLoop
 from station.control.margins import Margins
 from station.control.states import State
@@ -38,6 +39,7 @@ class VirtualStation:
         self.loop = ControlLoop(case.controller, self.devices, margins)
         self.rows: list[Array] = []
         self.now = -PERIOD
+        self.asked: Callable[[float], Asked | None] = lambda _: None  #: of a tip that is led, at a time [s]
         self.loop.connect(0.0)
 
     @property
@@ -59,7 +61,7 @@ class VirtualStation:
     def tick(self, count: int = 1) -> None:
         for _ in range(count):
             self.now = round(self.now + PERIOD, 9)
-            row = self.loop.tick(self.now, self.lab.advance(self.now))
+            row = self.loop.tick(self.now, self.lab.advance(self.now), self.asked(self.now))
             if row is not None:
                 assert np.isfinite(row).all()
                 self.rows.append(row)

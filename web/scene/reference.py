@@ -4,6 +4,7 @@ import numpy as np
 
 from core.control.trajectories import Setpoint
 from core.robot.robot import Array
+from station.control.led import Lead
 from station.control.loop import Task
 from station.service.status import Status
 
@@ -17,6 +18,8 @@ def offsets(task: Task) -> Array:
 
     Less than two where no path is asked for: to hold still, or to move a joint.
     """
+    if isinstance(task.orders, Lead):
+        return np.empty((0, 3))  # nobody knows it beforehand
     time, points = 0.0, []
     first = task.orders.at(0.0)
     if not isinstance(first, Setpoint):
@@ -39,6 +42,8 @@ def offsets(task: Task) -> Array:
 
 def path(task: Task, status: Status) -> Array:
     """`offsets` in the world (k, 3) [m], while the task is in motion."""
+    if isinstance(task.orders, Lead):
+        return np.empty((0, 3))
     now = task.orders.at(status.progress * task.duration)
     points = offsets(task)
     if not isinstance(now, Setpoint) or len(points) < 2:

@@ -1,0 +1,51 @@
+"""A tip that is led from outside while a run is on: how long one may be silent, and when it ends."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from core.control.leading import Bounds, LedTip, Wish
+from core.control.trajectories import Setpoint
+
+#: A tip that moves slower than this is at rest [m/s].
+AT_REST = 1e-4
+
+
+class Asked(NamedTuple):
+    """What the one who leads the tip of a run has asked for last."""
+
+    run: int
+    wish: Wish | None  #: None: they have left
+
+
+@dataclass(frozen=True)
+class Lead:
+    """What whoever leads agrees to at the start; takes the place of orders that are known beforehand."""
+
+    bounds: Bounds = field(default_factory=Bounds)
+    silence: float = 0.2  #: without a word for this long the tip comes to rest [s]
+    end: float = 2.0  #: and after this long the motion ends [s]
+
+
+class LedMotion:
+    """One such motion, from its start."""
+
+    def __init__(self, lead: Lead, now: float) -> None:
+        self._lead, self._tip = lead, LedTip(lead.bounds)
+        self._heard = now  # the last word, or the start [s]
+
+    def order(self, now: float, period: float, asked: Asked | None, *, blind: bool) -> Setpoint | None:
+        """What this tick has to do; None once the motion has ended.
+
+        Args:
+            now: time [s].
+            period: of a tick [s].
+            asked: what was asked for last, None before that; whoever has left lets the tip come to rest, then it ends.
+            blind: the tip is not measured, so it is not led on.
+        """
+        wish = None if asked is None else asked.wish
+        if wish is not None:
+            self._heard = max(self._heard, wish.asked)
+        silent = now - self._heard
+        if (asked is not None and wish is None and self._tip.speed < AT_REST) or silent > self._lead.end:
+            return None
+        return self._tip.advance(now, None if blind or silent > self._lead.silence else wish, period)

@@ -1,0 +1,131 @@
+"""What one who leads the tip says, one message after the other, made into wishes; what makes no sense is refused."""
+
+import math
+from collections import deque
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from core.control.leading import Bounds, Wish
+from core.errors import CtrError
+from core.robot.robot import Array
+from station.config.controllers import BEST, ControllerFile
+from station.config.strict import Strict
+from station.control.led import Lead
+
+#: Messages are taken at up to this rate [1/s], with this many at once after a pause.
+FASTEST, BURST = 500.0, 100.0
+#: The velocity of places is that of the last so many seconds, and of no fewer than so many of them.
+WINDOW, FEWEST = 0.1, 3
+#: A place is taken to go on by its velocity for no longer than this [s].
+LONGEST = 0.2
+
+
+class NotTaken(CtrError):
+    """A message that cannot be followed; what was asked for before it stands."""
+
+
+class TooFast(CtrError):
+    """More messages than anybody may send."""
+
+
+class LeadIn(Strict):
+    """What whoever leads the tip agrees to, said once at the beginning."""
+
+    frame: Literal["start", "world"] = "start"
+    """places are told from the tip at the start, or in the world"""
+    speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
+    """that the tip's setpoint keeps to, whatever is asked for [m/s]"""
+    acceleration: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    """the same [m/s^2]"""
+    reach: Annotated[float, Field(gt=0.0, le=0.2)] = 0.05
+    """places farther from the start tip are refused [m]"""
+    silence: Annotated[float, Field(ge=0.05, le=2.0)] = 0.2
+    """without a message for this long the tip comes to rest [s]"""
+    end: Annotated[float, Field(ge=0.5, le=60.0)] = 2.0
+    """and after this long the run ends [s]"""
+    duration: Annotated[float, Field(gt=0.0, le=86400.0)] = 600.0
+    """that it takes at most [s]"""
+    controller: ControllerFile = BEST
+
+    def lead(self) -> Lead:
+        """The same for the control loop."""
+        return Lead(Bounds(self.speed, self.acceleration, self.reach), self.silence, self.end)
+
+
+class Leader:
+    """One of them, by a clock that tells seconds."""
+
+    def __init__(self, asked: LeadIn, start: Array, now: float) -> None:
+        """`start` (3,) is the tip at the start, in the world [m]."""
+        self._reach = asked.reach
+        self._zero = start if asked.frame == "world" else np.zeros(3)
+        self._said: deque[tuple[float, Array]] = deque()  # times and places
+        self._credit, self._counted = BURST, now
+        self._gap, self._last = 0.0, now
+
+    def count(self, now: float) -> None:
+        """A message has come.
+
+        Raises:
+            TooFast: they come faster than anybody may send.
+        """
+        self._credit = min(BURST, self._credit + FASTEST * (now - self._counted)) - 1.0
+        self._counted = now
+        if self._credit < 0.0:
+            raise TooFast(f"more than {FASTEST:g} messages a second; send fewer")
+
+    def place(self, told: tuple[float, ...], now: float) -> Wish:
+        """To be at a place, which goes on as the ones before it did for one period of the sender.
+
+        Raises:
+            NotTaken: not three finite numbers, or beyond the reach.
+        """
+        place = _vector("tip", told, "m") - self._zero
+        away = float(np.linalg.norm(place))
+        if away > self._reach:
+            raise NotTaken(
+                f"tip {[round(x, 6) for x in told]} m is {1e3 * away:.4g} mm from the start, beyond the reach of"
+                f" {1e3 * self._reach:.4g} mm; the place before it stands"
+            )
+        said, period = self._said, self._period(now)
+        if said and now - said[-1][0] > LONGEST:
+            said.clear()  # what came before a pause says nothing of now
+        said.append((now, place))
+        while len(said) > FEWEST and now - said[0][0] > WINDOW:
+            said.popleft()
+        return Wish(place, _slope(said), now, period)
+
+    def velocity(self, told: tuple[float, ...], now: float) -> Wish:
+        """To move at a velocity.
+
+        Raises:
+            NotTaken: not three finite numbers.
+        """
+        self._said.clear()
+        self._period(now)
+        return Wish(None, _vector("velocity", told, "m/s"), now, math.inf)
+
+    def _period(self, now: float) -> float:
+        """Of the sender, smoothed; a pause is none [s]."""
+        gap, self._last = now - self._last, now
+        if gap < LONGEST:
+            self._gap = gap if self._gap == 0.0 else self._gap + 0.1 * (gap - self._gap)
+        return min(self._gap, LONGEST)
+
+
+def _vector(name: str, told: tuple[float, ...], unit: str) -> Array:
+    if len(told) != 3 or not all(math.isfinite(x) for x in told):
+        raise NotTaken(f"{name} {list(told)} {unit}: three finite numbers are needed; what was asked before it stands")
+    return np.array(told, dtype=np.float64)
+
+
+def _slope(said: deque[tuple[float, Array]]) -> Array:
+    """Velocity (3,) [m/s] of the line through what was said, times being those of arrival."""
+    times = np.array([time for time, _ in said])
+    times -= times.mean()
+    spread = float(times @ times)
+    if spread == 0.0:
+        return np.zeros(3)
+    return times @ np.array([place for _, place in said]) / spread

@@ -1,0 +1,75 @@
+"""Leading the tip of a station that really runs."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+from station.client import Station, StationError
+from station.setpoints import Setpoints
+from tests.harness.serving import Served
+
+WIDE = {"silence": 2.0, "end": 20.0}  # the station's clock is slow and the computer busy
+
+
+def test_a_script_leads_the_tip_and_is_told_what_it_does(station: Served) -> None:
+    with Station(station.url) as script:
+        with script.setpoints(**WIDE) as tip:
+            for now in tip.every(0.02, 2.0):
+                answer = tip.go(0.0, 0.0, min(0.004, 0.002 * now))
+            assert {"time", "measured", "estimated", "desired", "force", "error", "held_back"} <= set(answer)
+            way = np.subtract(answer["desired"], tip.start)
+            assert way[2] > 0.0005
+            assert np.abs(way[:2]).max() < 1e-9
+            with pytest.raises(StationError, match="beyond the reach of 50 mm"):
+                tip.go(1.0, 0.0, 0.0)
+            tip.move(0.0, 0.0, -0.001)
+        assert script.wait(tip.run)["state"] == "READY"
+        file = script.runs()[0]
+        assert file["id"] == tip.run
+
+
+def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> None:
+    with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as socket:
+        socket.send(json.dumps(WIDE))
+        assert "run_id" in json.loads(socket.recv())
+        assert json.loads(socket.recv())["ready"]
+        for lie in (
+            '{"tip": [NaN, 0, 0]}', '{"tip": [1e400, 0, 0]}', '{"tip": [0, 0]}', '{"tip": ["0", 0, 0]}', '{"tip": [0,',
+            '{"tip": [0, 0, 0], "velocity": [0, 0, 0]}', '{"velocity": [true, 0, 0]}', "null", "", '{"end": 1}',
+        ):  # fmt: skip
+            socket.send(lie)
+            answer = json.loads(socket.recv())
+            assert answer["refused"], lie
+            assert math.isfinite(answer["time"])
+        socket.send('{"tip": [0, 0, 0.001]}')
+        assert json.loads(socket.recv())["refused"] == ""
+        # a second one of the same client
+        with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as second:
+            second.send("{}")
+            assert "RUNNING" in json.loads(second.recv())["error"]
+        assert station.status()["state"] == "RUNNING"
+        with pytest.raises(ConnectionClosed):
+            _flood(socket)
+    station.wait_for(lambda status: status["state"] == "READY")
+
+
+def test_stop_ends_it_and_is_told(station: Served) -> None:
+    with Station(station.url) as script, script.setpoints(**WIDE) as tip:
+        tip.move(0.0, 0.0, 0.001)
+        assert script.stop() == ""
+        with pytest.raises(StationError, match="STOPPED"):
+            _go_on(tip)
+
+
+def _flood(socket: ClientConnection) -> None:
+    for _ in range(20_000):
+        socket.send('{"velocity": [0, 0, 0]}')
+
+
+def _go_on(tip: Setpoints) -> None:
+    for _ in tip.every(0.02, 60.0):
+        tip.move(0.0, 0.0, 0.001)

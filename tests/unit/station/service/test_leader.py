@@ -1,0 +1,75 @@
+"""What one who leads the tip may say, and what becomes of it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from station.service.leader import BURST, FASTEST, Leader, LeadIn, NotTaken, TooFast
+
+START = np.array([0.01, 0.02, 0.15])
+
+
+def leader(**asked) -> Leader:
+    return Leader(LeadIn(**asked), START, 0.0)
+
+
+@pytest.mark.parametrize("told", [(0.0, math.nan, 0.0), (math.inf, 0.0, 0.0), (0.0, 0.0), (0.0,) * 4])
+def test_what_is_not_three_finite_numbers_is_not_taken(told):
+    for say in (leader().place, leader().velocity):
+        with pytest.raises(NotTaken, match="three finite numbers"):
+            say(told, 0.1)
+
+
+def test_a_jump_of_a_metre_is_not_taken_and_says_how_far_one_may_go():
+    with pytest.raises(NotTaken, match=r"1000 mm from the start, beyond the reach of 50 mm"):
+        leader().place((1.0, 0.0, 0.0), 0.1)
+
+
+def test_in_the_world_places_are_told_from_the_worlds_origin():
+    place = leader(frame="world").place((0.012, 0.02, 0.15), 0.1).place
+    assert place == pytest.approx([0.002, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("rate", [10.0, 50.0, 500.0])
+def test_places_have_the_velocity_of_their_line_although_they_come_unevenly(rate):
+    rng, one, speed = np.random.default_rng(1), leader(), np.array([0.004, -0.003, 0.001])
+    wish = None
+    for k in range(90):
+        arrived = (k + 0.3 * rng.random()) / rate
+        wish = one.place(tuple(speed * k / rate), arrived)
+    assert wish is not None
+    assert wish.velocity == pytest.approx(speed, rel=0.4)
+    assert wish.goes_on == pytest.approx(1.0 / rate, rel=0.25)
+
+
+def test_the_first_place_and_one_after_a_pause_stand_still():
+    one = leader()
+    assert one.place((0.001, 0.0, 0.0), 0.0).velocity == pytest.approx(np.zeros(3))
+    one.place((0.002, 0.0, 0.0), 0.02)
+    assert one.place((0.010, 0.0, 0.0), 5.0).velocity == pytest.approx(np.zeros(3))
+
+
+def test_as_many_messages_as_may_come_are_taken_and_ten_thousand_a_second_are_not():
+    one = leader()
+    for k in range(5000):
+        one.count(k / FASTEST)
+    quick = leader()
+    taken = round(BURST * 10_000.0 / (10_000.0 - FASTEST))  # what comes on top of the burst meanwhile
+    for k in range(taken - 1):
+        quick.count(k / 10_000.0)
+    with pytest.raises(TooFast, match="500 messages a second"):
+        _all(quick, taken)
+
+
+def _all(quick: Leader, begin: int) -> None:
+    for k in range(begin, begin + 3):
+        quick.count(k / 10_000.0)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"speed": 0.0}, {"speed": math.nan}, {"reach": 1.0}, {"frame": "tip"}, {"silence": 10.0}, {"what": 1}]
+)
+def test_what_one_agrees_to_has_bounds(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        LeadIn(**wrong)

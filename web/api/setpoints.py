@@ -1,0 +1,203 @@
+"""`WS /api/setpoints`: somebody outside leads the tip, message by message, as long as they hold the lease."""
+
+import asyncio
+import json
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from pydantic import ValidationError
+
+from core.control.inverse import SIGMA_FLOOR
+from core.errors import CtrError
+from core.robot.robot import Array
+from station.control.ring import PHASE, RUN, STATE
+from station.control.states import State
+from station.control.task import Phase
+from station.service.audit import Audit
+from station.service.leader import Leader, LeadIn, NotTaken, TooFast
+from station.service.start import Run
+from station.service.station_service import StationService
+from web.access.identity import Who, who_of
+from web.access.lease import HeldError, Lease
+from web.access.tokens import Role
+
+#: Between two looks at whether the run goes on [s].
+LOOK = 0.02
+#: What a socket is closed with: all is said, somebody may not, or more came than may.
+DONE, NOT_ALLOWED, TOO_MUCH = 1000, 1008, 1009
+
+
+def setpoint_routes(service: StationService, lease: Lease, audit: Audit) -> APIRouter:
+    """The one route, for whoever holds the lease or takes it because nobody does."""
+    router = APIRouter(prefix="/api")
+
+    @router.websocket("/setpoints")
+    async def setpoints(socket: WebSocket) -> None:
+        await socket.accept()
+        who, run = who_of(socket), None
+        try:
+            asked, run = await _begin(socket, service, lease, who)
+            audit.write(str(who), f"setpoints of run {run.id}", who.where, "begun")
+            await _ready(service, lease, who, run)
+            await _lead(socket, service, lease, who, asked, run)
+        except _Refused as error:
+            await _close(socket, {"error": str(error)}, error.code)
+        except (WebSocketDisconnect, RuntimeError):
+            return  # the other side has gone
+        finally:
+            if run is not None:
+                service.lead(run, None)
+                audit.write(str(who), f"setpoints of run {run.id}", who.where, "ended")
+
+    return router
+
+
+class _Refused(CtrError):
+    """Nothing is taken any more."""
+
+    def __init__(self, text: str, code: int = NOT_ALLOWED) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+async def _begin(socket: WebSocket, service: StationService, lease: Lease, who: Who) -> tuple[LeadIn, Run]:
+    """The first message starts the run."""
+    if who.role is not Role.OPERATOR:
+        raise _Refused("viewers may look and press STOP; this needs the operators' token")
+    try:
+        asked = LeadIn.model_validate(_object(await socket.receive_text()), strict=False)
+        lease.take(who.client, who.name)
+        run = await asyncio.to_thread(service.start_led, asked)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise _Refused(f"{'.'.join(map(str, first['loc'])) or 'message'}: {first['msg']}") from None
+    except CtrError as error:
+        raise _Refused(str(error)) from None
+    await socket.send_json({"run_id": run.id, "warnings": run.start.warnings})
+    return asked, run
+
+
+async def _ready(service: StationService, lease: Lease, who: Who, run: Run) -> None:
+    """Wait until the tip may be led; it rests for the tare meanwhile."""
+    while not _moves(service, run):
+        # The answer to the start may come before the loop's first word of it.
+        if _over(service, run) and service.supervisor.status().state is not State.RUNNING:
+            status = service.supervisor.status()
+            raise _Refused(f"the run has ended before it moved: {status.state.name} {status.cause}".strip(), DONE)
+        lease.renew(who.client)
+        await asyncio.sleep(LOOK)
+
+
+async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: Who, asked: LeadIn, run: Run) -> None:
+    """Message by message, until one side has had enough."""
+    supervisor = service.supervisor
+    now, row = supervisor.bench.clock.now, _row(service)
+    start = supervisor.channels.of(row, "tip_desired").copy()
+    leader = Leader(asked, start, now())
+    await socket.send_json({"ready": True, "tip": start.tolist(), "time": float(row[0])})
+    watch = asyncio.create_task(_until_over(service, run))
+    try:
+        while True:
+            hearing = asyncio.create_task(socket.receive_text())
+            await asyncio.wait([hearing, watch], return_when=asyncio.FIRST_COMPLETED)
+            if not hearing.done():
+                hearing.cancel()
+                break
+            text, refused = hearing.result(), ""
+            try:
+                leader.count(now())
+                message = _object(text)
+                if message == {"end": True}:
+                    service.lead(run, None)
+                    continue
+                lease.take(who.client, who.name)
+                service.lead(run, _wish(leader, message, now()))
+            except TooFast as error:
+                raise _Refused(str(error), TOO_MUCH) from None
+            except (NotTaken, HeldError) as error:
+                refused = str(error)
+            await socket.send_json(_answer(service, run, refused))
+    finally:
+        watch.cancel()
+    status = supervisor.status()
+    await _close(socket, {"ended": status.state.name, "cause": status.cause}, DONE)
+
+
+def _wish(leader: Leader, message: dict[str, Any], now: float) -> Any:
+    match message:
+        case {"tip": [*place]} if len(message) == 1 and _numbers(place):
+            return leader.place(tuple(map(float, place)), now)
+        case {"velocity": [*velocity]} if len(message) == 1 and _numbers(velocity):
+            return leader.velocity(tuple(map(float, velocity)), now)
+    raise NotTaken(
+        '{"tip": [x, y, z]} [m], {"velocity": [x, y, z]} [m/s] or {"end": true} is what may be said;'
+        " what was asked before it stands"
+    )
+
+
+def _numbers(values: list[Any]) -> bool:
+    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+
+
+def _object(text: str) -> dict[str, Any]:
+    """Raises: NotTaken: not a JSON object."""
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise NotTaken(f"not JSON: {error}; what was asked before it stands") from None
+    if not isinstance(message, dict):
+        raise NotTaken("a JSON object is needed; what was asked before it stands")
+    return message
+
+
+def _answer(service: StationService, run: Run, refused: str) -> dict[str, Any]:
+    """What a tip is doing that is led."""
+    of, row = service.supervisor.channels.of, _row(service)
+    desired, measured = of(row, "tip_desired"), of(row, "tip_measured")
+    return {
+        "time": float(row[0]),
+        "measured": measured.tolist(),
+        "estimated": of(row, "tip_estimated").tolist(),
+        "desired": desired.tolist(),
+        "force": of(row, "force").tolist(),
+        "error": (measured - desired).tolist(),
+        "held_back": _held_back(service, run, row),
+        "refused": refused,
+    }
+
+
+def _held_back(service: StationService, run: Run, row: Array) -> str:
+    """What keeps the tip from where it is asked to be, in words; empty when nothing does."""
+    of = service.supervisor.channels.of
+    sigma = float(of(row, "sigma")[-1])
+    singular = [f"singular pose, sigma {1e3 * sigma:.2g} of {1e3 * SIGMA_FLOOR:g} mm/s"] * (sigma < SIGMA_FLOOR)
+    limits = run.start.task.controller.limits
+    return ", ".join((*singular, *limits.active(of(row, "joints"), of(row, "at_bound"), np.zeros(0))))
+
+
+def _row(service: StationService) -> Array:
+    row = service.supervisor.ring.latest()
+    if row is None:
+        raise _Refused("there is no telemetry")
+    return row
+
+
+def _moves(service: StationService, run: Run) -> bool:
+    counters = service.supervisor.ring.counters
+    return int(counters[RUN]) == run.number and int(counters[PHASE]) == Phase.MOVING
+
+
+def _over(service: StationService, run: Run) -> bool:
+    counters = service.supervisor.ring.counters
+    return int(counters[RUN]) != run.number or int(counters[STATE]) != State.RUNNING
+
+
+async def _until_over(service: StationService, run: Run) -> None:
+    while not _over(service, run):
+        await asyncio.sleep(LOOK)
+
+
+async def _close(socket: WebSocket, last: dict[str, Any], code: int) -> None:
+    await socket.send_json(last)
+    await socket.close(code, str(last.get("error", ""))[:120])
