@@ -36,13 +36,22 @@ def call(*command: str, folder: Path) -> str:
 
 
 def test_the_script_homes_runs_its_circle_and_downloads_it(near_home: Served, tmp_path: Path):
-    script = block("python", "Station()").replace("Station()", f"Station({near_home.url!r})")
+    script = block("python", "station.home()").replace("Station()", f"Station({near_home.url!r})")
     call(sys.executable, "-c", script, folder=tmp_path)
     assert (tmp_path / "circle.mcap").read_bytes().startswith(b"\x89MCAP0\r\n")
     status = near_home.status()
     assert status["state"] == "READY"
     assert status["run"]["title"] == "circle, free motion"
     assert status["joints"]["inner_rotation"] == pytest.approx(1.57, abs=0.1)  # from the working pose
+
+
+def test_the_script_leads_the_tip(near_home: Served, tmp_path: Path):
+    near_home.wait_for(lambda status: status["state"] == "READY")
+    script = block("python", "station.setpoints()").replace("Station()", f"Station({near_home.url!r})")
+    patient = script.replace("setpoints()", "setpoints(silence=2.0, end=60.0)").replace("duration=20.0", "duration=3.0")
+    said = call(sys.executable, "-c", patient, folder=tmp_path).splitlines()
+    assert "mm off" in said[-1]
+    assert near_home.wait_for(lambda status: status["state"] == "READY")["run"]["title"] == "led from outside"
 
 
 def test_the_curl_lines_start_a_circle_tell_the_state_and_stop_it(near_home: Served, tmp_path: Path):
