@@ -58,7 +58,6 @@ onStatus((status, stale) => {
   const state = status === null ? "NO ANSWER" : status.state;
   $("state").textContent = stale && status !== null && state !== "FAULT" ? `${state} (stale)` : state;
   $("state").dataset.state = state;
-  $("act").hidden = status === null;
   if (status === null) {
     $("says").textContent = "the station does not answer";
     $("next").textContent = "use the emergency stop of the bench";
