@@ -11,9 +11,7 @@ from tests.harness.waiting import until
 
 
 def test_one_that_died_while_nothing_was_recorded_is_started_anew_by_a_reset(mortal: LoneStation) -> None:
-    killed = mortal.child("recorder")
-    killed.kill()
-    killed.wait()
+    mortal.child("recorder").kill()
     answer = mortal.ask("reset")
     assert answer["note"] == "started anew: the recorder"
     assert answer["state"] == "READY"
