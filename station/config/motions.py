@@ -14,7 +14,7 @@ from core.control.trajectories import Circle, Helix, Hold, JointMotion, Setpoint
 from core.errors import DescriptionError, Unreachable
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
-from station.config.strict import ConfigError, Direction, Positive, Row, Strict, Vector, check
+from station.config.strict import ConfigError, Direction, Positive, Row, Strict, Vector, check, read_text
 
 
 class HoldMotion(Strict):
@@ -156,10 +156,7 @@ class CsvMotion(Strict):
         Raises:
             ConfigError: the file cannot be read or says something else.
         """
-        try:
-            text = Path(self.file).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{self.file}: cannot be read: {error}") from None
+        text = read_text(Path(self.file))
         return waypoints_from_csv(text, self.file, self.max_speed, self.max_acceleration).trajectory()
 
 

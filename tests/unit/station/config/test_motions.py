@@ -156,9 +156,11 @@ def test_a_step_stays_or_goes_there_and_back(orders):
     assert setpoint(again, 3.0).position.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_a_csv_file_is_waypoints(orders, tmp_path):
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])  # with a mark before it, as some programs write it
+@pytest.mark.parametrize("head", ["time [s], x [m], y, z\n", ""])
+def test_a_csv_file_is_waypoints(orders, tmp_path, head, encoding):
     path = tmp_path / "way.csv"
-    path.write_text("time [s], x [m], y, z\n5, 0.01, 0, 0\n\n10.0,0.01,0.01,0.0\n", encoding="utf-8")
+    path.write_text(f"{head}5, 0.01, 0, 0\n\n10.0,0.01,0.01,0.0\n", encoding=encoding)
 
     from_file, written = (
         orders(kind="csv", file=str(path)),
