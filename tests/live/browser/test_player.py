@@ -149,3 +149,24 @@ def test_the_numbers_are_those_of_the_recording(at_start: Page) -> None:
     joints = {row[0]: row[1] for row in rows if "rotation" in row[0] or "translation" in row[0]}
     assert float(joints["inner rotation"]) == pytest.approx(90.0, abs=0.5)
     assert float(joints["inner translation"]) == pytest.approx(-100.0, abs=0.5)
+
+
+#: Where the measured tip is drawn in each frame, the picture's edges at -1 and 1.
+TIPS = """() => {
+  choose(0);
+  const m = scene.view, part = (row, p) => m[row] * p[0] + m[4 + row] * p[1] + m[8 + row] * p[2] + m[12 + row];
+  const tips = Array.from({ length: shown.frames }, (_, k) => shown.tip(k, 1));
+  return tips.map((p) => [part(0, p) / part(3, p), part(1, p) / part(3, p)]);
+}"""
+
+
+@pytest.mark.parametrize("size", [(390, 844), (500, 900), (1280, 720)])
+def test_the_tip_is_in_the_picture_whatever_its_shape(at_start: Page, size: tuple[int, int]) -> None:
+    before = at_start.viewport_size
+    assert before is not None
+    at_start.set_viewport_size({"width": size[0], "height": size[1]})
+    try:
+        assert np.abs(at_start.evaluate(TIPS)).max() < 0.9
+    finally:
+        at_start.set_viewport_size(before)
+        at_start.evaluate("() => choose(0)")

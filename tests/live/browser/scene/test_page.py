@@ -48,7 +48,7 @@ def state(page: Page) -> str:
     return page.locator("#state").inner_text()
 
 
-def test_the_page_says_the_state_and_every_device_answers(page: Page, picture: Picture) -> None:
+def test_the_page_says_the_state_and_every_device_answers(page: Page) -> None:
     assert state(page) == "READY"
     assert page.locator("#says").inner_text() == "nothing moves"
     lights = page.locator("#lights li")
@@ -56,7 +56,6 @@ def test_the_page_says_the_state_and_every_device_answers(page: Page, picture: P
     assert [light.get_attribute("data-severity") for light in page.locator("#lights .light").all()] == ["0"] * 3
     assert "nothing is wrong" in str(lights.first.get_attribute("title"))
     assert "µs" in page.locator("#loop").inner_text()
-    picture(page, "panel")
 
 
 def test_the_scene_shows_units_and_a_legend(page: Page) -> None:
