@@ -28,7 +28,6 @@ class Following(NamedTuple):
     """A run that follows."""
 
     motion: FollowMotion
-    predictor: Predictor
     pursuit: Pursuit
     period: float  #: of the loop [s]
     lead: float  #: from a command until it works at the tip [s]
@@ -40,25 +39,27 @@ class Target:
     """The target, whether a run follows it or not."""
 
     def __init__(self) -> None:
-        self._known: dict[Predictor, Known] = {}
         self._predictors: tuple[Predictor, Predictor] = (NewestFrame(), Waves())
+        self._known: list[Known] = []  # of each predictor, once a frame has come
         self._seen = -np.inf  # when the newest frame with it has come [s]
         self._now = 0.0
         self._new = False
         self._following: Following | None = None
         self._setpoint = Place(np.zeros(3), np.zeros(3))
+        _load(self._predictors)
 
     def see(self, now: float, frame: TipReading | None) -> None:
         """What the tracker has told at `now` [s]."""
-        self._now, self._new = now, frame is not None and frame.target is not None
-        if frame is None or frame.target is None:
+        target = None if frame is None else frame.target
+        # One that is no number is not seen.
+        self._now, self._new = now, target is not None and bool(np.isfinite(target).all())
+        if frame is None or target is None or not self._new:
             return
-        for predictor in self._predictors:
-            last = self._known.get(predictor)
-            if last is None or not 0.0 < frame.time - last.time < FORGOTTEN:
-                self._known[predictor] = predictor.start(frame.target, frame.time)
-            else:
-                self._known[predictor] = predictor.update(last, frame.target, frame.time)
+        goes_on = self._known and 0.0 < frame.time - self._known[0].time < FORGOTTEN
+        self._known = [
+            predictor.update(self._known[which], target, frame.time) if goes_on else predictor.start(target, frame.time)
+            for which, predictor in enumerate(self._predictors)
+        ]
         self._seen = now
 
     @property
@@ -74,10 +75,9 @@ class Target:
 
     def follow(self, motion: FollowMotion, controller: Controller, tip: Array) -> None:
         """Begin with the tip at rest at `tip` (3,) [m], where setpoints count from."""
-        place = self._place(self._predictors[1], self._now)
+        place = self._place(self._now)
         self._following = Following(
             motion,
-            self._predictors[motion.predict],
             Pursuit(motion.max_speed, motion.max_acceleration),
             controller.period,
             controller.estimator.actuation.lead + motion.lag,
@@ -98,7 +98,7 @@ class Target:
         lead = run.lead if run.motion.predict else 0.0
         goal = None
         if self._now - self._seen <= LOST:
-            there = self._place(run.predictor, self._now + lead)
+            there = self._place(self._now + lead, predicted=run.motion.predict)
             goal = Place(there.position + run.offset, there.velocity)
         self._setpoint = run.pursuit.step(self._setpoint, goal, run.period)
         position, velocity = self._setpoint
@@ -119,13 +119,20 @@ class Target:
         row = np.zeros(TARGET)
         if self._known:
             row[0], row[1] = self._new, self._following is not None
-            row[2:5] = self._known[self._predictors[0]].states[0]
-            row[5:8] = self._place(self._predictors[1], self._now).position
+            row[2:5] = self._place(self._now, predicted=False).position
+            row[5:8] = self._place(self._now).position
         if self._following is not None:
             row[8:11] = self._following.offset
         if truth is not None and truth.target is not None:
             row[11:14] = truth.target
         return row
 
-    def _place(self, predictor: Predictor, time: float) -> Place:
-        return predictor.at(self._known[predictor], time)
+    def _place(self, time: float, *, predicted: bool = True) -> Place:
+        return self._predictors[predicted].at(self._known[predicted], time)
+
+
+def _load(predictors: tuple[Predictor, ...]) -> None:
+    """What is compiled is loaded before it counts: a first frame would otherwise stop the loop for seconds."""
+    for predictor in predictors:
+        known = predictor.update(predictor.start(np.zeros(3), 0.0), np.zeros(3), 0.025)
+        Pursuit(1.0, 1.0).step(predictor.at(known, 0.03), predictor.at(known, 0.03), 0.002)

@@ -25,6 +25,10 @@ def columns(late: float = 0.0, known: bool = True) -> dict[str, np.ndarray]:
         "truth_known": np.full((len(TIME), 1), float(known)),
         # 0.5 N, and more before it counts.
         "force_filtered": np.outer(np.where(TIME < 11.0, 2.0, 1.0), (0.3, 0.0, 0.4)),
+        "target_followed": np.zeros((len(TIME), 1)),
+        "target_measured": np.zeros((len(TIME), 3)),
+        "target_true": np.zeros((len(TIME), 3)),
+        "target_offset": np.zeros((len(TIME), 3)),
     }
 
 
@@ -43,6 +47,20 @@ def test_a_frame_is_compared_with_the_setpoint_of_the_moment_it_was_taken():
 
     assert found["max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
     assert found["true_max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
+
+
+def test_beside_a_target_the_setpoint_does_not_count():
+    """The tip is 3 mm from where it should be beside the true target, and 4 mm from where the same frame saw it."""
+    values = columns(late=0.5)
+    values["target_followed"][:] = 1.0
+    values["target_offset"][:] = (0.0, 0.0, 0.01)
+    values["target_true"] = values["tip_true"] + np.array([0.0, 3e-3, -0.01])
+    values["target_measured"] = values["tip_measured"] + np.array([0.0, -4e-3, -0.01])
+
+    found = motion_errors(values.__getitem__, 10.0, 2.0)
+
+    assert found["true_max_abs_error_mm"] == pytest.approx([0.0, 3.0, 0.0], abs=1e-6)
+    assert found["max_abs_error_mm"] == pytest.approx([0.0, 4.0, 0.0], abs=1e-6)
 
 
 def test_errors_count_after_the_settling_time_only():

@@ -41,7 +41,8 @@ def test_what_two_coils_look_like_on_the_wire():
     bench = AuroraBench(WITH, target=TARGET_SERIAL)
     bench.run(1.5, target=swaying)
     bench.port.device.read()
-    bench.unit.transmit(bench.now)
+    bench.now += 0.2
+    bench.unit.transmit(bench.now, 115200)  # what was still on the line
 
     for command, size in ((b"BX 0801\r", 8 + 1 + 2 * 42 + 2), (b"TX 0801\r", 2 + 2 * (2 + 51 + 17) + 4 + 4 + 1)):
         bench.unit.receive(command, bench.now, 115200)
