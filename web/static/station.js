@@ -124,7 +124,8 @@ export function confirm(title, action, ...content) {
 
 // ---- status: asked for several times a second; too old, it is called stale
 
-const PERIOD = 150, PATIENCE = 1500, STALE = 480; // ms
+// An answer that is late is better than none: what is old looks so meanwhile, and a question given up would never be answered.
+const PERIOD = 150, PATIENCE = 10000, STALE = 480; // ms
 const listeners = [];
 let status = null, heard = -Infinity, question = null, wasStale = null;
 
