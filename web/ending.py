@@ -4,21 +4,27 @@ Pressed again and again it would cut that off wherever it is, and show the place
 """
 
 import signal
-from collections.abc import Callable
 from types import FrameType
-
-Handler = Callable[[int, FrameType | None], None]
+from typing import Protocol
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Handler(Protocol):
+    """Of a signal, while `frame` is carried out."""
+
+    def __call__(self, sig: int, frame: FrameType | None) -> None:
+        """Do what the signal asks for."""
+        ...
 
 
 def once(handle: Handler) -> Handler:
     """`handle` for the first of these signals; later ones are ignored."""
 
-    def first(number: int, frame: FrameType | None) -> None:
+    def first(sig: int, frame: FrameType | None) -> None:
         for ending in ENDINGS:
             signal.signal(ending, signal.SIG_IGN)  # the interpreter's own end leaves that as it is
-        handle(number, frame)
+        handle(sig, frame)
 
     return first
 
@@ -29,5 +35,5 @@ def end_once() -> None:
         signal.signal(ending, once(_interrupt))
 
 
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
+def _interrupt(sig: int, frame: FrameType | None) -> None:  # noqa: ARG001 - what a handler is given
     raise KeyboardInterrupt
