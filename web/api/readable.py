@@ -5,6 +5,7 @@ that is not UTF-8 reaches Python as such halves too, so every reason is made pre
 """
 
 import json
+from collections.abc import Mapping
 
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
@@ -30,6 +31,6 @@ async def readable(connection: HTTPConnection) -> None:
         raise HTTPException(422, f"the body has {half} in a text: half of a surrogate pair; leave it out") from None
 
 
-def refusal(reason: str, status: int, headers: dict[str, str] | None = None) -> JSONResponse:
+def refusal(reason: str, status: int, headers: Mapping[str, str] | None = None) -> JSONResponse:
     """The answer to a request that was refused; bytes of a file's name that are no text are shown as numbers."""
     return JSONResponse({"error": reason.encode(errors="backslashreplace").decode()}, status, headers)
