@@ -127,10 +127,10 @@ def test_workspace_ghost_and_uncertainty_are_shown_on_demand(page: Page, station
         with page.expect_response(_chosen):
             box.check()
         assert station.rest.get("/api/scene").json()[name]
-        page.wait_for_timeout(2500)
         if name == "workspace":
-            assert changed(before, pixels(page)) > 3000
+            until(lambda: changed(before, pixels(page)) > 3000)  # noqa: B023 - called here only
             picture(page, "workspace")
+        page.wait_for_timeout(2500)
         with page.expect_response(_chosen):
             box.uncheck()
 
