@@ -61,7 +61,7 @@ class Overlays:
         if surface is not None:
             corners, faces = surface
             self._hull = self._scene.add_mesh_simple(
-                "/workspace", corners, faces, color=palette.SKY, opacity=0.18, side="double", scale=self._unit,
+                "/workspace", corners, faces, color=palette.SKY, opacity=0.22, side="double", scale=self._unit,
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
         if self._hull is not None:
