@@ -323,8 +323,9 @@ class ControlLoop:
             self._finish(now)
             return None
         if task.follow is not None:
-            self._act_on(self._target.trouble(), now)
-            return self._target.order()
+            lost = self._target.trouble()
+            self._act_on(lost, now)
+            return self._target.order() if lost is None else None
         return task.order(now - progress.motion_start, now - self._frame_at)
 
     def _set_out(self, now: float, joints: JointReading, rest: Rest, task: Task) -> bool:
