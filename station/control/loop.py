@@ -344,8 +344,9 @@ class ControlLoop:
             self._finish(now)
             return None
         if task.follow is not None:
-            self._act_on(self._target.trouble(), now)
-            return self._target.order()
+            lost = self._target.trouble()
+            self._act_on(lost, now)
+            return self._target.order() if lost is None else None
         if self._led is not None:
             blind = now - self._frame_at > FREEZE and not task.controller.observes
             order = self._led.order(now, task.controller.period, asked, blind=blind)

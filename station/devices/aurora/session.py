@@ -146,8 +146,9 @@ class AuroraSession:
         """Where the target's coil was at `time` [s]; None when nobody can tell."""
         tool = next((tool for tool in reply.tools if tool.handle == self.talk.target), None)
         self.target_quality = Quality.DISABLED if tool is None else self._judge(tool, time, self._target_gate)
-        good = tool is not None and tool.transform is not None and self.target_quality is Quality.GOOD
-        return tool.transform.position if good else None
+        if tool is None or tool.transform is None or self.target_quality is not Quality.GOOD:
+            return None
+        return tool.transform.position
 
     def _judge(self, tool: ToolFrame, time: float, gate: JumpGate) -> Quality:
         if self.system_status & HARDWARE_FAILURE or tool.port_status & self.talk.settings.fault_bits:

@@ -221,7 +221,7 @@ def test_experiments_of_ones_own_are_found_by_name_and_go_before_the_stations(ow
     assert preset("experiments", "fig10") == own_experiments / "fig10.toml"
     assert preset("experiments", "fig7").parent == PRESETS / "experiments"
     assert "hold_still" not in preset_names("labs")
-    with pytest.raises(ConfigError, match="fig8, hold_still"):
+    with pytest.raises(ConfigError, match="fig8, follow, hold_still"):
         preset("experiments", "fig99")
 
 

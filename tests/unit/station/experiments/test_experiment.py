@@ -298,7 +298,7 @@ def test_a_file_without_cases_is_one_case_of_its_own_name(write, short):
         (
             'title = "short"',
             'title = "short"\nlab = "moon"',
-            "'moon' is not one of the labs: distorted, gentle, ideal, realistic",
+            "'moon' is not one of the labs: breathing, distorted, gentle, heartbeat, ideal, realistic",
         ),
         ('title = "short"', 'title = "short"\nlab = "none.toml"', "none.toml: no such file"),
         ('title = "short"', 'title = "short', "not valid TOML: "),
