@@ -21,7 +21,9 @@ def test_numbers_while_it_moves_and_how_it_went_at_the_end(station: Served, brow
     with bare_page(browser, station) as page:
         assert page.evaluate(EMPTY, ERROR)  # there is no path to be away from
         page.wait_for_function(NUMBER, arg=FORCE)
-        station.post("/api/start", HELD)
+        started = station.post("/api/start", HELD)
+        assert started.status_code == 202, started.text
+        station.rest.delete("/api/operator")
         for cell in (ERROR, FORCE, DEFLECTION):
             page.wait_for_function(NUMBER, arg=cell)
         page.wait_for_function(f"(nth) => /^[0-9]+:[0-9]{{2}}$/.test(({CELL})(nth))", arg=LEFT)
