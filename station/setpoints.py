@@ -22,7 +22,11 @@ class Setpoints:
         self._socket: ClientConnection | None = None
         self._begun = 0.0
         self.run = ""  #: its id
-        self.start: tuple[float, float, float] = (math.nan, math.nan, math.nan)  #: the tip at the start, in the world [m]
+        self.start: tuple[float, float, float] = (
+            math.nan,
+            math.nan,
+            math.nan,
+        )  #: the tip at the start, in the world [m]
         self.newest: dict[str, Any] = {}  #: the last answer
 
     def __enter__(self) -> Self:
