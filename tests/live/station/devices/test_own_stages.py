@@ -85,8 +85,8 @@ def test_the_station_process_stops_them_by_their_own_emergency_stop(box: Box, in
     with WatchedLab(CLOCK) as lab, lone_station(installed / "runs", lab, stages=stages) as station:
 
         def fault() -> str:
-            """Its cause, once it is there; what the box was told is forgotten."""
-            status = until(lambda: (now := station.ask("status"))["state"] == "FAULT" and now["cause"] and now)
+            """Its cause, once the stages have been stopped; what the box was told is forgotten."""
+            status = until(lambda: "reset to start it anew" in (now := station.ask("status"))["cause"] and now)
             assert f"3 stages at socket://127.0.0.1:{box.port} say that they have stopped" in status["cause"]
             assert b"stop" in box.told
             box.told.clear()
