@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.robot.robot import Array
 
@@ -54,7 +55,7 @@ def desired(of: Callable[[str], Array], target: str) -> Array:
     return np.where(of("target_followed") > 0.0, of(target) + of("target_offset"), of("tip_desired"))
 
 
-def frame_errors(of: Callable[[str], Array], frames: Array, start: float) -> Array:
+def frame_errors(of: Callable[[str], Array], frames: NDArray[np.bool_], start: float) -> Array:
     """Desired minus measured (f, 3) [m] at `frames` (ticks,), of a motion that began at `start` [s].
 
     A setpoint is that of the moment at which the frame was taken; a target was measured in the frame itself.

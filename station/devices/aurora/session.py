@@ -145,9 +145,11 @@ class AuroraSession:
     def _target(self, reply: FrameReply, time: float) -> tuple[float, ...] | None:
         """Where the target's coil was at `time` [s]; None when nobody can tell."""
         tool = next((tool for tool in reply.tools if tool.handle == self.talk.target), None)
-        self.target_quality = Quality.DISABLED if tool is None else self._judge(tool, time, self._target_gate)
-        good = tool is not None and tool.transform is not None and self.target_quality is Quality.GOOD
-        return tool.transform.position if good else None
+        if tool is None:
+            self.target_quality = Quality.DISABLED
+            return None
+        self.target_quality = self._judge(tool, time, self._target_gate)
+        return tool.transform.position if tool.transform and self.target_quality is Quality.GOOD else None
 
     def _judge(self, tool: ToolFrame, time: float, gate: JumpGate) -> Quality:
         if self.system_status & HARDWARE_FAILURE or tool.port_status & self.talk.settings.fault_bits:
