@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ TIP = np.array([0.01, 0.02, 0.15])
 TIMES = np.arange(0.0, 240.0, 0.02)
 
 
-def places(seed: int = 0, **changes: float) -> np.ndarray:
+def places(seed: int = 0, **changes: Any) -> np.ndarray:
     """(times, 3) from the target's middle [m]."""
     target = MovingTarget(TargetConfig(**changes), TIP, np.random.default_rng(seed))
     return np.array([target.at(time) for time in TIMES]) - TIP - np.array(TargetConfig().place)
