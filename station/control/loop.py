@@ -325,7 +325,7 @@ class ControlLoop:
             velocity = task.approach(joints.positions)
             if velocity is not None:
                 return JointMotion(velocity)
-            if task.duration == 0.0:
+            if not task.rests:
                 self._finish(now)
                 return None
             self.devices.stages.stop(now)

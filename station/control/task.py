@@ -41,9 +41,10 @@ class Task:
 
     controller: Controller
     orders: TimedOrders | Lead  #: known beforehand, or led from outside
-    duration: float  #: of the motion, after the preparation [s]; 0: it is there once it is at its start pose
+    duration: float  #: of the motion, after the preparation [s]
     start: Array | None = None  #: joints (n,) to begin from; None: from where they are
     margins: Margins | None = None  #: what is left before the tubes snap; None: the station's
+    rests: bool = True  #: for tare and start tip, before its motion; False: it has ended once it is at its start pose
 
     @property
     def follow(self) -> FollowMotion | None:

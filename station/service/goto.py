@@ -48,7 +48,7 @@ def to_joints(bench: Bench, target: Array, title: str) -> Start:
     controller.limits.check(target)
     robot = controller.statics.robot
     robot.check_pose(target)
-    task = Task(controller, Orders(HoldMotion(), robot), 0.0, target)
+    task = Task(controller, Orders(HoldMotion(), robot), 0.0, target, rests=False)
     return Start(task, title, load=None, recorded=False)
 
 

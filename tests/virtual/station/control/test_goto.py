@@ -25,7 +25,7 @@ def bench() -> Bench:
 
 def there(bench: Bench) -> Task:
     controller = bench.loop.controller
-    return Task(controller, Orders(HoldMotion(), controller.statics.robot), 0.0, TARGET)
+    return Task(controller, Orders(HoldMotion(), controller.statics.robot), 0.0, TARGET, rests=False)
 
 
 def until(bench: Bench, *states: State) -> None:
