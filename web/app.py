@@ -140,7 +140,15 @@ def _serve_web(
     try:
         server = _server(build_app(service, view, calibration, data, audit, host, port, tokens))
         # The main thread hears the signals, and has nothing else to do.
-        web = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, name="web")
+        ended = threading.Event()
+
+        def run() -> None:
+            try:
+                server.run(sockets=[listening])
+            finally:
+                ended.set()
+
+        web = threading.Thread(target=run, name="web")
         page = f"http://{_shown(host)}:{port}/"
         at = page + (f"?token={tokens.operator}" if tokens else "")
         if tokens:
@@ -152,8 +160,9 @@ def _serve_web(
         try:
             with contextlib.suppress(KeyboardInterrupt):
                 web.start()
-                while web.is_alive():
-                    web.join(0.5)
+                # Not `join`: Python 3.11 takes a thread for ended when a signal interrupts that (bpo-45274).
+                while not ended.wait(0.5):
+                    pass
         finally:
             supervisor.end_control()
             server.should_exit = True

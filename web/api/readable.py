@@ -9,17 +9,22 @@ from collections.abc import Mapping
 
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 
 
 async def readable(connection: HTTPConnection) -> None:
     """Dependency of every route: refuse a body with a text that is none.
 
     Raises:
-        HTTPException: 422, with the half.
+        HTTPException: 422, with the half; 400 when the sender has gone before the body was whole.
     """
-    if not isinstance(connection, Request) or not await connection.body():
+    if not isinstance(connection, Request):
         return
+    try:
+        if not await connection.body():
+            return
+    except ClientDisconnect:
+        raise HTTPException(400, "the body was broken off") from None
     try:
         texts = json.dumps(await connection.json(), ensure_ascii=False)
     except (ValueError, RecursionError):

@@ -108,7 +108,7 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
             try:
                 leader.count(now())
                 message = _object(text)
-                if message == {"end": True}:
+                if len(message) == 1 and message.get("end") is True:
                     service.lead(run, None)
                     continue
                 lease.take(who.client, who.name)

@@ -27,7 +27,7 @@ def test_a_run_that_does_not_fit_is_refused_before_it_begins(paper) -> None:
             with pytest.raises(
                 RecordingError, match=r"MB are free, a recording of 86400 s needs 5\d{4} MB; delete old"
             ):
-                recording.begin("long", 86400.0, {})
+                recording.begin("long", 86400.0, 0.0, {})
         finally:
             recording.close()
             ring.close(remove=True)

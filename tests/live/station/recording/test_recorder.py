@@ -180,6 +180,7 @@ def test_rows_and_errors_end_with_the_motion_whenever_the_recorder_is_told(paper
     channels.of(rows[moving], "phase")[:] = Phase.MOVING
     channels.of(rows, "tip_desired")[:] = channels.of(rows, "tip_true")[:] = channels.of(rows, "tip_measured")[:] = 0.0
     channels.of(rows, "tip_time")[:] = channels.of(rows, "time")
+    channels.of(rows, "target_followed")[:] = 0.0
     channels.of(rows, "tip_true")[moving.stop :] = channels.of(rows, "tip_measured")[moving.stop :] = 0.006
     ring = Ring(len(channels))
     recorder = Recorder(ring, paper, tmp_path)

@@ -66,8 +66,11 @@ def test_stop_ends_it_and_is_told(station: Served) -> None:
 
 
 def _flood(socket: ClientConnection) -> None:
+    """Far more than may come, and then what the station says until it hangs up."""
     for _ in range(20_000):
         socket.send('{"velocity": [0, 0, 0]}')
+    while True:
+        socket.recv()
 
 
 def _go_on(tip: Setpoints) -> None:
