@@ -36,7 +36,8 @@ def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> No
     with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as socket:
         socket.send(json.dumps(WIDE))
         assert "run_id" in json.loads(socket.recv())
-        assert json.loads(socket.recv())["ready"]
+        begun = json.loads(socket.recv())
+        assert begun.get("ready"), begun
         for lie in (
             '{"tip": [NaN, 0, 0]}', '{"tip": [1e400, 0, 0]}', '{"tip": [0, 0]}', '{"tip": ["0", 0, 0]}', '{"tip": [0,',
             '{"tip": [0, 0, 0], "velocity": [0, 0, 0]}', '{"velocity": [true, 0, 0]}', "null", "", '{"end": 1}',
