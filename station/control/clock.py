@@ -43,6 +43,9 @@ class StationClock:
     """The time of a live station: the same in every process of a computer."""
 
     rate: float = 1.0  #: seconds of the station in a second
+    #: What a simulated device's word may take [s]. Real ones have processors of their own: a busy computer makes these
+    #: late and not lost.
+    patience: float = 0.15
 
     def now(self) -> float:
         """Since a moment that all processes share [s]; never goes back."""

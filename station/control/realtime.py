@@ -41,15 +41,17 @@ def be_punctual(*, fifo: bool, core: int | None) -> Granted:
     return Granted(granted, tuple(refused))
 
 
-def ask_for_fifo(priority: int = 50) -> bool:
+def ask_for_fifo(priority: int = 50, *, in_turns: bool = False) -> bool:
     """Ask for real-time scheduling of the calling thread; False when the system refuses or has none.
 
-    Threads and processes that it starts later do not inherit it.
+    Threads and processes that it starts later do not inherit it. `in_turns`: others of the same priority get
+    their turns, too (SCHED_RR).
     """
     if not hasattr(os, "sched_setscheduler"):
         return False
+    policy = os.SCHED_RR if in_turns else os.SCHED_FIFO
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except (OSError, ValueError):
         return False
     return True
@@ -131,9 +133,14 @@ def one_thread_each() -> None:
 
 def calm_memory() -> None:
     """No garbage collection pauses: what lives now lives for ever, the loop makes no cycles."""
+    keep_memory()
+    gc.disable()
+
+
+def keep_memory() -> None:
+    """Short garbage collection pauses: what lives now lives for ever, only what comes later is looked at."""
     gc.collect()
     gc.freeze()
-    gc.disable()
 
 
 @contextlib.contextmanager

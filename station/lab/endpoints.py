@@ -6,21 +6,18 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from station.config.strict import check
+from station.control.clock import REAL_TIME, StationClock
 from station.devices.config import BenchFile
 from station.lab.aurora.coil import MOUNT
 from station.lab.aurora.simulated import TARGET_SERIAL
 from station.lab.config import LabConfig
 
-#: What a simulated device's word may take [s]. Real ones have processors of their own: a busy computer makes these
-#: late and not lost.
-LATE = 0.15
 
-
-def devices_at(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
-    """The `[devices]` of a lab that has told its endpoints."""
+def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationClock = REAL_TIME) -> BenchFile:
+    """The `[devices]` of a lab that has told its endpoints, on a computer for which `clock` has patience."""
     tubes = {box["tube"]: _box(box) for box in endpoints["netft"]}
     tables: dict[str, dict[str, Any]] = {
-        "stages": {"driver": "zaber", "port": endpoints["zaber"], "deadline": LATE},
+        "stages": {"driver": "zaber", "port": endpoints["zaber"], "deadline": clock.patience},
         "tracker": {
             "driver": "aurora",
             "port": endpoints["aurora"],
@@ -29,7 +26,7 @@ def devices_at(endpoints: Mapping[str, Any], config: LabConfig) -> BenchFile:
             # A turn by half about x, as MOUNT has it.
             "mount": {"position": MOUNT.position.tolist(), "rotation_vector": [math.pi, 0.0, 0.0]},
         },
-        "sensors": {"driver": "netft", "tubes": tubes, "stale_after": LATE},
+        "sensors": {"driver": "netft", "tubes": tubes, "stale_after": clock.patience},
     }
     if config.target is not None:
         tables["tracker"]["target"] = TARGET_SERIAL

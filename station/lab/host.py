@@ -19,7 +19,7 @@ class LabHost:
     """Owner of the lab's process."""
 
     def __init__(self, bench: LabBench, ring_name: str, width: int) -> None:
-        self._config = bench.config
+        self._config, self._clock = bench.config, bench.clock
         # It has to outlive this process by a few seconds.
         self._child = Child(run_lab, bench, ring_name, width, name="lab", daemon=False)
 
@@ -45,7 +45,7 @@ class LabHost:
             raise LabError("the virtual lab ended before its devices were there") from None
         if opened.problem:
             raise LabError(f"the virtual lab did not come up: {opened.problem}")
-        return devices_at(opened.endpoints, self._config)
+        return devices_at(opened.endpoints, self._config, self._clock)
 
     def apply_load(self, load: Load, start: float) -> None:
         """Put a load on the tip; its time is 0 at `start` by the station's clock [s]. A lab that is gone has no tip."""

@@ -17,7 +17,7 @@ import numpy as np
 from core.errors import CtrError
 from station.config.robots import RobotFile
 from station.control.clock import REAL_TIME, StationClock
-from station.control.realtime import ask_for_fifo, show_as
+from station.control.realtime import ask_for_fifo, keep_memory, show_as
 from station.control.ring import LAB_HEARTBEAT, Ring
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
@@ -79,9 +79,11 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
         pipe.send(Opened({}, str(error)))
         return
     lab.lab.advance(bench.clock.now() - lab.begun)  # what is loaded or compiled for it keeps nobody else waiting
-    # Real devices have processors of their own: a busy computer must not make the simulated ones late.
+    # Real devices have processors of their own: a busy computer must not make the simulated ones late. The labs of two
+    # stations share a processor, though.
+    keep_memory()
     if bench.fifo:
-        ask_for_fifo(PRIORITY)
+        ask_for_fifo(PRIORITY, in_turns=True)
     with lab:
         pipe.send(Opened(lab.endpoints, ""))
         lab.run(_Visitor(lab, ring, pipe, parent).look)

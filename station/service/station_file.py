@@ -42,6 +42,9 @@ class ClockFile(Strict):
     rate: Annotated[float, Field(ge=0.05, le=1.0)] = 1.0
     """seconds of the station in a second: below 1 loop, lab, watchdogs, deadlines, leases and recorder are slower
     together, on the virtual lab only; for tests, and for computers that are too slow for real time"""
+    patience: Annotated[float, Field(ge=0.02, le=10.0)] = StationClock.patience
+    """what a word of the virtual lab's stages and force sensors may take before they count as silent: they share this
+    computer with other programs, which may keep them from it for a while [s]"""
 
     def bears(self, devices: DevicesFile) -> StationClock:
         """The clock of a station with these devices.
@@ -54,7 +57,7 @@ class ClockFile(Strict):
                 f"clock.rate = {self.rate:g}: expected 1 with devices of one's own, which keep real time;"
                 " leave it out, or take the virtual lab"
             )
-        return StationClock(self.rate)
+        return StationClock(self.rate, self.patience)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -110,7 +110,7 @@ def shared_memory(process: int) -> set[Path]:
 
 def calm(rate: float) -> str:
     """Tables of a station's file with which it bears a busy computer."""
-    tables = SETTINGS | {"clock": {"rate": rate}}
+    tables = SETTINGS | {"clock": {**SETTINGS["clock"], "rate": rate}}
     return "".join(
         f"[{table}]\n" + "".join(f"{key} = {value}\n" for key, value in keys.items()) for table, keys in tables.items()
     )

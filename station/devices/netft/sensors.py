@@ -207,7 +207,7 @@ class NetftSensors:
     def __init__(
         self, links: Sequence[Datagrams], pages: Sequence[NetftPage], settings: NetftSettings | None = None
     ) -> None:
-        settings = settings or NetftSettings()
+        settings = self._settings = settings or NetftSettings()
         self._history = History(np.array([[page.force_count] * 3 + [page.torque_count] * 3 for page in pages]))
         self._sensors = [
             _Sensor(link, page, settings, self._history.ring(i))
@@ -252,6 +252,7 @@ class NetftSensors:
         return "; ".join(
             f"force sensor {number} ({sensor.link.name}): "
             + ", ".join(str(flag.name).lower() for flag in Quality if flag in quality)
+            + (f", nothing usable for {1e3 * self._settings.stale_after:.0f} ms" if Quality.STALE in quality else "")
             + (f" [{describe(sensor.status)}]" if sensor.status else "")
             for number, (sensor, quality) in enumerate(zip(self._sensors, self.quality, strict=True), 1)
             if not quality.is_usable

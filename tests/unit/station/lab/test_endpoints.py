@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from station.control.clock import StationClock
 from station.devices.config import Mount
 from station.devices.open_devices import plan
 from station.lab.aurora.coil import MOUNT
@@ -22,3 +23,12 @@ def test_a_labs_endpoints_make_a_bench_that_can_be_opened(paper):
     mount = Mount(**bench.tracker["mount"])
     assert mount.rotation == pytest.approx(MOUNT.rotation, abs=1e-15)
     assert np.array(mount.position) == pytest.approx(MOUNT.position)
+
+
+def test_a_station_with_patience_gives_its_simulated_devices_time(paper):
+    with LabServer(paper, LabConfig(), 0, np.array([0.2, 1.2, -0.08])) as lab:
+        usual, patient = (
+            devices_at(lab.endpoints, LabConfig(), clock) for clock in (StationClock(), StationClock(0.5, 2.0))
+        )
+    assert (usual.stages["deadline"], usual.sensors["stale_after"]) == (0.15, 0.15)
+    assert (patient.stages["deadline"], patient.sensors["stale_after"]) == (2.0, 2.0)
