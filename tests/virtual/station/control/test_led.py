@@ -11,7 +11,7 @@ from station.config.controllers import BEST
 from station.config.motions import CircleMotion, Orders
 from station.control.led import Asked, Lead
 from station.control.states import State
-from station.control.task import Phase, Task
+from station.control.task import Phase, Task, TimedOrders
 from station.service.leader import Leader, LeadIn
 from tests.harness.virtual_station import VirtualStation, usual_case
 
@@ -19,11 +19,11 @@ CIRCLE = CircleMotion(radius=0.010, period=20.0)
 SECONDS = 10.0
 
 
-def begun(orders: object) -> VirtualStation:
+def begun(orders: TimedOrders | Lead) -> VirtualStation:
     """A station whose motion has just begun."""
     case = usual_case()
     station = VirtualStation(case).ready()
-    station.loop.start(Task(BEST.controller(case.robot), orders, 60.0))  # type: ignore[arg-type]
+    station.loop.start(Task(BEST.controller(case.robot), orders, 60.0))
     station.until(lambda: station.loop.phase is Phase.MOVING)
     return station
 
