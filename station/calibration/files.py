@@ -69,6 +69,7 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
         f"made = {toml_string(made)}",
         f"gravity = {_row(found.sensors.gravity)}  # plate's frame",
     ]
+    skew = np.zeros((len(robot.tubes), 6, 6)) if found.sensors.skew is None else found.sensors.skew
     for i, tube in enumerate(robot.tubes):
         turn = found.fit.interval(f"{tube.name} mounting z")
         lines += [
@@ -77,6 +78,9 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
             f"mounting = {_row(vector_of(found.sensors.mounting[i]))}  # [rad], about z +-{turn:.2g} (95 %)",
             f"weight = {found.sensors.weight[i]:.6g}  # [N], +-{found.fit.interval(f'{tube.name} weight'):.2g}",
             f"first_moment = {_row(found.sensors.first_moment[i])}  # [N m]",
+            "skew = [  # part of each reading that is gain and cross-talk [N, N m by N, N m]",
+            *(f"    {_row(row, 6)}," for row in skew[i]),
+            "]",
             f"# drift while it was calibrated: {_row(60e3 * found.drift[i, :3], 3)} mN/min",
         ]
     return _write(folder / SENSORS, "\n".join(lines) + "\n")
