@@ -23,7 +23,8 @@ def guarded_scene(most: int) -> Iterator[None]:
     plain, open_ = server.serve, list[_Guarded]()
     changed = cast("Any", server)
     # Browsers say where a page comes from, the proxy does not.
-    changed.serve = partial(plain, origins=[None], create_connection=partial(_Guarded, open_, most))
+    guarded = cast("Any", partial(_Guarded, open_, most))
+    changed.serve = partial(plain, origins=[None], create_connection=guarded)
     try:
         yield
     finally:
