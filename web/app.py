@@ -185,7 +185,20 @@ def _server(app: ASGIApp) -> uvicorn.Server:
     )  # fmt: skip
     settings.load()
     settings.http_protocol_class = cast("Any", connections.admitting(settings.http_protocol_class))
-    return uvicorn.Server(settings)
+    return _Server(settings, connections)
+
+
+class _Server(uvicorn.Server):
+    """A server with bounded connections."""
+
+    def __init__(self, settings: uvicorn.Config, connections: Connections) -> None:
+        super().__init__(settings)
+        self._connections = connections
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End, without the requests that are not whole yet."""
+        self._connections.end()
+        await super().shutdown(sockets)
 
 
 def _listen(host: str, port: int) -> socket.socket:
