@@ -41,6 +41,7 @@ from web.access.audited import Audited
 from web.access.connections import Connections, places
 from web.access.gate import Access, is_loopback
 from web.access.lease import Lease
+from web.access.scene_door import guarded_scene
 from web.access.tokens import Tokens, new_tokens
 from web.api.bench import bench_routes
 from web.api.calibration import calibration_routes
@@ -134,7 +135,7 @@ def _serve_web(
     service = StationService(supervisor)
     calibration = LiveCalibration(supervisor, data / CALIBRATIONS)
     # viser knows no access control: loopback only, the page comes through our own port.
-    with contextlib.redirect_stdout(io.StringIO()):  # it announces its own address
+    with contextlib.redirect_stdout(io.StringIO()), guarded_scene(places()):  # it announces its own address
         scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
     view = View(scene, service)
     try:
@@ -184,7 +185,20 @@ def _server(app: ASGIApp) -> uvicorn.Server:
     )  # fmt: skip
     settings.load()
     settings.http_protocol_class = cast("Any", connections.admitting(settings.http_protocol_class))
-    return uvicorn.Server(settings)
+    return _Server(settings, connections)
+
+
+class _Server(uvicorn.Server):
+    """A server with bounded connections."""
+
+    def __init__(self, settings: uvicorn.Config, connections: Connections) -> None:
+        super().__init__(settings)
+        self._connections = connections
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End, without the requests that are not whole yet."""
+        self._connections.end()
+        await super().shutdown(sockets)
 
 
 def _listen(host: str, port: int) -> socket.socket:
