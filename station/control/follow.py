@@ -46,7 +46,6 @@ class Target:
         self._new = False
         self._following: Following | None = None
         self._setpoint = Place(np.zeros(3), np.zeros(3))
-        _load(self._predictors)
 
     def see(self, now: float, frame: TipReading | None) -> None:
         """What the tracker has told at `now` [s]."""
@@ -114,8 +113,10 @@ class Target:
         """Nothing is followed any more."""
         self._following = None
 
-    def numbers(self, truth: Truth | None) -> Array:
-        """What telemetry has of it, in the order of its channels there: (14,)."""
+    def numbers(self, truth: Truth | None) -> Array | None:
+        """What telemetry has of it, in the order of its channels there: (14,); None: nothing is known of any."""
+        if not self._known and (truth is None or truth.target is None):
+            return None
         row = np.zeros(TARGET)
         if self._known:
             row[0], row[1] = self._new, self._following is not None
@@ -131,8 +132,8 @@ class Target:
         return self._predictors[predicted].at(self._known[predicted], time)
 
 
-def _load(predictors: tuple[Predictor, ...]) -> None:
-    """What is compiled is loaded before it counts: a first frame would otherwise stop the loop for seconds."""
-    for predictor in predictors:
+def load() -> None:
+    """What is compiled is loaded before it counts: a first frame would otherwise stop a live loop for seconds."""
+    for predictor in (NewestFrame(), Waves()):
         known = predictor.update(predictor.start(np.zeros(3), 0.0), np.zeros(3), 0.025)
         Pursuit(1.0, 1.0).step(predictor.at(known, 0.03), predictor.at(known, 0.03), 0.002)

@@ -1,9 +1,10 @@
 """A tip that is led from outside while a run is on: how long one may be silent, and when it ends."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from core.control.leading import Bounds, LedTip, Wish
+from core.control.leading import BOUNDS, LedTip, Wish
+from core.control.pursuit import Pursuit
 from core.control.trajectories import Setpoint
 
 #: A tip that moves slower than this is at rest [m/s].
@@ -21,7 +22,7 @@ class Asked(NamedTuple):
 class Lead:
     """What whoever leads agrees to at the start; takes the place of orders that are known beforehand."""
 
-    bounds: Bounds = field(default_factory=Bounds)
+    bounds: Pursuit = BOUNDS
     silence: float = 0.2  #: without a word for this long the tip comes to rest [s]
     end: float = 2.0  #: and after this long the motion ends [s]
 

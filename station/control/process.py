@@ -15,6 +15,7 @@ from core.control.step import Controller
 from core.errors import CtrError
 from station.config.controllers import PERIOD
 from station.config.robots import RobotFile
+from station.control import follow
 from station.control.clock import REAL_TIME, StationClock
 from station.control.installed import Calls, DriverError, named
 from station.control.led import Asked
@@ -71,6 +72,8 @@ def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: i
         devices = named(open_devices(told, setup.robot), told, calls)
         try:
             loop = ControlLoop(setup.controller, devices, setup.margins)
+            if told.may_tell_target:
+                follow.load()
             granted = be_punctual(fifo=setup.fifo, core=setup.core)
             ring.counters[SCHEDULER] = granted.fifo
             pipe.send(Refused(granted.refused))
@@ -187,10 +190,8 @@ class _LiveLoop:
 
     def _asked(self) -> Asked | None:
         """What was asked of this run's tip last, in the loop's time."""
-        asked = self._ring.asked()
-        if asked is None or asked.run != self._run:
-            return None
-        if asked.wish is None:
+        asked = self._ring.asked(self._run)
+        if asked is None or asked.wish is None:
             return asked
         return Asked(asked.run, asked.wish._replace(asked=asked.wish.asked - self._begun))
 

@@ -108,17 +108,20 @@ class Ring:
             cells[9], cells[10] = wish.asked, wish.goes_on
         cells[0] += 1.0
 
-    def asked(self) -> Asked | None:
-        """What was asked of a led tip last, by the station's clock; None before anything was."""
+    def asked(self, run: int) -> Asked | None:
+        """What was asked of the led tip of that run last, by the station's clock; None before anything was."""
         before = self._wish[0]
+        if not before or self._wish[1] != run:
+            return None
         values = self._wish.copy()
-        if before and not before % 2.0 and values[0] == before and self._wish[0] == before:
+        if not before % 2.0 and values[0] == before and self._wish[0] == before:
             wish = None
             if values[2] >= 0.0:
                 place = values[3:6] if values[2] else None
                 wish = Wish(place, values[6:9], float(values[9]), float(values[10]))
-            self._asked = Asked(int(values[1]), wish)
-        return self._asked  # what was asked before, while something is just being asked
+            self._asked = Asked(run, wish)
+        # What was asked before, while something is just being asked.
+        return self._asked if self._asked is not None and self._asked.run == run else None
 
     def time_late(self, late: float, skipped: int) -> None:
         """Count how late a tick begins [s] and how many whole periods that skips."""

@@ -50,6 +50,11 @@ class BenchFile(Strict):
     tracker: Options
     sensors: Options
 
+    @property
+    def may_tell_target(self) -> bool:
+        """Whether frames may have a target's place: an Aurora's with a second coil, any of a driver of one's own."""
+        return self.tracker["driver"] != "aurora" or bool(self.tracker.get("target"))
+
 
 def _is_either(value: object) -> object:
     if value != "virtual" and not isinstance(value, Mapping | BenchFile):

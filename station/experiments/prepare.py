@@ -13,7 +13,6 @@ from core.control.trajectories import Setpoint
 from core.model.solution import at_rest
 from station.config.controllers import ControllerFile
 from station.config.robots import load_robot
-from station.control.follow import Target
 from station.lab.config import LabConfig
 from station.lab.virtual_bench import virtual_bench
 
@@ -30,6 +29,5 @@ def prepare() -> None:
     bench.devices.sensors.connect(0.0)
     bench.lab.advance(0.01)
     bench.devices.sensors.poll(0.01)
-    Target()
     zero, still = np.zeros(3), Setpoint(np.zeros(3), np.zeros(3))
     command(controller.strategy, controller.looks, controller.limits, joints, estimate, zero, still, zero, zero)

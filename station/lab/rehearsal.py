@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from core.control.leading import BOUNDS, LedTip
 from core.control.step import Controller, Sample, begin, step
 from core.control.trajectories import JointMotion, Setpoint
 from station.config.controllers import PERIOD
@@ -29,6 +30,7 @@ def rehearse(robot: RobotFile, config: LabConfig, seed: int, park: tuple[float, 
     memory = begin(controller, still)
     for order in (Setpoint(np.zeros(3), np.zeros(3)), JointMotion(np.zeros_like(joints)), None):
         memory = step(controller, memory, still, order).memory
+    LedTip(BOUNDS).advance(0.0, None, PERIOD)
     # The drivers, too: what a first frame or record compiled later would look like a dead device.
     lab, devices = virtual_bench(robot, config, seed, joints)
     loop = ControlLoop(controller, devices)

@@ -80,20 +80,16 @@ class Backend:
         if faults and self._bench.devices is not None:
             raise ConfigError("faults can be injected into the virtual lab only; this station has devices of its own")
 
-    def motion(self, start: Start | None, begun: float | None) -> bool:
-        """The motion of a start has begun at `begun` by the station's clock [s], or none is on any more (None).
-
-        Returns:
-            Whether that was news.
-        """
+    def motion(self, start: Start | None, begun: float | None) -> None:
+        """The motion of a start has begun at `begun` by the station's clock [s], or none is on any more (None)."""
         with self._lock:
             if begun == self._motion_start:
-                return False
+                return
             # What a run has brought goes with it: the next one may have been asked for already.
             ended, self._brought = self._brought, None if begun is None else start
             self._motion_start = begun
         if self._host is None:
-            return True
+            return
         if ended is not None and ended.load is not None:
             self._host.apply_load(NoLoad(), 0.0)
         if ended is not None and ended.faults:
@@ -103,7 +99,6 @@ class Backend:
                 self._host.apply_load(start.load, begun)
             if start.faults:
                 self._host.inject(start.faults, begun)
-        return True
 
     def close(self) -> None:
         """End the lab; a bench of one's own stays."""

@@ -2,12 +2,13 @@
 
 import math
 from collections import deque
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from core.control.leading import Bounds, Wish
+from core.control.leading import BOUNDS, Wish
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.controllers import BEST, ControllerFile
@@ -51,7 +52,8 @@ class LeadIn(Strict):
 
     def lead(self) -> Lead:
         """The same for the control loop."""
-        return Lead(Bounds(self.speed, self.acceleration, self.reach), self.silence, self.end)
+        bounds = replace(BOUNDS, max_speed=self.speed, max_acceleration=self.acceleration, reach=self.reach)
+        return Lead(bounds, self.silence, self.end)
 
 
 class Leader:

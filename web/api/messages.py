@@ -52,7 +52,7 @@ def words(status: Status) -> Words:
             "press STOP; restart the station if this stays",
         )
     if state is State.RUNNING:
-        if status.phase is Phase.APPROACHING and status.run is not None and status.run.start.task.duration == 0.0:
+        if status.phase is Phase.APPROACHING and status.run is not None and not status.run.start.task.rests:
             return Words(f"going {status.run.start.title}", "STOP ends it")
         return Words(_PHASES[status.phase], "")
     if state in (State.HOLD, State.STOPPED):

@@ -2,15 +2,10 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
-from station.control.states import State
 from station.devices.interfaces import Severity
 from station.service.status import STALE, Status
 from web.scene.history import History
 
-#: States in which the stages know where they are, so that forces can be told from the sensors.
-KNOWN = (State.READY, State.RUNNING, State.HOLD, State.STOPPED, State.FAULT)
 #: A tip that was measured longer ago is an old one: so long the loop itself waits for the tracker [s].
 TIP_AGE = 0.25
 
@@ -38,15 +33,9 @@ def fresh(status: Status, history: History) -> Fresh:
     """What the newest row tells of now."""
     if not status.values or status.age > STALE or len(history.recent) == 0:
         return NOTHING
-    stages, _, sensors = (severity < Severity.HOLD for severity in status.values["trouble"])
     return Fresh(
         row=True,
-        joints=bool(stages),
-        tip=history.now - history.measured <= TIP_AGE,
-        force=bool(sensors) and status.state in KNOWN and not _stands(history),
+        joints=bool(status.values["trouble"][0] < Severity.HOLD),
+        tip=history.now - history.measured <= TIP_AGE,  # a tracker has a frame for some of the rows only
+        force="force" not in status.standing,
     )
-
-
-def _stands(history: History) -> bool:
-    """Whether the estimate of the force stands still under sensors that go on: nothing carries it on."""
-    return bool(np.ptp(history.group("force"), axis=0).max() == 0.0 < np.ptp(history.group("wrench_raw"), axis=0).max())

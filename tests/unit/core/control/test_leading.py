@@ -5,12 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from core.control.leading import Bounds, LedTip, Wish
-from core.errors import DescriptionError
+from core.control.leading import BOUNDS, LedTip, Wish
 
 PERIOD = 0.002
 STILL = np.zeros(3)
-BOUNDS = Bounds(speed=0.020, acceleration=0.100, reach=0.050)
 
 
 def follow(tip: LedTip, wish, seconds: float) -> tuple[np.ndarray, np.ndarray]:
@@ -97,10 +95,3 @@ def test_a_circle_asked_for_piece_by_piece_with_pieces_missing_is_drawn_without_
     wanted = np.array([circle(PERIOD * (k + 1)) for k in range(len(places))])
     late = norms(places - wanted)[500:]
     assert np.median(late) < 0.1 * 0.010 * turn / rate + 2e-5  # a tenth of the way between two words, or 20 um
-
-
-@pytest.mark.parametrize("name", ["speed", "acceleration", "reach"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_bounds_that_bound_nothing_are_refused(name, value):
-    with pytest.raises(DescriptionError, match=name):
-        Bounds(**{name: value})

@@ -71,7 +71,42 @@ def test_a_goal_that_jumps_a_metre_is_gone_after_at_the_bounds():
     assert velocities[-1, 0] == pytest.approx(0.02)
 
 
-@pytest.mark.parametrize("bad", [{"max_speed": 0.0}, {"max_acceleration": -1.0}, {"rate": float("nan")}])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"max_speed": 0.0},
+        {"max_acceleration": -1.0},
+        {"rate": float("nan")},
+        {"max_speed": float("inf")},
+        {"braking": 1.1},
+        {"reach": 0.0},
+    ],
+)
 def test_bounds_that_are_none_are_refused_by_name(bad):
     with pytest.raises(DescriptionError, match=next(iter(bad))):
         Pursuit(**{"max_speed": 0.02, "max_acceleration": 0.1, **bad})
+
+
+def test_it_stops_before_its_reach_and_slides_along_it():
+    pursuit = Pursuit(0.02, 0.1, reach=0.03)
+    outside = Place(np.array([0.05, 0.0, 0.0]), np.zeros(3))
+
+    positions, velocities = run(pursuit, [outside] * 2500)
+    check_bounds(pursuit, positions, velocities)
+    assert 0.0299 < positions[-1, 0] <= 0.03 + 1e-9
+
+    aside = Place(np.array([0.05, 0.05, 0.0]), np.zeros(3))
+    positions, _ = run(pursuit, [aside] * 5000, Place(positions[-1], velocities[-1]))
+    assert np.linalg.norm(positions, axis=1).max() <= 0.03 + 1e-4  # it turns with a bounded acceleration
+    assert positions[-1] == pytest.approx(np.array([0.5, 0.5, 0.0]) * 0.03 * np.sqrt(2.0), abs=1e-4)
+
+
+def test_going_round_along_its_reach_does_not_carry_it_away():
+    pursuit = Pursuit(0.02, 0.1, reach=0.02)
+    turns = [Place(0.04 * np.array([np.cos(t), np.sin(t), 0.0]), np.zeros(3)) for t in np.arange(0.0, 60.0, 2e-3)]
+
+    positions, _ = run(pursuit, turns)
+
+    away = np.linalg.norm(positions, axis=1)[10_000:]
+    assert away.max() <= 0.02 + 2e-4
+    assert away[-1000:].max() == pytest.approx(away[:5000].max(), abs=2e-5)

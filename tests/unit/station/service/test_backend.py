@@ -39,11 +39,3 @@ def test_faults_are_for_simulated_devices_only(paper, ring):
     for asked in (side.check, side.inject):
         with pytest.raises(ConfigError, match="virtual lab only"):
             asked([MUTE])
-
-
-def test_a_motion_is_begun_and_ended_once(paper, ring):
-    with LabServer(paper, LabConfig(), 0, np.array([0.0, np.pi / 2.0, -0.1])) as lab:
-        told = devices_at(lab.endpoints, LabConfig())
-    side = Backend(replace(load_station(None).bench(), devices=told), ring)
-
-    assert [side.motion(None, begun) for begun in (None, 1.0, 1.0, None, None)] == [False, True, False, True, False]

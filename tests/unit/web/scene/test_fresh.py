@@ -11,6 +11,7 @@ from station.control.states import State
 from station.control.task import Phase
 from station.control.telemetry import Channels
 from station.devices.interfaces import Severity
+from station.service.standing import standing
 from station.service.status import STALE, Status
 from web.scene.fresh import TIP_AGE, Fresh, fresh
 from web.scene.history import History
@@ -28,24 +29,25 @@ class Told(NamedTuple):
     def fresh(self, state: State = State.RUNNING, age: float = 0.0) -> Fresh:
         row = self.rows[-1]
         values = {name: self.channels.of(row, name) for name in self.channels.groups}
-        timing = Timing(0, 0, {}, {}, "")
-        return fresh(Status(state, "", None, False, Phase.NONE, 0.0, age, timing, values, (), (), ""), self.history)
+        timing, old = Timing(0, 0, {}, {}, ""), standing(self.channels, row)
+        status = Status(state, "", None, False, Phase.NONE, 0.0, age, timing, values, (), (), "", old)
+        return fresh(status, self.history)
 
 
-def telemetry(robot: Robot, *, held: float = 0.0, sensors: int = 0, stages: int = 0, noise: float = 1e-3) -> Told:
-    """A second of rows; for the last `held` [s] of it time and raw values go on and the estimates stand."""
+def telemetry(robot: Robot, *, held: float = 0.0, sensors: int = 0, stages: int = 0) -> Told:
+    """A second of rows; for the last `held` [s] of it time and raw values go on and the estimates are held."""
     channels, random = Channels(robot), np.random.default_rng(0)
     rows = np.zeros((500, len(channels)))
     times = 10.0 + 0.002 * np.arange(500)
     channels.of(rows, "time")[:, 0] = times
     channels.of(rows, "tip_new")[::12] = 1.0
     raw = channels.of(rows, "wrench_raw")
-    raw[:] = noise * random.standard_normal(raw.shape)
+    raw[:] = 1e-3 * random.standard_normal(raw.shape)
     channels.of(rows, "force")[:] = (0.2, 0.0, 0.0) + raw[:, :3]
     still = times > times[-1] - held
     if held:
         channels.of(rows, "tip_new")[still] = 0.0
-        channels.of(rows, "force")[still] = channels.of(rows, "force")[~still][-1]
+        channels.of(rows, "held")[still] = 1.0
     channels.of(rows, "trouble")[:] = (stages, 0, sensors)
     history = History(channels)
     history.take(rows)
@@ -72,10 +74,6 @@ def test_a_fault_under_which_everything_is_measured_hides_nothing(paper_robot: R
 
 def test_between_two_frames_of_the_tracker_the_tip_is_not_old(paper_robot: Robot) -> None:
     assert telemetry(paper_robot, held=0.5 * TIP_AGE).fresh().tip
-
-
-def test_a_sensor_without_noise_is_no_old_one(paper_robot: Robot) -> None:
-    assert telemetry(paper_robot, noise=0.0).fresh() == ALL
 
 
 def test_a_device_in_trouble_is_not_drawn_as_measured(paper_robot: Robot) -> None:

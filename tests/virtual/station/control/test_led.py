@@ -6,12 +6,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from core.control.leading import Bounds, Wish
+from core.control.leading import BOUNDS, Wish
 from station.config.controllers import BEST
 from station.config.motions import CircleMotion, Orders
 from station.control.led import Asked, Lead
 from station.control.states import State
-from station.control.task import Phase, Task
+from station.control.task import Phase, Task, TimedOrders
 from station.service.leader import Leader, LeadIn
 from tests.harness.virtual_station import VirtualStation, usual_case
 
@@ -19,11 +19,11 @@ CIRCLE = CircleMotion(radius=0.010, period=20.0)
 SECONDS = 10.0
 
 
-def begun(orders: object) -> VirtualStation:
+def begun(orders: TimedOrders | Lead) -> VirtualStation:
     """A station whose motion has just begun."""
     case = usual_case()
     station = VirtualStation(case).ready()
-    station.loop.start(Task(BEST.controller(case.robot), orders, 60.0))  # type: ignore[arg-type]
+    station.loop.start(Task(BEST.controller(case.robot), orders, 60.0))
     station.until(lambda: station.loop.phase is Phase.MOVING)
     return station
 
@@ -68,16 +68,15 @@ def test_a_streamed_circle_is_as_near_to_it_as_the_same_circle_as_a_trajectory()
 
 def test_a_slow_sender_that_loses_a_tenth_leads_without_jerk_and_without_a_stop():
     rng = np.random.default_rng(3)
-    bounds = Bounds()
-    station = led(10.0, Lead(bounds), lambda time: circle(time) if rng.random() > 0.1 else None)
+    station = led(10.0, Lead(), lambda time: circle(time) if rng.random() > 0.1 else None)
     since = station.now
     station.seconds(SECONDS)
 
     assert station.state is State.RUNNING
     desired = station.of("tip_desired")[[row[0] > since for row in station.rows]]
     velocity = np.diff(desired, axis=0) / 0.002
-    assert np.linalg.norm(velocity, axis=1).max() < bounds.speed + 1e-9
-    assert np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() < bounds.acceleration * 0.002 + 1e-9
+    assert np.linalg.norm(velocity, axis=1).max() < BOUNDS.max_speed + 1e-9
+    assert np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() < BOUNDS.max_acceleration * 0.002 + 1e-9
     assert _largest(station, since) < 1.0
 
 
