@@ -18,12 +18,13 @@ from station.bench.bench import flat, headless, model
 from station.bench.cold import cold
 from station.bench.loop import loop
 from station.bench.recorder import recorder
+from station.bench.setpoints import setpoints
 from station.bench.tick import tick
 from station.bench.wire import wire
 from station.experiments.side_by_side import processors
 
 #: Seconds of the ones that take as long as they are told.
-LOOP, RECORDER = 60.0, 20.0
+LOOP, RECORDER, SETPOINTS = 60.0, 20.0, 60.0
 #: By name: what it is, and how it is measured.
 MEASURES: Mapping[str, tuple[str, Callable[[], dict[str, Any]]]] = {
     "model": ("The loaded model with J and C, warm, two tubes and three joints", model),
@@ -33,6 +34,10 @@ MEASURES: Mapping[str, tuple[str, Callable[[], dict[str, Any]]]] = {
     "headless": ("A case of `fig10` in virtual time, everything on the wire", headless),
     "cold": ("A fresh installation: the first `run fig7`, the next one, and what was compiled", cold),
     "recorder": ("Processor time of a live recording", lambda: recorder(RECORDER)),
+    "setpoints": (
+        "From a script's setpoint to the stages' line, where each axis's turn comes every 25 ms",
+        lambda: setpoints(SETPOINTS, lambda _: None),
+    ),
     "loop": ("The live loop at 500 Hz, and beside it a timer that does nothing", lambda: loop(LOOP, lambda _: None)),
 }
 

@@ -8,7 +8,10 @@ from typing import Any
 
 from station.cli.options import between, progress_bar
 
-WHAT = ("model", "accuracy", "solver", "cost", "tick", "wire", "loop", "headless", "cold", "recorder", "report")
+WHAT = (
+    "model", "accuracy", "solver", "cost", "tick", "wire", "loop", "headless", "cold", "recorder", "setpoints",
+    "report",
+)  # fmt: skip
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
@@ -16,7 +19,11 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     bench = commands.add_parser("bench", help="measure this machine")
     bench.add_argument("what", choices=WHAT, help="'report': all but accuracy and solver, into a file")
     bench.add_argument(
-        "--seconds", type=between(1.0, 86400.0, "a time", "s"), default=60.0, metavar="S", help="of loop, recorder (60)"
+        "--seconds",
+        type=between(1.0, 86400.0, "a time", "s"),
+        default=60.0,
+        metavar="S",
+        help="of loop, recorder, setpoints (60)",
     )
     bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
@@ -42,7 +49,7 @@ def _bench(parsed: argparse.Namespace) -> int:
 
 
 def _measured(parsed: argparse.Namespace) -> dict[str, Any]:
-    from station.bench import accuracy, bench, cold, loop, recorder, solver, tick, wire
+    from station.bench import accuracy, bench, cold, loop, recorder, setpoints, solver, tick, wire
 
     with progress_bar() as bar:
         task = bar.add_task(f"bench {parsed.what}", total=1.0)
@@ -55,6 +62,8 @@ def _measured(parsed: argparse.Namespace) -> dict[str, Any]:
                 return loop.loop(parsed.seconds, progress, fifo=not parsed.no_fifo)
             case "recorder":
                 return recorder.recorder(parsed.seconds)
+            case "setpoints":
+                return setpoints.setpoints(parsed.seconds, progress)
             case "accuracy":
                 return accuracy.accuracy(progress)
             case "solver":
