@@ -31,6 +31,7 @@ from station.control import ring
 from station.control.realtime import leave_a_core
 from station.control.states import RefusedError
 from station.devices.links import port_lock
+from station.experiments.saved import use_saved
 from station.recording.history import History
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
@@ -52,6 +53,7 @@ from web.api.readable import readable, refusal
 from web.api.runs import runs_routes
 from web.api.scene import scene_routes
 from web.api.setpoints import setpoint_routes
+from web.api.taught import taught_routes
 from web.scene.proxy import viser_routes
 from web.scene.view import View
 
@@ -96,6 +98,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
     ring.clear_left_behind()
     port_lock.clear_left_behind()
     station = load_station(config, changes)
+    use_saved(data)
     bench = station.bench()
     with contextlib.closing(_listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
         port = listening.getsockname()[1]
@@ -269,6 +272,7 @@ def build_app(
     routes, app.state.scene = viser_routes(view.scene_server, of.lease, audit)
     app.include_router(control_routes(service, of, stopping, view.side_load))
     app.include_router(operator_routes(of))
+    app.include_router(taught_routes(service, runs, of))
     app.include_router(bench_routes(service, of, audit))
     app.include_router(scene_routes(view, service, of))
     app.include_router(setpoint_routes(service, of.lease, audit))

@@ -3,7 +3,6 @@
 Values are SI; intervals are 95 %. `station.control.known_calibration` reads the files back.
 """
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
+from station.config.toml_text import toml_string
 from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS
 from station.devices.aurora.tracker import Registration
 
@@ -147,11 +147,6 @@ def _write(path: Path, text: str) -> Path:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
     return path
-
-
-def toml_string(value: str) -> str:
-    """A TOML string on one line: escaped as in JSON, and the one control character besides that TOML forbids."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _row(values: Sequence[float] | Array, digits: int = 9) -> str:
