@@ -208,7 +208,7 @@ class _Sum:
 
 
 def _axes() -> Iterator[tuple[str, str, str, float]]:
-    """Of each axis and each it may read in error: their names, the unit of one by the other, and their ranges' ratio."""
+    """Of each axis and each it may read in error: names, unit of one by the other, and the ratio of their ranges."""
     names = [f"{kind}{axis}" for kind in "FM" for axis in "xyz"]
     units = ["N"] * 3 + ["N m"] * 3
     for to, unit, most in zip(names, units, RANGES, strict=True):

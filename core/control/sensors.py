@@ -47,9 +47,7 @@ class Sensors:
 
 
 @compiled
-def exerted(
-    wrenches: Array, alpha: Array, matrix: Array, weight: Array, first_moment: Array, gravity: Array
-) -> Array:
+def exerted(wrenches: Array, alpha: Array, matrix: Array, weight: Array, first_moment: Array, gravity: Array) -> Array:
     """`Sensors.exerted` for compiled code: readings (q, 6), rotations (q,), then the sensors' numbers."""
     result = np.zeros_like(wrenches)
     for i in range(alpha.shape[0]):

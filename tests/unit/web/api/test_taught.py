@@ -88,7 +88,9 @@ def test_nothing_is_written_over_unless_that_is_asked_for(app, own):
     app.delete("/api/operator")
 
 
-@pytest.mark.parametrize("name", ["..", "../up", "..%2Fup", "%2Fetc%2Fx", "a b", "-x", ".hidden", "a.toml", "x" * 61, "a%00b"])
+@pytest.mark.parametrize(
+    "name", ["..", "../up", "..%2Fup", "%2Fetc%2Fx", "a b", "-x", ".hidden", "a.toml", "x" * 61, "a%00b"]
+)
 def test_a_name_is_no_way_to_another_folder(app, own, name):
     assert save(app, name).status_code in (404, 405, 422)
     assert list(own.iterdir()) == []
