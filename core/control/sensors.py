@@ -28,7 +28,10 @@ class Sensors:
         """(q, 6, 6): a reading without offset -> the wrench in the tube's axes, hanging weight included."""
         turn = np.zeros((len(self.weight), 6, 6))
         turn[:, :3, :3] = turn[:, 3:, 3:] = self.mounting
-        return turn if self.skew is None else turn @ (np.eye(6) - self.skew)
+        if self.skew is None:
+            return turn
+        whole: Array = turn @ (np.eye(6) - self.skew)
+        return whole
 
     @classmethod
     def ideal(cls, tubes: int) -> "Sensors":
@@ -43,7 +46,8 @@ class Sensors:
         """What the sensors read (q, 6) of the weight that hangs on them alone, at rotations alpha (q,)."""
         nothing = np.zeros((alpha.size, 6))
         weight = -exerted(nothing, alpha, self.matrix, self.weight, self.first_moment, self.gravity)
-        return np.linalg.solve(self.matrix, weight[:, :, None])[:, :, 0]
+        readings: Array = np.linalg.solve(self.matrix, weight[:, :, None])[:, :, 0]
+        return readings
 
 
 @compiled

@@ -23,7 +23,7 @@ from station.bench.loop import stolen
 from station.bench.noting_lab import Note, NotingLab
 from station.bench.served import Served, browser, page_of, served
 from station.client import Station
-from station.control.ring import MISSED, Ring
+from station.control.ring import MISSED, RUN, Ring
 from station.control.telemetry import Channels
 from station.devices.zaber.protocol import SPEED_UNIT, Command
 from station.devices.zaber.shifts import alias
@@ -112,7 +112,7 @@ def _led(bench: Bench, station: Served, lab: NotingLab, ring: Ring, rate: float,
 
 def _begun(ring: Ring, bench: Bench) -> float:
     """When the loop's time was 0, by the station's clock [s]: the last setpoint's time is known by both."""
-    asked, row = ring.asked(), ring.latest()
+    asked, row = ring.asked(int(ring.counters[RUN])), ring.latest()
     assert asked is not None  # noqa: S101 - somebody has just led the tip
     assert asked.wish is not None  # noqa: S101
     assert row is not None  # noqa: S101

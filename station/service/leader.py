@@ -19,8 +19,13 @@ from station.control.led import Lead
 FASTEST, BURST = 500.0, 100.0
 #: The velocity of places is that of the last so many seconds, and of no fewer than so many of them.
 WINDOW, FEWEST = 0.1, 3
-#: A place is taken to go on by its velocity for no longer than this [s].
-LONGEST = 0.2
+#: A place is taken to go on by its velocity for so many of the sender's periods, one of which may get lost, but for no
+#: shorter and no longer than this: what is late by some milliseconds must not stop a tip [s].
+PERIODS, SHORTEST, LONGEST = 2.5, 0.05, 0.2
+#: By the sender's own time a message may have been held up for so long on its way [s]; beyond that its clock was set.
+HELD_UP = 0.1
+#: That the two clocks may go apart [s/s].
+DRIFT = 1e-3
 
 
 class NotTaken(CtrError):
@@ -66,6 +71,7 @@ class Leader:
         self._said: deque[tuple[float, Array]] = deque()  # times and places
         self._credit, self._counted = BURST, now
         self._gap, self._last = 0.0, now
+        self._behind, self._heard = math.inf, now  # of the sender's clock, with the quickest messages' way [s]
 
     def count(self, now: float) -> None:
         """A message has come.
@@ -78,8 +84,13 @@ class Leader:
         if self._credit < 0.0:
             raise TooFast(f"more than {FASTEST:g} messages a second; send fewer")
 
-    def place(self, told: tuple[float, ...], now: float) -> Wish:
-        """To be at a place, which goes on as the ones before it did for one period of the sender.
+    def place(self, told: tuple[float, ...], now: float, sent: float | None = None) -> Wish:
+        """To be at a place, which goes on as the ones before it did.
+
+        Args:
+            told: where [m].
+            now: when it has come [s].
+            sent: when, by the sender's own clock [s]: what was held up on its way counts as if it had not been.
 
         Raises:
             NotTaken: not three finite numbers, or beyond the reach.
@@ -91,13 +102,14 @@ class Leader:
                 f"tip {[round(x, 6) for x in told]} m is {1e3 * away:.4g} mm from the start, beyond the reach of"
                 f" {1e3 * self._reach:.4g} mm; the place before it stands"
             )
-        said, period = self._said, self._period(now)
-        if said and now - said[-1][0] > LONGEST:
+        when = self._when(now, sent)
+        said, period = self._said, self._period(when)
+        if said and when - said[-1][0] > LONGEST:
             said.clear()  # what came before a pause says nothing of now
-        said.append((now, place))
-        while len(said) > FEWEST and now - said[0][0] > WINDOW:
+        said.append((when, place))
+        while len(said) > FEWEST and when - said[0][0] > WINDOW:
             said.popleft()
-        return Wish(place, _slope(said), now, period)
+        return Wish(place, _slope(said), when, min(max(PERIODS * period, SHORTEST), LONGEST))
 
     def velocity(self, told: tuple[float, ...], now: float) -> Wish:
         """To move at a velocity.
@@ -108,6 +120,17 @@ class Leader:
         self._said.clear()
         self._period(now)
         return Wish(None, _vector("velocity", told, "m/s"), now, math.inf)
+
+    def _when(self, now: float, sent: float | None) -> float:
+        """When a message would have come, had it been as quick as the quickest [s]; never before the one before it."""
+        if sent is None:
+            return now
+        behind = now - sent
+        self._behind = min(self._behind + DRIFT * (now - self._heard), behind)
+        self._heard = now
+        if not behind - self._behind <= HELD_UP:
+            self._behind = behind
+        return max(self._last, now - (behind - self._behind))
 
     def _period(self, now: float) -> float:
         """Of the sender, smoothed; a pause is none [s]."""
@@ -125,7 +148,7 @@ def _vector(name: str, told: tuple[float, ...], unit: str) -> Array:
 
 
 def _slope(said: deque[tuple[float, Array]]) -> Array:
-    """Velocity (3,) [m/s] of the line through what was said, times being those of arrival."""
+    """Velocity (3,) [m/s] of the line through what was said."""
     times = np.array([time for time, _ in said])
     times -= times.mean()
     spread = float(times @ times)

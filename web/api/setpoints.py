@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import math
 from typing import Any
 
 import numpy as np
@@ -140,10 +141,16 @@ def _wish(leader: Leader, message: dict[str, Any], now: float) -> Any:
         match message:
             case {"tip": [*place]} if len(message) == 1 and _numbers(place):
                 return leader.place(tuple(map(float, place)), now)
+            case {"tip": [*place], "time": sent} if len(message) == 2 and _numbers([*place, sent]):
+                if math.isfinite(float(sent)):
+                    return leader.place(tuple(map(float, place)), now, float(sent))
             case {"velocity": [*velocity]} if len(message) == 1 and _numbers(velocity):
                 return leader.velocity(tuple(map(float, velocity)), now)
+            case _:
+                pass
     raise NotTaken(
-        '{"tip": [x, y, z]} [m], {"velocity": [x, y, z]} [m/s] or {"end": true} is what may be said;'
+        '{"tip": [x, y, z]} [m], with "time" [s] by a clock of your own if you like, {"velocity": [x, y, z]} [m/s] or'
+        ' {"end": true} is what may be said;'
         " what was asked before it stands"
     )
 

@@ -50,7 +50,29 @@ def test_places_have_the_velocity_of_their_line_although_they_come_unevenly(rate
         wish = one.place(tuple(speed * k / rate), arrived)
     assert wish is not None
     assert wish.velocity == pytest.approx(speed, rel=0.4)
-    assert wish.goes_on == pytest.approx(1.0 / rate, rel=0.25)
+    assert wish.goes_on == pytest.approx(min(max(2.5 / rate, 0.05), 0.2), rel=0.25)
+
+
+def test_what_is_held_up_on_its_way_counts_by_the_senders_own_time():
+    rng, one, speed = np.random.default_rng(2), leader(), np.array([0.004, -0.003, 0.001])
+    for k in range(90):
+        sent, arrived = 1e6 + 0.02 * k, 0.02 * k + 0.001 + 0.05 * rng.random() * (k % 3 > 0)
+        wish = one.place(tuple(speed * 0.02 * k), arrived, sent)
+        assert wish.asked == pytest.approx(0.02 * k + 0.001, abs=1e-3)
+        assert wish.asked <= arrived
+    assert wish.velocity == pytest.approx(speed, rel=0.02)
+
+
+@pytest.mark.parametrize("sent", [1e300, -1e300, 0.0])
+def test_a_senders_clock_that_was_set_is_believed_from_there_on(sent):
+    one = leader()
+    one.place((0.0, 0.0, 0.0), 1.0, 50.0)
+    for k in range(5):
+        wish = one.place((0.0, 0.0, 0.0), 1.1 + 0.02 * k, sent)
+        assert 1.0 <= wish.asked <= 1.1 + 0.02 * k
+        assert 1.1 + 0.02 * k - wish.asked <= 0.1 + 1e-9
+    for k in range(5):
+        assert one.place((0.0, 0.0, 0.0), 1.3 + 0.02 * k, 70.0 + 0.02 * k).asked == pytest.approx(1.3 + 0.02 * k)
 
 
 def test_the_first_place_and_one_after_a_pause_stand_still():
