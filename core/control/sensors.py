@@ -30,8 +30,7 @@ class Sensors:
         turn[:, :3, :3] = turn[:, 3:, 3:] = self.mounting
         if self.skew is None:
             return turn
-        whole: Array = turn @ (np.eye(6) - self.skew)
-        return whole
+        return np.asarray(turn @ (np.eye(6) - self.skew), dtype=np.float64)
 
     @classmethod
     def ideal(cls, tubes: int) -> "Sensors":
@@ -46,8 +45,7 @@ class Sensors:
         """What the sensors read (q, 6) of the weight that hangs on them alone, at rotations alpha (q,)."""
         nothing = np.zeros((alpha.size, 6))
         weight = -exerted(nothing, alpha, self.matrix, self.weight, self.first_moment, self.gravity)
-        readings: Array = np.linalg.solve(self.matrix, weight[:, :, None])[:, :, 0]
-        return readings
+        return np.asarray(np.linalg.solve(self.matrix, weight[:, :, None])[:, :, 0], dtype=np.float64)
 
 
 @compiled
