@@ -2,13 +2,13 @@
 
 Sensor i, mounted a little askew (R_i), with the weight W_i of what is fixed to it at c_i, reads
 
-    y_i = R_i^T (w_i + g_i) + b_i + d_i (t - t_0),    g_i = (W_i Rz(alpha)^T e, c_i x W_i Rz(alpha)^T e),
+    (1 - S_i) (y_i - b_i - d_i (t - t_0)) = R_i^T (w_i + g_i),    g_i = (W_i Rz(alpha)^T e, c_i x W_i Rz(alpha)^T e),
 
-w_i being what the tube exerts on it and e the direction of gravity. What the tubes do to each other is in every
-w_i and unknown, so one sensor alone cannot be calibrated on a robot; in the sum over the sensors it cancels, and
-the sum must be the load: nothing, or a known weight W e at the tip r with the moment r x W e, or an unknown
-force F of which only the moment equation M = r x F is known. What the sum does not see (how an axial offset is
-shared out between the sensors, say) does not matter to the load, and the account says so.
+w_i being what the tube exerts on it, S_i (6, 6) its errors of gain and cross-talk and e the direction of gravity.
+What the tubes do to each other is in every w_i and unknown, so one sensor alone cannot be calibrated on a robot; in
+the sum over the sensors it cancels, and the sum must be the load: nothing, or a known weight W e at the tip r with
+the moment r x W e, or an unknown force F of which only the moment equation M = r x F is known. What the sum does not
+see (how an axial offset is shared out between the sensors, say) does not matter to the load, and the account says so.
 """
 
 from collections.abc import Iterator, Sequence
