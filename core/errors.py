@@ -1,6 +1,5 @@
 """What can go wrong, as types. Every message names the thing, the value, the bound and the unit."""
 
-
 from typing import Self
 
 

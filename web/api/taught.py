@@ -132,4 +132,5 @@ def _made_for(bench: Bench) -> dict[str, str]:
     """Robot, lab and calibration of this station, as an experiment's file names them."""
     named = {"robot": bench.robot_name, "lab": bench.lab_name}
     found = {key: str(FilePath(to).absolute()) if to.endswith(".toml") else to for key, to in named.items() if to}
-    return found if bench.calibration is None else found | {"calibration": str(bench.calibration.folder.absolute())}
+    folder = None if bench.calibration is None else bench.calibration.folder
+    return found if folder is None else found | {"calibration": str(folder.absolute())}

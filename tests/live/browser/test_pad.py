@@ -13,7 +13,8 @@ from tests.harness.waiting import until
 PAD = """(pad) => { navigator.getGamepads = () => [pad === null ? null : {
   index: 0, id: "Test Pad (STANDARD GAMEPAD Vendor: 0000)", mapping: "standard", connected: true, axes: pad.axes,
   buttons: Array.from({ length: 17 }, (_, number) => ({
-    pressed: number === 4 && pad.held && !(pad.obeys && document.querySelector("#hands").innerText.includes("let go of")),
+    pressed: number === 4 && pad.held
+      && !(pad.obeys && document.querySelector("#hands").innerText.includes("let go of")),
   })),
 }]; }"""
 LEFT = [-1.0, 0.0, 0.0, 0.0]

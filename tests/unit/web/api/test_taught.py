@@ -2,6 +2,7 @@
 
 import pytest
 
+from station.config.motions import WaypointsMotion
 from station.config.strict import OWN_EXPERIMENTS
 from station.experiments.experiment import load_experiment
 
@@ -67,6 +68,7 @@ def test_what_is_saved_is_an_experiment_like_any_other(app, own):
     assert [path.name for path in own.iterdir()] == ["three_places.toml"]
     case = load_experiment("three_places").cases[0]
     assert case.file.title == 'By hand: "three" places'
+    assert isinstance(case.file.trajectory, WaypointsMotion)
     assert case.file.trajectory.points == tuple(tuple(row) for row in PLACES)
     listed = {one["name"]: one for one in app.get("/api/experiments").json()}["three_places"]
     assert listed["error"] == listed["cases"][0]["refused"] == ""
@@ -88,7 +90,9 @@ def test_nothing_is_written_over_unless_that_is_asked_for(app, own):
     app.delete("/api/operator")
 
 
-@pytest.mark.parametrize("name", ["..", "../up", "..%2Fup", "%2Fetc%2Fx", "a b", "-x", ".hidden", "a.toml", "x" * 61, "a%00b"])
+@pytest.mark.parametrize(
+    "name", ["..", "../up", "..%2Fup", "%2Fetc%2Fx", "a b", "-x", ".hidden", "a.toml", "x" * 61, "a%00b"]
+)
 def test_a_name_is_no_way_to_another_folder(app, own, name):
     assert save(app, name).status_code in (404, 405, 422)
     assert list(own.iterdir()) == []
