@@ -1,6 +1,7 @@
 """The command line without a browser: `python -m station`, and `ctr-station` adds `serve`."""
 
 import argparse
+import errno
 import io
 import json
 import os
@@ -17,6 +18,11 @@ from station.cli import bench, calibrate, export, keys, report, run, soak, sweep
 from station.cli.options import between
 from station.cli.placed import command_first
 from station.config.strict import preset_names
+
+#: What the system says of a path that cannot even be looked at, wherever it was given.
+NO_PATH = (errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES)
+#: So much of it is told [characters].
+LONGEST = 200
 
 
 class Parser(argparse.ArgumentParser):
@@ -101,6 +107,11 @@ def execute(top: Parser, commands: Container[str], arguments: Sequence[str] | No
         # Whoever read our output has gone; what is left in the buffer must not fail once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except OSError as error:
+        if error.errno not in NO_PATH:
+            raise
+        sys.stderr.write(f"ctr-station: {' '.join(str(error.filename).split())[:LONGEST]}: {error.strerror}\n")
+        return 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

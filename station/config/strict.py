@@ -142,7 +142,8 @@ def read_text(path: Path, refused: type[CtrError] = ConfigError) -> str:
     except OSError as error:
         raise refused(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise refused(f"{path}: not UTF-8 text: {error}") from None
+        line, wrong = error.object[: error.start].count(b"\n") + 1, error.object[error.start]
+        raise refused(f"{path}: not UTF-8 text: byte {wrong:#04x} (line {line}); save it as UTF-8") from None
 
 
 def parse_toml(text: str, source: str) -> Document:

@@ -65,7 +65,10 @@ class LabBench(NamedTuple):
 
 def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, parent: int) -> None:
     """Main function of the lab's process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the station process decides when it ends
+    # The station process decides when it ends: a terminal's Ctrl-C reaches the whole group, a service manager's SIGTERM
+    # too, and the stages are seen to stop by those who end last.
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, signal.SIG_IGN)
     show_as("ctr-lab")
     ring = Ring(width, ring_name)
     try:

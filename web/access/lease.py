@@ -62,6 +62,15 @@ class Lease:
         self._holder = Holder(client, name, self._clock() + self._length)
         return self._holder
 
+    def keep(self, client: str, name: str) -> Holder:
+        """Keep the lease, under the name that it was taken with, or take it as `name` because nobody has it.
+
+        Raises:
+            HeldError: somebody else holds it.
+        """
+        holder = self.holder()
+        return self.take(client, holder.name if holder is not None and holder.client == client else name)
+
     def renew(self, client: str) -> None:
         """A word from `client`; nothing happens when it does not hold the lease."""
         holder = self.holder()

@@ -49,7 +49,7 @@ def commanding(lease: Lease, who: Who) -> Iterator[None]:
         HeldError: somebody else holds the lease.
     """
     was_free = lease.holder() is None
-    taken = lease.take(who.client, who.name)
+    taken = lease.keep(who.client, who.name)
     try:
         yield
     except RefusedError:

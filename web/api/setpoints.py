@@ -123,7 +123,7 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
                 if len(message) == 1 and message.get("end") is True:
                     service.lead(run, None)
                     continue
-                lease.take(who.client, who.name)
+                lease.keep(who.client, who.name)
                 service.lead(run, _wish(leader, message, now()))
             except TooFast as error:
                 raise _Refused(str(error), TOO_MUCH) from None

@@ -10,6 +10,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import httpx
+import psutil
 import pytest
 from websockets.sync.client import connect
 
@@ -97,6 +98,16 @@ def test_ctrl_c_pressed_again_and_again_cuts_nothing_off() -> None:
             station.process.send_signal(signal.SIGINT)
             time.sleep(0.02)
         assert station.process.returncode == 0
+
+
+def test_a_signal_to_all_of_its_processes_ends_it_in_order() -> None:
+    """As a service manager sends it."""
+    with serving() as station:
+        station.ready()
+        for child in psutil.Process(station.process.pid).children():
+            child.terminate()
+        assert station.end(by=signal.SIGTERM) == 0
+        assert "every axis is stopped" in station.said.read_text()
 
 
 def test_axes_that_nobody_has_seen_stop_are_not_said_to_be_stopped() -> None:

@@ -104,6 +104,13 @@ def test_a_name_is_one_line_and_not_too_long(people) -> None:
     assert anna.post("/api/operator", {"name": "A" * 41}).status_code == 422
 
 
+def test_a_name_that_was_given_stays_whatever_is_commanded_then(people) -> None:
+    anna, _ = people
+    anna.post("/api/operator", {"name": "Anna at the bench"})
+    anna.post("/api/tare")
+    assert anna.get("/api/operator").json()["name"] == "Anna at the bench"
+
+
 def test_commands_and_refusals_are_in_the_log(people) -> None:
     anna, ben = people
     anna.post("/api/operator")

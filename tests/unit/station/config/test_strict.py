@@ -174,9 +174,9 @@ def test_toml_that_overwhelms_the_parser_is_refused_too(write, text):
 
 
 def test_a_file_that_is_not_text_or_not_a_file_is_refused(tmp_path):
-    (tmp_path / "bytes.toml").write_bytes(b"a = '\xff'")
+    (tmp_path / "bytes.toml").write_bytes(b"b = 1\na = '\xff'")
 
-    with pytest.raises(ConfigError, match=r"bytes\.toml: not UTF-8 text"):
+    with pytest.raises(ConfigError, match=r"bytes\.toml: not UTF-8 text: byte 0xff \(line 2\); save it as UTF-8"):
         read_toml(tmp_path / "bytes.toml")
     with pytest.raises(ConfigError, match=r"cannot be read: Is a directory"):
         read_toml(tmp_path)

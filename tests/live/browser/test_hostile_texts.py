@@ -1,0 +1,110 @@
+"""Texts that would like to be scripts, wherever a person can write one: shown as they are, nothing of them runs."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page
+
+from station.cli.main import main
+from tests.harness.chromium import bare_page
+from tests.harness.serving import Served, serving
+
+#: What ends a title, a script, an attribute, a line of a script; and letters that turn a line round or end it.
+HOSTILE = (
+    "</title></script><script>top.ran = 1</script><img src=nowhere class=hostile onerror='top.ran = 2'>"
+    "\"'`${top.ran = 3}\u2028\u202e{{DATA}} <!--"
+)
+RUN = f"""
+title = {json.dumps(HOSTILE)}
+start = {{ outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }}
+duration = 0.5
+settling = 0.0
+[trajectory]
+kind = "circle"
+radius = 0.006
+period = 8.0
+"""
+FOUND = {
+    "procedure": "axes", "made": HOSTILE, "lab": HOSTILE, "simulated": False, "findings": [HOSTILE], "visits": 1,
+    "found": [dict.fromkeys(("name", "before", "found", "interval"), HOSTILE)], "robot_s": 1.0,
+}  # fmt: skip
+#: Of a folder: neither a slash nor longer than the system has it.
+NAME = HOSTILE.replace("/", "")[:80]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run, a calibration and a folder, all of that name."""
+    folder = tmp_path_factory.mktemp("data")
+    (folder / "own.toml").write_text(RUN, encoding="utf-8")
+    assert main(("run", str(folder / "own.toml"), "--jobs", "1", "--data", str(folder), "--json")) == 0
+    (recorded,) = folder.glob("own*/")
+    recorded.rename(folder / NAME)
+    (folder / "calibrations" / NAME).mkdir(parents=True)
+    (folder / "calibrations" / NAME / "report.json").write_text(json.dumps(FOUND), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def hostile(data: Path) -> Iterator[Served]:
+    with serving("--data", str(data)) as served:
+        served.ready()
+        yield served
+
+
+@pytest.fixture
+def page(hostile: Served, browser: Browser) -> Iterator[Page]:
+    """The page; whatever has run or been made of a text in it, or in a page inside it, is noticed at the end."""
+    with bare_page(browser, hostile) as page:
+        complaints: list[str] = []
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("dialog", lambda dialog: complaints.append(dialog.message))
+        yield page
+        assert complaints == []
+
+
+def untouched(page: Page) -> None:
+    assert page.evaluate("window.ran") is None
+    for frame in page.frames:
+        assert frame.locator(".hostile").count() == 0
+
+
+def test_a_run_with_its_notes_its_report_and_its_replay(hostile: Served, page: Page) -> None:
+    (run,) = hostile.rest.get("/api/runs").json()
+    assert run["id"] == NAME
+    page.locator("#tab-runs").click()
+    page.locator(".card.run").click()
+    page.locator("#runs textarea").fill(HOSTILE)
+    page.get_by_role("button", name="Save").click()
+    page.locator("#runs", has_text="All numbers").wait_for()
+    page.locator("#runs summary", has_text="All numbers").click()
+    for what in ("Report", "Replay"):
+        page.get_by_role("button", name=what, exact=True).click()
+        page.locator("#cover", has_text="this is not live").wait_for()
+        inside = page.frame_locator("#cover iframe")
+        assert "top.ran = 1" in inside.locator("h1").inner_text()
+        untouched(page)
+        page.get_by_role("button", name="live scene").click()
+    page.get_by_role("button", name="all runs").click()
+    page.locator(".card.run", has_text="top.ran = 2").wait_for()
+    untouched(page)
+
+
+def test_a_calibration(page: Page) -> None:
+    page.locator("#tab-calibrate").click()
+    page.locator("#calibrate .card", has_text="top.ran = 1").click()
+    page.locator("#found", has_text="top.ran = 1").wait_for()
+    untouched(page)
+
+
+def test_an_operator_and_the_log(hostile: Served, page: Page) -> None:
+    name = "<img src=x class=hostile onerror=top.x()>"[:40]
+    assert hostile.rest.post("/api/operator", json={"name": name, "take_over": True}).json()["name"] == name
+    assert hostile.rest.post("/api/start", json={"experiment": HOSTILE}).status_code == 422
+    page.locator("#operator", has_text=name).wait_for()
+    page.locator("#tab-faults").click()
+    page.locator("#faults", has_text="top.ran = 1").wait_for()
+    untouched(page)
+    hostile.rest.delete("/api/operator")
