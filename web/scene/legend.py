@@ -41,7 +41,7 @@ def signs(*, target: bool) -> tuple[Sign, ...]:
     """Of what is no tube; `target`: there is one that moves."""
     css = palette.css
     moving = (
-        Sign(name="target, as seen by the tracker", colour=css(palette.TARGET), shape="disc"),
+        Sign(name="target that moves", colour=css(palette.TARGET), shape="disc"),
         Sign(name="offset of the tip from the target", colour=css(palette.STEEL), shape="line"),
     )
     return (
