@@ -15,6 +15,7 @@ STEEL: Colour = (118, 133, 150)  # seen on white and on black
 GREY: Colour = (150, 158, 166)
 
 DESIRED, MEASURED, ESTIMATED, FORCE, CONTACT = GREEN, ORANGE, BLUE, PURPLE, VERMILLION
+TARGET = YELLOW  # that moves and is followed
 #: Of the tubes, innermost first; more tubes begin again.
 TUBES: tuple[Colour, ...] = (SKY, STEEL, YELLOW, SLATE)
 #: Of x, y and z in plots.

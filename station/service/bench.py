@@ -72,6 +72,11 @@ class Bench:
         )
 
     @property
+    def target(self) -> bool:
+        """Whether there is a target that moves and that the tracker can see."""
+        return self.lab.target is not None if self.devices is None else bool(self.devices.tracker.get("target"))
+
+    @property
     def title(self) -> str:
         """What this is, for a person."""
         if self.devices is None:

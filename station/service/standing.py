@@ -8,11 +8,11 @@ from core.robot.robot import Array
 from station.control.telemetry import Channels
 from station.devices.interfaces import Severity
 
-TRACKED = frozenset({"tip_measured", "tip_time"})
+TRACKED = frozenset({"tip_measured", "tip_time", "target_measured"})
 FELT = frozenset({"force", "force_filtered", "moment", "deflection", "deflection_filtered", "deflection_rate"})
-TRUE = frozenset({"tip_true", "force_true"})
+TRUE = frozenset({"tip_true", "force_true", "target_true"})
 #: What a tick of the controller renews, and what is written down with it.
-COMPUTED = TRACKED | FELT | TRUE | {"tip_estimated", "tip_desired", "u_int"}
+COMPUTED = TRACKED | FELT | TRUE | {"tip_estimated", "tip_desired", "u_int", "target_offset"}
 
 
 def standing(channels: Channels, row: Array) -> frozenset[str]:

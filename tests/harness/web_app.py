@@ -1,5 +1,6 @@
 """The web application in the test's own process, on a station that was never opened: it is OFF and has no process."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import viser
 from starlette.testclient import TestClient
 
+from station.config.strict import OWN_EXPERIMENTS
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
 from station.service.station_file import load_station
@@ -22,6 +24,7 @@ HOST, PORT = "127.0.0.1", 8000
 def web_app(folder: Path) -> Iterator[TestClient]:
     """Requests go straight into the application; runs, calibrations and the log are in `folder`."""
     supervisor, audit = Supervisor(load_station(None).bench()), Audit(folder)
+    own = os.environ.get(OWN_EXPERIMENTS, "")
     server = viser.ViserServer(host=HOST, port=0, verbose=False)
     try:
         service, calibration = StationService(supervisor), LiveCalibration(supervisor, folder / "calibrations")
@@ -37,3 +40,4 @@ def web_app(folder: Path) -> Iterator[TestClient]:
         server.stop()
         supervisor.close()
         audit.close()
+        os.environ[OWN_EXPERIMENTS] = own  # what was saved has put its folder there

@@ -38,15 +38,16 @@ from web.api.schemas import (
 )
 from web.api.status import status_out
 from web.scene.contact import SideLoad
+from web.scene.target_seen import TargetSeen
 
 #: Groups of telemetry that websocket clients get.
 STREAMED = (
     "time", "state", "phase", "held", "trouble", "truth_known", "joints", "tip_measured", "tip_estimated",
     "tip_desired", "tip_true", "force", "force_filtered", "u_int", "deflection", "deflection_filtered",
-    "deflection_rate",
+    "deflection_rate", "target_followed", "target_measured", "target_offset", "target_true",
 )  # fmt: skip
 #: Those of a single number.
-SCALARS = ("time", "state", "phase", "held", "truth_known")
+SCALARS = ("time", "state", "phase", "held", "truth_known", "target_followed")
 
 
 def control_routes(
@@ -140,7 +141,7 @@ def control_routes(
     async def telemetry(socket: WebSocket, rate: Annotated[float, Query(ge=1.0, le=100.0)] = 30.0) -> None:
         await socket.accept()
         listening = asyncio.create_task(_until_closed(socket))
-        timing = RecentTiming(supervisor.ring)
+        timing, target = RecentTiming(supervisor.ring), TargetSeen(supervisor.channels)
         try:
             since, before = supervisor.ring.written, None
             while not listening.done():
@@ -149,7 +150,7 @@ def control_routes(
                 if len(rows):
                     sample = sample_out(service, rows[-1], len(rows) - 1 + overwritten, before)
                     before = sample["time"]
-                    await socket.send_json(sample | timing.look())
+                    await socket.send_json(sample | timing.look() | {"target_seen": target.look(rows)})
         except (WebSocketDisconnect, RuntimeError):
             return  # the other side has gone
         finally:

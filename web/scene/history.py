@@ -8,6 +8,7 @@ import numpy as np
 from core.robot.robot import Array
 from station.control.ring import Ring
 from station.control.telemetry import Channels
+from web.scene.target_seen import TargetSeen
 
 SPAN = 20.0  #: [s]
 BIN = 0.1  #: [s]
@@ -27,7 +28,9 @@ class History:
         self.points: deque[Point] = deque(maxlen=round(SPAN / BIN))
         self.recent = np.empty((0, len(channels)))  #: rows of the last bin's length, newest last
         self.measured = -np.inf  #: time of the newest row with a measurement of its own of the tip [s]
+        self.target_seen = False  #: there is a target, and the tracker sees it now
         self._channels = channels
+        self._target = TargetSeen(channels)
         self._next = 0
         self._open = self.recent
 
@@ -43,6 +46,7 @@ class History:
     def take(self, rows: Array) -> None:
         """Add telemetry `rows` (n, channels)."""
         of = self._channels.of
+        self.target_seen = self._target.look(rows)
         times = of(rows, "time")[:, 0]
         backward = np.flatnonzero(np.diff(times, prepend=self.now) < 0.0)
         if len(backward):

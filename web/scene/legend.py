@@ -37,9 +37,13 @@ class Legend(Strict):
     """places for the camera"""
 
 
-def signs() -> tuple[Sign, ...]:
-    """Of what is no tube."""
+def signs(*, target: bool) -> tuple[Sign, ...]:
+    """Of what is no tube; `target`: there is one that moves."""
     css = palette.css
+    moving = (
+        Sign(name="target that moves", colour=css(palette.TARGET), shape="disc"),
+        Sign(name="offset of the tip from the target", colour=css(palette.STEEL), shape="line"),
+    )
     return (
         Sign(name="desired tip", colour=css(palette.DESIRED), shape="halo"),
         Sign(name="measured tip, trace of 20 s", colour=css(palette.MEASURED), shape="disc"),
@@ -50,6 +54,7 @@ def signs() -> tuple[Sign, ...]:
         Sign(name="shape without load (on demand)", colour=css(palette.SLATE), shape="line"),
         Sign(name="workspace without load (on demand)", colour=css(palette.SKY), shape="halo"),
         Sign(name=f"uncertainty, {SIGMAS:g} sigma, {LARGER:g} times", colour=css(palette.ESTIMATED), shape="halo"),
+        *(moving if target else ()),
     )
 
 

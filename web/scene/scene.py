@@ -23,6 +23,7 @@ from web.scene.grid import Grid, draw_grid
 from web.scene.history import BIN, SPAN, History
 from web.scene.reference import path
 from web.scene.stage import Stage
+from web.scene.target_mark import TargetMark
 from web.scene.tubes import TubeMesh, centre_line
 from web.scene.views import ASPECT, camera
 
@@ -78,6 +79,7 @@ class Scene:
             shaft_radius=0.0011, head_radius=0.003, head_length=0.008, scale=UNIT, visible=False,
         )  # fmt: skip
         self._contact = ContactMark(scene, UNIT)
+        self._target = TargetMark(scene, UNIT)
         self._trace = scene.add_line_segments(
             "/trace", np.zeros((TRACE_POINTS, 2, 3)), _fade(palette.MEASURED, TRACE_POINTS),
             thickness=3.5, thickness_units="screen", scale=UNIT, visible=False,
@@ -99,6 +101,7 @@ class Scene:
         desired = status.values["tip_desired"] if moving else None
         self._put(self._measured, measured)
         self._put(self._desired, desired)
+        self._draw_target(status, seen=now.row and history.target_seen)
         for mesh in self._meshes:
             mesh.opacity = None if now.joints else FADED
         if not now.row:
@@ -171,6 +174,12 @@ class Scene:
         if self._loaded:
             self._force.points = np.array([[place, place + ARROW * force]], dtype=np.float32)
         return self._loaded
+
+    def _draw_target(self, status: Status, *, seen: bool) -> None:
+        """Where a target is now, as far as its rhythms tell, and the offset from it while a run follows it."""
+        values = status.values
+        followed = seen and status.phase is Phase.MOVING and values["target_followed"][0] > 0.0
+        self._target.draw(values["target_predicted"] if seen else None, values["target_offset"] if followed else None)
 
     def _hide_load(self) -> None:
         self._loaded = self._force.visible = False

@@ -1,6 +1,6 @@
 // Always in sight: error, force, deflection and the time left; and when a run is over, how well it went.
 import { $, ask, make, onStatus, Refused } from "./station.js";
-import { error, known, latestSample } from "./telemetry.js";
+import { error, follows, known, latestSample } from "./telemetry.js";
 import { atOneLook, ended, SHAPES } from "./result.js";
 
 const PERIOD = 200; // ms
@@ -24,7 +24,7 @@ function left() {
 const fixed = (digits) => (value) => value.toFixed(digits);
 /** Name, unit, value of the newest sample (or null), how it is written, what a dash means. */
 const CELLS = [
-  { name: (sample) => `error, ${against(sample) === "true" ? "true" : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${against(s)}`)), text: fixed(2), none: "known while a motion is on and its devices answer" },
+  { name: (sample) => `${follows(sample) ? "off target" : "error"}, ${against(sample) === "true" ? "true" : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${against(s)}`)), text: fixed(2), none: "known while a motion is on and its devices answer" },
   { name: () => "force", unit: "N", value: (s) => s && length(known(s, "force_filtered")), text: fixed(2), none: "no fresh word of the force" },
   { name: () => "deflection", unit: "mm", value: (s) => s && length(known(s, "deflection_filtered"), 1e3), text: fixed(1), none: "no fresh word of the force" },
   { name: () => "time left", unit: "", value: left, text: String, none: "no motion is on" },

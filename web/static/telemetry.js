@@ -13,10 +13,20 @@ export const latestSample = () => (performance.now() - heard < STALE ? newest : 
 /** A vector of a sample; null where it stands from before, or its device is not to be believed: the station knows. */
 export const known = (sample, group) => sample[group] ?? null;
 
-/** Desired minus `tip_true` or `tip_measured` [mm] while a motion is on; else null. */
+/** Whether the run follows a target that moves. */
+export const follows = (sample) => sample !== null && sample.phase === "moving" && sample.target_followed > 0;
+
+/** Where the tip should be: at the setpoint, or at the offset from a target that is followed; null when that is not known. [m] */
+function wanted(sample, group) {
+  if (!follows(sample)) return sample.tip_desired;
+  const target = sample.target_seen ? known(sample, group.replace("tip", "target")) : null, offset = known(sample, "target_offset");
+  return target && offset && target.map((x, i) => x + offset[i]);
+}
+
+/** From `tip_true` or `tip_measured` to where it should be [mm] while a motion is on; else null. */
 export function error(sample, group) {
-  const tip = sample.phase === "moving" ? known(sample, group) : null;
-  return tip && sample.tip_desired.map((x, i) => 1e3 * (x - tip[i]));
+  const tip = sample.phase === "moving" ? known(sample, group) : null, there = tip && wanted(sample, group);
+  return there && there.map((x, i) => 1e3 * (x - tip[i]));
 }
 
 function connect() {

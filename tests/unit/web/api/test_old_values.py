@@ -69,5 +69,5 @@ def test_a_silent_device_s_values_are_not_told(
 
 def test_where_nothing_is_known_to_be_true_nothing_is_told(service: StationService, row: Array) -> None:
     service.supervisor.channels.of(row, "truth_known")[:] = 0.0
-    assert told(service, row) == VECTORS - {"tip_true"}
+    assert told(service, row) == VECTORS - {"tip_true", "target_true"}
     assert sample_out(service, row, 0, None)["phase"] == "moving"

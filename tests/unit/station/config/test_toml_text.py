@@ -1,0 +1,25 @@
+"""What is written as TOML is read back as it was."""
+
+import tomllib
+
+from station.config.toml_text import toml_lines
+
+TABLE = {
+    "text": 'a "quoted" \\ line\nand µ\x7f\x00',
+    "truth": True,
+    "count": 3,
+    "number": 1e-7,
+    "large": 1e300,
+    "list": [1.0, -2.5],
+    "rows": [[0.0, 1.0], [2.0, 3.0]],
+    "empty": [],
+    "table": {"inner_rotation": 1.5, "no": False},
+}
+
+
+def test_every_kind_of_value_is_read_back() -> None:
+    assert tomllib.loads("\n".join(toml_lines(TABLE))) == TABLE
+
+
+def test_what_is_not_there_is_left_out() -> None:
+    assert toml_lines({"stay": None, "offset": 1.0}) == ["offset = 1.0"]
