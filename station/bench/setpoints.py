@@ -23,7 +23,7 @@ from station.bench.loop import stolen
 from station.bench.noting_lab import Note, NotingLab
 from station.bench.served import Served, browser, page_of, served
 from station.client import Station
-from station.control.ring import MISSED, Ring
+from station.control.ring import MISSED, RUN, Ring
 from station.control.telemetry import Channels
 from station.devices.zaber.protocol import SPEED_UNIT, Command
 from station.devices.zaber.shifts import alias
@@ -88,7 +88,8 @@ def _led(bench: Bench, station: Served, lab: NotingLab, ring: Ring, rate: float,
             angle = 2.0 * math.pi * now / TURN
             angles.append(angle)
             said.append(bench.clock.now())
-            tip.go(RADIUS * (math.cos(angle) - 1.0), RADIUS * math.sin(angle), 0.0)
+            # Without the sender's time: the server then notes when it has really come.
+            tip.say({"tip": [RADIUS * (math.cos(angle) - 1.0), RADIUS * math.sin(angle), 0.0]})
             if now - looked > LOOK:
                 looked = now
                 more, since, _ = ring.read(since)
@@ -112,7 +113,7 @@ def _led(bench: Bench, station: Served, lab: NotingLab, ring: Ring, rate: float,
 
 def _begun(ring: Ring, bench: Bench) -> float:
     """When the loop's time was 0, by the station's clock [s]: the last setpoint's time is known by both."""
-    asked, row = ring.asked(), ring.latest()
+    asked, row = ring.asked(int(ring.counters[RUN])), ring.latest()
     assert asked is not None  # noqa: S101 - somebody has just led the tip
     assert asked.wish is not None  # noqa: S101
     assert row is not None  # noqa: S101
