@@ -1,8 +1,17 @@
 """What can go wrong, as types. Every message names the thing, the value, the bound and the unit."""
 
+from typing import Self
+
 
 class CtrError(Exception):
     """Base of every error this project raises on purpose; its text is one line for a person."""
+
+    time: float | None = None  #: of a motion at which it goes wrong, where it is about one [s]
+
+    def at(self, time: float) -> Self:
+        """The same, with the time of the motion that it is about [s]."""
+        self.time = time
+        return self
 
 
 class DescriptionError(CtrError):

@@ -31,6 +31,7 @@ from station.control import ring
 from station.control.realtime import leave_a_core
 from station.control.states import RefusedError
 from station.devices.links import port_lock
+from station.experiments.saved import use_saved
 from station.recording.history import History
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
@@ -41,6 +42,7 @@ from web.access.audited import Audited
 from web.access.connections import Connections, places
 from web.access.gate import Access, is_loopback
 from web.access.lease import Lease
+from web.access.scene_door import guarded_scene
 from web.access.tokens import Tokens, new_tokens
 from web.api.bench import bench_routes
 from web.api.calibration import calibration_routes
@@ -51,6 +53,7 @@ from web.api.readable import readable, refusal
 from web.api.runs import runs_routes
 from web.api.scene import scene_routes
 from web.api.setpoints import setpoint_routes
+from web.api.taught import taught_routes
 from web.scene.proxy import viser_routes
 from web.scene.view import View
 
@@ -95,6 +98,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
     ring.clear_left_behind()
     port_lock.clear_left_behind()
     station = load_station(config, changes)
+    use_saved(data)
     bench = station.bench()
     with contextlib.closing(_listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
         port = listening.getsockname()[1]
@@ -134,7 +138,7 @@ def _serve_web(
     service = StationService(supervisor)
     calibration = LiveCalibration(supervisor, data / CALIBRATIONS)
     # viser knows no access control: loopback only, the page comes through our own port.
-    with contextlib.redirect_stdout(io.StringIO()):  # it announces its own address
+    with contextlib.redirect_stdout(io.StringIO()), guarded_scene(places()):  # it announces its own address
         scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
     view = View(scene, service)
     try:
@@ -184,7 +188,20 @@ def _server(app: ASGIApp) -> uvicorn.Server:
     )  # fmt: skip
     settings.load()
     settings.http_protocol_class = cast("Any", connections.admitting(settings.http_protocol_class))
-    return uvicorn.Server(settings)
+    return _Server(settings, connections)
+
+
+class _Server(uvicorn.Server):
+    """A server with bounded connections."""
+
+    def __init__(self, settings: uvicorn.Config, connections: Connections) -> None:
+        super().__init__(settings)
+        self._connections = connections
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End, without the requests that are not whole yet."""
+        self._connections.end()
+        await super().shutdown(sockets)
 
 
 def _listen(host: str, port: int) -> socket.socket:
@@ -255,6 +272,7 @@ def build_app(
     routes, app.state.scene = viser_routes(view.scene_server, of.lease, audit)
     app.include_router(control_routes(service, of, stopping, view.side_load))
     app.include_router(operator_routes(of))
+    app.include_router(taught_routes(service, runs, of))
     app.include_router(bench_routes(service, of, audit))
     app.include_router(scene_routes(view, service, of))
     app.include_router(setpoint_routes(service, of.lease, audit))

@@ -2,16 +2,16 @@
 
 Sensor i, mounted a little askew (R_i), with the weight W_i of what is fixed to it at c_i, reads
 
-    y_i = R_i^T (w_i + g_i) + b_i + d_i (t - t_0),    g_i = (W_i Rz(alpha)^T e, c_i x W_i Rz(alpha)^T e),
+    (1 - S_i) (y_i - b_i - d_i (t - t_0)) = R_i^T (w_i + g_i),    g_i = (W_i Rz(alpha)^T e, c_i x W_i Rz(alpha)^T e),
 
-w_i being what the tube exerts on it and e the direction of gravity. What the tubes do to each other is in every
-w_i and unknown, so one sensor alone cannot be calibrated on a robot; in the sum over the sensors it cancels, and
-the sum must be the load: nothing, or a known weight W e at the tip r with the moment r x W e, or an unknown
-force F of which only the moment equation M = r x F is known. What the sum does not see (how an axial offset is
-shared out between the sensors, say) does not matter to the load, and the account says so.
+w_i being what the tube exerts on it, S_i (6, 6) its errors of gain and cross-talk and e the direction of gravity.
+What the tubes do to each other is in every w_i and unknown, so one sensor alone cannot be calibrated on a robot; in
+the sum over the sensors it cancels, and the sum must be the load: nothing, or a known weight W e at the tip r with
+the moment r x W e, or an unknown force F of which only the moment equation M = r x F is known. What the sum does not
+see (how an axial offset is shared out between the sensors, say) does not matter to the load, and the account says so.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -32,6 +32,9 @@ DRIFT, DRIFT_SIZE = (10e-3 / 60.0, 1e-3 / 60.0), (5e-3 / 60.0, 0.2e-3 / 60.0)  #
 MOUNTING, MOUNTING_SIZE = 0.05, 0.01  # [rad]
 WEIGHT, WEIGHT_SIZE = 0.5, 5e-3  # [N]
 FIRST_MOMENT, FIRST_MOMENT_SIZE = 20e-3, 0.2e-3  # weight times its distance [N m]
+#: Gain and cross-talk: parts of an axis's range by another's, as a maker's accuracy is told (ATI: 1 %).
+SKEW, SKEW_SIZE = 0.006, 2e-3
+RANGES = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)  # of the axes, a Nano43 SI-18-0.25 [N, N m]
 #: Of a load that nobody has weighed [N].
 TYPICAL_FORCE = 0.5
 #: Fewer cannot tell an offset that turns with its sensor from a weight that does not.
@@ -132,6 +135,10 @@ class _Sum:
             found += [Parameter(f"{tube.name} mounting {a}", "rad", MOUNTING_SIZE, MOUNTING) for a in "xyz"]
             found.append(Parameter(f"{tube.name} weight", "N", WEIGHT_SIZE, WEIGHT))
             found += [Parameter(f"{tube.name} first moment {a}", "N m", FIRST_MOMENT_SIZE, FIRST_MOMENT) for a in "xyz"]
+            found += [
+                Parameter(f"{tube.name} {to} of {by}", per, SKEW_SIZE * scale, SKEW * scale)
+                for to, by, per, scale in _axes()
+            ]
         return tuple(found)
 
     @cached_property
@@ -144,7 +151,9 @@ class _Sum:
         rows = values.reshape(len(self.robot.tubes), -1)
         mounting = np.array([rotation_of(row[12:15]) for row in rows])
         gravity = self.robot.base.rotation.T @ self.down
-        return Sensors(mounting, rows[:, 15].copy(), rows[:, 16:19].copy(), gravity), rows[:, :6], rows[:, 6:12]
+        skew = rows[:, 19:].reshape(-1, 6, 6)
+        sensors = Sensors(mounting, rows[:, 15].copy(), rows[:, 16:19].copy(), gravity, skew)
+        return sensors, rows[:, :6], rows[:, 6:12]
 
     def residuals(self, values: Array) -> Array:
         """(6 m,): force and moment of every measurement; of an unknown force only the moment equation."""
@@ -152,7 +161,7 @@ class _Sum:
         since, joints, readings = self._measured
         left = readings - offset - since[:, None, None] * drift
         loads = _loads(
-            self.robot.layout, joints, left, sensors.mounting, sensors.weight, sensors.first_moment, sensors.gravity
+            self.robot.layout, joints, left, sensors.matrix, sensors.weight, sensors.first_moment, sensors.gravity
         )
         forces, moments = loads[:, :3], loads[:, 3:]
         expected, known, force_noise, moment_noise = self._expected
@@ -198,13 +207,22 @@ class _Sum:
         return weights[:, None] * self.down, known, self.noise.force, noise[:, None]
 
 
+def _axes() -> Iterator[tuple[str, str, str, float]]:
+    """Of each axis and each it may read in error: names, unit of one by the other, and the ratio of their ranges."""
+    names = [f"{kind}{axis}" for kind in "FM" for axis in "xyz"]
+    units = ["N"] * 3 + ["N m"] * 3
+    for to, unit, most in zip(names, units, RANGES, strict=True):
+        for by, per, whole in zip(names, units, RANGES, strict=True):
+            yield to, by, f"{unit}/({per})", most / whole
+
+
 @compiled
 def _loads(
-    layout: Layout, joints: Array, readings: Array, mounting: Array, weight: Array, first_moment: Array, gravity: Array
+    layout: Layout, joints: Array, readings: Array, matrix: Array, weight: Array, first_moment: Array, gravity: Array
 ) -> Array:
     """Force and moment (m, 6) of the whole robot, world frame, of readings (m, q, 6) without offset."""
     result = np.empty((joints.shape[0], 6))
     for k in range(joints.shape[0]):
         alpha, _, _ = tube_poses(layout, joints[k])
-        result[k] = fused_at(layout, joints[k], exerted(readings[k], alpha, mounting, weight, first_moment, gravity))
+        result[k] = fused_at(layout, joints[k], exerted(readings[k], alpha, matrix, weight, first_moment, gravity))
     return result

@@ -28,6 +28,10 @@ class Noise(NamedTuple):
     force: float = 2e-3  #: each component of the fused load [N]
     moment: float = 0.1e-3  #: [N m]
 
+    def scaled(self, factor: float) -> "Noise":
+        """As much more of all of it."""
+        return Noise(*(factor * each for each in self))
+
 
 def stacked(measurements: list[Measurement]) -> tuple[Array, Array]:
     """Joints (m, n) and coil positions (m, 3)."""

@@ -5,6 +5,7 @@ shape depends on stiffness only through ratios: measurements under a known or me
 combinations the data leave to what was known beforehand is part of the answer (`fit.weak`).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -18,6 +19,10 @@ from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
 from core.robot.robot import Array, Robot
 
+#: A frame that is left open by more than this is not calibrated, in the sizes of its parameters: 2 mm, 1 deg.
+LOST = 2.0
+#: Chi square over degrees of freedom from which a model that is not quite right shows.
+ROUGH = 2.0
 #: Fewer loaded measurements than this cannot set the scale of the stiffness.
 LEAST_LOADED = 4
 
@@ -66,8 +71,12 @@ def calibrate_tubes(
         )
     problem = Prediction(robot, what, measurements, forces, noise, closed_form(robot, measurements, forces))
     found = fit(problem, problem.parameters)
-    # Weights follow the frames and tubes that were found: once more from there.
-    open_ = [combination for combination in found.weak if not combination.held]
+    if found.variance_factor > ROUGH:
+        # What no tube of this model can tell (friction, clearance, a bent field) is as good as noise: what is known
+        # beforehand weighs against that.
+        problem = replace(problem, noise=noise.scaled(math.sqrt(found.variance_factor)))
+        found = fit(problem, problem.parameters, found.values)
+    open_ = [combination for combination in found.weak if not combination.held and combination.open > LOST]
     if open_:
         raise Unobservable(f"the visited poses cannot tell {open_[0]}; measurement more of the travel of every joint")
     errors = np.linalg.norm(problem.errors(found.values), axis=1)

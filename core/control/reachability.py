@@ -65,7 +65,7 @@ def check_reach(
             raise Unreachable(
                 f"cannot be followed: at {time:.4g} s the tip would be {1e3 * away:.2g} mm off"
                 f" (more than {1e3 * TOLERANCE:g} mm) because of {walk.reasons}"
-            )
+            ).at(time)
 
 
 class _Walk:
@@ -93,7 +93,7 @@ class _Walk:
         try:
             self.at = self._statics.solve(at.joints + length * found.velocity, wrench, at)
         except CtrError as error:
-            raise Unreachable(f"at {time:.4g} s: {error}") from None
+            raise Unreachable(f"at {time:.4g} s: {error}").at(time) from None
         return float(np.linalg.norm(target - self.at.tip))
 
     @property

@@ -203,21 +203,23 @@ class Waypoints:
             raise DescriptionError(f"waypoints: {len(self.times)} times and {len(self.places)} places; give one each")
         for number, (time, place) in enumerate(zip(self.times, self.places, strict=True), 1):
             if not (math.isfinite(time) and len(place) == 3 and all(math.isfinite(part) for part in place)):
-                raise DescriptionError(f"waypoints: number {number} at {time} s, {place} m: finite numbers are needed")
+                raise DescriptionError(
+                    f"waypoints: number {number} at {time} s, {place} m: finite numbers are needed"
+                ).at(time)
         if self.times[0] < 0.0 or (self.times[0] == 0.0 and any(self.places[0])):
             raise DescriptionError(
                 f"waypoints: the first, {self.places[0]} m from the start tip, at {self.times[0]:g} s;"
                 " give it a time above 0 s for the way there"
-            )
+            ).at(self.times[0])
         for before, after in zip(self.times, self.times[1:], strict=False):
             if not after > before:
-                raise DescriptionError(f"waypoints: time {after:g} s does not come after {before:g} s")
+                raise DescriptionError(f"waypoints: time {after:g} s does not come after {before:g} s").at(after)
         for before, after in zip((0.0, *self.times), self.times, strict=False):
             # Nearer ones overflow the spline's coefficients, and nothing compares with what is no number.
             if 0.0 < after - before < CLOSEST:
                 raise DescriptionError(
                     f"waypoints: {after:g} s is less than {1e3 * CLOSEST:g} ms after {before:g} s; give it more time"
-                )
+                ).at(after)
         self._check_limits()
 
     @property
@@ -240,6 +242,7 @@ class Waypoints:
 
     def _check_limits(self) -> None:
         knots, pieces = self._spline
+        # What is wrong on the way to a place is told of that place.
         for start, end, (c3, c2, c1, _) in zip(knots, knots[1:], pieces, strict=False):
             # Acceleration is largest at an end of a piece; speed is looked at finely.
             for time in (0.0, end - start):
@@ -248,14 +251,14 @@ class Waypoints:
                     raise DescriptionError(
                         f"waypoints: acceleration {acceleration:.3g} m/s^2 at {start + time:.4g} s is above"
                         f" {self.max_acceleration:g} m/s^2; give the points around it more time"
-                    )
+                    ).at(end)
             since = np.linspace(0.0, end - start, 33)[:, None]
             speeds = np.linalg.norm((3.0 * c3 * since + 2.0 * c2) * since + c1, axis=1)
             if speeds.max() > self.max_speed * (1.0 + 1e-9):
                 raise DescriptionError(
                     f"waypoints: speed {speeds.max():.3g} m/s at {start + since[speeds.argmax(), 0]:.4g} s is above"
                     f" {self.max_speed:g} m/s; give the points around it more time"
-                )
+                ).at(end)
 
     def setpoint(self, time: float) -> Setpoint:
         """On the spline; at the last place after the last time."""

@@ -3,7 +3,6 @@
 Values are SI; intervals are 95 %. `station.control.known_calibration` reads the files back.
 """
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
+from station.config.toml_text import toml_string
 from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS
 from station.devices.aurora.tracker import Registration
 
@@ -69,6 +69,7 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
         f"made = {toml_string(made)}",
         f"gravity = {_row(found.sensors.gravity)}  # plate's frame",
     ]
+    skew = np.zeros((len(robot.tubes), 6, 6)) if found.sensors.skew is None else found.sensors.skew
     for i, tube in enumerate(robot.tubes):
         turn = found.fit.interval(f"{tube.name} mounting z")
         lines += [
@@ -77,6 +78,9 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
             f"mounting = {_row(vector_of(found.sensors.mounting[i]))}  # [rad], about z +-{turn:.2g} (95 %)",
             f"weight = {found.sensors.weight[i]:.6g}  # [N], +-{found.fit.interval(f'{tube.name} weight'):.2g}",
             f"first_moment = {_row(found.sensors.first_moment[i])}  # [N m]",
+            "skew = [  # part of each reading that is gain and cross-talk [N, N m by N, N m]",
+            *(f"    {_row(row, 6)}," for row in skew[i]),
+            "]",
             f"# drift while it was calibrated: {_row(60e3 * found.drift[i, :3], 3)} mN/min",
         ]
     return _write(folder / SENSORS, "\n".join(lines) + "\n")
@@ -143,11 +147,6 @@ def _write(path: Path, text: str) -> Path:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
     return path
-
-
-def toml_string(value: str) -> str:
-    """A TOML string on one line: escaped as in JSON, and the one control character besides that TOML forbids."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _row(values: Sequence[float] | Array, digits: int = 9) -> str:

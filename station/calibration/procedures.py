@@ -185,9 +185,9 @@ def _visits(subject: Subject, effort: Effort) -> Procedure[tuple[list[Measuremen
 
 
 def _forces(subject: Subject, sensors: SensorCalibration, measurements: Sequence[Measurement]) -> Array:
-    """Measured tip forces (m, 3) [N]; exactly none where nothing hangs."""
+    """Tip forces (m, 3) [N]: what is known to hang there; as measured where nobody knows."""
     return np.array([
-        np.zeros(3) if measurement.weight == 0.0 else sensors.load(subject.robot, measurement).force
+        sensors.load(subject.robot, measurement).force if measurement.weight is None else measurement.weight * GRAVITY
         for measurement in measurements
     ])  # fmt: skip
 

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import between, new_folder, progress_bar, results_of, seed
+from station.cli.options import between, progress_bar, results_of, seed
 
 PROCEDURES = {
     "axes": "which way each axis runs, and the tubes' zero angles roughly",
@@ -56,6 +56,7 @@ def _calibrate(parsed: argparse.Namespace) -> int:
         return _from_poses(parsed)
     from rich.console import Console
 
+    from station.calibration.folder import new_folder
     from station.calibration.outcome import Provenance, write_all
     from station.calibration.plan import Subject
     from station.calibration.procedure import StoppedByHandError

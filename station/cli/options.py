@@ -71,20 +71,3 @@ def results_of(parsed: argparse.Namespace, name: str) -> Path:
 def from_here(value: Path | str) -> str:
     """A file or folder given on the command line, which an experiment would look for beside itself."""
     return str(Path(value).absolute()) if isinstance(value, Path) or value.endswith(".toml") else value
-
-
-def new_folder(out: Path, name: str) -> Path:
-    """A folder in `out` that was not there before."""
-    from station.config.strict import ConfigError
-
-    number = 1
-    while True:
-        path = out / (name if number == 1 else f"{name}-{number}")
-        try:
-            path.mkdir(parents=True)
-        except FileExistsError:
-            number += 1
-            continue
-        except OSError as error:
-            raise ConfigError(f"{out}: cannot write results there: {error.strerror}") from None
-        return path

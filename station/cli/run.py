@@ -53,9 +53,11 @@ def _carry_out(parsed: argparse.Namespace, started: "Processes | None") -> int:
     from station.experiments.bound import with_bound
     from station.experiments.experiment import load_experiment
     from station.experiments.output import ResultFolder, result_table
+    from station.experiments.saved import use_saved
 
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
+    use_saved(data_of(parsed))
     given = {"lab": parsed.lab, "calibration": parsed.calibration}
     changes = {key: from_here(value) for key, value in given.items() if value is not None}
     experiment = load_experiment(parsed.experiment, changes)

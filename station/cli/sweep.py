@@ -36,6 +36,7 @@ def _sweep(parsed: argparse.Namespace) -> int:
 
     from station.config.strict import use_experiments
     from station.experiments.experiment import load_experiment
+    from station.experiments.saved import use_saved
     from station.experiments.sweep import jobs, sweep, sweep_summary
     from station.experiments.sweep_output import sweep_table, write_sweep
     from station.experiments.sweep_settings import settings
@@ -43,6 +44,7 @@ def _sweep(parsed: argparse.Namespace) -> int:
 
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
+    use_saved(data_of(parsed))
     begin = time.perf_counter()
     lab = [] if parsed.lab is None else [f"lab='{from_here(parsed.lab)}'"]
     chosen = settings([*parsed.settings, *lab])

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import new_folder, results_of
+from station.cli.options import results_of
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
@@ -54,6 +54,7 @@ def held(parsed: argparse.Namespace, fit: Any, robot: str, what: str, write: Any
     """Read, fit, write by `write`, print; `parsed` has poses, test, hysteresis, out and json."""
     from rich.console import Console
 
+    from station.calibration.folder import new_folder
     from station.calibration.poses import read_poses
     from station.calibration.validation import validate
     from station.calibration.validation_output import sentences, tables

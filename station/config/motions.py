@@ -90,10 +90,9 @@ class StepMotion(Strict):
         return Step(self.offset, math.inf if self.stay is None else self.stay)
 
 
-class WaypointsMotion(Strict):
-    """Through places at given times, smoothly, from rest to rest."""
+class Places(Strict):
+    """Places and times as they are written down, whether or not they can be followed."""
 
-    kind: Literal["waypoints"] = "waypoints"
     points: tuple[Annotated[tuple[float, float, float, float], Row], ...] = Field(
         min_length=1, max_length=10_000, strict=False
     )
@@ -103,6 +102,21 @@ class WaypointsMotion(Strict):
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
     """[m/s^2]"""
 
+    def trajectory(self) -> Waypoints:
+        """What the controller follows.
+
+        Raises:
+            DescriptionError: times that do not rise, or a way that is too fast, with the time.
+        """
+        times, places = tuple(row[0] for row in self.points), tuple(row[1:] for row in self.points)
+        return Waypoints(times, places, self.max_speed, self.max_acceleration)
+
+
+class WaypointsMotion(Places):
+    """Through places at given times, smoothly, from rest to rest."""
+
+    kind: Literal["waypoints"] = "waypoints"
+
     @model_validator(mode="after")
     def _possible(self) -> Self:
         try:
@@ -110,11 +124,6 @@ class WaypointsMotion(Strict):
         except DescriptionError as error:
             raise ValueError(str(error)) from None
         return self
-
-    def trajectory(self) -> Trajectory:
-        """What the controller follows."""
-        times, places = tuple(row[0] for row in self.points), tuple(row[1:] for row in self.points)
-        return Waypoints(times, places, self.max_speed, self.max_acceleration)
 
 
 class FollowMotion(Strict):
@@ -266,7 +275,8 @@ class Orders:
             try:
                 check_reach(controller.statics, controller.limits, start, self._trajectory, duration, force)
             except Unreachable as error:
-                raise Unreachable(f"{self._motion.kind} {error}") from None
+                said = Unreachable(f"{self._motion.kind} {error}")
+                raise said if error.time is None else said.at(error.time) from None
 
     def at(self, time: float) -> Setpoint | JointMotion:
         """The order at `time` [s] since the motion's start."""

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from core.control.sensors import Sensors
 from core.control.step import Controller
 from core.robot.robot import Robot
 from station.config.robots import RobotFile, load_robot
-from station.config.strict import ConfigError, NotNegative, Strict, Vector, check, read_toml
+from station.config.strict import ConfigError, NotNegative, Row, Strict, Vector, check, read_toml
 from station.devices.aurora.tracker import Registration
 
 REGISTRATION, SENSORS, ROBOT = "registration.toml", "sensors.toml", "robot.toml"
@@ -39,6 +40,9 @@ class RegistrationFile(Strict):
     """[m]"""
 
 
+Six = Annotated[tuple[float, float, float, float, float, float], Row]
+
+
 class SensorFile(Strict):
     """One base sensor."""
 
@@ -48,6 +52,8 @@ class SensorFile(Strict):
     """of what hangs on it [N]"""
     first_moment: Vector
     """weight times its place in the tube's axes [N m]"""
+    skew: Annotated[tuple[Six, Six, Six, Six, Six, Six], Row] | None = None
+    """what a reading has too much of Fx Fy Fz Tx Ty Tz, a row each, for each of its parts [N, N m by N, N m]"""
 
 
 class SensorsFile(Strict):
@@ -119,6 +125,7 @@ def _sensors(file: SensorsFile, robot: Robot, path: Path) -> Sensors:
         np.array([row.weight for row in rows]),
         np.array([row.first_moment for row in rows]),
         np.array(file.gravity),
+        np.array([np.zeros((6, 6)) if row.skew is None else row.skew for row in rows]),
     )
 
 

@@ -38,6 +38,7 @@ class Bench:
     terminals: Path | None = None  #: folder for the virtual lab's pseudo-terminals; None: TCP
     clock: StationClock = REAL_TIME  #: of every process of this station
     lab_name: str = "gentle"  #: preset or file of the lab; devices of one's own have none
+    robot_name: str = "paper"  #: preset or file of the robot
 
     def controlled(self, file: ControllerFile) -> Controller:
         """A controller that knows what a calibration has found.

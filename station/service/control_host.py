@@ -68,6 +68,7 @@ class ControlHost:
         self._answered = threading.Condition()
         self._waiting: set[int] = set()
         self._replies: dict[int, str] = {}
+        self._deaf = False  # it has ended, and answers nothing more
         self._robot = bench.robot
         self._last_stop: LastStop | None = None  # once the stages may have been opened
         self._stopped = NOTHING
@@ -116,15 +117,19 @@ class ControlHost:
             # A process that stands still takes nothing more from a full pipe.
             if not self._sending.acquire(timeout=self._clock.real(ANSWER_TIME)):
                 raise silent
+            gone = RefusedError("the control process is gone; reset to start it anew")
             try:
                 self._child.pipe.send(command)
             except OSError:
-                raise RefusedError("the control process is gone; reset to start it anew") from None
+                raise gone from None
             finally:
                 self._sending.release()
             with self._answered:
-                if not self._answered.wait_for(lambda: command.number in self._replies, self._clock.real(ANSWER_TIME)):
-                    raise silent
+                self._answered.wait_for(
+                    lambda: self._deaf or command.number in self._replies, self._clock.real(ANSWER_TIME)
+                )
+                if command.number not in self._replies:
+                    raise gone if self._deaf else silent
                 refused = self._replies.pop(command.number)
         finally:
             with self._answered:
@@ -144,7 +149,7 @@ class ControlHost:
         except RefusedError as error:
             if self._last_stop is None:
                 return "there is no control process and nothing that moves"
-            if self.alive:
+            if self.alive and not self._deaf:
                 return self._stop_instead(f"the control process could not stop ({error}) and was ended")
             self._after_it()
             return self._last_stop().text
@@ -205,6 +210,9 @@ class ControlHost:
         except Exception as error:  # nobody else would stop the stages
             traceback.print_exc()
             self.kill(f"the station could not go on with the control process ({type(error).__name__}: {error})")
+        with self._answered:  # nobody waits for the answer of one that has ended
+            self._deaf = True
+            self._answered.notify_all()
         if self._last_stop is not None:
             self._stopped = self._last_stop()
         if not self._closing:

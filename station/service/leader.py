@@ -96,7 +96,7 @@ class Leader:
             NotTaken: not three finite numbers, or beyond the reach.
         """
         place = _vector("tip", told, "m") - self._zero
-        away = float(np.linalg.norm(place))
+        away = math.hypot(*place)
         if away > self._reach:
             raise NotTaken(
                 f"tip {[round(x, 6) for x in told]} m is {1e3 * away:.4g} mm from the start, beyond the reach of"
@@ -142,7 +142,8 @@ class Leader:
 
 def _vector(name: str, told: tuple[float, ...], unit: str) -> Array:
     if len(told) != 3 or not all(math.isfinite(x) for x in told):
-        raise NotTaken(f"{name} {list(told)} {unit}: three finite numbers are needed; what was asked before it stands")
+        said = f"{list(told)} {unit}" if len(told) == 3 else f"of {len(told)} numbers"
+        raise NotTaken(f"{name} {said}: three finite numbers are needed; what was asked before it stands")
     return np.array(told, dtype=np.float64)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from station.calibration.catalogue import WEIGHTS
+from station.calibration.folder import new_folder
 from station.calibration.worker import Job
 from station.config.strict import check
 from station.control.states import RefusedError
@@ -47,14 +48,19 @@ class LiveCalibration:
 
         Raises:
             RefusedError: the station is not READY, or a procedure is on.
-            ConfigError: where the station's file says that its tracker stands makes no sense.
+            ConfigError: where the station's file says that its tracker stands makes no sense, or the folder cannot be
+                written to.
         """
-        job = _job(self.supervisor.bench, self.folder, what, effort, weights)
         with self._lock:
             self.supervisor.reserve(f"'calibrate {what}' has the robot to itself; abort it first")
             if self._thread is not None:
                 self._thread.join()  # it has let go of the station
-            self._course = CalibrationSession(self.supervisor, job)
+            try:
+                job = _job(self.supervisor.bench, self.folder, what, effort, weights)
+                self._course = CalibrationSession(self.supervisor, job)
+            except BaseException:
+                self.supervisor.release()
+                raise
             self._thread = threading.Thread(target=self._run, args=(self._course,), name="calibration")
             self._thread.start()
 
@@ -104,26 +110,17 @@ def believed_mount(bench: Bench) -> Registration:
 
 
 def _job(bench: Bench, folder: Path, what: str, effort: float, weights: tuple[float, ...]) -> Job:
-    known, now = bench.calibration, datetime.now().astimezone()
+    known, now, mount = bench.calibration, datetime.now().astimezone(), believed_mount(bench)
     return Job(
         what,
         effort,
         weights,
         bench.robot if known is None else known.robot,
         np.array(bench.park),
-        believed_mount(bench),
+        mount,
         bench.title,
         bench.seed if bench.devices is None else None,
         now.isoformat(timespec="seconds"),
-        _free(folder, f"{what}-{now:%Y%m%d-%H%M%S}"),
+        new_folder(folder, f"{what}-{now:%Y%m%d-%H%M%S}"),
         None if known is None else known.folder,
     )
-
-
-def _free(folder: Path, name: str) -> Path:
-    """A place in `folder` where nothing is yet."""
-    number, path = 1, folder / name
-    while path.exists():
-        number += 1
-        path = folder / f"{name}-{number}"
-    return path

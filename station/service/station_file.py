@@ -151,6 +151,7 @@ class StationFile(Strict):
             calibration=calibration,
             clock=clock,
             lab_name=self.lab if devices is None else "",
+            robot_name=self.robot,
             warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
         )
 

@@ -16,7 +16,7 @@ from web.access.refusals import Refusals
 REPEATED = "/api/jog"
 QUIET = 1.0
 #: Questions that are sent as a POST.
-QUESTIONS = ("/api/model/solve", "/api/calibration/exchange")
+QUESTIONS = ("/api/model/solve", "/api/try", "/api/calibration/exchange")
 #: So much of a body is kept [bytes].
 KEPT = 400
 #: Questions that nobody lets through are written down as well.

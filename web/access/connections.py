@@ -74,6 +74,12 @@ class Connections:
         else:
             await self._request(connection, scope, receive, send)
 
+    def end(self) -> None:
+        """The server ends: it waits for answers that are under way, and not for what has not been asked yet."""
+        for known in self._open.values():
+            if not known.answering and not known.socket:
+                known.transport.abort()
+
     def admit(self, transport: asyncio.Transport) -> None:
         """A new connection: if it is one too many, an older one goes."""
         peer = transport.get_extra_info("peername")

@@ -1,7 +1,8 @@
 """The way of a command: from an operator, who holds the lease or takes it because nobody does."""
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple, TypeVar
 
 from fastapi import APIRouter, Depends, Request
@@ -34,19 +35,30 @@ def commands(lease: Lease) -> Commands:
 
     async def needed(request: Request) -> AsyncIterator[Who]:
         who = who_of(request)
-        was_free = lease.holder() is None
-        taken = lease.take(who.client, who.name)
-        try:
+        with commanding(lease, who):
             yield who
-        except RefusedError:
-            raise  # the state forbids it: a command all the same
-        except (RequestValidationError, CtrError):
-            # What makes no sense makes nobody operator.
-            if was_free and lease.holder() == taken:
-                lease.release(who.client)
-            raise
 
     return Commands(lease, heard, needed)
+
+
+@contextmanager
+def commanding(lease: Lease, who: Who) -> Iterator[None]:
+    """A command of `who` is carried out within.
+
+    Raises:
+        HeldError: somebody else holds the lease.
+    """
+    was_free = lease.holder() is None
+    taken = lease.take(who.client, who.name)
+    try:
+        yield
+    except RefusedError:
+        raise  # the state forbids it: a command all the same
+    except (RequestValidationError, CtrError):
+        # What makes no sense makes nobody operator.
+        if was_free and lease.holder() == taken:
+            lease.release(who.client)
+        raise
 
 
 def operator_out(lease: Lease, who: Who) -> OperatorOut:

@@ -36,6 +36,11 @@ async def readable(connection: HTTPConnection) -> None:
         raise HTTPException(422, f"the body has {half} in a text: half of a surrogate pair; leave it out") from None
 
 
+def presentable(text: str) -> str:
+    """The same text, halves of surrogate pairs and bytes of a file's name that are none shown as numbers."""
+    return text.encode(errors="backslashreplace").decode()
+
+
 def refusal(reason: str, status: int, headers: Mapping[str, str] | None = None) -> JSONResponse:
-    """The answer to a request that was refused; bytes of a file's name that are no text are shown as numbers."""
-    return JSONResponse({"error": reason.encode(errors="backslashreplace").decode()}, status, headers)
+    """The answer to a request that was refused."""
+    return JSONResponse({"error": presentable(reason)}, status, headers)

@@ -1,6 +1,7 @@
 """`WS /api/setpoints`: somebody outside leads the tip, message by message, as long as they hold the lease."""
 
 import asyncio
+import contextlib
 import json
 import math
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import ValidationError
+from starlette.types import Message
 
 from core.control.inverse import SIGMA_FLOOR
 from core.errors import CtrError
@@ -22,9 +24,15 @@ from station.service.station_service import StationService
 from web.access.identity import Who, who_of
 from web.access.lease import HeldError, Lease
 from web.access.tokens import Role
+from web.api.commands import commanding
+from web.api.readable import presentable
 
 #: Between two looks at whether the run goes on [s].
 LOOK = 0.02
+#: Whoever connects has to begin within this time [s].
+PATIENCE = 20.0
+#: The longest reason that a socket can be closed with [bytes].
+LONGEST = 123
 #: What a socket is closed with: all is said, somebody may not, or more came than may.
 DONE, NOT_ALLOWED, TOO_MUCH = 1000, 1008, 1009
 
@@ -67,9 +75,12 @@ async def _begin(socket: WebSocket, service: StationService, lease: Lease, who: 
     if who.role is not Role.OPERATOR:
         raise _Refused("viewers may look and press STOP; this needs the operators' token")
     try:
-        asked = LeadIn.model_validate(_object(await socket.receive_text()), strict=False)
-        lease.take(who.client, who.name)
-        run = await asyncio.to_thread(service.start_led, asked)
+        first = await asyncio.wait_for(socket.receive(), PATIENCE)
+        asked = LeadIn.model_validate(_object(first), strict=False)
+        with commanding(lease, who):
+            run = await asyncio.to_thread(service.start_led, asked)
+    except TimeoutError:
+        raise _Refused(f"nothing was said for {PATIENCE:g} s; the first message begins the run, {{}} will do") from None
     except ValidationError as error:
         first = error.errors()[0]
         raise _Refused(f"{'.'.join(map(str, first['loc'])) or 'message'}: {first['msg']}") from None
@@ -100,15 +111,15 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
     watch = asyncio.create_task(_until_over(service, run))
     try:
         while True:
-            hearing = asyncio.create_task(socket.receive_text())
+            hearing = asyncio.create_task(socket.receive())
             await asyncio.wait([hearing, watch], return_when=asyncio.FIRST_COMPLETED)
             if not hearing.done():
                 hearing.cancel()
                 break
-            text, refused = hearing.result(), ""
+            refused = ""
             try:
                 leader.count(now())
-                message = _object(text)
+                message = _object(hearing.result())
                 if len(message) == 1 and message.get("end") is True:
                     service.lead(run, None)
                     continue
@@ -126,13 +137,17 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
 
 
 def _wish(leader: Leader, message: dict[str, Any], now: float) -> Any:
-    match message:
-        case {"tip": [*place]} if len(message) == 1 and _numbers(place):
-            return leader.place(tuple(map(float, place)), now)
-        case {"tip": [*place], "time": sent} if len(message) == 2 and _numbers([*place, sent]) and math.isfinite(sent):
-            return leader.place(tuple(map(float, place)), now, float(sent))
-        case {"velocity": [*velocity]} if len(message) == 1 and _numbers(velocity):
-            return leader.velocity(tuple(map(float, velocity)), now)
+    with contextlib.suppress(OverflowError):  # a whole number that is no float any more
+        match message:
+            case {"tip": [*place]} if len(message) == 1 and _numbers(place):
+                return leader.place(tuple(map(float, place)), now)
+            case {"tip": [*place], "time": sent} if len(message) == 2 and _numbers([*place, sent]):
+                if math.isfinite(float(sent)):
+                    return leader.place(tuple(map(float, place)), now, float(sent))
+            case {"velocity": [*velocity]} if len(message) == 1 and _numbers(velocity):
+                return leader.velocity(tuple(map(float, velocity)), now)
+            case _:
+                pass
     raise NotTaken(
         '{"tip": [x, y, z]} [m], with "time" [s] by a clock of your own if you like, {"velocity": [x, y, z]} [m/s] or'
         ' {"end": true} is what may be said;'
@@ -144,10 +159,19 @@ def _numbers(values: list[Any]) -> bool:
     return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
 
 
-def _object(text: str) -> dict[str, Any]:
-    """Raises: NotTaken: not a JSON object."""
+def _object(heard: Message) -> dict[str, Any]:
+    """What a socket has heard.
+
+    Raises:
+        NotTaken: not a JSON object.
+        WebSocketDisconnect: the other side has gone.
+    """
+    if heard["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(heard["code"])
+    if heard.get("text") is None:
+        raise NotTaken("a JSON object is needed, not bytes; what was asked before it stands")
     try:
-        message = json.loads(text)
+        message = json.loads(heard["text"])
     except (ValueError, RecursionError) as error:
         raise NotTaken(f"not JSON: {error}; what was asked before it stands") from None
     if not isinstance(message, dict):
@@ -202,6 +226,7 @@ async def _until_over(service: StationService, run: Run) -> None:
         await asyncio.sleep(LOOK)
 
 
-async def _close(socket: WebSocket, last: dict[str, Any], code: int) -> None:
-    await socket.send_json(last)
-    await socket.close(code, str(last.get("error", ""))[:120])
+async def _close(socket: WebSocket, last: dict[str, str], code: int) -> None:
+    told = {key: presentable(text) for key, text in last.items()}
+    await socket.send_json(told)
+    await socket.close(code, told.get("error", "").encode()[:LONGEST].decode(errors="ignore"))

@@ -2,7 +2,6 @@
 // Metres and radians become millimetres and degrees, where a person reads; what is sent is SI.
 import { ask, make } from "./station.js";
 import { tidy, unit } from "./units.js";
-import { waypoints } from "./waypoints.js";
 
 export { tidy, unit };
 
@@ -75,7 +74,6 @@ function build(key, field, value, required, choices) {
     return { elements: row(make("div", { className: "three" }, ...inputs), shown === "" ? "x y z" : `x y z ${shown}`),
       read: () => inputs.map((input) => Number(input.value) / scale) };
   }
-  if (core.type === "array" && core.items.prefixItems) return waypoints(label, value, text);
   const list = make("input", { type: "text", value: (value ?? []).join(", "), required, "aria-label": label, placeholder: "0, 2, 4" });
   return { elements: row(list, si), read: () => list.value.split(",").map(Number) };
 }

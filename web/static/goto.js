@@ -19,7 +19,8 @@ const read = () => Object.fromEntries(fields.map(({ joint, input, scale }) => [j
 /** All joints at the same time, the longest way at half its joint's top speed [s]. */
 const seconds = (pose, now) => Math.max(...bench.joints.map((joint) => Math.abs(pose[joint.name] - now[joint.name]) / (0.5 * joint.speed)));
 
-async function go(title, pose, wish) {
+/** Go to `pose` [rad, m] once it is confirmed; `wish` is what is asked of the station. */
+export async function go(title, pose, wish) {
   const now = latest().joints;
   if (await confirm(title, "Go",
     make("p", {}, `All joints move at the same time, for about ${Math.ceil(seconds(pose, now))} s, to ${poseText(bench.joints, pose)}.`),

@@ -11,21 +11,28 @@ let held = null;
 export const mayJog = (status, stale) => status !== null && !stale && mayCommand(status)
   && (status.state === "READY" || status.phase === "jogging");
 
+/** Jog from now until `release`, with `shown` marked as held; `velocity()` is SI. Nothing begins while another one is held. */
+export function hold(shown, space, velocity, ended = () => {}) {
+  if (held !== null) return;
+  const mine = held = { shown, space, on: true, still: velocity().map(() => 0), ended };
+  shown.classList.add("held");
+  repeat(mine, velocity);
+}
+export const isHeld = (shown) => held?.shown === shown;
+
 /** Jog while `button` is held; `velocity()` is SI. Used by the axis check, too. */
 export function holdable(button, space, velocity, ended = () => {}) {
   const begin = (event) => {
     if (held !== null || button.disabled) return;
     event.preventDefault();
     if (event.pointerId !== undefined) button.setPointerCapture(event.pointerId);
-    const mine = held = { button, space, on: true, still: velocity().map(() => 0), ended };
-    button.classList.add("held");
-    repeat(mine, velocity);
+    hold(button, space, velocity, ended);
   };
   button.addEventListener("pointerdown", (event) => { if (event.button === 0) begin(event); });
   for (const kind of ["pointerup", "pointercancel", "lostpointercapture", "blur", "contextmenu"]) button.addEventListener(kind, release);
   // Captured pointers do not leave: whether it is still over the button has to be looked at.
   button.addEventListener("pointermove", (event) => {
-    if (held?.button !== button) return;
+    if (!isHeld(button)) return;
     const box = button.getBoundingClientRect();
     if (event.clientX < box.left || event.clientX > box.right || event.clientY < box.top || event.clientY > box.bottom) release();
   });
@@ -54,7 +61,7 @@ async function repeat(mine, velocity) {
 export function release() {
   if (held === null) return;
   held.on = false;
-  held.button.classList.remove("held");
+  held.shown.classList.remove("held");
   held = null;
 }
 window.addEventListener("blur", release);
@@ -62,7 +69,8 @@ window.addEventListener("pagehide", release);
 document.addEventListener("visibilitychange", () => { if (document.hidden) release(); });
 document.addEventListener("keydown", (event) => { if (event.key === "Escape") release(); });
 
-function speed(label, si, most, first) {
+/** A slider up to `most` [si]: {elements, value() in SI}. */
+export function speed(label, si, most, first) {
   const [shown, scale] = unit(si), said = make("output");
   const slider = make("input", { type: "range", min: 0.02, max: 1, step: 0.02, value: first, "aria-label": label });
   const value = () => Number(slider.value) * most;
@@ -109,6 +117,7 @@ $("jog").append(
     make("div", { className: "rows" }, ...tip.elements),
     make("div", { className: "jog", style: "margin-top:10px" }, ...["x", "y", "z"].flatMap((name, i) =>
       axis(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "not measured now" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`))))),
+  make("div", { id: "hands" }),
 );
 onStatus((status, stale) => {
   const ready = mayJog(status, stale);

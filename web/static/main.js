@@ -8,6 +8,6 @@ import { last, open } from "./tabs.js";
 
 open(last());
 start();
-for (const part of ["strip", "run", "jog", "goto", "devices", "plots", "runs", "calibrate", "faults"]) {
+for (const part of ["strip", "run", "jog", "pad", "keys", "goto", "devices", "plots", "runs", "calibrate", "faults"]) {
   import(`./${part}.js`).catch((error) => note(`'${part}' did not come up (${error.message}); reload the page`));
 }

@@ -3,15 +3,21 @@ import { $, ask, confirm, fresh, latest, make, mayCommand, note, onStatus, press
 import { tellWhy } from "./acts.js";
 import { inPageUnits } from "./units.js";
 import { form, poseText, schemas, sentence, variants } from "./form.js";
+import { go } from "./goto.js";
+import { change, origin, rows } from "./places.js";
+import { saved } from "./saved.js";
+import { waypoints } from "./waypoints.js";
 
 /** Where a form begins for what has no default. SI. */
 const FIRST = {
   circle: { radius: 0.01, period: 20 }, sinusoid: { amplitude: 0.01, frequency: 0.05 }, step: { offset: [0.001, 0, 0] },
-  helix: { radius: 0.008, pitch: 0.003, turn: 20, turns: 3 }, waypoints: { points: [[5, 0, 0.01, 0], [10, 0, 0, 0]] },
+  helix: { radius: 0.008, pitch: 0.003, turn: 20, turns: 3 },
   constant: { magnitude: 0.2 }, sine: { amplitude: 0.2, frequency: 0.05 }, raised_cosine: { peak: 0.3, period: 20 },
   trapezoid: { magnitude: 0.3, rise: 1, fall: 1, stay: 10, start: 2 }, tap: { peak: 0.5, start: 2 }, hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
 };
 const MORE = ["deflection_rate", "filter_bandwidth", "observer_bandwidth", "hold", "transport", "sublink", "direction", "max_speed", "max_acceleration"];
+/** After the last place [s]. */
+const STAY = 3;
 /** A start pose nearer than this needs no confirmation [rad, m]. */
 const NEAR = { rad: 0.02, m: 0.001 };
 
@@ -120,12 +126,12 @@ async function experiment(one) {
   refresh();
 }
 
-function union(all, field, kind, title) {
+function union(all, field, kind, title, values = FIRST[kind]) {
   const kinds = variants(all, field), select = make("select", { "aria-label": title }, ...Object.keys(kinds).map((one) => make("option", { value: one }, one.replaceAll("_", " "))));
   const place = make("div"), said = make("p", { className: "small dim" });
   let chosen = null;
   const show = () => {
-    chosen = form(kinds[select.value], { values: FIRST[select.value], more: MORE });
+    chosen = form(kinds[select.value], { values: select.value === kind ? values : FIRST[select.value], more: MORE });
     said.textContent = sentence(kinds[select.value]);
     place.replaceChildren(chosen.element);
   };
@@ -135,21 +141,40 @@ function union(all, field, kind, title) {
   return { element: make("fieldset", {}, make("legend", {}, title), select, said, place), read: () => chosen.read() };
 }
 
-async function motion(kind, schema, all) {
-  const path = form(schema, { values: FIRST[kind], more: MORE });
-  const load = union(all, all.StartIn.properties.load, "none", "Load on the simulated tip");
-  const control = form(all.ControllerFile, { values: bench.controller, more: MORE, choices: { strategy: bench.strategies, inner: bench.inner } });
-  const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: 60 } });
-  const { frame, on } = starter("Start motion", () => begin({
-    trajectory: path.read(), load: load.read(), controller: control.read(), ...time.read(),
-  }));
+async function motion(kind, schema, all, values = {}) {
+  const path = form(schema, { values: { ...FIRST[kind], ...values.trajectory }, more: MORE, skip: ["points"] });
+  const load = union(all, all.StartIn.properties.load, values.load?.kind ?? "none", "Load on the simulated tip", values.load);
+  const control = form(all.ControllerFile, { values: values.controller ?? bench.controller, more: MORE, choices: { strategy: bench.strategies, inner: bench.inner } });
+  const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: values.duration ?? 60 } });
+  const read = () => ({ trajectory: { ...path.read(), ...(table && { points: table.read() }) }, load: load.read(), controller: control.read(), ...time.read() });
+  const { frame, on } = starter("Start motion", () => begin(read()));
+  const table = kind === "waypoints" ? taught(path, control, time) : null;
   const whole = make("form", {}, back(kind.replaceAll("_", " ")), make("p", {}, sentence(schema)),
-    make("fieldset", {}, make("legend", {}, "Motion"), path.element, time.element), load.element,
-    make("fieldset", {}, make("legend", {}, "Control"), control.element), frame);
+    make("fieldset", {}, make("legend", {}, "Motion"), table?.element, path.element, time.element,
+      table && saved(kind, () => ({ ...read(), ...(origin() && { start: origin().joints }) }), (kept) => takeUp(kept, schema, all))),
+    load.element, make("fieldset", {}, make("legend", {}, "Control"), control.element), frame);
   on(whole);
   $("start").replaceChildren(whole);
   $("start").scrollTop = 0;
   refresh();
+}
+
+/** The table of places in the form of a motion: tried with what else the form says, as long as the places last. */
+function taught(path, control, time) {
+  const table = waypoints(() => ({ ...limits(path.read()), controller: control.read() }), go);
+  const duration = time.element.querySelector("input");
+  const last = () => { if (rows().length > 0) duration.value = Math.ceil(rows().at(-1)[0] + STAY); };
+  table.element.addEventListener("places", last);
+  last();
+  for (const one of [path.element, control.element]) one.addEventListener("change", table.again);
+  return table;
+}
+const limits = ({ max_speed, max_acceleration }) => ({ max_speed, max_acceleration });
+
+/** A motion that was kept, in its form: it begins where it began then. */
+function takeUp(kept, schema, all) {
+  change({ rows: kept.trajectory.points, origin: { tip: null, joints: kept.start } });
+  motion("waypoints", schema, all, kept);
 }
 
 function refresh() {

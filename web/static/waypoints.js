@@ -1,59 +1,150 @@
-// Waypoints typed or from a CSV file: the same text and the same unit in both, relative to the start tip.
-import { make } from "./station.js";
-import { tidy } from "./units.js";
+// Waypoints: places taught where the tip is, typed or from a file, in a table; drawn, and tried on the model before they start.
+import { $, ask, latest, make, mayCommand, onStatus, Refused } from "./station.js";
+import { inPageUnits, tidy } from "./units.js";
+import { add, addRow, canUndo, change, edit, located, move, onPlaces, origin, remove, rows, spread, undo, wrong } from "./places.js";
+import { parsed, UNITS, written } from "./places_csv.js";
+import { drawing } from "./places_drawing.js";
 
-/** Millimetres in one of each. */
-const UNITS = { mm: 1e-3, m: 1 };
-const NAMES = ["time", "x", "y", "z"];
+const AGAIN = 300; // ms without a change, before it is tried
+const MM = 1e-3;
+/** Joints nearer than this are those of the start [rad, m]. */
+const NEAR = { rad: 0.01, m: 5e-4 };
+const HEADS = ["time s", "x mm", "y mm", "z mm"];
 
-/** Rows of numbers, or what is wrong with the first line that is not four of them. */
-function parsed(text) {
-  const rows = [];
-  for (const [number, line] of text.split("\n").map((one) => one.trim()).entries()) {
-    if (line === "" || line.startsWith("#") || (rows.length === 0 && /^\W*(time|t)\b/i.test(line))) continue;
-    const cells = line.split(/\s*[,;\t]\s*|\s+/).filter((cell) => cell !== ""), values = cells.map(Number);
-    const bad = values.findIndex((value) => !Number.isFinite(value));
-    if (bad >= 0) return { wrong: `line ${number + 1}: '${cells[bad].slice(0, 20)}' is no number; a line is time, x, y, z` };
-    if (values.length !== NAMES.length) return { wrong: `line ${number + 1}: ${values.length} numbers; a line is time [s], x, y, z` };
-    const before = rows.at(-1)?.[0] ?? 0;
-    if (rows.length ? values[0] <= before : values[0] <= 0 && values.slice(1).some((value) => value !== 0))
-      return { wrong: `line ${number + 1}: time ${values[0]} s does not come after ${before} s` };
-    rows.push(values);
-  }
-  return rows.length ? { rows } : { wrong: "no waypoint yet: a line is time [s], x, y, z" };
-}
+const button = (text, label, act) => {
+  const one = make("button", { type: "button", "aria-label": label, title: label }, text);
+  one.addEventListener("click", act);
+  return one;
+};
 
-/** The unit that a file's first line names ("time [s], x [mm], ..." or "x_mm"), or null. */
-const named = (text) => /^\W*(?:time|t)\b.*?[\s,[(_]x[\s,[(_]*(mm|m)\b/i.exec(text.split("\n").find((line) => line.trim() !== "" && !line.startsWith("#")) ?? "")?.[1].toLowerCase() ?? null;
+const bench = await ask("GET", "/api/bench");
+let shown = null; // the table that is on the page
 
-/** A field for the grid: elements, and how to read it in SI. */
-export function waypoints(label, value, text) {
-  const area = make("textarea", { rows: 5, required: true, spellcheck: false, "aria-label": `${label}: time, x, y, z` });
-  const chosen = make("select", { "aria-label": "unit of x, y, z" }, ...Object.keys(UNITS).map((one) => make("option", { value: one }, one)));
+/** A field of the form: {element, read() in SI, lasts() [s]}; `rest()` are the other fields of the motion and its controller. */
+export function waypoints(rest, goThere) {
+  const body = make("tbody"), says = make("p", { className: "small", role: "status" }), picture = make("div");
+  const speed = make("input", { type: "number", min: 0.1, max: 20, step: "any", value: 5, required: true, "aria-label": "speed from place to place" });
+  const here = make("button", { type: "button", className: "main" }, "Add this place"), back = make("button", { type: "button" }, "Undo");
+  const away = make("span", { className: "small mind" }), go = make("button", { type: "button" }, "Go to the start…");
+  const there = make("p", { className: "acts", style: "margin:8px 0 0" }, away, go);
+  const unit = make("select", { "aria-label": "unit of a file that names none" }, ...Object.keys(UNITS).map((one) => make("option", { value: one }, one)));
   const file = make("input", { type: "file", accept: ".csv,text/csv,text/plain", "aria-label": "CSV file of waypoints" });
-  const says = make("div", { className: "small dim", role: "status" });
-  area.value = (value ?? []).map((row) => row.map((x, i) => tidy(i ? x / UNITS.mm : x)).join(", ")).join("\n");
-  area.style.width = "100%";
-  const look = () => {
-    const { rows, wrong } = parsed(area.value);
-    area.setCustomValidity(wrong ?? "");
-    const far = rows && Math.max(...rows.map(([, ...place]) => Math.hypot(...place))) * UNITS[chosen.value];
-    says.textContent = wrong ?? `${rows.length} point${rows.length === 1 ? "" : "s"} in ${tidy(rows.at(-1)[0])} s, up to ${tidy(Number((1e3 * far).toPrecision(4)))} mm from the start tip`;
-    says.classList.toggle("mind", wrong !== undefined);
-  };
-  area.addEventListener("input", look);
-  chosen.addEventListener("change", look);
+  let tried = null, number = 0, timer = null;
+
+  const metresPerSecond = () => Number(speed.value) * MM;
+  const element = make("div", { className: "teach" },
+    make("div", { className: "acts", style: "margin:0 0 8px" }, here, button("Add a row", "add a row, to be filled in", () => { addRow(metresPerSecond()); focus(rows().length - 1, 0); }), back),
+    make("table", { className: "places", "aria-label": "waypoints, relative to the tip at the start" },
+      make("thead", {}, make("tr", {}, make("th", {}, "#"), ...HEADS.map((head) => make("th", {}, head)), make("th"))), body),
+    says, there, picture,
+    make("div", { className: "acts" }, make("label", {}, "speed ", speed, " mm/s"), button("Times from speed", "times from the speed, for all places", () => { if (speed.reportValidity()) spread(metresPerSecond()); })),
+    make("div", { className: "acts small" }, make("label", {}, "CSV ", file), make("label", {}, "in ", unit), button("Save as CSV", "save the table as a CSV file", download)));
+
+  here.addEventListener("click", () => add(latest().tip_measured, latest().joints, metresPerSecond()));
+  back.addEventListener("click", undo);
+  go.addEventListener("click", () => goThere("Go to the start?", origin().joints, { joints: origin().joints }));
   file.addEventListener("change", async () => {
     if (file.files.length === 0) return;
-    area.value = (await file.files[0].text()).trim();
-    const unit = named(area.value);
-    if (unit !== null) chosen.value = unit;
-    look();
+    const found = parsed(await file.files[0].text(), unit.value);
+    file.value = ""; // the same file may be taken again
+    if (found.wrong) say(found.wrong, true); else change({ rows: found.rows, origin: null });
   });
-  look();
-  const read = () => parsed(area.value).rows.map(([time, ...place]) => [time, ...place.map((x) => x * UNITS[chosen.value])]);
-  const all = make("div", { className: "all" },
-    make("label", { title: text }, `${label}: a line each, time [s], x, y, z in `, chosen, " relative to the tip at the start"), area, says,
-    make("label", { className: "small dim" }, "or a CSV file, the same lines in the same unit: ", file));
-  return { elements: [all], read };
+
+  function say(text, mind) {
+    says.textContent = text;
+    says.classList.toggle("mind", mind);
+  }
+
+  function focus(row, column) { body.querySelectorAll("tr.place")[row]?.querySelectorAll("input, button")[column]?.focus(); }
+
+  function line(values, i) {
+    const cells = values.map((value, k) => {
+      const input = make("input", { type: "number", step: "any", required: true, "aria-label": `place ${i + 1} ${HEADS[k]}` });
+      input.value = Number.isFinite(value) ? tidy(Number((k ? value / MM : value).toFixed(3))) : "";
+      input.addEventListener("change", () => edit(i, k, input.value === "" ? NaN : Number(input.value) * (k ? MM : 1)));
+      return make("td", {}, input);
+    });
+    const shift = (by) => { move(i, by); focus(i + by, 4 + (by > 0 ? 1 : 0)); };
+    const up = button("↑", `place ${i + 1} up`, () => shift(-1)), down = button("↓", `place ${i + 1} down`, () => shift(1));
+    up.disabled = i === 0;
+    down.disabled = i === rows().length - 1;
+    const drop = button("×", `delete place ${i + 1}`, () => { remove(i); focus(Math.min(i, rows().length - 1), 6); });
+    return make("tr", { className: "place" }, make("td", { className: "dim" }, String(i + 1)), ...cells, make("td", { className: "order" }, up, down, drop));
+  }
+
+  /** The table anew; what has the focus keeps it. */
+  function fill() {
+    const old = document.activeElement, inside = body.contains(old), at = inside ? [...body.querySelectorAll("input, button")].indexOf(old) : -1;
+    body.replaceChildren(...rows().map(line));
+    if (inside) body.querySelectorAll("input, button")[at]?.focus();
+    back.disabled = !canUndo();
+    tried = null;
+    mark();
+    clearTimeout(timer);
+    timer = setTimeout(tryIt, AGAIN);
+    element.dispatchEvent(new Event("places"));
+  }
+
+  /** What is wrong with a row stands below it; the way is drawn. */
+  function mark() {
+    const fault = wrong(), bad = fault?.row ?? (tried?.possible === false ? tried.place : null), text = fault?.text ?? tried?.reason ?? "";
+    for (const old of body.querySelectorAll(".why")) old.remove();
+    body.querySelectorAll("tr.place").forEach((row, i) => {
+      row.classList.toggle("bad", i === bad);
+      row.setAttribute("aria-invalid", String(i === bad));
+      if (i === bad) row.after(make("tr", { className: "why" }, make("td"), make("td", { colSpan: 5 }, `✗ ${inPageUnits(text)}${tried?.instead ? `; ${tried.instead}` : ""}`)));
+    });
+    speed.setCustomValidity(rows().length === 0 ? "add a place first" : fault ? `place ${fault.row + 1}: ${fault.text}` : "");
+    if (rows().length === 0) say("No place yet: move the tip (tab Jog) and add it, add a row, or load a file. The first place is the start; all others count from it.", false);
+    else if (fault !== null) say(`place ${fault.row + 1} is not complete`, true);
+    else if (tried === null) say("being tried on the model …", false);
+    else if (tried.possible) say(`✓ on the model the tip gets to ${rows().length === 1 ? "it" : `all ${rows().length}`} in ${tidy(rows().at(-1)[0])} s`, false);
+    else say(bad === null ? inPageUnits(text) : `✗ the tip does not get to place ${bad + 1}`, true);
+    const usable = rows().filter((row) => row.every(Number.isFinite)).map(([, ...place]) => place);
+    picture.replaceChildren(...(usable.length === 0 ? [] : [drawing(usable, tried?.path ?? [], bad)]));
+  }
+
+  async function tryIt() {
+    if (rows().length === 0 || wrong() !== null || !element.isConnected) return;
+    const mine = ++number;
+    let found = null;
+    try {
+      found = await ask("POST", "/api/try", { points: rows(), ...rest(), ...(origin() === null ? {} : { start: origin().joints }) });
+    } catch (error) {
+      found = { possible: false, place: null, reason: error instanceof Refused ? error.message : `it could not be tried: ${error.message}`, instead: "", path: [] };
+    }
+    if (mine !== number) return;
+    tried = found;
+    mark();
+  }
+
+  function download() {
+    const link = make("a", { href: URL.createObjectURL(new Blob([written(rows())], { type: "text/csv" })), download: "waypoints.csv" });
+    link.click();
+    URL.revokeObjectURL(link.href);
+  }
+
+  /** Whether the robot stands where the first place was added: that is where the motion would begin. */
+  function compare(status) {
+    const start = origin(), tip = status?.tip_measured ?? null, rests = status?.state === "READY";
+    const near = start === null || status === null || bench.joints.every(({ name, unit: si }) => Math.abs(status.joints[name] - start.joints[name]) < NEAR[si]);
+    if (start !== null && start.tip === null && near && rests && tip !== null) located(tip);
+    const lost = origin() !== null && origin().tip === null;
+    here.disabled = tip === null || lost || !rests;
+    here.title = tip === null ? "the tip is not measured now" : lost ? "go to the start first: what is added counts from there" : rests ? "where the tip is measured now" : "while READY";
+    there.hidden = near;
+    go.disabled = !rests || !mayCommand(status);
+    if (near) return;
+    const off = lost || tip === null ? "The robot is" : `The tip is ${(Math.hypot(...tip.map((part, i) => part - origin().tip[i])) / MM).toFixed(1)} mm`;
+    const text = `▲ ${off} away from the start; a motion that begins here has all its places shifted.`;
+    if (away.textContent !== text) away.textContent = text;
+  }
+
+  shown = { fill, compare };
+  fill();
+  compare(latest());
+  return { element, read: () => rows(), again: tryIt };
 }
+
+onPlaces(() => shown?.fill());
+onStatus((status, stale) => { if (!$("start").hidden) shown?.compare(stale ? null : status); });

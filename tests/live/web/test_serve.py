@@ -6,9 +6,11 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
+import httpx
+import pytest
 from websockets.sync.client import connect
 
 from tests.harness.root import ROOT
@@ -51,11 +53,42 @@ def test_ctrl_c_stops_the_axes_before_anything_else_and_leaves_nothing_behind(tm
         assert station.end() == 0
         assert not control.is_running()
         assert "every axis is stopped" in station.said.read_text()
-    log = [json.loads(line)["what"] for line in (tmp_path / "audit.jsonl").read_text().splitlines()]
+    done, refused = (
+        {
+            entry["what"]: entry["time"]
+            for line in (tmp_path / log).read_text().splitlines()
+            if (entry := json.loads(line))
+        }
+        for log in ("audit.jsonl", "refused.jsonl")
+    )
     # A control process that is too slow to acknowledge the stop is ended, and tells no state any more.
-    stopped = log.index("state STOPPED") if "state STOPPED" in log else -1
-    assert stopped < min(i for i, what in enumerate(log) if what.startswith("POST /api/tare"))
+    assert done.get("state STOPPED", "") <= refused["POST /api/tare {"]
     assert not any(path.exists() for path in used)
+
+
+def test_stop_is_answered_beside_requests_that_are_held_open_and_ctrl_c_waits_for_none_of_them() -> None:
+    with serving() as station, ExitStack() as clients:
+        station.ready()
+        control, stop = station.control_process(), f"{station.url}/api/stop"
+        assert station.post("/api/start", {"trajectory": {"kind": "hold"}}).status_code == 202
+        station.wait_for(lambda status: status["state"] == "RUNNING")
+        head = f"POST /api/stop HTTP/1.1\r\nhost: 127.0.0.1:{station.port}\r\ncontent-"
+        for number in range(150):  # more than one address may have
+            half = clients.enter_context(socket.create_connection(("127.0.0.1", station.port)))
+            half.sendall(
+                (f"{head}type: application/json\r\ncontent-length: 100\r\n\r\n{{" if number % 2 else head).encode()
+            )
+        assert httpx.post(stop, json={}, timeout=NET, trust_env=False).json() == {"state": "STOPPED", "note": ""}
+        station.process.send_signal(signal.SIGINT)
+        with suppress(httpx.TransportError):  # until there is no station any more
+            while "did not answer" not in httpx.post(stop, json={}, timeout=NET, trust_env=False).json()["note"]:
+                pass
+            pytest.fail("it ended, and STOP was told that it hangs")
+        assert station.end() == 0
+        assert not control.is_running()
+        said = station.said.read_text()
+        assert "every axis is stopped" in said
+        assert "Traceback" not in said
 
 
 def test_ctrl_c_pressed_again_and_again_cuts_nothing_off() -> None:

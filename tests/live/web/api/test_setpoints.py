@@ -41,6 +41,7 @@ def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> No
         for lie in (
             '{"tip": [NaN, 0, 0]}', '{"tip": [1e400, 0, 0]}', '{"tip": [0, 0]}', '{"tip": ["0", 0, 0]}', '{"tip": [0,',
             '{"tip": [0, 0, 0], "velocity": [0, 0, 0]}', '{"velocity": [true, 0, 0]}', "null", "", '{"end": 1}',
+            b'{"tip": [0, 0, 0]}', f'{{"tip": [1{400 * "0"}, 0, 0]}}', '{"tip": [1e308, 0, 0]}', '{"tip": [1, 0, 0]}',
         ):  # fmt: skip
             socket.send(lie)
             answer = json.loads(socket.recv())
@@ -58,12 +59,48 @@ def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> No
     station.wait_for(lambda status: status["state"] == "READY")
 
 
+def test_one_who_loses_the_lease_is_told_so_and_the_tip_comes_to_rest(station: Served) -> None:
+    leader, other = ({"x-ctr-client": f"{name}-0123456789", "x-ctr-name": name} for name in ("leader", "other"))
+    address = f"ws://127.0.0.1:{station.port}/api/setpoints"
+    with connect(address, additional_headers=leader, proxy=None) as socket:
+        socket.send(json.dumps({"silence": 0.2, "end": 2.0}))
+        assert "run_id" in json.loads(socket.recv())
+        assert json.loads(socket.recv()).get("ready")
+        taken = station.rest.post("/api/operator", json={"take_over": True}, headers=other)
+        try:
+            assert taken.json()["you"]
+            socket.send('{"velocity": [0, 0, 0.005]}')
+            assert "'other' is operator" in json.loads(socket.recv())["refused"]
+            # Nothing that counts is said any more.
+            assert json.loads(socket.recv()) == {"ended": "READY", "cause": ""}
+        finally:
+            station.rest.delete("/api/operator", headers=other)
+    station.wait_for(lambda status: status["state"] == "READY")
+
+
+def test_a_message_that_is_far_too_long_ends_it(station: Served) -> None:
+    with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as socket:
+        socket.send(json.dumps(WIDE))
+        assert "run_id" in json.loads(socket.recv())
+        assert json.loads(socket.recv()).get("ready")
+        with pytest.raises((ConnectionClosed, OSError)):
+            _say_too_much(socket)
+    station.wait_for(lambda status: status["state"] == "READY")
+
+
 def test_stop_ends_it_and_is_told(station: Served) -> None:
     with Station(station.url) as script, script.setpoints(**WIDE) as tip:
         tip.move(0.0, 0.0, 0.001)
         assert script.stop() == ""
         with pytest.raises(StationError, match="STOPPED"):
             _go_on(tip)
+
+
+def _say_too_much(socket: ClientConnection) -> None:
+    """10 MB in one message, and then what the station says until it hangs up."""
+    socket.send('{"tip": [' + "0" * 10_000_000)
+    while True:
+        socket.recv()
 
 
 def _flood(socket: ClientConnection) -> None:

@@ -14,7 +14,7 @@ def leader(**asked) -> Leader:
     return Leader(LeadIn(**asked), START, 0.0)
 
 
-@pytest.mark.parametrize("told", [(0.0, math.nan, 0.0), (math.inf, 0.0, 0.0), (0.0, 0.0), (0.0,) * 4])
+@pytest.mark.parametrize("told", [(0.0, math.nan, 0.0), (math.inf, 0.0, 0.0), (0.0, 0.0), (0.0,) * 4, ()])
 def test_what_is_not_three_finite_numbers_is_not_taken(told):
     for say in (leader().place, leader().velocity):
         with pytest.raises(NotTaken, match="three finite numbers"):
@@ -24,6 +24,16 @@ def test_what_is_not_three_finite_numbers_is_not_taken(told):
 def test_a_jump_of_a_metre_is_not_taken_and_says_how_far_one_may_go():
     with pytest.raises(NotTaken, match=r"1000 mm from the start, beyond the reach of 50 mm"):
         leader().place((1.0, 0.0, 0.0), 0.1)
+
+
+def test_places_beyond_all_measure_are_not_taken_either():
+    with pytest.raises(NotTaken, match=r"1e\+308.*inf mm from the start"):
+        leader().place((1e308, 1e308, -1e308), 0.1)
+
+
+def test_a_long_list_is_not_told_back():
+    with pytest.raises(NotTaken, match="tip of 20000 numbers: three finite numbers are needed"):
+        leader().place((0.0,) * 20_000, 0.1)
 
 
 def test_in_the_world_places_are_told_from_the_worlds_origin():
