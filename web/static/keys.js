@@ -7,7 +7,7 @@ import { bounded, hands, velocity } from "./pad.js";
 const WISHES = {
   ArrowRight: [0, 0, 1], ArrowLeft: [0, 0, -1], ArrowDown: [1, 0, 0], ArrowUp: [-1, 0, 0], PageUp: [0, 1, 0], PageDown: [0, -1, 0],
 };
-const HELP = [["→", "←", "z, along the tubes"], ["↓", "↑", "x, along gravity, down on the screen"], ["Page Up", "Page Down", "y, away from who looks from the side"]];
+const HELP = [["→", "←", "z, along the tubes"], ["↓", "↑", "x, down on the screen"], ["PgUp", "PgDn", "y, away from who looks from the side"]];
 
 const says = make("b"), field = make("div", { className: "keys", tabIndex: 0, role: "application", "aria-label": "move the tip by keys: arrows, Page Up and Page Down" },
   says, make("div", { className: "key-help small" }, ...HELP.flatMap(([plus, minus, words]) => [

@@ -71,10 +71,10 @@ function look() {
 
 /** Which axis does what, and what it asks for now. */
 function show(pad) {
-  const now = velocity(wishOf(pad));
+  const wish = wishOf(pad), now = velocity(wish);
   rows.forEach(({ what, bar, said }, i) => {
     what.textContent = layout(pad).axes[i][0];
-    bar.style.transform = `scaleX(${now[i] / bench.tip_speed})`;
+    bar.style.transform = `scaleX(${wish[i]})`;
     said.textContent = `${(1e3 * now[i]).toFixed(1)} mm/s`;
   });
 }

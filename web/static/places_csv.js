@@ -22,5 +22,5 @@ export function parsed(text, unit) {
 const named = (text) => /^\W*(?:time|t)\b.*?[\s,[(_]x[\s,[(_]*(mm|m)\b/i.exec(text.split("\n").find((line) => line.trim() !== "" && !line.startsWith("#")) ?? "")?.[1].toLowerCase() ?? null;
 
 /** The file of these rows. */
-export const written = (rows) => ["time [s], x [mm], y [mm], z [mm]",
+export const fileOf = (rows) => ["time [s], x [mm], y [mm], z [mm]",
   ...rows.map(([time, ...place]) => [time, ...place.map((part) => part / UNITS.mm)].map(tidy).join(", "))].join("\n") + "\n";

@@ -27,7 +27,7 @@ export function drawing(places, path, bad) {
     part.append(svg("polyline", { points: (path.length > 1 ? path : [[0, 0, 0], ...places]).map((one) => at(one).map((x) => x.toFixed(1)).join(",")).join(" "), class: path.length > 1 ? "" : "guess" }));
     const [x0, y0] = at([0, 0, 0]);
     part.append(svg("path", { d: `M${x0 - 5} ${y0}h10M${x0} ${y0 - 5}v10`, class: "start" }));
-    const labelled = [];
+    const labelled = places[bad] === undefined ? [] : [at(places[bad])];
     places.forEach((place, k) => {
       const [x, y] = at(place);
       part.append(svg("circle", { cx: x, cy: y, r: k === bad ? 5 : 3, class: k === bad ? "bad" : "" }));

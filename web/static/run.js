@@ -163,7 +163,11 @@ async function motion(kind, schema, all, values = {}) {
 function taught(path, control, time) {
   const table = waypoints(() => ({ ...limits(path.read()), controller: control.read() }), go);
   const duration = time.element.querySelector("input");
-  const last = () => { if (rows().length > 0) duration.value = Math.ceil(rows().at(-1)[0] + STAY); };
+  const last = () => {
+    unable = table.unable();
+    if (unable === "") duration.value = Math.ceil(rows().at(-1)[0] + STAY);
+    refresh();
+  };
   table.element.addEventListener("places", last);
   last();
   for (const one of [path.element, control.element]) one.addEventListener("change", table.again);

@@ -2,7 +2,7 @@
 import { $, ask, latest, make, mayCommand, onStatus, Refused } from "./station.js";
 import { inPageUnits, tidy } from "./units.js";
 import { add, addRow, canUndo, change, edit, located, move, onPlaces, origin, remove, rows, spread, undo, wrong } from "./places.js";
-import { parsed, UNITS, written } from "./places_csv.js";
+import { fileOf, parsed, UNITS } from "./places_csv.js";
 import { drawing } from "./places_drawing.js";
 
 const AGAIN = 300; // ms without a change, before it is tried
@@ -11,8 +11,11 @@ const MM = 1e-3;
 const NEAR = { rad: 0.01, m: 5e-4 };
 const HEADS = ["time s", "x mm", "y mm", "z mm"];
 
-const button = (text, label, act) => {
-  const one = make("button", { type: "button", "aria-label": label, title: label }, text);
+/** As a cell has it: seconds in the first column, millimetres in the others. */
+const written = (value, column) => (Number.isFinite(value) ? tidy(Number((column ? value / MM : value).toFixed(3))) : "");
+
+const button = (text, title, act, named = {}) => {
+  const one = make("button", { type: "button", title, ...named }, text);
   one.addEventListener("click", act);
   return one;
 };
@@ -20,7 +23,10 @@ const button = (text, label, act) => {
 const bench = await ask("GET", "/api/bench");
 let shown = null; // the table that is on the page
 
-/** A field of the form: {element, read() in SI, lasts() [s]}; `rest()` are the other fields of the motion and its controller. */
+/**
+ * A field of the form: {element, read() in SI, unable(), again(): try it anew}; the element tells of each change by an event `places`.
+ * `rest()` are the motion's other fields and its controller; `goThere(title, pose, wish)` asks, then goes to a pose.
+ */
 export function waypoints(rest, goThere) {
   const body = make("tbody"), says = make("p", { className: "small", role: "status" }), picture = make("div");
   const speed = make("input", { type: "number", min: 0.1, max: 20, step: "any", value: 5, required: true, "aria-label": "speed from place to place" });
@@ -60,23 +66,24 @@ export function waypoints(rest, goThere) {
   function line(values, i) {
     const cells = values.map((value, k) => {
       const input = make("input", { type: "number", step: "any", required: true, "aria-label": `place ${i + 1} ${HEADS[k]}` });
-      input.value = Number.isFinite(value) ? tidy(Number((k ? value / MM : value).toFixed(3))) : "";
+      input.value = written(value, k);
       input.addEventListener("change", () => edit(i, k, input.value === "" ? NaN : Number(input.value) * (k ? MM : 1)));
       return make("td", {}, input);
     });
     const shift = (by) => { move(i, by); focus(i + by, 4 + (by > 0 ? 1 : 0)); };
-    const up = button("↑", `place ${i + 1} up`, () => shift(-1)), down = button("↓", `place ${i + 1} down`, () => shift(1));
+    const sign = (text, label, act) => button(text, label, act, { "aria-label": label });
+    const up = sign("↑", `place ${i + 1} up`, () => shift(-1)), down = sign("↓", `place ${i + 1} down`, () => shift(1));
     up.disabled = i === 0;
     down.disabled = i === rows().length - 1;
-    const drop = button("×", `delete place ${i + 1}`, () => { remove(i); focus(Math.min(i, rows().length - 1), 6); });
+    const drop = sign("×", `delete place ${i + 1}`, () => { remove(i); focus(Math.min(i, rows().length - 1), 6); });
     return make("tr", { className: "place" }, make("td", { className: "dim" }, String(i + 1)), ...cells, make("td", { className: "order" }, up, down, drop));
   }
 
-  /** The table anew; what has the focus keeps it. */
+  /** What the table says now; as long as there are as many rows they stay, and what has the focus keeps it. */
   function fill() {
-    const old = document.activeElement, inside = body.contains(old), at = inside ? [...body.querySelectorAll("input, button")].indexOf(old) : -1;
-    body.replaceChildren(...rows().map(line));
-    if (inside) body.querySelectorAll("input, button")[at]?.focus();
+    const old = [...body.querySelectorAll("tr.place")];
+    if (old.length !== rows().length) body.replaceChildren(...rows().map(line));
+    else old.forEach((row, i) => row.querySelectorAll("input").forEach((input, k) => { input.value = written(rows()[i][k], k); }));
     back.disabled = !canUndo();
     tried = null;
     mark();
@@ -94,7 +101,6 @@ export function waypoints(rest, goThere) {
       row.setAttribute("aria-invalid", String(i === bad));
       if (i === bad) row.after(make("tr", { className: "why" }, make("td"), make("td", { colSpan: 5 }, `✗ ${inPageUnits(text)}${tried?.instead ? `; ${tried.instead}` : ""}`)));
     });
-    speed.setCustomValidity(rows().length === 0 ? "add a place first" : fault ? `place ${fault.row + 1}: ${fault.text}` : "");
     if (rows().length === 0) say("No place yet: move the tip (tab Jog) and add it, add a row, or load a file. The first place is the start; all others count from it.", false);
     else if (fault !== null) say(`place ${fault.row + 1} is not complete`, true);
     else if (tried === null) say("being tried on the model …", false);
@@ -119,7 +125,7 @@ export function waypoints(rest, goThere) {
   }
 
   function download() {
-    const link = make("a", { href: URL.createObjectURL(new Blob([written(rows())], { type: "text/csv" })), download: "waypoints.csv" });
+    const link = make("a", { href: URL.createObjectURL(new Blob([fileOf(rows())], { type: "text/csv" })), download: "waypoints.csv" });
     link.click();
     URL.revokeObjectURL(link.href);
   }
@@ -143,7 +149,9 @@ export function waypoints(rest, goThere) {
   shown = { fill, compare };
   fill();
   compare(latest());
-  return { element, read: () => rows(), again: tryIt };
+  /** Why it cannot be started; empty when it can. */
+  const unable = () => (rows().length === 0 ? "add a place first" : wrong() === null ? "" : `place ${wrong().row + 1} is not complete`);
+  return { element, unable, read: rows, again: tryIt };
 }
 
 onPlaces(() => shown?.fill());

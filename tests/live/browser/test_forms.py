@@ -1,6 +1,5 @@
-"""Forms as a person fills them: one unit in box and file, refusals in that unit, and nothing typed is lost."""
+"""Forms as a person fills them: refusals in the unit of the box, and nothing typed is lost."""
 
-import json
 from collections.abc import Iterator
 
 import pytest
@@ -22,34 +21,6 @@ def motion(page: Page, text: str) -> None:
     if page.get_by_role("button", name="all motions").count():
         page.get_by_role("button", name="all motions").click()
     page.locator(".card", has_text=text).click()
-
-
-def test_a_file_of_waypoints_stands_in_the_box_as_it_is_and_is_sent_in_si(page: Page, station: Served) -> None:
-    motion(page, "Through places")
-    box, unit = page.get_by_label("points: time"), page.get_by_label("unit of x, y, z")
-    says = page.locator(".all [role=status]")
-    assert (box.input_value(), unit.input_value()) == ("5, 0, 10, 0\n10, 0, 0, 0", "mm")
-    assert says.inner_text() == "2 points in 10 s, up to 10 mm from the start tip"
-    file = "time [s], x [m], y [m], z [m]\n4, 0.0, 0.002, 0.0\n8, 0.0, 0.0, 0.0"
-    page.get_by_label("CSV file").set_input_files({"name": "a.csv", "mimeType": "text/csv", "buffer": file.encode()})
-    page.wait_for_function("() => document.querySelector('textarea').value.startsWith('time')")
-    assert (box.input_value(), unit.input_value()) == (file, "m")
-    assert says.inner_text() == "2 points in 8 s, up to 2 mm from the start tip"
-    with page.expect_request("**/api/start") as asked:
-        page.get_by_role("button", name="Start motion").click()
-    sent = json.loads(asked.value.post_data or "")
-    assert sent["trajectory"]["points"] == [[4, 0, 0.002, 0], [8, 0, 0, 0]]
-    station.wait_for(lambda status: status["state"] == "RUNNING")
-    station.post("/api/stop")
-
-
-def test_a_line_that_is_no_waypoint_is_named_and_not_sent(page: Page, station: Served) -> None:
-    motion(page, "Through places")
-    page.get_by_label("points: time").fill("5, 0, 10, 0\n10, 0, 0")
-    page.locator(".all [role=status]", has_text="line 2: 3 numbers; a line is time [s], x, y, z").wait_for()
-    page.get_by_role("button", name="Start motion").click()
-    assert page.locator("textarea").evaluate("field => !field.validity.valid")
-    assert station.status()["state"] == "READY"
 
 
 def test_a_refusal_is_told_once_in_the_pages_units_with_what_would_work(page: Page, station: Served) -> None:

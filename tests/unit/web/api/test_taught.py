@@ -2,6 +2,7 @@
 
 import pytest
 
+from station.config.motions import WaypointsMotion
 from station.config.strict import OWN_EXPERIMENTS
 from station.experiments.experiment import load_experiment
 
@@ -67,6 +68,7 @@ def test_what_is_saved_is_an_experiment_like_any_other(app, own):
     assert [path.name for path in own.iterdir()] == ["three_places.toml"]
     case = load_experiment("three_places").cases[0]
     assert case.file.title == 'By hand: "three" places'
+    assert isinstance(case.file.trajectory, WaypointsMotion)
     assert case.file.trajectory.points == tuple(tuple(row) for row in PLACES)
     listed = {one["name"]: one for one in app.get("/api/experiments").json()}["three_places"]
     assert listed["error"] == listed["cases"][0]["refused"] == ""
