@@ -72,6 +72,11 @@ class Bench:
         )
 
     @property
+    def may_see_target(self) -> bool:
+        """Whether the tracker may tell where a target is."""
+        return self.lab.target is not None if self.devices is None else self.devices.may_tell_target
+
+    @property
     def title(self) -> str:
         """What this is, for a person."""
         if self.devices is None:
