@@ -64,11 +64,19 @@ class Setpoints:
             StationError: the place was refused, or the run has ended; the text says why.
         """
         # With its time: what other programs hold up on its way does not shake the tip.
-        return self._checked(self._say({"tip": [x, y, z], "time": time.monotonic()}))
+        return self.say({"tip": [x, y, z], "time": time.monotonic()})
 
     def move(self, x: float, y: float, z: float) -> dict[str, Any]:
         """Ask the tip to move at a velocity [m/s]; the same as `go` otherwise."""
-        return self._checked(self._say({"velocity": [x, y, z]}))
+        return self.say({"velocity": [x, y, z]})
+
+    def say(self, message: dict[str, Any]) -> dict[str, Any]:
+        """Say anything that `WS /api/setpoints` takes, a place with a time of one's own for instance; as `go`."""
+        answer = self._say(message)
+        if answer["refused"]:
+            raise StationError(answer["refused"])
+        self.newest = answer
+        return answer
 
     def every(self, period: float, duration: float = math.inf) -> Iterator[float]:
         """Seconds since the tip may be led, one after each `period` [s], for a `duration` [s]."""
@@ -77,12 +85,6 @@ class Setpoints:
             yield now
             count = max(count + 1, math.floor((time.monotonic() - self._begun) / period))
             time.sleep(max(0.0, self._begun + count * period - time.monotonic()))
-
-    def _checked(self, answer: dict[str, Any]) -> dict[str, Any]:
-        if answer["refused"]:
-            raise StationError(answer["refused"])
-        self.newest = answer
-        return answer
 
     def _say(self, message: dict[str, Any]) -> dict[str, Any]:
         assert self._socket is not None, "lead within `with station.setpoints() as tip:`"  # noqa: S101

@@ -88,7 +88,8 @@ def _led(bench: Bench, station: Served, lab: NotingLab, ring: Ring, rate: float,
             angle = 2.0 * math.pi * now / TURN
             angles.append(angle)
             said.append(bench.clock.now())
-            tip.go(RADIUS * (math.cos(angle) - 1.0), RADIUS * math.sin(angle), 0.0)
+            # Without the sender's time: the server then notes when it has really come.
+            tip.say({"tip": [RADIUS * (math.cos(angle) - 1.0), RADIUS * math.sin(angle), 0.0]})
             if now - looked > LOOK:
                 looked = now
                 more, since, _ = ring.read(since)

@@ -181,7 +181,7 @@ def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any])
         numbers = summary.get("cases", {}).get(name, {})
         whole = _of_the_motion(np.concatenate(rows), channels, float(numbers.get("motion_start", 0.0)))
         # A live run brings its settings with its recording.
-        file = file or {**recording.metadata.get("settings", {}), "settling": numbers.get("settling", 0.0)}
+        file = file or {"settling": numbers.get("settling", 0.0), **recording.metadata.get("settings", {})}
         return Case(name, channels, whole, file, numbers, recording.metadata, max(stride, 1))
 
 

@@ -72,9 +72,9 @@ class Bench:
         )
 
     @property
-    def target(self) -> bool:
-        """Whether there is a target that moves and that the tracker can see."""
-        return self.lab.target is not None if self.devices is None else bool(self.devices.tracker.get("target"))
+    def may_see_target(self) -> bool:
+        """Whether the tracker may tell where a target is."""
+        return self.lab.target is not None if self.devices is None else self.devices.may_tell_target
 
     @property
     def title(self) -> str:

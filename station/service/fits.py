@@ -16,9 +16,19 @@ def refusal(case: Case, bench: Bench) -> str:
         name = bench.robot.name
         other = f"this station has '{name}'" if case.robot.name != name else "this station's robot of that name differs"
         return f"for robot '{case.robot.name}'; {other}: start one with robot = \"{case.file.robot}\" in its file"
+    if case.orders.follow is not None and (missing := no_target(bench)):
+        return missing
     if case.file.faults and bench.devices is not None:
         return "its faults are of the virtual lab's devices; this station has devices of its own"
     return ""
+
+
+def no_target(bench: Bench) -> str:
+    """Why nothing can ever be followed here; empty when a target may be seen."""
+    if bench.may_see_target:
+        return ""
+    how = "`serve --lab breathing` has one" if bench.devices is None else "name its coil in devices.tracker.target"
+    return f"it follows a target, and this station's tracker has no second coil for one: {how}"
 
 
 def otherwise(case: Case, bench: Bench) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from station.control.task import Task
 from station.experiments.experiment import load_warnings, offered
 from station.lab.loads import Load, NoLoad
 from station.recording.tracking_errors import counted_from, settling_time
-from station.service.fits import otherwise, refusal
+from station.service.fits import no_target, otherwise, refusal
 from station.service.goto import check_way, to_joints, to_working_pose
 from station.service.leader import LeadIn
 from station.service.start import Run, Start
@@ -224,6 +224,8 @@ class StationService:
     def _start(self, settings: Settings) -> Run:
         """Start a free motion."""
         orders = Orders(settings.trajectory, self.supervisor.robot)
+        if orders.follow is not None and (missing := no_target(self.supervisor.bench)):
+            raise RequestError(f"{settings.trajectory.kind}: {missing}")
         task = Task(self.supervisor.bench.controlled(settings.controller), orders, settings.duration)
         self._check(settings.load)
         status, warnings = self.supervisor.status(), ()

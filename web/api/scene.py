@@ -64,7 +64,7 @@ def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter
     @router.get("/legend", summary="What the marks mean, and the views that there are")
     def legend() -> Legend:
         return Legend(
-            signs=signs(target=service.supervisor.bench.target), tubes=tube_signs(service.supervisor.robot), views=VIEWS
+            signs=signs(target=service.supervisor.bench.may_see_target), tubes=tube_signs(service.supervisor.robot), views=VIEWS
         )
 
     @router.websocket("/tip")

@@ -54,6 +54,13 @@ def test_a_bench_of_ones_own_is_no_lab(write):
     assert "written for lab 'ideal', carried out on this station's own: bench of 'paper'" in text
 
 
+def test_a_case_that_follows_needs_a_target(bench, write):
+    follows = a_case("follow", "breathing")
+    assert "no second coil for one: `serve --lab breathing`" in refusal(follows, bench)
+    assert "name its coil in devices.tracker.target" in refusal(follows, load_station(write(OWN_DEVICES)).bench())
+    assert refusal(follows, load_station(None, {"lab": "heartbeat"}).bench()) == ""
+
+
 def test_faults_need_the_virtual_lab(write, short):
     text = short + '[[faults]]\nkind = "mute"\ndevice = "tracker"\nat = 0.5\n'
     (case,) = load_experiment(str(write(text, "muted"))).cases

@@ -76,5 +76,5 @@ def test_the_line_leads_to_where_the_tip_should_be_and_only_while_it_is_followed
 @pytest.mark.parametrize(("lab", "there"), [("gentle", False), ("breathing", True), ("heartbeat", True)])
 def test_the_legend_has_a_target_where_there_is_one(lab: str, there: bool) -> None:
     bench: Bench = load_station(None, {"lab": lab}).bench()
-    assert bench.target is there
-    assert any(sign.name.startswith("target") for sign in signs(target=bench.target)) is there
+    assert bench.may_see_target is there
+    assert any(sign.name.startswith("target") for sign in signs(target=bench.may_see_target)) is there
