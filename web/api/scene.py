@@ -63,9 +63,9 @@ def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter
 
     @router.get("/legend", summary="What the marks mean, and the views that there are")
     def legend() -> Legend:
-        return Legend(
-            signs=signs(target=service.supervisor.bench.may_see_target), tubes=tube_signs(service.supervisor.robot), views=VIEWS
-        )
+        supervisor = service.supervisor
+        seen = signs(target=supervisor.bench.may_see_target)
+        return Legend(signs=seen, tubes=tube_signs(supervisor.robot), views=VIEWS)
 
     @router.websocket("/tip")
     async def tip(
