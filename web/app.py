@@ -28,7 +28,7 @@ from starlette.types import ASGIApp
 from core.errors import CtrError
 from station.config.strict import complaints, key_of
 from station.control import ring
-from station.control.realtime import leave_a_core
+from station.control.realtime import last_core
 from station.control.states import RefusedError
 from station.devices.links import port_lock
 from station.experiments.saved import use_saved
@@ -106,11 +106,10 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         for warning in bench.warnings:
             out.print(f"warning: {warning}", markup=False)
         if station.own_core:
-            bench = replace(bench, core=leave_a_core())
+            bench = replace(bench, core=last_core())
         supervisor = Supervisor(bench, data, audit)
         try:
             supervisor.open()
-            supervisor.wait_ready(START_TIME)
             _serve_web(supervisor, listening, (host, port), data, audit, out, browser=browser)
         finally:
             stopped = supervisor.end_control()  # again, if it never came to serve
@@ -143,6 +142,7 @@ def _serve_web(
     view = View(scene, service)
     try:
         server = _server(build_app(service, view, calibration, data, audit, host, port, tokens))
+        supervisor.wait_ready(START_TIME)  # processes and stages came up meanwhile
         # The main thread hears the signals, and has nothing else to do.
         ended = threading.Event()
 

@@ -11,7 +11,7 @@ from core.errors import CtrError
 from station.bench.timer_probe import TimerProbe
 from station.config.controllers import PERIOD
 from station.config.motions import CircleMotion
-from station.control.realtime import leave_a_core
+from station.control.realtime import last_core
 from station.control.ring import Ring
 from station.control.states import State
 from station.lab.loads import RaisedCosineLoad
@@ -29,7 +29,7 @@ def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True
     Raises:
         CtrError: the control process failed meanwhile.
     """
-    core = leave_a_core()
+    core = last_core()
     bench = replace(load_station(None).bench(), fifo=fifo, core=core)
     with tempfile.TemporaryDirectory(prefix="ctr-bench-") as folder, TimerProbe(core) as probe:
         supervisor = Supervisor(bench, Path(folder))

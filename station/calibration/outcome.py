@@ -15,7 +15,7 @@ from station.config.strict import ConfigError
 from station.devices.aurora.tracker import Registration
 from station.lab.aurora.coil import MOUNT
 
-VISITS, NUMBERS = "visits.json", "report.json"
+VISITS, NUMBERS, REPORT = "visits.json", "report.json", "report.html"
 
 
 class Provenance(NamedTuple):

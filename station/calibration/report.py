@@ -9,13 +9,13 @@ from matplotlib.figure import Figure
 
 from core.calibration.fit import Fit
 from core.robot.robot import Array
+from station.calibration.outcome import REPORT
 from station.calibration.plan import Subject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
 from station.calibration.summary import Result, findings, rows
 from station.report import document, rendered, style
 from station.report.drawn import Drawn
 
-NAME = "report.html"
 TITLES = {
     "axes": "Axes: signs and zeros",
     "latency": "Latency of the tracker",
@@ -43,7 +43,7 @@ def write_report(
     """
     with matplotlib.rc_context(style.SETTINGS):
         page = document.document(f"{TITLES[what]}: calibration", _parts(what, result, subject, facts, simulated))
-    path = folder / NAME
+    path = folder / REPORT
     path.write_text(page, encoding="utf-8")
     return path
 

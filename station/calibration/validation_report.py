@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from core.calibration.measured import Spread
 from core.robot.robot import Array
 from station.calibration.findings import cannot_tell, findings
+from station.calibration.outcome import REPORT
 from station.calibration.poses import LeftOut
-from station.calibration.report import NAME, intervals
+from station.calibration.report import intervals
 from station.calibration.validation import (
     WORDS,
     Bin,
@@ -40,7 +41,7 @@ def write_report(folder: Path, title: str, validation: Validation, facts: Sequen
     """
     with matplotlib.rc_context(style.SETTINGS):
         page = document.document(title, _parts(title, validation, facts))
-    path = folder / NAME
+    path = folder / REPORT
     path.write_text(page, encoding="utf-8")
     return path
 

@@ -4,7 +4,7 @@ import contextlib
 import ctypes
 import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -95,15 +95,24 @@ def keep_to(cores: set[int]) -> bool:
     return True
 
 
-def leave_a_core() -> int | None:
-    """Leave the last processor to the control process: its number, and the caller keeps to the others.
-
-    To be called before threads and processes are started. None where there is one only.
-    """
+def last_core() -> int | None:
+    """Number of the last processor that this process may use, for the control process alone; None if it is the only."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-    if len(cores) < 2 or not keep_to(set(cores[:-1])):
-        return None
-    return cores[-1]
+    return cores[-1] if len(cores) > 1 else None
+
+
+def leave(core: int | None, pids: Iterable[int]) -> None:
+    """Keep the processes `pids`, with every thread that they have and will have, off a processor; None: they stay.
+
+    Once they are up: what is loaded at the start may use every processor. One that has ended is left out.
+    """
+    if core is None:
+        return
+    for pid in pids:
+        with contextlib.suppress(OSError, ValueError):
+            for thread in Path(f"/proc/{pid}/task").iterdir():
+                number = int(thread.name)
+                os.sched_setaffinity(number, os.sched_getaffinity(number) - {core})
 
 
 def is_dying(pid: int) -> bool:

@@ -14,6 +14,7 @@ from core.model.statics import Statics
 from core.robot.robot import Array
 from station.control.messages import DeviceReport, Notice, Refused
 from station.control.process import ring_width
+from station.control.realtime import leave
 from station.control.ring import STATE, Ring
 from station.control.states import Event, RefusedError, State, after
 from station.control.telemetry import Channels
@@ -77,6 +78,7 @@ class Supervisor:
             if self._clock.now() > deadline:
                 raise CtrError(f"the station did not come up within {timeout:g} s: {self._state.troubles()}")
             self._clock.sleep(0.02)
+        leave(self.bench.core, (pid for name, pid in self.pids().items() if name != "control"))
 
     def status(self) -> Status:
         """The present state, timing and newest telemetry."""

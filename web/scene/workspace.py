@@ -3,7 +3,6 @@
 import threading
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from core.errors import CtrError
 from core.model.statics import Statics
@@ -48,6 +47,8 @@ def turns_as_a_whole(limits: Limits, statics: Statics) -> bool:
 
 def hull(tips: Array) -> tuple[Array, Indices]:
     """Corners (v, 3) [m] and triangles (f, 3) of the least convex body around tips (k, 3) [m]."""
+    from scipy.spatial import ConvexHull  # here: slow to import, and most robots turn as a whole
+
     found = ConvexHull(tips)
     faces = found.simplices.astype(np.int64)
     one, two, three = (tips[faces[:, corner]] for corner in range(3))

@@ -14,8 +14,9 @@ from tests.harness.root import ROOT
 SCRIPT = """
 import os, sys, gc
 from pathlib import Path
-from station.control.realtime import be_punctual, leave_a_core, show_as
-left = leave_a_core()
+from station.control.realtime import be_punctual, last_core, leave, show_as
+left = last_core()
+leave(left, [os.getpid()])
 others = sorted(os.sched_getaffinity(0))
 granted = be_punctual(fifo=True, core=left)
 show_as("ctr-tested")
