@@ -108,10 +108,11 @@ def shared_memory(process: int) -> set[Path]:
     return {Path(line.split()[-1]) for line in lines if "/dev/shm/psm_" in line}
 
 
-def calm(rate: float) -> str:
-    """Tables of a station's file with which it bears a busy computer."""
+def calm(rate: float, settings: str = "") -> str:
+    """A station's file with these settings, and with what lets it bear a busy computer."""
     tables = SETTINGS | {"clock": {**SETTINGS["clock"], "rate": rate}}
-    return "".join(
+    # No processor of its own: the other stations on this computer would crowd on what is left.
+    return "own_core = false\n" + settings + "".join(
         f"[{table}]\n" + "".join(f"{key} = {value}\n" for key, value in keys.items()) for table, keys in tables.items()
     )
 
@@ -126,7 +127,7 @@ def serving(*arguments: str, settings: str = "", rate: float | None = RATE) -> I
     command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", str(port)]
     with tempfile.TemporaryDirectory() as data, Path(data, "said.txt").open("w+", encoding="utf-8") as said:
         config = Path(data, "station.toml")
-        config.write_text(settings + ("" if rate is None else calm(rate)), encoding="utf-8")
+        config.write_text(settings if rate is None else calm(rate, settings), encoding="utf-8")
         # Into a file: a pipe that nobody empties would stop a station that has much to say.
         process = subprocess.Popen(
             [*command, "--config", str(config), "--data", data, *arguments],
