@@ -14,6 +14,7 @@ from core.control.step import Controller
 from core.control.trajectories import Setpoint
 from core.robot.robot import Array
 from station.config.motions import FollowMotion
+from station.control.led import Asked
 from station.control.states import RefusedError
 from station.control.telemetry import TARGET
 from station.devices.interfaces import Severity, TipReading, Trouble, Truth
@@ -85,8 +86,10 @@ class Target:
         )
         self._setpoint = Place(tip, np.zeros(3))
 
-    def order(self) -> Setpoint:
+    def order(self, now: float, blind: float = 0.0, asked: Asked | None = None) -> Setpoint | Trouble:  # noqa: ARG002
         """The setpoint of this tick, from the tip at the start; at rest where it is while the target is lost.
+
+        A target that has been lost for too long is a trouble that ends the run.
 
         Raises:
             RefusedError: nothing is followed.
@@ -94,6 +97,8 @@ class Target:
         run = self._following
         if run is None:
             raise RefusedError("no target is followed; start a motion of kind 'follow'")
+        if now - self._seen > run.motion.patience:
+            return Trouble(Severity.HOLD, f"{self.missing}; the tip has come to rest, start again to go on")
         lead = run.lead if run.motion.predict else 0.0
         goal = None
         if self._now - self._seen <= LOST:
@@ -102,12 +107,6 @@ class Target:
         self._setpoint = run.pursuit.step(self._setpoint, goal, run.period)
         position, velocity = self._setpoint
         return Setpoint(position - lead * velocity - run.origin, velocity)
-
-    def trouble(self) -> Trouble | None:
-        """A target that has been lost for too long ends the run."""
-        if self._following is None or self._now - self._seen <= self._following.motion.patience:
-            return None
-        return Trouble(Severity.HOLD, f"{self.missing}; the tip has come to rest, start again to go on")
 
     def end(self) -> None:
         """Nothing is followed any more."""

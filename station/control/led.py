@@ -30,18 +30,18 @@ class Lead:
 class LedMotion:
     """One such motion, from its start."""
 
-    def __init__(self, lead: Lead, now: float) -> None:
-        self._lead, self._tip = lead, LedTip(lead.bounds)
-        self._heard = now  # the last word, or the start [s]
+    def __init__(self, lead: Lead, start: float, period: float) -> None:
+        """It begins at `start` [s]; a tick takes a `period` [s]."""
+        self._lead, self._tip, self._period = lead, LedTip(lead.bounds), period
+        self._heard = start  # the last word, or the start [s]
 
-    def order(self, now: float, period: float, asked: Asked | None, *, blind: bool) -> Setpoint | None:
+    def order(self, now: float, blind: float, asked: Asked | None) -> Setpoint | None:
         """What this tick has to do; None once the motion has ended.
 
         Args:
             now: time [s].
-            period: of a tick [s].
+            blind: how long the tip has not been measured, so that it is not led on [s].
             asked: what was asked for last, None before that; whoever has left lets the tip come to rest, then it ends.
-            blind: the tip is not measured, so it is not led on.
         """
         wish = None if asked is None else asked.wish
         if wish is not None:
@@ -49,4 +49,4 @@ class LedMotion:
         silent = now - self._heard
         if (asked is not None and wish is None and self._tip.speed < AT_REST) or silent > self._lead.end:
             return None
-        return self._tip.advance(now, None if blind or silent > self._lead.silence else wish, period)
+        return self._tip.advance(now, None if blind > 0.0 or silent > self._lead.silence else wish, self._period)

@@ -16,10 +16,11 @@ from station.control.follow import Target
 from station.control.jog import Jog
 from station.control.led import Asked, Lead, LedMotion
 from station.control.margins import Margins, SnapMonitor
+from station.control.motion import FREEZE, Motion, TimedMotion
 from station.control.progress_monitor import ProgressMonitor
 from station.control.settle_and_tare import AVERAGE, SETTLE, Rest
 from station.control.states import LATCHED, Event, RefusedError, State, after
-from station.control.task import FREEZE, Phase, Progress, Task
+from station.control.task import Phase, Progress, Task
 from station.control.telemetry import Channels
 from station.control.troubles import EVENTS, NONE, holds, not_finite, severities, troubles, worst
 from station.devices.interfaces import (
@@ -53,7 +54,7 @@ class ControlLoop:
         self._troubles = NONE
         self._jog: Jog | None = None
         self._once_homed: Task | None = None  # what follows by itself
-        self._led: LedMotion | None = None
+        self._motion: Motion | None = None  # of the task that is on, once it moves
         self._tare: Array | None = None
         self._rest: Rest | None = None  # before a motion, or for a tare that was asked for
         self._retry = 0.0  # when a tracker that is not there is looked for again [s]
@@ -337,26 +338,25 @@ class ControlLoop:
                 if now >= progress.settle_start + SETTLE:
                     self._rest.take(wrenches, self._tip(frame))
                 return None
-            if not self._set_out(now, joints, self._rest, task):
+            if not self._set_out(now, progress.motion_start, joints, self._rest, task):
                 return None
             self.progress = replace(progress, phase=Phase.MOVING)
         if now - progress.motion_start >= task.duration - 1e-9:
             self._finish(now)
             return None
-        if task.follow is not None:
-            lost = self._target.trouble()
-            self._act_on(lost, now)
-            return self._target.order() if lost is None else None
-        if self._led is not None:
-            blind = now - self._frame_at > FREEZE and not task.controller.observes
-            order = self._led.order(now, task.controller.period, asked, blind=blind)
-            if order is None:
-                self._finish(now)
-            return order
-        return task.order(now - progress.motion_start, now - self._frame_at)
+        assert self._motion is not None, "a run that moves has set out"  # noqa: S101
+        # Without frames the error of the last one stands; an observer sees to that itself: its correction stands.
+        blind = now - self._frame_at
+        order = self._motion.order(now, blind if blind > FREEZE and not task.controller.observes else 0.0, asked)
+        if isinstance(order, Trouble):
+            self._act_on(order, now)
+            return None
+        if order is None:
+            self._finish(now)
+        return order
 
-    def _set_out(self, now: float, joints: JointReading, rest: Rest, task: Task) -> bool:
-        """Tare and start tip from what was measured at rest; False when the tracker saw nothing."""
+    def _set_out(self, now: float, start: float, joints: JointReading, rest: Rest, task: Task) -> bool:
+        """Tare, start tip and the motion, from what was measured at rest; False when the tracker saw nothing."""
         tip, self._rest = rest.tip, None
         if tip is None or self._memory is None:
             text = f"no tracker frame in {AVERAGE:g} s; is the coil inside the tracker's volume?"
@@ -364,10 +364,14 @@ class ControlLoop:
             return False
         self._tare = self.controller.tare(rest.wrenches, joints.positions)
         self._memory = set_origin(self.controller, self._memory, tip)
+        self._stall, self._snap = ProgressMonitor(), SnapMonitor(task.margins or self._margins)
         if task.follow is not None:
             self._target.follow(task.follow, task.controller, tip)
-        self._stall, self._snap = ProgressMonitor(), SnapMonitor(task.margins or self._margins)
-        self._led = LedMotion(task.orders, now) if isinstance(task.orders, Lead) else None
+            self._motion = self._target
+        elif isinstance(task.orders, Lead):
+            self._motion = LedMotion(task.orders, start, task.controller.period)
+        else:
+            self._motion = TimedMotion(task.orders, start)
         return True
 
     def _tip(self, frame: TipReading | None) -> Array | None:

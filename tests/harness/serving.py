@@ -112,8 +112,13 @@ def calm(rate: float, settings: str = "") -> str:
     """A station's file with these settings, and with what lets it bear a busy computer."""
     tables = SETTINGS | {"clock": {**SETTINGS["clock"], "rate": rate}}
     # No processor of its own: the other stations on this computer would crowd on what is left.
-    return "own_core = false\n" + settings + "".join(
-        f"[{table}]\n" + "".join(f"{key} = {value}\n" for key, value in keys.items()) for table, keys in tables.items()
+    return (
+        "own_core = false\n"
+        + settings
+        + "".join(
+            f"[{table}]\n" + "".join(f"{key} = {value}\n" for key, value in keys.items())
+            for table, keys in tables.items()
+        )
     )
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from station.config.controllers import PERIOD
+from station.control.motion import FREEZE
 from station.control.states import State
-from station.control.task import FREEZE
 from station.devices.interfaces import Severity
 from tests.harness.cases import a_case
 from tests.harness.virtual_station import VirtualStation

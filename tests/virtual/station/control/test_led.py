@@ -10,8 +10,9 @@ from core.control.leading import BOUNDS, Wish
 from station.config.controllers import BEST
 from station.config.motions import CircleMotion, Orders
 from station.control.led import Asked, Lead
+from station.control.motion import TimedOrders
 from station.control.states import State
-from station.control.task import Phase, Task, TimedOrders
+from station.control.task import Phase, Task
 from station.service.leader import Leader, LeadIn
 from tests.harness.virtual_station import VirtualStation, usual_case
 
