@@ -29,6 +29,7 @@ from station.recording.read import open_case, read_case
 from station.recording.recorder import Recorder
 from station.recording.recover import recover
 from tests.harness.serving import serving
+from tests.harness.waiting import until
 
 PERIOD = 0.002
 POSE = np.array([0.0, np.pi / 2, -0.1])
@@ -81,6 +82,9 @@ def kill_recorder(runs: Path, feed: Feed, robot: RobotFile, after: float) -> Lef
     try:
         recorder.begin("killed", {"title": "to be killed"})
         first = feed.ring.written
+        partial = runs / "killed.partial" / "run.mcap.partial"
+        begun = partial.stat().st_size
+        until(lambda: partial.stat().st_size > begun)  # its first rows are there; how soon, no test says
         time.sleep(after)
         written = feed.ring.written
         os.kill(recorder.child.pid, signal.SIGKILL)

@@ -10,6 +10,7 @@ import pytest
 
 from tests.harness.root import ROOT
 from tests.harness.serving import Served, serving
+from tests.harness.waiting import NET
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -53,6 +54,6 @@ def command_line(tmp_path: Path, environment: dict[str, str]) -> Callable[..., s
 
     def run(*arguments: str, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
         command = [sys.executable, "-m", "station", *arguments]
-        return subprocess.run(command, input=stdin, capture_output=True, cwd=tmp_path, env=environment, timeout=110)
+        return subprocess.run(command, input=stdin, capture_output=True, cwd=tmp_path, env=environment, timeout=NET)
 
     return run

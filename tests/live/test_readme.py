@@ -10,6 +10,7 @@ import pytest
 
 from tests.harness.root import ROOT
 from tests.harness.serving import Served, serving
+from tests.harness.waiting import NET
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 #: Powered up near where homing ends, so that homing is short.
@@ -30,7 +31,7 @@ def block(language: str, holding: str) -> str:
 
 def call(*command: str, folder: Path) -> str:
     environment = {"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=400, cwd=folder, env=environment)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=NET, cwd=folder, env=environment)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -32,6 +32,7 @@ from station.lab.loads import ConstantLoad
 from station.lab.netft.simulated import NetftFaults
 from station.lab.netft.wire import AddressTaken
 from station.lab.plant import Plant
+from tests.harness.waiting import NET
 
 PARK = (0.2, 1.2, -0.08)
 LOAD = 0.3
@@ -57,7 +58,7 @@ class Lab:
     def end(self, number: int) -> tuple[int, bytes, bytes]:
         """Send it a signal: status, and what else was said."""
         self.process.send_signal(number)
-        out, err = self.process.communicate(timeout=20.0)
+        out, err = self.process.communicate(timeout=NET)
         return self.process.returncode, out, err
 
 

@@ -6,6 +6,8 @@ import subprocess
 import sys
 import time
 
+from tests.harness.waiting import NET
+
 
 def test_ctrl_c_ends_the_command_and_leaves_nothing(tmp_path, environment):
     command = [sys.executable, "-m", "station", "calibrate", "tubes", "--realtime", "--out", "found"]
@@ -14,7 +16,7 @@ def test_ctrl_c_ends_the_command_and_leaves_nothing(tmp_path, environment):
         time.sleep(8.0)
         assert process.poll() is None, process.stderr.read()
         os.kill(process.pid, signal.SIGINT)
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=NET)
     finally:
         process.kill()
         process.wait()

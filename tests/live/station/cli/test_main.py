@@ -12,6 +12,7 @@ import numpy as np
 
 from station.recording.label import Label
 from station.recording.read import read_case
+from tests.harness.waiting import NET
 
 GOOD = b'{"joints": {"outer_rotation": 0, "inner_rotation": 1.57, "inner_translation": -0.1}, "force": [0.2, 0, 0]}\n'
 TWO_CASES = "[cases.one]\n[cases.two.controller]\nfeedforward = true\n[paper.one]\nmax_abs_error_mm = { x = 7.9 }\n"
@@ -57,7 +58,7 @@ def test_run_prints_one_json_object_and_leaves_a_complete_folder(command_line, w
 def test_a_disk_that_fills_up_ends_the_run_and_keeps_what_it_took(environment, write, short, tmp_path):
     path = write(short.replace("duration = 1.0", "duration = 8.0"))  # some 2.4 MB of recording
     command = f"ulimit -f 1024; exec '{sys.executable}' -m station run '{path}' --out out --json"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, cwd=tmp_path, env=environment, timeout=110)
+    done = subprocess.run(["bash", "-c", command], capture_output=True, cwd=tmp_path, env=environment, timeout=NET)
 
     assert done.returncode == 1
     assert "the disk takes no more of the recording: File too large" in json.loads(done.stdout)["cases"]["own"]["cause"]
@@ -86,7 +87,7 @@ def test_ctrl_c_ends_a_run_without_half_a_result(environment, write, short, tmp_
             time.sleep(0.02)
         time.sleep(1.0)
         run.send_signal(signal.SIGINT)
-        _, err = run.communicate(timeout=60.0)
+        _, err = run.communicate(timeout=NET)
 
     assert run.returncode in (1, 130)
     assert b"Traceback" not in err
@@ -111,7 +112,7 @@ def test_solve_answers_line_by_line_and_ends_with_its_input(command_line):
 def test_solve_is_content_with_no_input_at_all(environment, tmp_path, command_line):
     assert command_line("solve").stdout == b""
     command = f"exec '{sys.executable}' -m station solve <&-"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, cwd=tmp_path, env=environment, timeout=110)
+    done = subprocess.run(["bash", "-c", command], capture_output=True, cwd=tmp_path, env=environment, timeout=NET)
 
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
 
@@ -124,7 +125,7 @@ def test_a_reader_that_goes_away_ends_solve_quietly(environment, tmp_path):
     ) as solve:  # fmt: skip
         os.close(writer)
         os.close(reader)
-        _, err = solve.communicate(GOOD * 3, timeout=110)
+        _, err = solve.communicate(GOOD * 3, timeout=NET)
 
     assert solve.returncode == 1
     assert err == b""

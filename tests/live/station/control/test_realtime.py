@@ -10,6 +10,7 @@ import pytest
 
 from station.control.realtime import is_dying, one_thread_each
 from tests.harness.root import ROOT
+from tests.harness.waiting import NET
 
 SCRIPT = """
 import os, sys, gc
@@ -35,7 +36,7 @@ print(repr({
 
 def run(*before: str, **environment: str) -> dict:
     done = subprocess.run(
-        [*before, sys.executable, "-c", SCRIPT], capture_output=True, text=True, timeout=60,
+        [*before, sys.executable, "-c", SCRIPT], capture_output=True, text=True, timeout=NET,
         env={**os.environ, **environment}, cwd=ROOT, check=True,
     )  # fmt: skip
     return eval(done.stdout)

@@ -12,6 +12,7 @@ import pytest
 
 from station.experiments.sweep import jobs, sweep
 from station.experiments.sweep_settings import settings
+from tests.harness.waiting import NET, until
 
 
 @pytest.fixture
@@ -49,14 +50,10 @@ def test_when_the_sweep_is_killed_its_processes_end_too(own, environment, tmp_pa
     command = [sys.executable, "-m", "station", "sweep", own, "--seeds", "2", "--jobs", "1", "--set", "duration=3600.0"]
     parent = subprocess.Popen(command, cwd=tmp_path, env=environment)
     try:
-        children: list[psutil.Process] = []
-        give_up = time.monotonic() + 60.0
-        while not children and time.monotonic() < give_up:
-            children = workers(psutil.Process(parent.pid))
-            time.sleep(0.05)
+        children = until(lambda: workers(psutil.Process(parent.pid)))
         assert len(children) == 1
     finally:
         parent.kill()
         parent.wait()
-    _, left = psutil.wait_procs(children, timeout=40.0)
+    _, left = psutil.wait_procs(children, timeout=NET)
     assert left == []

@@ -6,7 +6,6 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from station.recording.read import CaseRecording, read_case
 from station.recording.recorder import Recorder
 from station.recording.recover import recover
 from tests.harness.kill_recordings import PERIOD, Feed, kill_recorder
+from tests.harness.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -38,15 +38,6 @@ def recorder(feed: Feed, paper: RobotFile, tmp_path: Path) -> Iterator[Recorder]
     recorder.close()
 
 
-def wait_for(what, timeout: float = 20.0):
-    """The first true answer."""
-    deadline = time.monotonic() + timeout
-    while not (answer := what()):
-        assert time.monotonic() < deadline, f"not within {timeout} s"
-        time.sleep(0.02)
-    return answer
-
-
 def is_what_was_fed(read: CaseRecording, feed: Feed) -> bool:
     first = round(read.rows[0, 0] / PERIOD)
     return bool((read.rows == np.array([feed.row(first + number) for number in range(len(read.rows))])).all())
@@ -57,7 +48,7 @@ def test_a_run_is_recorded_from_its_beginning_to_its_end(recorder, feed, paper, 
     path = recorder.begin("one", {"title": "a circle", "experiment": "own", "seed": 3})
     begun = feed.ring.written
     recorder.event(Event(float(feed.ring.written) * PERIOD, "state", "RUNNING"))
-    wait_for(lambda: feed.ring.written > first + 400)
+    until(lambda: feed.ring.written > first + 400)
     last = feed.ring.written
     assert recorder.end(Label.COMPLETE, numbers={"mean_error_mm": 0.1}) == path == tmp_path / "runs" / "one"
 
@@ -128,7 +119,7 @@ def test_when_the_parent_is_killed_the_recording_is_finished_as_interrupted(tmp_
         pid, written = map(int, parent.stdout.readline().split())
         recorder = psutil.Process(pid)
         parent.kill()
-    wait_for(lambda: not recorder.is_running() or recorder.status() == psutil.STATUS_ZOMBIE)
+    until(lambda: not recorder.is_running() or recorder.status() == psutil.STATUS_ZOMBIE)
 
     read = read_case(runs / "one" / "run.mcap")
     assert (read.label, read.cause) == (Label.INTERRUPTED, "the station process is gone")
@@ -139,9 +130,9 @@ def test_when_the_parent_is_killed_the_recording_is_finished_as_interrupted(tmp_
 def test_a_full_disk_ends_the_recording_and_is_told_unasked(recorder, feed, tmp_path):
     path = recorder.begin("one", {})
     partial = tmp_path / "runs" / "one.partial" / "run.mcap.partial"
-    limit = wait_for(lambda: (size := partial.stat().st_size) > 100_000 and size) + 100_000
+    limit = until(lambda: (size := partial.stat().st_size) > 100_000 and size) + 100_000
     resource.prlimit(recorder.child.pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
-    said = wait_for(recorder.trouble)
+    said = until(recorder.trouble)
 
     assert "the disk takes no more of the recording: File too large" in said
     with pytest.raises(RecordingError, match="nothing is being recorded"):

@@ -19,6 +19,7 @@ from station.experiments.runner import run_case
 from station.recording.read import read_case
 from tests.harness.root import ROOT
 from tests.harness.serving import free_port
+from tests.harness.waiting import NET
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +48,7 @@ def client(runs: Path) -> Iterator[httpx.Client]:
     command = [sys.executable, "-m", "tests.harness.runs_server", str(runs), str(port)]
     with (
         subprocess.Popen(command, cwd=ROOT) as server,
-        httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as client,
+        httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=NET) as client,
     ):
         deadline = time.monotonic() + 30.0
         while True:
