@@ -221,10 +221,11 @@ class CalibrationSession:
         """
         if self._abort:
             raise AbortedError(self._abort)
+        stopped = self._troubles() != self._trouble  # counted first: then a stop that is still on is told by its cause
         status = self._supervisor.status()
         if status.state not in WELL:
             raise AbortedError(f"the station is {status.state.name}: {status.cause or 'the cause is in the log'}")
-        if self._troubles() != self._trouble:
+        if stopped:
             raise AbortedError("the station was stopped meanwhile; the cause is in the log")
         return status.state
 
