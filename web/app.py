@@ -60,8 +60,11 @@ from web.scene.view import View
 STATIC = Path(__file__).parent / "static"
 #: What the page may load: its own files only. The scene brings its own page.
 POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
-#: The control process has this long to compile and to begin [s].
-START_TIME = 120.0
+#: The control process has this long to compile and to begin: a minute alone, several beside other programs [s].
+START_TIME = 600.0
+#: After so long a person is told what it is doing [s].
+SLOW_START = 15.0
+COMPILING = "still starting: the first start compiles the model, which takes a minute or more (Ctrl-C gives up)"
 #: Folder of calibrations beside the runs.
 CALIBRATIONS = "calibrations"
 #: That a browser may send over a websocket [bytes].
@@ -142,7 +145,12 @@ def _serve_web(
     view = View(scene, service)
     try:
         server = _server(build_app(service, view, calibration, data, audit, host, port, tokens))
-        supervisor.wait_ready(START_TIME)  # processes and stages came up meanwhile
+        slow = threading.Timer(SLOW_START, out.print, [COMPILING])
+        slow.start()
+        try:
+            supervisor.wait_ready(START_TIME)  # processes and stages came up meanwhile
+        finally:
+            slow.cancel()
         # The main thread hears the signals, and has nothing else to do.
         ended = threading.Event()
 
