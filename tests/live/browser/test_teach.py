@@ -1,22 +1,13 @@
 """Places taught where the tip is: by mouse and by keyboard, tried before they start, kept under a name and run."""
 
 import json
-from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Page
 
-from tests.harness.chromium import bare_page
 from tests.harness.serving import Served
 
 POINTS = [[0, 0, 0, 0], [4, 0, 0.004, 0], [8, 0, 0.004, 0.003]]
-
-
-@pytest.fixture(scope="module")
-def open_page(running: Served, browser: Browser) -> Iterator[Page]:
-    running.ready()
-    with bare_page(browser, running) as page:
-        yield page
 
 
 @pytest.fixture
