@@ -23,7 +23,7 @@ def test_the_distance_is_shown_and_a_target_that_is_lost_is_told(page: Page, sta
     station.rest.post("/api/operator", json={"take_over": True})
     lost = station.post("/api/faults", {"faults": [{"kind": "lose_target", "device": "tracker"}]})
     assert lost.status_code == 200, lost.text
-    page.wait_for_function("() => document.querySelector('#strip output').textContent === '–'")
+    page.wait_for_function("() => document.querySelector('#strip output').textContent === '\\u2013'")
     assert "target not seen" in distance.inner_text()
     assert station.status()["state"] == "RUNNING"  # at rest, until patience has run out
     page.locator("#state", has_text="HOLD").wait_for()

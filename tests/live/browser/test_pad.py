@@ -3,18 +3,10 @@
 import pytest
 from playwright.sync_api import Page
 
+from tests.harness.pad import LEFT, PAD
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
-#: `pad` is what the browser tells from now on; a person who `obeys` lets go when the page asks for it.
-PAD = """(pad) => { navigator.getGamepads = () => [pad === null ? null : {
-  index: 0, id: "Test Pad (STANDARD GAMEPAD Vendor: 0000)", mapping: "standard", connected: true, axes: pad.axes,
-  buttons: Array.from({ length: 17 }, (_, number) => ({
-    pressed: number === 4 && pad.held
-      && !(pad.obeys && document.querySelector("#hands").innerText.includes("let go of")),
-  })),
-}]; }"""
-LEFT = [-1.0, 0.0, 0.0, 0.0]
 FAR = 0.002  #: that the tip has to go, beyond all noise [m]
 
 
