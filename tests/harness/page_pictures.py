@@ -1,12 +1,13 @@
-"""The pictures of `web/README.md` anew: `python -m tests.harness.page_pictures web/pictures [NAME ...]`.
+"""Pictures of the page anew: `python -m tests.harness.page_pictures web/pictures [NAME ...]`.
 
+Without a name all that `web/README.md` shows; README's own is made by `... page_pictures web/static panel`.
 Stations of its own, in virtual labs; each picture is taken beside the scene while something goes on. A busy computer
 may hold a run on the way: it says so, and the pictures that are missing are asked for by name.
 """
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -36,6 +37,8 @@ class Desk(NamedTuple):
 
     def shot(self, clip: FloatRect | None = None) -> bytes:
         """A picture in which nothing is stale."""
+        for close in self.page.locator("#notes").get_by_role("button", name="close").all():
+            close.click()
         time.sleep(DRAWN)
         while True:
             self.page.wait_for_function("() => !document.body.classList.contains('stale')")
@@ -43,7 +46,7 @@ class Desk(NamedTuple):
             if "stale" not in str(self.page.locator("body").get_attribute("class")):
                 return picture
 
-    def start(self, body: dict[str, object], progress: float) -> None:
+    def start(self, body: Mapping[str, object], progress: float) -> None:
         """From READY on, until so much of the motion is over."""
         self.station.ready()
         answer = self.station.post("/api/start", body)
@@ -93,6 +96,13 @@ def places(desk: Desk) -> bytes:
     picture = desk.shot()
     desk.page.get_by_role("button", name="all motions").click()
     return picture
+
+
+def panel(desk: Desk) -> bytes:
+    """The demonstration half way, with the plots beside the scene."""
+    desk.tab("plots")
+    desk.start(DEMO, 0.5)
+    return desk.shot()
 
 
 def devices(desk: Desk) -> bytes:
@@ -156,11 +166,13 @@ def follow(desk: Desk) -> bytes:
     return desk.shot()
 
 
-#: What each lab's station is taken in, in this order.
+#: In which lab each is taken, in this order.
 PICTURES: dict[str, tuple[Callable[[Desk], bytes], ...]] = {
-    "gentle": (jog, places, pad, run, devices, plots, runs, faults, dark, hold, contact),
+    "gentle": (jog, places, pad, run, devices, plots, runs, faults, dark, hold, contact, panel),
     "breathing": (follow,),
 }
+#: All but README's own.
+USUAL = {take.__name__ for pictures in PICTURES.values() for take in pictures} - {"panel"}
 
 
 @contextmanager
@@ -179,11 +191,9 @@ def at(lab: str, browser: Browser) -> Iterator[Desk]:
 
 def keep(picture: bytes, path: Path) -> None:
     """In few colours, for a small file."""
-    few = (
-        Image.open(BytesIO(picture))
-        .convert("RGB")
-        .quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    )
+    # By what is there, not by how much of it: a tip is a few pixels of a colour that nothing else has.
+    few = Image.open(BytesIO(picture)).convert("RGB")
+    few = few.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=5, dither=Image.Dither.NONE)
     few.save(path, optimize=True)
 
 
@@ -193,7 +203,7 @@ def main() -> None:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         for lab, pictures in PICTURES.items():
-            chosen = [take for take in pictures if not wanted or take.__name__ in wanted]
+            chosen = [take for take in pictures if take.__name__ in (wanted or USUAL)]
             if chosen:
                 with at(lab, browser) as desk:
                     for take in chosen:
