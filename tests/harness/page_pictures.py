@@ -25,6 +25,11 @@ COLOURS = 256
 #: For which the scene is given time to be drawn [s].
 DRAWN = 5.0
 HEADER: FloatRect = {"x": 0, "y": 0, "width": 1280, "height": 91}
+#: Counts how often the page has become old or new, and whether it and its close-up are new.
+COUNTING = """() => { window.turnedOld = 0;
+  new MutationObserver(() => { window.turnedOld += 1; }).observe(document.body, { attributeFilter: ["class"] }); }"""
+FRESH = """() => !document.body.classList.contains("stale")
+  && document.querySelector("#tip p").textContent !== "nothing is heard of the tip" """
 PLACES = "time [s], x [mm], y [mm], z [mm]\n0, 0, 0, 0\n4, 0, 8, 0\n8, 6, 8, 4\n12, 6, 0, 6\n16, 0, 0, 0\n"
 DEMO = {"experiment": "demo"}
 
@@ -36,14 +41,18 @@ class Desk(NamedTuple):
     page: Page
 
     def shot(self, clip: FloatRect | None = None) -> bytes:
-        """A picture in which nothing is stale."""
+        """A picture in which nothing is old, of the state that the station is in now."""
         for close in self.page.locator("#notes").get_by_role("button", name="close").all():
             close.click()
+        state = self.station.status()["state"]
         time.sleep(DRAWN)
         while True:
-            self.page.wait_for_function("() => !document.body.classList.contains('stale')")
+            self.page.wait_for_function(FRESH)
+            before = self.page.evaluate("() => window.turnedOld")
             picture = self.page.screenshot(clip=clip)
-            if "stale" not in str(self.page.locator("body").get_attribute("class")):
+            now = self.station.status()
+            assert now["state"] == state, f"{state} has become {now['state']}: {now['says']}"
+            if self.page.evaluate("() => window.turnedOld") == before and self.page.evaluate(FRESH):
                 return picture
 
     def start(self, body: Mapping[str, object], progress: float) -> None:
@@ -113,8 +122,7 @@ def devices(desk: Desk) -> bytes:
 
 def plots(desk: Desk) -> bytes:
     desk.tab("plots")
-    for _ in range(2):
-        desk.start(DEMO, 0.2)
+    desk.start(DEMO, 0.3)
     desk.start(DEMO, 0.3)
     return desk.shot()
 
@@ -185,6 +193,7 @@ def at(lab: str, browser: Browser) -> Iterator[Desk]:
         page.goto(station.url)
         page.frame_locator("#scene").locator("canvas").first.wait_for()
         page.locator(".card", has_text="demo").first.wait_for()
+        page.evaluate(COUNTING)
         yield Desk(station, page)
         page.close()
 
