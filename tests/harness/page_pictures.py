@@ -25,11 +25,12 @@ COLOURS = 256
 #: For which the scene is given time to be drawn [s].
 DRAWN = 5.0
 HEADER: FloatRect = {"x": 0, "y": 0, "width": 1280, "height": 91}
-#: Counts how often the page has become old or new, and whether it and its close-up are new.
+#: Counts how often the page has become old or new; and whether it, its close-up and its numbers are new.
 COUNTING = """() => { window.turnedOld = 0;
   new MutationObserver(() => { window.turnedOld += 1; }).observe(document.body, { attributeFilter: ["class"] }); }"""
 FRESH = """() => !document.body.classList.contains("stale")
-  && document.querySelector("#tip p").textContent !== "nothing is heard of the tip" """
+  && document.querySelector("#tip p").textContent !== "nothing is heard of the tip"
+  && /[0-9]/.test(document.querySelectorAll("#strip output")[1].textContent)"""
 PLACES = "time [s], x [mm], y [mm], z [mm]\n0, 0, 0, 0\n4, 0, 8, 0\n8, 6, 8, 4\n12, 6, 0, 6\n16, 0, 0, 0\n"
 DEMO = {"experiment": "demo"}
 
