@@ -49,8 +49,9 @@ def take(page: Page, points: list[list[float]]) -> None:
 def go(station: Served, pose: dict[str, float]) -> None:
     """By somebody else; then nobody is operator."""
     assert station.post("/api/goto", {"joints": pose}).status_code == 202
-    station.wait_for(lambda status: status["state"] == "RUNNING")
-    station.wait_for(lambda status: status["state"] == "READY")
+    station.wait_for(
+        lambda s: s["state"] == "READY" and all(abs(s["joints"][name] - there) < 1e-4 for name, there in pose.items())
+    )
     station.rest.delete("/api/operator")
 
 
