@@ -67,9 +67,13 @@ class Target:
         """Why nothing can be followed now; empty when it can."""
         if self._now - self._seen <= LOST:
             return ""
-        since = "has not been seen yet" if np.isinf(self._seen) else f"not seen for {self._now - self._seen:.1f} s"
+        if np.isinf(self._seen):
+            return (
+                f"target: has not been seen yet (more than {LOST:g} s); name its coil in devices.tracker.target, or bring"
+                " it into the tracker's volume"
+            )
         return (
-            f"target: {since} (more than {LOST:g} s); name its coil in devices.tracker.target, or bring it into the"
+            f"target: not seen for {self._now - self._seen:.1f} s (more than {LOST:g} s); bring it back into the"
             " tracker's volume"
         )
 

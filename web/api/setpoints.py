@@ -108,6 +108,7 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
     start = supervisor.channels.of(row, "tip_desired").copy()
     leader = Leader(asked, start, now())
     await socket.send_json({"ready": True, "tip": start.tolist(), "time": float(row[0])})
+    heard, left = now(), False
     watch = asyncio.create_task(_until_over(service, run))
     try:
         while True:
@@ -122,9 +123,11 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
                 message = _object(hearing.result())
                 if len(message) == 1 and message.get("end") is True:
                     service.lead(run, None)
+                    left = True
                     continue
                 lease.keep(who.client, who.name)
                 service.lead(run, _wish(leader, message, now()))
+                heard = now()
             except TooFast as error:
                 raise _Refused(str(error), TOO_MUCH) from None
             except (NotTaken, HeldError) as error:
@@ -133,7 +136,9 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
     finally:
         watch.cancel()
     status = supervisor.status()
-    await _close(socket, {"ended": status.state.name, "cause": status.cause}, DONE)
+    # The loop counts from another moment of the same message; whose time was over has spoken just now.
+    silent = "" if left or now() - heard < 0.5 * asked.end else f"nothing that counts was said for {asked.end:g} s"
+    await _close(socket, {"ended": status.state.name, "cause": status.cause or silent}, DONE)
 
 
 def _wish(leader: Leader, message: dict[str, Any], now: float) -> Any:

@@ -21,10 +21,11 @@ function left() {
   return `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")}`;
 }
 
+const asks = (sample) => (follows(sample) ? (sample.target_seen ? "off target" : "target not seen") : "error");
 const fixed = (digits) => (value) => value.toFixed(digits);
 /** Name, unit, value of the newest sample (or null), how it is written, what a dash means. */
 const CELLS = [
-  { name: (sample) => `${follows(sample) ? "off target" : "error"}, ${against(sample) === "true" ? "true" : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${against(s)}`)), text: fixed(2), none: "known while a motion is on and its devices answer" },
+  { name: (sample) => `${asks(sample)}, ${against(sample) === "true" ? "true" : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${against(s)}`)), text: fixed(2), none: "known while a motion is on and its devices answer" },
   { name: () => "force", unit: "N", value: (s) => s && length(known(s, "force_filtered")), text: fixed(2), none: "no fresh word of the force" },
   { name: () => "deflection", unit: "mm", value: (s) => s && length(known(s, "deflection_filtered"), 1e3), text: fixed(1), none: "no fresh word of the force" },
   { name: () => "time left", unit: "", value: left, text: String, none: "no motion is on" },

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from tests.harness.chromium import CHROMIUM, FLAGS, scene_page
+from tests.harness.chromium import CHROMIUM, FLAGS, bare_page
 from tests.harness.serving import Served
 
 HERE = Path(__file__).parent
@@ -42,19 +42,15 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def open_page(running: Served, browser: Browser) -> Iterator[Page]:
-    """The page with its scene drawn; opened once, software rendering is slow."""
+    """The page of a module, without its scene."""
     running.ready()
-    page = scene_page(browser)
-    page.goto(running.url)
-    page.frame_locator("#scene").locator("canvas").first.wait_for()
-    page.locator("#tip canvas").wait_for()
-    page.wait_for_timeout(4000)
-    yield page
-    page.close()
+    with bare_page(browser, running) as page:
+        yield page
 
 
 @pytest.fixture
 def page(station: Served, open_page: Page) -> Page:
+    """It, on a station that is READY."""
     open_page.locator("#state", has_text="READY").wait_for()
     return open_page
 

@@ -3,10 +3,9 @@
 from collections.abc import Callable, Iterator
 
 import pytest
-from playwright.sync_api import Browser, Page, Route
+from playwright.sync_api import Page, Route
 
 from station.config.strict import PRESETS
-from tests.harness.chromium import bare_page
 from tests.harness.contrast import CONTRAST
 from tests.harness.serving import Served, serving
 
@@ -18,13 +17,6 @@ SEED = 4
 def running() -> Iterator[Served]:
     with serving("--lab", "uncalibrated", "--seed", str(SEED)) as served:
         yield served
-
-
-@pytest.fixture(scope="module")
-def open_page(running: Served, browser: Browser) -> Iterator[Page]:
-    running.ready()
-    with bare_page(browser, running) as page:
-        yield page
 
 
 @pytest.fixture

@@ -1,19 +1,8 @@
 """Forms as a person fills them: refusals in the unit of the box, and nothing typed is lost."""
 
-from collections.abc import Iterator
+from playwright.sync_api import Page
 
-import pytest
-from playwright.sync_api import Browser, Page
-
-from tests.harness.chromium import bare_page
 from tests.harness.serving import Served
-
-
-@pytest.fixture(scope="module")
-def open_page(running: Served, browser: Browser) -> Iterator[Page]:
-    running.ready()
-    with bare_page(browser, running) as page:
-        yield page
 
 
 def motion(page: Page, text: str) -> None:

@@ -2,7 +2,7 @@
 
 import signal
 
-from playwright.sync_api import Browser
+from playwright.sync_api import Browser, Page
 
 from tests.harness.chromium import bare_page
 from tests.harness.serving import Served, serving
@@ -10,22 +10,20 @@ from tests.harness.serving import Served, serving
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
 
 
-def test_stop_works_with_a_broken_scene(station: Served, browser: Browser) -> None:
-    with bare_page(browser, station) as page:
-        station.post("/api/start", HOLD)
-        page.locator("#state", has_text="RUNNING").wait_for()
-        page.locator("#stop").click()
-        page.locator("#state", has_text="STOPPED").wait_for()
-        assert station.status()["state"] == "STOPPED"
+def test_stop_works_with_a_broken_scene(page: Page, station: Served) -> None:
+    station.post("/api/start", HOLD)
+    page.locator("#state", has_text="RUNNING").wait_for()
+    page.locator("#stop").click()
+    page.locator("#state", has_text="STOPPED").wait_for()
+    assert station.status()["state"] == "STOPPED"
 
 
-def test_a_dead_control_process_is_a_fault_at_once_and_a_reset_revives_it(station: Served, browser: Browser) -> None:
-    with bare_page(browser, station) as page:
-        station.control_process().kill()
-        page.locator("#state", has_text="FAULT").wait_for()
-        assert "signal 9" in page.locator("#says").inner_text()
-        page.locator("#reset").click()
-        page.locator("#state", has_text="READY").wait_for()
+def test_a_dead_control_process_is_a_fault_at_once_and_a_reset_revives_it(page: Page, station: Served) -> None:
+    station.control_process().kill()
+    page.locator("#state", has_text="FAULT").wait_for()
+    assert "signal 9" in page.locator("#says").inner_text()
+    page.locator("#reset").click()
+    page.locator("#state", has_text="READY").wait_for()
 
 
 def test_a_station_that_hangs_looks_old_and_starts_nothing_and_one_that_is_gone_is_told(browser: Browser) -> None:

@@ -1,8 +1,7 @@
 """A run from the first to the last with nothing but a keyboard."""
 
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Page
 
-from tests.harness.chromium import bare_page
 from tests.harness.serving import Served
 
 #: No way through the page is longer.
@@ -22,22 +21,21 @@ def tab_to(page: Page, text: str) -> None:
     raise AssertionError(f"'{text}' is not reached with Tab")
 
 
-def test_a_run_is_chosen_set_started_stopped_and_reset(station: Served, browser: Browser) -> None:
-    with bare_page(browser, station) as page:
-        tab_to(page, "Keep the tip where it is")
-        page.keyboard.press("Enter")
-        page.locator("#start", has_text="Load on the simulated tip").wait_for()
-        tab_to(page, "duration")
-        page.keyboard.press("Control+A")
-        page.keyboard.type("45")
-        page.locator("button:enabled", has_text="Start motion").wait_for()
-        tab_to(page, "Start motion")
-        page.keyboard.press("Enter")
-        status = station.wait_for(lambda s: s["state"] == "RUNNING")
-        assert status["run"]["duration"] == 45.0
-        page.locator("#state", has_text="RUNNING").wait_for()
-        page.keyboard.press("Shift+Space")
-        page.locator("#state", has_text="STOPPED").wait_for()
-        tab_to(page, "Reset")
-        page.keyboard.press("Enter")
-        page.locator("#state", has_text="READY").wait_for()
+def test_a_run_is_chosen_set_started_stopped_and_reset(page: Page, station: Served) -> None:
+    tab_to(page, "Keep the tip where it is")
+    page.keyboard.press("Enter")
+    page.locator("#start", has_text="Load on the simulated tip").wait_for()
+    tab_to(page, "duration")
+    page.keyboard.press("Control+A")
+    page.keyboard.type("45")
+    page.locator("button:enabled", has_text="Start motion").wait_for()
+    tab_to(page, "Start motion")
+    page.keyboard.press("Enter")
+    status = station.wait_for(lambda s: s["state"] == "RUNNING")
+    assert status["run"]["duration"] == 45.0
+    page.locator("#state", has_text="RUNNING").wait_for()
+    page.keyboard.press("Shift+Space")
+    page.locator("#state", has_text="STOPPED").wait_for()
+    tab_to(page, "Reset")
+    page.keyboard.press("Enter")
+    page.locator("#state", has_text="READY").wait_for()

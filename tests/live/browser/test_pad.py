@@ -1,33 +1,20 @@
 """A hand at the tip: a stand-in for a pad, whose dead man's button has to be held, and keys in their own field."""
 
-from collections.abc import Iterator
-
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Page
 
-from tests.harness.chromium import bare_page
+from tests.harness.pad import LEFT, PAD
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
-#: `pad` is what the browser tells from now on; a person who `obeys` lets go when the page asks for it.
-PAD = """(pad) => { navigator.getGamepads = () => [pad === null ? null : {
-  index: 0, id: "Test Pad (STANDARD GAMEPAD Vendor: 0000)", mapping: "standard", connected: true, axes: pad.axes,
-  buttons: Array.from({ length: 17 }, (_, number) => ({
-    pressed: number === 4 && pad.held
-      && !(pad.obeys && document.querySelector("#hands").innerText.includes("let go of")),
-  })),
-}]; }"""
-LEFT = [-1.0, 0.0, 0.0, 0.0]
 FAR = 0.002  #: that the tip has to go, beyond all noise [m]
 
 
-@pytest.fixture(scope="module")
-def open_page(running: Served, browser: Browser) -> Iterator[Page]:
-    running.ready()
-    with bare_page(browser, running) as page:
-        page.locator("#tab-jog").click()
-        page.locator("#hands fieldset").wait_for()
-        yield page
+@pytest.fixture
+def page(page: Page) -> Page:
+    page.locator("#tab-jog").click()
+    page.locator("#hands fieldset").wait_for()
+    return page
 
 
 def pad(page: Page, axes: list[float], *, held: bool, obeys: bool = True) -> None:

@@ -1,22 +1,15 @@
 """STOP reaches the station whatever is open on the page: by mouse, touch and keyboard, and over a broken network."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.harness.chromium import PATIENCE, bare_page
+from tests.harness.chromium import PATIENCE
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 600.0}
-
-
-@pytest.fixture(scope="module")
-def open_page(running: Served, browser: Browser) -> Iterator[Page]:
-    running.ready()
-    with bare_page(browser, running) as page:
-        yield page
 
 
 def tab(page: Page, name: str) -> None:

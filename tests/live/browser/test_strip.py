@@ -1,8 +1,7 @@
 """The strip above the tabs: numbers of now or none, and how well a run went when it is over."""
 
-from playwright.sync_api import Browser
+from playwright.sync_api import Page
 
-from tests.harness.chromium import bare_page
 from tests.harness.serving import Served
 
 #: Longer than anybody waits: it is stopped once all has been seen.
@@ -17,27 +16,25 @@ EMPTY = f"(nth) => !/[0-9]/.test(({CELL})(nth))"
 ERROR, FORCE, DEFLECTION, LEFT = range(4)
 
 
-def test_numbers_while_it_moves_and_how_it_went_at_the_end(station: Served, browser: Browser) -> None:
-    with bare_page(browser, station) as page:
-        assert page.evaluate(EMPTY, ERROR)  # there is no path to be away from
-        page.wait_for_function(NUMBER, arg=FORCE)
-        started = station.post("/api/start", HELD)
-        assert started.status_code == 202, started.text
-        station.rest.delete("/api/operator")
-        for cell in (ERROR, FORCE, DEFLECTION):
-            page.wait_for_function(NUMBER, arg=cell)
-        page.wait_for_function(f"(nth) => /^[0-9]+:[0-9]{{2}}$/.test(({CELL})(nth))", arg=LEFT)
-        station.post("/api/stop")
-        page.locator("#ended", has_text="stopped · error at most").wait_for()
-        page.wait_for_function(EMPTY, arg=ERROR)
-        page.locator("#ended").get_by_role("button", name="Result").click()
-        page.locator("#runs .result").wait_for()
-        assert "largest" in page.locator("#runs .result").inner_text()
+def test_numbers_while_it_moves_and_how_it_went_at_the_end(page: Page, station: Served) -> None:
+    assert page.evaluate(EMPTY, ERROR)  # there is no path to be away from
+    page.wait_for_function(NUMBER, arg=FORCE)
+    started = station.post("/api/start", HELD)
+    assert started.status_code == 202, started.text
+    station.rest.delete("/api/operator")
+    for cell in (ERROR, FORCE, DEFLECTION):
+        page.wait_for_function(NUMBER, arg=cell)
+    page.wait_for_function(f"(nth) => /^[0-9]+:[0-9]{{2}}$/.test(({CELL})(nth))", arg=LEFT)
+    station.post("/api/stop")
+    page.locator("#ended", has_text="stopped · error at most").wait_for()
+    page.wait_for_function(EMPTY, arg=ERROR)
+    page.locator("#ended").get_by_role("button", name="Result").click()
+    page.locator("#runs .result").wait_for()
+    assert "largest" in page.locator("#runs .result").inner_text()
 
 
-def test_what_is_not_known_any_more_is_not_shown(station: Served, browser: Browser) -> None:
-    with bare_page(browser, station) as page:
-        page.wait_for_function(NUMBER, arg=FORCE)
-        station.post("/api/faults", {"faults": [{"kind": "mute", "device": "inner"}]})
-        page.wait_for_function(EMPTY, arg=FORCE)
-        page.wait_for_function(EMPTY, arg=DEFLECTION)
+def test_what_is_not_known_any_more_is_not_shown(page: Page, station: Served) -> None:
+    page.wait_for_function(NUMBER, arg=FORCE)
+    station.post("/api/faults", {"faults": [{"kind": "mute", "device": "inner"}]})
+    page.wait_for_function(EMPTY, arg=FORCE)
+    page.wait_for_function(EMPTY, arg=DEFLECTION)

@@ -1,7 +1,7 @@
 """The tabs under an operator's hands; the scene is left out, it takes a processor to draw."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -13,13 +13,6 @@ from tests.harness.serving import Served
 
 Picture = Callable[[Page, str], None]
 CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.003, "period": 4.0}, "duration": 2.0}
-
-
-@pytest.fixture(scope="module")
-def open_page(running: Served, browser: Browser) -> Iterator[Page]:
-    running.ready()
-    with bare_page(browser, running) as page:
-        yield page
 
 
 def tab(page: Page, name: str) -> None:

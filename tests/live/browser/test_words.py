@@ -4,17 +4,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, Route
+from playwright.sync_api import Page, Route
 
-from tests.harness.chromium import bare_page
 from tests.harness.serving import Served
-
-
-@pytest.fixture(scope="module")
-def open_page(running: Served, browser: Browser) -> Iterator[Page]:
-    running.ready()
-    with bare_page(browser, running) as page:
-        yield page
 
 
 @pytest.fixture
@@ -58,7 +50,10 @@ def test_what_is_asked_for_is_a_button_wherever_it_is_told(page: Page, says: Cal
     page.locator("#tab-start").click()
     page.locator(".card", has_text="Keep the tip where it is").click()
     says(state="CONNECTED", says="devices answer", next="home the stages", act="home")
-    for tab, place in (("start", "#start .sticky"), ("jog", "#jog"), ("faults", "#faults"), ("plots", "#act")):
+    places = (
+        ("start", "#start .sticky"), ("jog", "#jog > p"), ("jog", "#hands"), ("faults", "#faults"), ("plots", "#act"),
+    )  # fmt: skip
+    for tab, place in places:
         page.locator(f"#tab-{tab}").click()
         page.locator(place).get_by_role("button", name="Home…").click()
         page.get_by_role("dialog", name="Home every stage?").get_by_role("button", name="Cancel").click()

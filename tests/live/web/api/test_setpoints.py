@@ -41,6 +41,7 @@ def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> No
         for lie in (
             '{"tip": [NaN, 0, 0]}', '{"tip": [1e400, 0, 0]}', '{"tip": [0, 0]}', '{"tip": ["0", 0, 0]}', '{"tip": [0,',
             '{"tip": [0, 0, 0], "velocity": [0, 0, 0]}', '{"velocity": [true, 0, 0]}', "null", "", '{"end": 1}',
+            '{"velocity": [0, NaN, 0]}', '{"tip": [0, 0, 0], "time": NaN}', '{"tip": [0, 0, 0], "time": "now"}',
             b'{"tip": [0, 0, 0]}', f'{{"tip": [1{400 * "0"}, 0, 0]}}', '{"tip": [1e308, 0, 0]}', '{"tip": [1, 0, 0]}',
         ):  # fmt: skip
             socket.send(lie)
@@ -49,7 +50,11 @@ def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> No
             assert math.isfinite(answer["time"])
         socket.send('{"tip": [0, 0, 0.001]}')
         assert json.loads(socket.recv())["refused"] == ""
-        # a second one of the same client
+        # a second one of the same client, and one of another
+        other = {"x-ctr-client": "other-0123456789", "x-ctr-name": "other"}
+        with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", additional_headers=other, proxy=None) as second:
+            second.send("{}")
+            assert "is operator; ask them" in json.loads(second.recv())["error"]
         with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as second:
             second.send("{}")
             assert "RUNNING" in json.loads(second.recv())["error"]
@@ -57,6 +62,33 @@ def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> No
         with pytest.raises(ConnectionClosed):
             _flood(socket)
     station.wait_for(lambda status: status["state"] == "READY")
+
+
+def test_whoever_falls_silent_is_told_so_when_the_run_has_ended_and_whoever_leaves_is_not_blamed(
+    station: Served,
+) -> None:
+    for last, cause in ((None, "nothing that counts was said for 1 s"), ('{"end": true}', "")):
+        with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as socket:
+            socket.send(json.dumps({"silence": 0.2, "end": 1.0}))
+            assert "run_id" in json.loads(socket.recv())
+            assert json.loads(socket.recv()).get("ready")
+            socket.send('{"velocity": [0, 0, 0.005]}')
+            assert json.loads(socket.recv())["refused"] == ""
+            if last is not None:
+                socket.send(last)
+            assert json.loads(socket.recv()) == {"ended": "READY", "cause": cause}
+
+
+def test_a_velocity_beyond_all_measure_moves_the_tip_no_faster_than_it_may(station: Served) -> None:
+    with Station(station.url) as script, script.setpoints(**WIDE) as tip:
+        places = []
+        for _ in tip.every(0.02, 1.0):
+            places.append(tip.move(1e300, 1e3, -1e3))
+            places.append(tip.move(0.0, 0.0, -1e3))
+    times, desired = np.array([one["time"] for one in places]), np.array([one["desired"] for one in places])
+    assert np.isfinite(desired).all()
+    way, took = np.linalg.norm(desired[-1] - desired[0]), times[-1] - times[0]
+    assert 0.0 < way <= 0.02 * took + 1e-9
 
 
 def test_one_who_loses_the_lease_is_told_so_and_the_tip_comes_to_rest(station: Served) -> None:
@@ -71,8 +103,7 @@ def test_one_who_loses_the_lease_is_told_so_and_the_tip_comes_to_rest(station: S
             assert taken.json()["you"]
             socket.send('{"velocity": [0, 0, 0.005]}')
             assert "'other' is operator" in json.loads(socket.recv())["refused"]
-            # Nothing that counts is said any more.
-            assert json.loads(socket.recv()) == {"ended": "READY", "cause": ""}
+            assert json.loads(socket.recv()) == {"ended": "READY", "cause": "nothing that counts was said for 2 s"}
         finally:
             station.rest.delete("/api/operator", headers=other)
     station.wait_for(lambda status: status["state"] == "READY")

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from core.control.leading import Wish
+from station.control.led import Asked
 from station.control.ring import PREFIX, ROWS, SEGMENTS, STUCK, Ring, clear_left_behind
 from station.devices.interfaces import Truth
 
@@ -56,6 +58,39 @@ def test_while_the_lab_is_telling_what_it_told_before_holds(ring: Ring) -> None:
     truth = ring.truth()
     assert truth is not None
     assert truth.tip.tolist() == [1.0] * 3
+
+
+def a_wish(number: float) -> Wish:
+    return Wish(np.full(3, number), np.full(3, -number), number, 0.1)
+
+
+def test_of_all_that_was_asked_since_the_last_tick_the_newest_counts_and_of_that_run_alone(ring: Ring) -> None:
+    assert ring.asked(1) is None
+    for number in range(10_000):
+        ring.ask(Asked(1, a_wish(float(number))))
+    asked = ring.asked(1)
+    assert asked is not None
+    assert asked.wish is not None
+    assert asked.wish.place is not None
+    assert asked.wish.place.tolist() == [9999.0] * 3
+    assert asked.wish.velocity.tolist() == [-9999.0] * 3
+    assert (asked.wish.asked, asked.wish.goes_on) == (9999.0, 0.1)
+    assert ring.asked(2) is None
+    ring.ask(Asked(1, None))
+    assert ring.asked(1) == Asked(1, None)
+
+
+def test_while_something_is_being_asked_what_was_asked_before_holds(ring: Ring) -> None:
+    ring.ask(Asked(1, a_wish(1.0)))
+    ring.asked(1)
+    # The station's process is interrupted in the middle of asking.
+    ring._wish[0] += 1.0
+    ring._wish[3] = 99.0
+    asked = ring.asked(1)
+    assert asked is not None
+    assert asked.wish is not None
+    assert asked.wish.place is not None
+    assert asked.wish.place.tolist() == [1.0] * 3
 
 
 def test_a_robot_that_cannot_follow_is_told(ring: Ring) -> None:

@@ -1,0 +1,226 @@
+"""Pictures of the page anew: `python -m tests.harness.page_pictures web/pictures [NAME ...]`.
+
+Without a name all that `web/README.md` shows; README's own is made by `... page_pictures web/static panel`.
+Stations of its own, in virtual labs; each picture is taken beside the scene while something goes on. A busy computer
+may hold a run on the way: it says so, and the pictures that are missing are asked for by name.
+"""
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+from PIL import Image
+from playwright.sync_api import Browser, FloatRect, Page, sync_playwright
+
+from tests.harness.chromium import CHROMIUM, FLAGS, PATIENCE, SIZE, SLOWLY
+from tests.harness.pad import LEFT, PAD
+from tests.harness.serving import Served, serving
+
+#: Colours of a picture: enough that each is what it is on the screen, few enough for a small file.
+COLOURS = 256
+#: For which the scene is given time to be drawn [s].
+DRAWN = 5.0
+HEADER: FloatRect = {"x": 0, "y": 0, "width": 1280, "height": 91}
+#: Counts how often the page has become old or new; and whether it, its close-up and its numbers are new.
+COUNTING = """() => { window.turnedOld = 0;
+  new MutationObserver(() => { window.turnedOld += 1; }).observe(document.body, { attributeFilter: ["class"] }); }"""
+FRESH = """() => !document.body.classList.contains("stale")
+  && document.querySelector("#tip p").textContent !== "nothing is heard of the tip"
+  && /[0-9]/.test(document.querySelectorAll("#strip output")[1].textContent)"""
+PLACES = "time [s], x [mm], y [mm], z [mm]\n0, 0, 0, 0\n4, 0, 8, 0\n8, 6, 8, 4\n12, 6, 0, 6\n16, 0, 0, 0\n"
+DEMO = {"experiment": "demo"}
+
+
+class Desk(NamedTuple):
+    """A station, and a person's page on it."""
+
+    station: Served
+    page: Page
+
+    def shot(self, clip: FloatRect | None = None) -> bytes:
+        """A picture in which nothing is old, of the state that the station is in now."""
+        for close in self.page.locator("#notes").get_by_role("button", name="close").all():
+            close.click()
+        state = self.station.status()["state"]
+        time.sleep(DRAWN)
+        while True:
+            self.page.wait_for_function(FRESH)
+            before = self.page.evaluate("() => window.turnedOld")
+            picture = self.page.screenshot(clip=clip)
+            now = self.station.status()
+            assert now["state"] == state, f"{state} has become {now['state']}: {now['says']}"
+            if self.page.evaluate("() => window.turnedOld") == before and self.page.evaluate(FRESH):
+                return picture
+
+    def start(self, body: Mapping[str, object], progress: float) -> None:
+        """From READY on, until so much of the motion is over."""
+        self.station.ready()
+        answer = self.station.post("/api/start", body)
+        assert answer.status_code == 202, answer.text
+        self.station.wait_for(lambda s: s["state"] != "RUNNING" or (s["run"]["progress"] or 0.0) > progress)
+        assert self.station.status()["state"] == "RUNNING", self.station.status()["cause"]
+
+    def tab(self, name: str) -> None:
+        self.page.locator(f"#tab-{name}").click()
+
+
+def run(desk: Desk) -> bytes:
+    desk.start(DEMO, 0.3)
+    desk.tab("start")
+    return desk.shot()
+
+
+def jog(desk: Desk) -> bytes:
+    desk.station.ready()
+    desk.tab("jog")
+    return desk.shot()
+
+
+def pad(desk: Desk) -> bytes:
+    """The tip goes back along the tubes while a button is held."""
+    desk.station.ready()
+    desk.tab("jog")
+    desk.page.locator("#hands").scroll_into_view_if_needed()
+    desk.page.locator("#hands").evaluate("box => box.scrollIntoView({ block: 'start' })")
+    desk.page.evaluate(PAD, {"axes": [0.0] * 4, "held": False, "obeys": True})
+    desk.page.locator("#hands [role=status]", has_text="hold a shoulder button").wait_for()
+    desk.page.evaluate(PAD, {"axes": [0.4 * x for x in LEFT], "held": True, "obeys": True})
+    desk.page.locator("#state", has_text="RUNNING").wait_for()
+    picture = desk.shot()
+    desk.page.evaluate(PAD, None)
+    desk.station.wait_for(lambda s: s["state"] == "READY")
+    return picture
+
+
+def places(desk: Desk) -> bytes:
+    desk.station.ready()
+    desk.tab("start")
+    desk.page.locator(".card", has_text="Through places").click()
+    file = {"name": "places.csv", "mimeType": "text/csv", "buffer": PLACES.encode()}
+    desk.page.get_by_label("CSV file").set_input_files([file])  # type: ignore[list-item]
+    desk.page.locator(".teach [role=status]", has_text="✓ on the model").wait_for()
+    picture = desk.shot()
+    desk.page.get_by_role("button", name="all motions").click()
+    return picture
+
+
+def panel(desk: Desk) -> bytes:
+    """The demonstration half way, with the plots beside the scene."""
+    desk.tab("plots")
+    desk.start(DEMO, 0.5)
+    return desk.shot()
+
+
+def devices(desk: Desk) -> bytes:
+    desk.start(DEMO, 0.3)
+    desk.tab("devices")
+    return desk.shot()
+
+
+def plots(desk: Desk) -> bytes:
+    desk.tab("plots")
+    desk.start(DEMO, 0.3)
+    desk.start(DEMO, 0.3)
+    return desk.shot()
+
+
+def runs(desk: Desk) -> bytes:
+    desk.start(DEMO, 0.3)
+    desk.tab("runs")
+    return desk.shot()
+
+
+def faults(desk: Desk) -> bytes:
+    desk.start(DEMO, 0.3)
+    desk.tab("faults")
+    return desk.shot()
+
+
+def hold(desk: Desk) -> bytes:
+    desk.start(DEMO, 0.2)
+    desk.station.post("/api/faults", {"faults": [{"kind": "lose_tool", "device": "tracker"}]})
+    desk.page.locator("#state", has_text="HOLD").wait_for()
+    return desk.shot(HEADER)
+
+
+def contact(desk: Desk) -> bytes:
+    desk.station.ready()
+    desk.tab("faults")
+    load = {"kind": "contact", "magnitude": 0.3, "place": 0.1, "direction": [0.0, 1.0, 0.3]}
+    desk.station.post("/api/pull", {"load": load})
+    desk.page.locator("#mind", has_text="load not at the tip").wait_for()
+    picture = desk.shot()
+    desk.station.post("/api/pull", {"load": {"kind": "none"}})
+    return picture
+
+
+def dark(desk: Desk) -> bytes:
+    desk.start(DEMO, 0.3)
+    desk.tab("plots")
+    desk.page.emulate_media(color_scheme="dark")
+    picture = desk.shot()
+    desk.page.emulate_media(color_scheme="light")
+    return picture
+
+
+def follow(desk: Desk) -> bytes:
+    """In a lab with a target."""
+    desk.page.locator("#legend summary").click()
+    desk.tab("plots")
+    desk.start({"experiment": "follow", "case": "breathing"}, 0.4)
+    return desk.shot()
+
+
+#: In which lab each is taken, in this order.
+PICTURES: dict[str, tuple[Callable[[Desk], bytes], ...]] = {
+    "gentle": (jog, places, pad, run, devices, plots, runs, faults, dark, hold, contact, panel),
+    "breathing": (follow,),
+}
+#: All but README's own.
+USUAL = {take.__name__ for pictures in PICTURES.values() for take in pictures} - {"panel"}
+
+
+@contextmanager
+def at(lab: str, browser: Browser) -> Iterator[Desk]:
+    """A station in a lab and its page, the scene drawn."""
+    with serving("--lab", lab, rate=1.0) as station:
+        page = browser.new_page(viewport=SIZE, color_scheme="light")
+        page.set_default_timeout(PATIENCE)
+        page.add_init_script(SLOWLY.replace("250", "2000"))  # a busy page is stale when its picture is taken
+        page.goto(station.url)
+        page.frame_locator("#scene").locator("canvas").first.wait_for()
+        page.locator(".card", has_text="demo").first.wait_for()
+        page.evaluate(COUNTING)
+        yield Desk(station, page)
+        page.close()
+
+
+def keep(picture: bytes, path: Path) -> None:
+    """In few colours, for a small file."""
+    # By what is there, not by how much of it: a tip is a few pixels of a colour that nothing else has.
+    few = Image.open(BytesIO(picture)).convert("RGB")
+    few = few.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=5, dither=Image.Dither.NONE)
+    few.save(path, optimize=True)
+
+
+def main() -> None:
+    """Into the folder that is named; all of them, or those that are named."""
+    folder, wanted = Path(sys.argv[1]), set(sys.argv[2:])
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        for lab, pictures in PICTURES.items():
+            chosen = [take for take in pictures if take.__name__ in (wanted or USUAL)]
+            if chosen:
+                with at(lab, browser) as desk:
+                    for take in chosen:
+                        keep(take(desk), folder / f"{take.__name__}.png")
+                        print(take.__name__, flush=True)  # noqa: T201
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
