@@ -258,6 +258,8 @@ def askable(
     loaded = int(np.count_nonzero(np.linalg.norm(forces, axis=1) > LOADED))
     rooms = _rooms(robot, (*measurements, *others))
     for quantity in quantities(robot):
+        if quantity.kind == "end":
+            continue  # held by few poses, and nobody else's model has it
         name = quantity.parameter(robot).name.replace("_", " ")
         if quantity.kind == "bending_stiffness" and quantity.tube == len(robot.tubes) - 1 and loaded < LEAST_LOADED:
             left.append(

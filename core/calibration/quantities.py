@@ -7,6 +7,9 @@ tracker's frame about z is counted from. In the same way the straight length of 
 is: were all tubes straight for a millimetre more, everything would stand a millimetre further along z, as if
 the tracker had moved. A zero error of a translation shifts the curved part like the straight length does, to which
 it is added.
+
+An outer tube ends, for the shape, where the inner ones leave it: with clearance some millimetres before its edge. The
+length of its last section is that, and not what a ruler says.
 """
 
 import math
@@ -18,7 +21,7 @@ from core.calibration.fit import Parameter
 from core.errors import DescriptionError
 from core.robot.robot import Array, Robot, Section, Tube
 
-Kind = Literal["bending_stiffness", "curvature", "poisson_ratio", "straight_length", "zero_angle"]
+Kind = Literal["bending_stiffness", "curvature", "poisson_ratio", "straight_length", "zero_angle", "end"]
 
 #: Unit and what is known beforehand, one standard deviation: drawn tubes and hand-set zeros.
 EXPECTED: dict[Kind, tuple[str, float]] = {
@@ -27,6 +30,7 @@ EXPECTED: dict[Kind, tuple[str, float]] = {
     "poisson_ratio": ("", 0.05),
     "straight_length": ("m", 0.2e-3),
     "zero_angle": ("rad", math.radians(5.0)),
+    "end": ("m", 5e-3),
 }
 
 
@@ -46,13 +50,15 @@ class Quantity:
             bounds = (-0.999 - tube.poisson_ratio, 0.5 - 1e-9 - tube.poisson_ratio)
         elif self.kind == "straight_length":
             bounds = (-0.99 * tube.sections[0].length, math.inf)
+        elif self.kind == "end":
+            bounds = (-0.9 * tube.sections[-1].length, math.inf)
         elif self.kind != "zero_angle":
             bounds = (-0.9, 9.0)
         return Parameter(f"{tube.name} {self.kind}", unit, expected, expected, bounds)
 
 
 def quantities(robot: Robot) -> tuple[Quantity, ...]:
-    """What can be wrong about a robot's tubes: EI, curvature, nu, straight length, zero angle."""
+    """What can be wrong about a robot's tubes: EI, curvature, nu, straight length, zero angle, an outer one's end."""
     turned = [joint.tube for joint in robot.joints if joint.motion == "rotation"]
     last = len(robot.tubes) - 1
     reference = max(turned, default=last)
@@ -68,6 +74,8 @@ def quantities(robot: Robot) -> tuple[Quantity, ...]:
             found.append(Quantity(i, "straight_length"))
         if curved and i != reference:
             found.append(Quantity(i, "zero_angle"))
+        if i > 0:
+            found.append(Quantity(i, "end"))
     return tuple(found)
 
 
@@ -101,6 +109,9 @@ def _changed(tube: Tube, kind: Kind, by: float) -> Tube:
         if math.hypot(*first.curvature) > 0.0:
             raise DescriptionError(f"tube '{tube.name}' has no straight part at its proximal end")
         return replace(tube, sections=(replace(first, length=first.length + by), *tube.sections[1:]))
+    if kind == "end":
+        last = tube.sections[-1]
+        return replace(tube, sections=(*tube.sections[:-1], replace(last, length=last.length + by)))
     return replace(tube, sections=tuple(_turned(section, 1.0, by) for section in tube.sections))
 
 

@@ -23,6 +23,9 @@ from core.robot.robot import Array, Robot
 LOST = 2.0
 #: Chi square over degrees of freedom from which a model that is not quite right shows.
 ROUGH = 2.0
+#: How well a caliper says that the coil is at the tip, one standard deviation of each axis [m]. A good model finds it
+#: better; a rough one puts it millimetres along the tube in place of something else, and the tip with it.
+COIL_KNOWN = 0.3e-3
 #: Fewer loaded measurements than this cannot set the scale of the stiffness.
 LEAST_LOADED = 4
 
@@ -74,7 +77,7 @@ def calibrate_tubes(
     if found.variance_factor > ROUGH:
         # What no tube of this model can tell (friction, clearance, a bent field) is as good as noise: what is known
         # beforehand weighs against that.
-        problem = replace(problem, noise=noise.scaled(math.sqrt(found.variance_factor)))
+        problem = replace(problem, noise=noise.scaled(math.sqrt(found.variance_factor)), coil=COIL_KNOWN)
         found = fit(problem, problem.parameters, found.values)
     open_ = [combination for combination in found.weak if not combination.held and combination.open > LOST]
     if open_:

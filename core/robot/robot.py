@@ -48,11 +48,14 @@ class Tube:
     torsional_stiffness: float | None = None  #: GJ [N m^2]; None: from poisson_ratio
     rotation: float = 0.0  #: of a tube that no joint turns [rad]
     translation: float = 0.0  #: proximal end of a tube that no joint slides [m]
+    weight: float = 0.0  #: of its own, for calibration: the model that controls knows loads only [N/m]
 
     def __post_init__(self) -> None:
         positive(f"tube '{self.name}': bending_stiffness", self.bending_stiffness, "N m^2")
         if self.torsional_stiffness is not None:
             positive(f"tube '{self.name}': torsional_stiffness", self.torsional_stiffness, "N m^2")
+        if not 0.0 <= self.weight < math.inf:
+            raise DescriptionError(f"tube '{self.name}': weight {self.weight:g} N/m must be finite and not negative")
         if not math.isfinite(self.rotation):
             raise DescriptionError(f"tube '{self.name}': rotation {self.rotation} rad is not finite")
         if not -math.inf < self.translation <= 0.0:

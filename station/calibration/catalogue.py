@@ -60,7 +60,8 @@ OFFERS: Mapping[str, Offer] = {
     "tubes": Offer(
         "Tubes, tracker and sensors",
         "The whole: stiffness, curvature, lengths and zeros of the tubes, jointly with tracker, coil and sensors.",
-        "known weights, and a way to hang them at the tip", 1150.0, 410.0, True, procedures.tubes,
+        "known weights, a way to hang them at the tip, and a caliper: the coil's middle at the tip to 0.3 mm",
+        1150.0, 410.0, True, procedures.tubes,
     ),
 }  # fmt: skip
 

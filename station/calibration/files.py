@@ -120,6 +120,7 @@ def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made
         lines += [
             f"outer_diameter = {new.outer_diameter!r}",
             f"inner_diameter = {new.inner_diameter!r}",
+            f"density = {tube.density!r}",
             "sections = [",
         ]
         for old, section in zip(tube.sections, new.sections, strict=True):
@@ -129,6 +130,8 @@ def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made
                 if before
                 else was("straight_length", old.length, 1.0, "[m]")
             )
+            if section.length != old.length and before:
+                comment += was("end", old.length, 1.0, "[m] to where its neighbour leaves it")
             lines.append(f"    {{ length = {section.length:.8g}, curvature = {_row(section.curvature)} }},{comment}")
         lines.append("]")
     for joint in described.joints:

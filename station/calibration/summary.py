@@ -158,6 +158,10 @@ def tube_rows(calibration: TubeCalibration, described: Robot) -> list[Row]:
             length = 1e3 * tube.sections[0].length
             text = f"{length + 1e3 * value:.2f}"
             found.append(Row(f"{tube.name} straight length", f"{length:g}", text, f"{1e3 * half:.2g} mm"))
+        elif quantity.kind == "end":
+            edge = 1e3 * tube.length
+            text = f"{edge + 1e3 * value:.2f}"
+            found.append(Row(f"{tube.name} length inside", f"{edge:g}", text, f"{1e3 * half:.2g} mm"))
         else:
             text = f"{math.degrees(value):.2f}"
             found.append(Row(f"{tube.name} zero angle", "0", text, f"{math.degrees(half):.2g} deg"))

@@ -1,5 +1,6 @@
 """Robot files: the TOML description of tubes, joints and the stages that move them."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
@@ -13,6 +14,7 @@ from station.config.strict import (
     ConfigError,
     Document,
     Name,
+    NotNegative,
     Positive,
     Row,
     Strict,
@@ -23,6 +25,9 @@ from station.config.strict import (
     preset,
     read_toml,
 )
+
+#: Standard gravity [m/s^2].
+STANDARD = 9.80665
 
 
 class SectionFile(Strict):
@@ -52,7 +57,14 @@ class TubeFile(Strict):
     """[m]"""
     inner_diameter: float
     """[m]"""
+    density: NotNegative = 0.0
+    """of its material: calibration takes the tube's own weight from it and the diameters; 0 leaves it out [kg/m^3]"""
     sections: Annotated[tuple[SectionFile, ...], Row]
+
+    @property
+    def weight(self) -> float:
+        """Of its own [N/m]."""
+        return STANDARD * self.density * 0.25 * math.pi * (self.outer_diameter**2 - self.inner_diameter**2)
 
 
 class JointFile(Strict):
@@ -133,6 +145,7 @@ class RobotFile(Strict):
                     tube.torsional_stiffness,
                     tube.rotation,
                     tube.translation,
+                    tube.weight,
                 )
                 for tube in self.tubes
             ),

@@ -16,13 +16,13 @@ def test_what_can_be_wrong_about_the_papers_robot(paper_robot):
     assert names == [
         "inner bending_stiffness", "inner curvature", "inner poisson_ratio", "inner straight_length",
         "inner zero_angle",
-        "outer bending_stiffness", "outer curvature", "outer poisson_ratio",
+        "outer bending_stiffness", "outer curvature", "outer poisson_ratio", "outer end",
     ]  # fmt: skip
 
 
 def test_each_change_is_the_one_that_was_asked_for(paper_robot):
     what = quantities(paper_robot)
-    inner, outer = changed(paper_robot, what, np.array([0.1, -0.2, 0.05, 1e-3, 0.3, -0.1, 0.2, -0.1])).tubes
+    inner, outer = changed(paper_robot, what, np.array([0.1, -0.2, 0.05, 1e-3, 0.3, -0.1, 0.2, -0.1, -5e-3])).tubes
 
     assert inner.bending_stiffness == pytest.approx(1.1 * 0.0413)
     assert inner.poisson_ratio == pytest.approx(0.35)
@@ -31,7 +31,7 @@ def test_each_change_is_the_one_that_was_asked_for(paper_robot):
     assert math.atan2(*inner.sections[1].curvature[::-1]) == pytest.approx(0.3)
     assert outer.bending_stiffness == pytest.approx(0.9 * 0.0480)
     assert outer.sections[1].curvature == pytest.approx((4.8, 0.0))
-    assert outer.sections[0].length == 0.012
+    assert [section.length for section in outer.sections] == pytest.approx([0.012, 0.148])
 
 
 def test_a_zero_angle_is_a_turn_of_the_stage(paper_robot):

@@ -1,0 +1,85 @@
+"""What the controller shows on a lab that the station has calibrated itself.
+
+`python -m tests.harness.calibrated_runs [--lab realistic] [--seeds N] [--first K]`
+
+For each seed the bench is calibrated at rest (`tubes`), and the experiments run calibrated on its wire-level devices.
+One JSON line a run with the largest errors of x, y, z, then the table: median and worst of the seeds.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+
+from station.calibration.files import write_registration, write_robot, write_sensors
+from station.config.robots import load_robot
+from station.control.clock import VirtualClock
+from station.experiments.experiment import load_experiment
+from station.experiments.results import summarise
+from station.experiments.runner import run_case
+from station.lab.aurora.coil import MOUNT
+from station.lab.config import load_lab
+from tests.harness.calibration_seeds import calibrated
+
+#: A weight lowered by hand in 1.5 s and taken off again so.
+BY_HAND = {"kind": "ramps", "times": [5.0, 6.5, 15.0, 16.5], "magnitudes": [0.0, 0.5, 0.5, 0.0]}
+#: Name, experiment, case and what is changed; fig10 for two of its ten periods after the settling time.
+RUNS = (
+    ("fig8 as in the paper", "fig8", "type_1", {}),
+    ("fig8 live default", "fig8", "regulation", {}),
+    ("fig10 feed-forward", "fig10", "feedforward", {"duration": 60.0}),
+    ("fig8 as in the paper, lowered by hand", "fig8", "type_1", {"duration": 25.0, "load": BY_HAND}),
+    ("fig10 as in the paper", "fig10", "paper", {"duration": 60.0}),
+    ("fig6", "fig6", "turn", {}),
+    ("fig7", "fig7", "regulation", {"duration": 20.0}),
+)
+COLUMNS = ("true_max_abs_error_mm", "max_abs_error_mm", "model_error_mm")
+
+
+def write(folder: Path, lab: str, seed: int) -> None:
+    """Calibrate the bench of that seed and leave what was found in a folder."""
+    subject, _, found = calibrated(load_lab(lab, load_robot("paper")), seed)
+    tubes, made = found.calibration, f"seed {seed}"
+    write_registration(folder, subject.robot, tubes.frames, tubes.fit, tubes.errors, MOUNT, made)
+    write_sensors(folder, subject.robot, found.sensors, made)
+    write_robot(folder, subject.file, tubes, made)
+
+
+def run(folder: Path, lab: str, seed: int, experiment: str, case_name: str, changes: dict) -> dict[str, object]:
+    """What one case comes to."""
+    everything = {"lab": lab, "calibration": str(folder), **changes}
+    case = next(case for case in load_experiment(experiment, everything).cases if case.name == case_name)
+    summary = summarise(run_case(case, seed, VirtualClock(), lambda done: None))
+    return {key: summary[key] for key in ("completed", "cause", *COLUMNS) if key in summary}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.harness.calibrated_runs", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument("--lab", default="realistic")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first", type=int, default=0)
+    parsed = parser.parse_args()
+    table: dict[tuple[str, str], list] = defaultdict(list)
+    for seed in range(parsed.first, parsed.first + parsed.seeds):
+        with tempfile.TemporaryDirectory() as where:
+            write(Path(where), parsed.lab, seed)
+            for name, experiment, case, changes in RUNS:
+                found = run(Path(where), parsed.lab, seed, experiment, case, changes)
+                sys.stdout.write(f"{json.dumps({'seed': seed, 'run': name, **found})}\n")
+                sys.stdout.flush()
+                for key in COLUMNS:
+                    if key in found:
+                        value = found[key]
+                        table[name, key].append(list(value.values()) if isinstance(value, dict) else value)
+    for (name, key), values in table.items():
+        sys.stdout.write(f"{name:40s} {key:24s} median {np.median(values, axis=0)} worst {np.max(values, axis=0)}\n")
+
+
+if __name__ == "__main__":
+    main()
