@@ -1,0 +1,134 @@
+"""The gateway's process: one look at the telemetry ring after the other, and what is seen to whoever listens.
+
+It reads the ring as the recorder does, so the control loop knows nothing of it. What is asked of the robot goes to
+the station process, which decides.
+"""
+
+import asyncio
+import os
+import select
+import signal
+from multiprocessing.connection import Connection
+from typing import Any, Protocol
+
+from core.errors import CtrError
+from core.robot.robot import Array
+from station.control.realtime import show_as
+from station.control.ring import Ring
+from station.control.telemetry import Channels
+from web.gateway.messages import Problem, Ready, Setup, Target
+from web.gateway.seen import Eyes, Look, Told
+from web.gateway.wanted import GatewayError
+
+#: Looks a second.
+RATE = 50.0
+
+
+class Outlet(Protocol):
+    """One protocol."""
+
+    @property
+    def watched(self) -> bool:
+        """Whether anybody wants to see the robot."""
+        ...
+
+    def publish(self, look: Look) -> None:
+        """Show it; never waits."""
+        ...
+
+    async def close(self) -> None:
+        """End."""
+        ...
+
+
+def run_gateway(setup: Setup, ring_name: str, pipe: Connection, parent: int) -> None:
+    """Main function of the gateway's process."""
+    show_as("ctr-gateway")
+    # Ctrl-C in a terminal reaches the whole group: the parent decides when we end.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    robot = setup.robot.robot()
+    ring = Ring(len(Channels(robot)), ring_name)
+    try:
+        asyncio.run(_Gateway(setup, ring, pipe).run(parent))
+    except (EOFError, ConnectionError):
+        return  # nobody is there any more
+    finally:
+        ring.close(remove=os.getppid() != parent)
+
+
+class _Gateway:
+    def __init__(self, setup: Setup, ring: Ring, pipe: Connection) -> None:
+        robot = setup.robot.robot()
+        channels = Channels(robot)
+        self._setup, self._ring, self._pipe = setup, ring, pipe
+        self._robot, self._channels = robot, channels
+        self._eyes = Eyes(ring, robot, channels, setup.clock)
+        self._told = Told()
+        self._target: Target | None = None  # the newest
+        self._room = select.poll()
+        self._room.register(pipe.fileno(), select.POLLOUT)
+        self._ended = False
+
+    async def run(self, parent: int) -> None:
+        """Serve until the parent says so or is gone."""
+        loop, outlets = asyncio.get_running_loop(), list[Outlet]()
+        loop.add_signal_handler(signal.SIGTERM, self._end)
+        try:
+            lines = await self._open(outlets)
+        except (CtrError, OSError) as error:
+            self._pipe.send(Problem(str(error)))
+            return
+        self._pipe.send(Ready(tuple(lines)))
+        loop.add_reader(self._pipe.fileno(), self._hear)
+        due = loop.time()
+        try:
+            while not self._ended and os.getppid() == parent:
+                look = self._eyes.look(self._told, wanted=any(outlet.watched for outlet in outlets))
+                for outlet in outlets:
+                    outlet.publish(look)
+                self._pass_on()
+                # A computer that was asleep does not make up for what it missed.
+                due = max(due + 1.0 / RATE, loop.time())
+                await asyncio.sleep(due - loop.time())
+        finally:
+            loop.remove_reader(self._pipe.fileno())
+            for outlet in outlets:
+                await outlet.close()
+
+    async def _open(self, outlets: list[Outlet]) -> list[str]:
+        """Everything that is wanted; only what is wanted is imported."""
+        wanted, lines = self._setup.wanted, list[str]()
+        if wanted.igtl is not None:
+            from web.gateway.igtl.server import IgtlServer
+
+            server = IgtlServer(self._robot, self._aim)
+            try:
+                address = await server.open(wanted.igtl)
+            except OSError as error:
+                raise GatewayError(f"--igtl {wanted.igtl}: {error.strerror or error}") from None
+            outlets.append(server)
+            lines.append(f"OpenIGTLink is at {address}")
+        return lines
+
+    def _hear(self) -> None:
+        try:
+            while self._pipe.poll():
+                told: Any = self._pipe.recv()
+                if told is None:
+                    self._end()
+                    return
+                self._told = told
+        except (EOFError, OSError):
+            self._end()
+
+    def _aim(self, place: Array, sent: float | None) -> None:
+        self._target = Target(place, sent)
+
+    def _pass_on(self) -> None:
+        """The newest target, if the station process takes it now: nobody here waits for it."""
+        if self._target is not None and self._room.poll(0):
+            self._pipe.send(self._target)
+            self._target = None
+
+    def _end(self) -> None:
+        self._ended = True
