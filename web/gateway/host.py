@@ -9,7 +9,8 @@ from station.control.child import Child
 from station.control.states import State
 from station.service.audit import Audit
 from station.service.station_service import StationService
-from web.access.tokens import Tokens
+from web.access.gate import is_loopback
+from web.access.tokens import Tokens, new_tokens
 from web.gateway.messages import Problem, Ready, Setup, Target
 from web.gateway.process import run_gateway
 from web.gateway.seen import Told
@@ -25,13 +26,17 @@ class Gateway:
     """One gateway process of a station."""
 
     def __init__(self, service: StationService, wanted: Wanted, tokens: Tokens | None, audit: Audit) -> None:
-        """Start it.
+        """Start it; with the station's `tokens`, if it has any, where they can be demanded.
 
         Raises:
             GatewayError: a package is missing.
         """
         wanted.check()
         supervisor = service.supervisor
+        if wanted.foxglove is None or is_loopback(wanted.foxglove.host):
+            tokens = None
+        elif tokens is None:
+            tokens = new_tokens()  # the station's own page is on loopback and has none
         setup = Setup(wanted, supervisor.bench.robot, supervisor.bench.clock, tokens)
         self.wanted = wanted
         self._service, self._audit = service, audit

@@ -8,6 +8,7 @@ import asyncio
 import os
 import select
 import signal
+from collections.abc import Awaitable, Callable
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
@@ -18,7 +19,7 @@ from station.control.ring import Ring
 from station.control.telemetry import Channels
 from web.gateway.messages import Problem, Ready, Setup, Target
 from web.gateway.seen import Eyes, Look, Told
-from web.gateway.wanted import GatewayError
+from web.gateway.wanted import Address, GatewayError
 
 #: Looks a second.
 RATE = 50.0
@@ -75,8 +76,10 @@ class _Gateway:
         loop.add_signal_handler(signal.SIGTERM, self._end)
         try:
             lines = await self._open(outlets)
-        except (CtrError, OSError) as error:
+        except CtrError as error:
             self._pipe.send(Problem(str(error)))
+            for outlet in outlets:
+                await outlet.close()
             return
         self._pipe.send(Ready(tuple(lines)))
         loop.add_reader(self._pipe.fileno(), self._hear)
@@ -101,13 +104,17 @@ class _Gateway:
         if wanted.igtl is not None:
             from web.gateway.igtl.server import IgtlServer
 
-            server = IgtlServer(self._robot, self._aim)
-            try:
-                address = await server.open(wanted.igtl)
-            except OSError as error:
-                raise GatewayError(f"--igtl {wanted.igtl}: {error.strerror or error}") from None
-            outlets.append(server)
-            lines.append(f"OpenIGTLink is at {address}")
+            igtl = IgtlServer(self._robot, self._aim)
+            outlets.append(igtl)
+            lines.append(f"OpenIGTLink is at {await _at('igtl', igtl.open, wanted.igtl)}")
+        if wanted.foxglove is not None:
+            from web.gateway.foxglove.server import FoxgloveServer
+
+            tokens = self._setup.tokens
+            foxglove = FoxgloveServer(self._robot, self._channels, tokens)
+            outlets.append(foxglove)
+            address = await _at("foxglove", foxglove.open, wanted.foxglove)
+            lines.append(f"Foxglove is at ws://{address}/{f'?token={tokens.viewer}' if tokens else ''}")
         return lines
 
     def _hear(self) -> None:
@@ -132,3 +139,16 @@ class _Gateway:
 
     def _end(self) -> None:
         self._ended = True
+
+
+async def _at(name: str, listen: Callable[[Address], Awaitable[Address]], address: Address) -> Address:
+    """Where it listens.
+
+    Raises:
+        GatewayError: it cannot.
+    """
+    try:
+        return await listen(address)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise GatewayError(f"--{name} {address} cannot be had: {reason}; choose another port") from None

@@ -17,6 +17,8 @@ from station.service.standing import standing
 
 #: Telemetry older than this is not shown as if it were of now [s].
 STALE = 0.5
+#: The rows' time and the computer's may go apart by this before one is set by the other anew [s].
+APART = 0.05
 #: Where the channels do not tell: the measured and the desired tip have a place and no direction.
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
@@ -76,6 +78,7 @@ class Eyes:
         self._ring, self._channels, self._clock = ring, channels, clock
         self._poser = Poser(robot, channels.all)
         self._next = ring.written
+        self._zero: float | None = None  # when the rows' time was 0 [s] since 1970
 
     def look(self, told: Told, *, wanted: bool) -> Look:
         """What has come since the last time; the robot in it only if that is `wanted`, it takes a solution."""
@@ -84,9 +87,12 @@ class Eyes:
         if not len(rows):
             return Look(told, rows, np.empty(0, np.int64), None)
         # The newest was written when the loop showed last that it lives.
-        newest = time.time_ns() - round(1e9 * self._clock.real(min(max(age, 0.0), STALE)))
-        stamps = newest + (1e9 * (rows[:, 0] - rows[-1, 0]) / self._clock.rate).astype(np.int64)
-        return Look(told, rows, stamps, self._seen(rows[-1], newest, told) if wanted else None)
+        newest, rate = time.time() - self._clock.real(min(max(age, 0.0), STALE)), self._clock.rate
+        zero = newest - float(rows[-1, 0]) / rate
+        if self._zero is None or abs(zero - self._zero) > APART:
+            self._zero = zero
+        stamps = (1e9 * (self._zero + rows[:, 0] / rate)).astype(np.int64)
+        return Look(told, rows, stamps, self._seen(rows[-1], int(stamps[-1]), told) if wanted else None)
 
     def _seen(self, row: Array, stamp: int, told: Told) -> Seen:
         of, old, posed = self._channels.of, standing(self._channels, row), self._poser.of(row)
