@@ -1,5 +1,10 @@
-"""The gateway's process on a ring that is really written at 500 Hz, without a station around it."""
+"""The gateway's process on a ring that is really written at 500 Hz, without a station around it.
 
+`python -m tests.harness.gateway [SECONDS]` serves all of it on the usual ports, says the process's number first, and its
+share of a processor last.
+"""
+
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,6 +33,10 @@ PAPER = load_robot("paper")
 
 class Shown(Feed):
     """Rows in which everything is known and of now."""
+
+    def pause(self) -> None:
+        """Nothing comes any more."""
+        self._stopping.set()
 
     def row(self, number: int) -> Array:
         row, of = super().row(number), self.channels.of
@@ -81,3 +90,12 @@ def eventually(what: Callable[[], Any], patience: float = 30.0) -> Any:
         assert time.monotonic() < deadline, f"not within {patience} s"
         time.sleep(0.01)
     return answer
+
+
+if __name__ == "__main__":
+    everything = Wanted(Address("127.0.0.1", 18944), Address("127.0.0.1", 8765), True, Address("127.0.0.1", 7447))
+    with gateway(everything) as served:
+        print(served.process.pid, *served.lines, sep="\n", flush=True)
+        served.process.cpu_percent()
+        time.sleep(float(sys.argv[1]) if len(sys.argv) > 1 else 600.0)
+        print(f"{served.process.cpu_percent():.1f} % of a processor, {served.process.memory_info().rss / 1e6:.1f} MB")

@@ -115,6 +115,17 @@ class _Gateway:
             outlets.append(foxglove)
             address = await _at("foxglove", foxglove.open, wanted.foxglove)
             lines.append(f"Foxglove is at ws://{address}/{f'?token={tokens.viewer}' if tokens else ''}")
+        if wanted.lsl:
+            from web.gateway.lsl import LslOutlet
+
+            outlets.append(LslOutlet(self._robot, self._channels, self._setup.clock))
+            lines.append("Lab Streaming Layer has the streams 'ctr-station' and 'ctr-station events'")
+        if wanted.ros2 is not None:
+            from web.gateway.ros2.publisher import Ros2Publisher
+
+            publisher = Ros2Publisher(self._robot)
+            outlets.append(publisher)
+            lines.append(f"ROS 2 is {publisher.open(wanted.ros2)}")
         return lines
 
     def _hear(self) -> None:
