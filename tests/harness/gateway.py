@@ -1,7 +1,7 @@
 """The gateway's process on a ring that is really written at 500 Hz, without a station around it.
 
-`python -m tests.harness.gateway [SECONDS]` serves all of it on the usual ports, says the process's number first, and its
-share of a processor last.
+`python -m tests.harness.gateway [SECONDS]` serves all of it on the usual ports; it says the process's number first, and
+its share of a processor last.
 """
 
 import sys
@@ -95,7 +95,9 @@ def eventually(what: Callable[[], Any], patience: float = 30.0) -> Any:
 if __name__ == "__main__":
     everything = Wanted(Address("127.0.0.1", 18944), Address("127.0.0.1", 8765), True, Address("127.0.0.1", 7447))
     with gateway(everything) as served:
-        print(served.process.pid, *served.lines, sep="\n", flush=True)
+        sys.stdout.write("\n".join((str(served.process.pid), *served.lines, "")))
+        sys.stdout.flush()
         served.process.cpu_percent()
         time.sleep(float(sys.argv[1]) if len(sys.argv) > 1 else 600.0)
-        print(f"{served.process.cpu_percent():.1f} % of a processor, {served.process.memory_info().rss / 1e6:.1f} MB")
+        share, memory = served.process.cpu_percent(), served.process.memory_info().rss
+        sys.stdout.write(f"{share:.1f} % of a processor, {memory / 1e6:.1f} MB\n")

@@ -20,7 +20,7 @@ def test_without_a_host_it_is_loopback():
 
 @pytest.mark.parametrize("text", ["", "a", "1.2.3.4", "host:", "host:x", "70000", "-1"])
 def test_what_is_no_port_is_refused_by_the_command_line(text, capsys):
-    with pytest.raises(ValueError, match="."):
+    with pytest.raises(ValueError, match=r"invalid literal|outside 0"):
         address_of(text)
     with pytest.raises(SystemExit):
         main(["serve", f"--igtl={text}"])
@@ -38,8 +38,6 @@ def test_what_is_no_port_is_refused_by_the_command_line(text, capsys):
 def test_a_missing_package_is_said_with_its_extra(wanted, package, extra, monkeypatch):
     wanted.check()
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(
-        GatewayError, match=rf"--{extra} needs the package {package}: pip install 'ctr-station\[{extra}\]'"
-    ):
+    with pytest.raises(GatewayError, match=rf"--{extra} needs the package {package}: .*'ctr-station\[{extra}\]'"):
         wanted.check()
     Wanted(foxglove=LOOPBACK).check()
