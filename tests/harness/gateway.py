@@ -17,6 +17,7 @@ from core.robot.robot import Array
 from station.config.robots import load_robot
 from station.control.child import Child
 from station.control.clock import REAL_TIME
+from station.control.ring import HEARTBEAT
 from station.control.states import State
 from tests.harness.kill_recordings import Feed
 from web.access.tokens import Tokens
@@ -43,6 +44,7 @@ class Shown(Feed):
         of(row, "held")[:] = of(row, "trouble")[:] = 0.0
         of(row, "tip_measured")[:], of(row, "tip_desired")[:] = MEASURED, DESIRED
         of(row, "force")[:], of(row, "moment")[:] = FORCE, MOMENT
+        self.ring.numbers[HEARTBEAT] = REAL_TIME.now()  # as the loop shows with every row that it lives
         return row
 
 

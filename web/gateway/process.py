@@ -17,6 +17,7 @@ from core.robot.robot import Array
 from station.control.realtime import show_as
 from station.control.ring import Ring
 from station.control.telemetry import Channels
+from web.access.gate import is_loopback
 from web.gateway.messages import Problem, Ready, Setup, Target
 from web.gateway.seen import Eyes, Look, Told
 from web.gateway.wanted import Address, GatewayError
@@ -106,7 +107,8 @@ class _Gateway:
 
             igtl = IgtlServer(self._robot, self._aim)
             outlets.append(igtl)
-            lines.append(f"OpenIGTLink is at {await _at('igtl', igtl.open, wanted.igtl)}")
+            address = await _at("igtl", igtl.open, wanted.igtl)
+            lines.append(f"OpenIGTLink is at {address}{_open_to(address)}")
         if wanted.foxglove is not None:
             from web.gateway.foxglove.server import FoxgloveServer
 
@@ -125,7 +127,7 @@ class _Gateway:
 
             publisher = Ros2Publisher(self._robot)
             outlets.append(publisher)
-            lines.append(f"ROS 2 is {publisher.open(wanted.ros2)}")
+            lines.append(f"ROS 2 is {publisher.open(wanted.ros2)}{_open_to(wanted.ros2)}")
         return lines
 
     def _hear(self) -> None:
@@ -163,3 +165,8 @@ async def _at(name: str, listen: Callable[[Address], Awaitable[Address]], addres
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise GatewayError(f"--{name} {address} cannot be had: {reason}; choose another port") from None
+
+
+def _open_to(address: Address) -> str:
+    """Who gets in, where nobody can be asked for a token."""
+    return "" if is_loopback(address.host) else ", open to everybody who reaches it"

@@ -17,8 +17,11 @@ from station.service.standing import standing
 
 #: Telemetry older than this is not shown as if it were of now [s].
 STALE = 0.5
-#: The rows' time and the computer's may go apart by this before one is set by the other anew [s].
-APART = 0.05
+#: What the rows' time and the computer's are apart is followed so far with each look, to less and to more: rows come
+#: late and never early, and no row's stamp is before that of the row before it [s].
+SOONER, LATER = 5e-4, 1e-5
+#: Beyond this another loop counts, or the computer's clock was set [s].
+APART = 1.0
 #: Where the channels do not tell: the measured and the desired tip have a place and no direction.
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
@@ -91,6 +94,7 @@ class Eyes:
         zero = newest - float(rows[-1, 0]) / rate
         if self._zero is None or abs(zero - self._zero) > APART:
             self._zero = zero
+        self._zero += min(max(zero - self._zero, -SOONER), LATER)
         stamps = (1e9 * (self._zero + rows[:, 0] / rate)).astype(np.int64)
         return Look(told, rows, stamps, self._seen(rows[-1], int(stamps[-1]), told) if wanted else None)
 

@@ -25,6 +25,11 @@ def test_it_is_listed_by_its_name_and_leaves_nothing() -> None:
         assert len(running.lines) == 2
 
 
+def test_it_says_where_anybody_may_look() -> None:
+    with gateway(Wanted(igtl=Address("0.0.0.0", 0))) as running:
+        assert running.lines[0].endswith(", open to everybody who reaches it")
+
+
 @pytest.mark.parametrize("name", ["igtl", "foxglove", "ros2"])
 def test_a_port_that_is_taken_is_said_so(name: str) -> None:
     with gateway(Wanted(igtl=ANY)) as running, socket.create_server(("127.0.0.1", 0)) as taken:
