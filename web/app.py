@@ -54,6 +54,9 @@ from web.api.runs import runs_routes
 from web.api.scene import scene_routes
 from web.api.setpoints import setpoint_routes
 from web.api.taught import taught_routes
+from web.gateway.host import Gateway
+from web.gateway.lead import LedByTarget, gateway_routes
+from web.gateway.wanted import Wanted
 from web.scene.proxy import viser_routes
 from web.scene.view import View
 
@@ -77,7 +80,9 @@ class PortError(CtrError):
     """A port that cannot be had."""
 
 
-def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int, data: Path, *, browser: bool) -> int:
+def serve(
+    config: Path | None, changes: Mapping[str, Any], host: str, port: int, data: Path, wanted: Wanted, *, browser: bool
+) -> int:
     """Run the station until Ctrl-C.
 
     Args:
@@ -86,6 +91,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         host: address to listen on.
         port: of page and REST; 0: any.
         data: folder of runs, calibrations and audit log.
+        wanted: of the gateway.
         browser: open one on a terminal.
 
     Returns:
@@ -95,9 +101,11 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         ConfigError: the configuration cannot be.
         AuditError: the folder cannot be written.
         PortError: the port is in use.
+        GatewayError: a part of the gateway cannot be had.
         CtrError: the control process does not start.
     """
     out = Console(highlight=False, soft_wrap=True)
+    wanted.check()
     ring.clear_left_behind()
     port_lock.clear_left_behind()
     station = load_station(config, changes)
@@ -113,7 +121,7 @@ def serve(config: Path | None, changes: Mapping[str, Any], host: str, port: int,
         supervisor = Supervisor(bench, data, audit)
         try:
             supervisor.open()
-            _serve_web(supervisor, listening, (host, port), data, audit, out, browser=browser)
+            _serve_web(supervisor, listening, (host, port), data, audit, out, wanted, browser=browser)
         finally:
             stopped = supervisor.end_control()  # again, if it never came to serve
             supervisor.close()
@@ -131,6 +139,7 @@ def _serve_web(
     data: Path,
     audit: Audit,
     out: Console,
+    wanted: Wanted,
     *,
     browser: bool,
 ) -> None:
@@ -138,13 +147,14 @@ def _serve_web(
     host, port = address
     tokens = None if is_loopback(host) else new_tokens()
     service = StationService(supervisor)
+    gateway = _gateway(service, wanted, tokens, audit, out)
     calibration = LiveCalibration(supervisor, data / CALIBRATIONS)
     # viser knows no access control: loopback only, the page comes through our own port.
     with contextlib.redirect_stdout(io.StringIO()), guarded_scene(places()):  # it announces its own address
         scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
     view = View(scene, service)
     try:
-        server = _server(build_app(service, view, calibration, data, audit, host, port, tokens))
+        server = _server(build_app(service, view, calibration, data, audit, host, port, tokens, gateway))
         slow = threading.Timer(SLOW_START, out.print, [COMPILING])
         slow.start()
         try:
@@ -181,10 +191,24 @@ def _serve_web(
             if web.ident is not None:
                 web.join()
     finally:
+        if gateway is not None:
+            gateway.close()
         calibration.close()
         view.close()
         with contextlib.redirect_stdout(io.StringIO()):
             scene.stop()
+
+
+def _gateway(
+    service: StationService, wanted: Wanted, tokens: Tokens | None, audit: Audit, out: Console
+) -> Gateway | None:
+    """Started, and told where, if any of it is wanted."""
+    if not wanted:
+        return None
+    gateway = Gateway(service, wanted, tokens, audit)
+    for line in gateway.wait_ready():
+        out.print(line, markup=False)
+    return gateway
 
 
 def _server(app: ASGIApp) -> uvicorn.Server:
@@ -245,6 +269,7 @@ def build_app(
     host: str,
     port: int,
     tokens: Tokens | None,
+    gateway: Gateway | None = None,
 ) -> Audited:
     """The station's web application.
 
@@ -256,14 +281,18 @@ def build_app(
         audit: where commands and refusals are written down.
         host, port: where the application will be reached.
         tokens: demanded from everybody; None on loopback.
+        gateway: of the same station, if it has one.
     """
     stopping = ThreadPoolExecutor(4, "stop")
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        alone = asyncio.create_task(tell_when_alone(of.lease, service.supervisor))
+        tasks = [asyncio.create_task(tell_when_alone(of.lease, service.supervisor))]
+        if gateway is not None:
+            tasks.append(asyncio.create_task(gateway.run(led.hear)))
         yield
-        alone.cancel()
+        for task in tasks:
+            task.cancel()
         await app.state.scene.aclose()
         stopping.shutdown()
 
@@ -284,6 +313,9 @@ def build_app(
     app.include_router(bench_routes(service, of, audit))
     app.include_router(scene_routes(view, service, of))
     app.include_router(setpoint_routes(service, of.lease, audit))
+    led = LedByTarget(service, of.lease, audit)
+    if gateway is not None and gateway.wanted.igtl is not None:
+        app.include_router(gateway_routes(led, of))
     app.include_router(calibration_routes(calibration, of))
     app.include_router(runs_routes(History(runs), of))
     app.include_router(routes)

@@ -23,6 +23,8 @@ COOKIE = "ctr_station"
 CHANGES = ("POST", "PUT", "PATCH", "DELETE")
 #: What viewers may send beside questions: STOP, and questions that need a body.
 FOR_VIEWERS = ("/api/stop", "/api/model/solve", "/api/calibration/exchange")
+#: What whoever has no token is told.
+BRING_ONE = "open the address with ?token=... printed at the start, or send it as a bearer token"
 FRAMES = ("iframe", "frame", "embed", "object")
 
 
@@ -43,10 +45,19 @@ class _TooLargeError(Exception):
 class Access:
     """Refuses what does not come from the station's own page or from a script that may."""
 
-    def __init__(self, app: ASGIApp, host: str, port: int, tokens: Tokens | None) -> None:
-        """`host` and `port` are where the station listens; without `tokens` everybody is operator."""
+    def __init__(
+        self, app: ASGIApp, host: str, port: int, tokens: Tokens | None, pages: frozenset[str] = frozenset()
+    ) -> None:
+        """Where the station listens, and who may.
+
+        Args:
+            app: what is behind.
+            host, port: where it is reached.
+            tokens: demanded from everybody; without them everybody is operator.
+            pages: origins of others whose pages may connect, too.
+        """
         self._app = app
-        self._tokens = tokens
+        self._tokens, self._pages = tokens, pages
         self._port = port
         # Cookies know no ports: two stations on one machine must not take each other's.
         self._cookie = f"{COOKIE}_{port}"
@@ -78,10 +89,25 @@ class Access:
         else:
             await self._with_limit(scope, receive, _unframed(send))
 
+    def refused(self, scope: Scope) -> tuple[int, str] | None:
+        """Why a connection that is to be looked at only is refused, and with which status; None: it is let in.
+
+        Its token may be in its address: some programs are given an address and nothing else.
+        """
+        headers = Headers(scope=scope)
+        if refusal := self._refusal(scope, headers):
+            return refusal
+        tokens = self._tokens
+        if tokens is None or self._role(tokens, headers) or tokens.role(_token_in(scope)):
+            return None
+        return 401, BRING_ONE
+
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
         host, origin = headers.get("host", "").lower(), headers.get("origin")
         if not (host in self._hosts or (self._any_address and self._is_address(host))):
             return 403, f"host '{host}' is not this station's; use {sorted(self._hosts)[0]}"
+        if origin in self._pages:
+            return None
         # Scripts send no origin; a browser always does where it matters.
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return 403, f"requests from pages of '{origin}' are refused"
@@ -111,7 +137,7 @@ class Access:
         return (tokens.role(cookie.value) if cookie else None) or tokens.role(bearer)
 
     async def _ask_for_token(self, scope: Scope, send: Send) -> None:
-        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
+        given = _token_in(scope)
         if scope["type"] == "http" and self._tokens is not None and self._tokens.role(given):
             cookie = f"{self._cookie}={given}; Path=/; HttpOnly; SameSite=Strict"
             # Only the path, as it came, and only one slash: an address that begins with two is another host's, and
@@ -119,9 +145,7 @@ class Access:
             location = "/" + quote(scope["path"].lstrip("/\\"))
             await _answer(send, 303, {"location": location, "set-cookie": cookie, "cache-control": "no-store"}, b"")
         else:
-            await _refuse(
-                scope, send, 401, "open the address with ?token=... printed at the start, or send it as a bearer token"
-            )
+            await _refuse(scope, send, 401, BRING_ONE)
 
     async def _with_limit(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Stop reading a body that is longer than it may be or than it said."""
@@ -155,6 +179,11 @@ def _refused_body(headers: Headers) -> tuple[int, str] | None:
     if length.isdigit() and int(length) > BODY_LIMIT:
         return 413, f"the body has {length} bytes; at most {BODY_LIMIT} are taken"
     return None
+
+
+def _token_in(scope: Scope) -> str:
+    """That an address brings along; empty without."""
+    return parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
 
 
 def _bracketed(host: str) -> str:

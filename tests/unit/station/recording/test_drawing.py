@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from core.model.statics import Statics
 from core.robot.robot import Base, Robot
-from station.recording.drawing import Drawing, quaternion_of
+from station.recording.drawing import Drawing
+from station.recording.posed import quaternion_of
 
 
 def drawn(robot: Robot, channels, row, stamp: int = 3_000_000_007) -> dict[str, dict]:

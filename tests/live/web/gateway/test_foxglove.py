@@ -1,0 +1,239 @@
+"""Foxglove's own client and a plain websocket on a gateway process that really runs."""
+
+import base64
+import json
+import os
+import shutil
+import socket
+import struct
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from mcap.records import Schema
+from mcap_ros1.decoder import DecoderFactory
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from station.control.states import State
+from station.recording.drawing import Drawing
+from tests.harness.gateway import ANY, MEASURED, PAPER, Running, gateway
+from tests.harness.root import ROOT
+from web.access.tokens import Tokens
+from web.gateway.seen import Told
+from web.gateway.wanted import Address, Wanted
+
+#: Where `npm install @foxglove/ws-protocol ws` has put them.
+MODULES = Path(os.environ.get("CTR_NODE_MODULES", ROOT / "node_modules"))
+TOKENS = Tokens("operator-0123456789", "viewer-0123456789")
+SPOKEN = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[Running]:
+    with gateway(Wanted(foxglove=ANY)) as running:
+        yield running
+
+
+@pytest.fixture
+def client(running: Running) -> Iterator[ClientConnection]:
+    with connect(f"ws://127.0.0.1:{running.port}/", subprotocols=SPOKEN, proxy=None) as client:
+        yield client
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node")
+@pytest.mark.skipif(
+    not (MODULES / "@foxglove/ws-protocol").exists(),
+    reason="npm install @foxglove/ws-protocol ws, and CTR_NODE_MODULES=its node_modules",
+)
+def test_foxgloves_own_client_finds_the_topics_of_the_recordings(running: Running) -> None:
+    found = _node(f"ws://127.0.0.1:{running.port}")
+    channels = {each["topic"]: each for each in found["channels"]}
+    drawing = Drawing(PAPER.robot(), running.feed.channels.all, 3)
+    assert set(channels) == {"/telemetry", "/events", *(topic.name for topic in drawing.topics)}
+    for topic in drawing.topics:
+        told = channels[topic.name]
+        assert (told["schemaName"], told["schema"]) == (topic.schema, topic.definition)
+    assert found["request"] == "all"
+    assert {each["name"]: each["value"] for each in found["parameters"]}["controller.k1"] == 2.0
+    messages = found["messages"]
+    position = messages["/tip/measured"]["message"]["pose"]["position"]
+    assert [position[axis] for axis in "xyz"] == pytest.approx(MEASURED)
+    (scene,) = messages["/scene"]["message"]["entities"]
+    assert len(scene["lines"]) == 2
+    assert {frame["child_frame_id"] for frame in messages["/tf"]["message"]["transforms"]} >= {"tip", "inner base"}
+    assert messages["/events"]["message"]["name"] == "state"
+    # Every row, as a recording has it: ten or more to each of 25 pictures a second.
+    assert messages["/telemetry"]["count"] > 5 * messages["/scene"]["count"]
+    channel = channels["/telemetry"]
+    schema = Schema(1, channel["schema"].encode(), channel["schemaEncoding"], channel["schemaName"])
+    decode = DecoderFactory().decoder_for(channel["encoding"], schema)
+    assert decode is not None
+    row = decode(base64.b64decode(messages["/telemetry"]["message"]))
+    assert [row.tip_measured.x, row.tip_measured.y, row.tip_measured.z] == pytest.approx(MEASURED)
+
+
+def test_a_plain_client_subscribes_and_unsubscribes(running: Running, client: ClientConnection) -> None:
+    assert client.subprotocol == SPOKEN[0]
+    info, channels = _text(client), _text(client)
+    assert info["op"] == "serverInfo"
+    (events,) = [each["id"] for each in channels["channels"] if each["topic"] == "/events"]
+    (rows,) = [each["id"] for each in channels["channels"] if each["topic"] == "/telemetry"]
+    _say(client, op="subscribe", subscriptions=[{"id": 7, "channelId": events}, {"id": 8, "channelId": rows}])
+    seen = set()
+    while seen != {7, 8}:
+        opcode, subscription, stamp = struct.unpack("<BIQ", client.recv()[:13])
+        assert opcode == 1
+        assert abs(1e-9 * stamp - time.time()) < 60.0
+        seen.add(subscription)
+    _say(client, op="unsubscribe", subscriptionIds=[8])
+    running.tell(Told(State.HOLD, "the tracker does not see its coil", (("controller.k1", 2.0),)))
+    event = _next(client, 7)
+    while "HOLD" not in event["message"]:
+        event = _next(client, 7)
+    assert event["message"] == "HOLD: the tracker does not see its coil"
+    assert event["level"] == 3
+    running.tell(Told(State.RUNNING, "", (("controller.k1", 2.0), ("controller.strategy", "best"))))
+    assert _next(client, 7)["message"] == "RUNNING"  # and no row between the two
+
+
+def test_gains_are_told_and_cannot_be_set(running: Running, client: ClientConnection) -> None:
+    _text(client), _text(client)
+    _say(client, op="getParameters", parameterNames=["controller.k1"], id="one")
+    k1 = {"name": "controller.k1", "value": 2.0, "type": "float64"}
+    assert _text(client) == {"op": "parameterValues", "parameters": [k1], "id": "one"}
+    _say(client, op="setParameters", parameters=[{"name": "controller.k1", "value": 99.0}], id="two")
+    assert "read-only" in _text(client)["message"]
+    told = _text(client)
+    assert told["id"] == "two"
+    assert {each["name"]: each["value"] for each in told["parameters"]}["controller.k1"] == 2.0
+    _say(client, op="subscribeParameterUpdates", parameterNames=["controller.k1"])
+    _say(client, op="getParameters", parameterNames=["controller.k1"], id="after")
+    assert _text(client)["id"] == "after"
+    running.tell(Told(State.RUNNING, "", (("controller.k1", 2.5), ("controller.strategy", "best"))))
+    assert _text(client)["parameters"] == [{"name": "controller.k1", "value": 2.5, "type": "float64"}]
+    running.tell(Told(State.RUNNING, "", (("controller.k1", 2.0), ("controller.strategy", "best"))))
+    assert _text(client)["parameters"][0]["value"] == 2.0
+
+
+def test_nonsense_is_no_wish_and_ends_nothing(client: ClientConnection) -> None:
+    _text(client), _text(client)
+    for lie in (
+        "", "null", "[", "[" * 5000, '{"op": 1}', '{"op": "subscribe"}', b"\x01\x02",
+        '{"op": "subscribe", "subscriptions": [1, null]}', '{"op": "unsubscribe", "subscriptionIds": "1"}',
+        '{"op": "subscribe", "subscriptions": [{"id": true, "channelId": 1}, {"id": -1, "channelId": 1}]}',
+        '{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 1e9}, {"id": 1, "channelId": 99}]}',
+        '{"op": "getParameters", "parameterNames": [{}]}', '{"op": "subscribeParameterUpdates", "parameterNames": 3}',
+    ):  # fmt: skip
+        client.send(lie)
+    _say(client, op="getParameters", parameterNames=["controller.k1"], id="alive")
+    while (told := _text(client)).get("id") != "alive":
+        assert told["op"] in ("status", "parameterValues")
+
+
+def test_one_who_does_not_read_holds_nobody_up(running: Running, client: ClientConnection) -> None:
+    deaf = _deaf(running.port)
+    try:
+        _text(client), _text(client)
+        _say(client, op="subscribe", subscriptions=[{"id": 1, "channelId": 1}, {"id": 4, "channelId": 4}])
+        got, stamps = 0, list[int]()
+        while got < 3_000_000:  # far more than the system keeps for the deaf one
+            data = client.recv()
+            got += len(data)
+            stamps += [struct.unpack("<BIQ", data[:13])[2]] if data[1] == 1 else []
+        assert np.all(np.diff(stamps) > 0)
+        assert abs(time.time() - 1e-9 * stamps[-1]) < 5.0
+        deaf.settimeout(30.0)
+        held, until = 0, time.time_ns()
+        while True:
+            data = deaf.recv(1 << 20)
+            assert data, "the gateway has hung up"
+            held += len(data)
+            if _has_a_row_after(data, until):
+                break
+        assert held < 0.5 * got
+    finally:
+        deaf.close()
+
+
+def test_foreign_pages_hosts_and_protocols_are_refused(running: Running) -> None:
+    address = f"ws://127.0.0.1:{running.port}/"
+    for page in ("https://evil.example", "null", "http://localhost"):
+        assert _refused(address, origin=page) == 403
+    assert httpx.get(f"http://127.0.0.1:{running.port}/", headers={"host": "evil.example"}).status_code == 403
+    with connect(address, subprotocols=SPOKEN, origin="https://app.foxglove.dev", proxy=None) as client:
+        assert _text(client)["op"] == "serverInfo"
+    with pytest.raises(InvalidStatus):
+        connect(address, proxy=None)
+    assert httpx.get(f"http://127.0.0.1:{running.port}/").status_code == 426
+
+
+def test_where_tokens_are_demanded_nobody_comes_in_without() -> None:
+    with gateway(Wanted(foxglove=Address("0.0.0.0", 0)), TOKENS) as running:
+        assert running.lines[0].endswith(f"?token={TOKENS.viewer}")
+        address = f"ws://127.0.0.1:{running.port}/"
+        assert _refused(address) == 401
+        assert _refused(address, origin="https://app.foxglove.dev") == 401
+        assert _refused(f"{address}?token=guess") == 401
+        for token in TOKENS:
+            with connect(f"{address}?token={token}", subprotocols=SPOKEN, proxy=None) as client:
+                assert _text(client)["op"] == "serverInfo"
+
+
+def _node(address: str) -> dict[str, Any]:
+    command = ["node", str(ROOT / "tests/harness/foxglove_client.js"), address]
+    told = subprocess.run(command, env={**os.environ, "NODE_PATH": str(MODULES)}, capture_output=True, text=True)
+    assert told.returncode == 0, told.stdout[:2000] + told.stderr
+    return json.loads(told.stdout)
+
+
+def _refused(address: str, **how: Any) -> int:
+    with pytest.raises(InvalidStatus) as refusal:
+        connect(address, subprotocols=SPOKEN, proxy=None, **how)
+    return refusal.value.response.status_code
+
+
+def _say(client: ClientConnection, **wish: Any) -> None:
+    client.send(json.dumps(wish))
+
+
+def _text(client: ClientConnection) -> dict[str, Any]:
+    return json.loads(client.recv(30.0))
+
+
+def _next(client: ClientConnection, subscription: int) -> dict[str, Any]:
+    """The next message of a subscription; a row that is still on its way is none."""
+    while True:
+        data = client.recv(30.0)
+        assert isinstance(data, bytes)
+        if struct.unpack("<I", data[1:5])[0] == subscription:
+            return json.loads(data[13:])
+
+
+def _deaf(port: int) -> socket.socket:
+    """A connection that has subscribed to every row, by hand: a library would read."""
+    deaf = socket.socket()
+    deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
+    deaf.connect(("127.0.0.1", port))
+    deaf.sendall(
+        f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+        f"Sec-WebSocket-Protocol: {SPOKEN[0]}\r\n\r\n".encode()
+    )
+    wish = b'{"op":"subscribe","subscriptions":[{"id":16909060,"channelId":1}]}'
+    deaf.sendall(bytes((0x81, 0x80 | len(wish), 0, 0, 0, 0)) + wish)  # masked with zeros
+    return deaf
+
+
+def _has_a_row_after(data: bytes, moment: int) -> bool:
+    """Whether there is the beginning of a message of that subscription, newer than `moment` [ns]."""
+    head, place = b"\x01" + struct.pack("<I", 16909060), -1
+    while (place := data.find(head, place + 1)) >= 0 and place + 13 <= len(data):
+        if struct.unpack("<Q", data[place + 5 : place + 13])[0] > moment:
+            return True
+    return False

@@ -1,0 +1,89 @@
+"""OpenIGTLink targets on a station that really runs: they move the tip in a run started for them, and only there."""
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import psutil
+import pytest
+from pyigtl import OpenIGTLinkClient
+from pyigtl.messages import TransformMessage
+
+from core.robot.robot import Array
+from tests.harness.serving import Served, serving
+
+WIDE = {"silence": 2.0, "end": 5.0}  # the station's clock is slow and the computer busy
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[Served]:
+    with serving("--igtl", "0") as served:
+        served.ready()
+        yield served
+
+
+@pytest.fixture
+def client(served: Served) -> Iterator[OpenIGTLinkClient]:
+    (line,) = [line for line in served.said.read_text().splitlines() if line.startswith("OpenIGTLink is at 127.0.0.1:")]
+    client = OpenIGTLinkClient("127.0.0.1", int(line.rpartition(":")[2]))
+    yield client
+    client.stop()
+
+
+def test_a_target_moves_nothing_without_a_run_for_it(served: Served, client: OpenIGTLinkClient) -> None:
+    before, goal = served.status()["joints"], _desired(client) + UP * 3.0
+    for _ in range(20):
+        _aim(client, goal)
+    status = served.status()
+    assert status["state"] == "READY"
+    assert status["joints"] == pytest.approx(before, abs=1e-6)
+
+
+def test_a_target_leads_a_run_that_an_operator_has_started(served: Served, client: OpenIGTLinkClient) -> None:
+    assert served.child("ctr-gateway").status() != psutil.STATUS_ZOMBIE
+    assert served.post("/api/gateway/target", WIDE).status_code == 202
+    served.wait_for(lambda status: status["phase"] == "moving")
+    start = _desired(client)
+    goal = start + UP * 2.0
+    while np.abs(_desired(client) - goal).max() > 0.02:
+        _aim(client, goal)
+        served.status()  # the operator is there
+        _aim(client, start + UP * 500.0)  # beyond the reach: as if it had not been said
+    # The operator loses the lease: nothing that comes now counts, and the run ends.
+    other = {"x-ctr-client": "other-0123456789", "x-ctr-name": "other"}
+    served.rest.post("/api/operator", json={"take_over": True}, headers=other)
+    try:
+        while served.status()["state"] == "RUNNING":
+            _aim(client, start)
+        assert np.abs(_desired(client) - goal).max() < 0.05
+    finally:
+        served.rest.delete("/api/operator", headers=other)
+    log = [(entry["what"], entry["outcome"]) for entry in served.rest.get("/api/log").json()]
+    for outcome in ("begun", "ended"):
+        assert any(what.startswith("targets of run") and came == outcome for what, came in log)
+
+
+def test_the_loop_goes_on_when_the_gateway_is_killed(served: Served) -> None:
+    served.ready()
+    served.child("ctr-gateway").kill()
+    assert served.post("/api/start", {"experiment": "fig7"}).status_code == 202
+    served.wait_for(lambda status: status["phase"] == "settling")
+    served.post("/api/stop")
+    log = served.rest.get("/api/log").json()
+    assert any(entry["what"] == "gateway" and "signal 9" in entry["outcome"] for entry in log)
+    served.ready()
+
+
+def _desired(client: OpenIGTLinkClient) -> Array:
+    """Newer than all that was there."""
+    client.get_latest_messages()
+    message = client.wait_for_message("TipDesired", timeout=30)
+    return message.matrix[:3, 3]
+
+
+def _aim(client: OpenIGTLinkClient, place: Array) -> None:
+    matrix = np.eye(4)
+    matrix[:3, 3] = place
+    client.send_message(TransformMessage(matrix, device_name="Target"))
+    time.sleep(0.02)
