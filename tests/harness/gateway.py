@@ -70,7 +70,7 @@ class Running:
 def gateway(wanted: Wanted, tokens: Tokens | None = None) -> Iterator[Running]:
     """One that is ready."""
     with Shown(PAPER) as feed:
-        child = Child(run_gateway, Setup(wanted, PAPER, REAL_TIME, tokens), feed.ring.name, name="gateway")
+        child = Child(run_gateway, Setup(wanted, PAPER, REAL_TIME, None, tokens), feed.ring.name, name="gateway")
         try:
             assert child.pipe.poll(60.0)
             ready: Any = child.pipe.recv()

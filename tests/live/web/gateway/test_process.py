@@ -34,7 +34,7 @@ def test_it_says_where_anybody_may_look() -> None:
 def test_a_port_that_is_taken_is_said_so(name: str) -> None:
     with gateway(Wanted(igtl=ANY)) as running, socket.create_server(("127.0.0.1", 0)) as taken:
         wanted = Wanted(**{name: Address("127.0.0.1", taken.getsockname()[1])})
-        child = Child(run_gateway, Setup(wanted, PAPER, REAL_TIME, None), running.feed.ring.name, name="gateway")
+        child = Child(run_gateway, Setup(wanted, PAPER, REAL_TIME, None, None), running.feed.ring.name, name="gateway")
         try:
             assert child.pipe.poll(60.0)
             answer = child.pipe.recv()
