@@ -98,18 +98,18 @@ class Gateway:
         status = self._service.supervisor.status()
         about = {} if status.run is None else status.run.start.about.get("settings", {})
         controller = about.get("controller") if status.state is State.RUNNING else None
-        told = Told(status.state, status.cause, _gains(controller or self._service.settings.controller.model_dump()))
+        told = Told(status.state, status.cause, gains_of(controller or self._service.settings.controller.model_dump()))
         if told != self._told and self._room.poll(0):
             self._told = told
             self._child.tell(told)
 
 
-def _gains(controller: dict[str, object], before: str = "controller") -> tuple[tuple[str, float | str | bool], ...]:
+def gains_of(controller: dict[str, object], before: str = "controller") -> tuple[tuple[str, float | str | bool], ...]:
     """Every number, word and switch of a controller, by name."""
     found: list[tuple[str, float | str | bool]] = []
     for key, value in controller.items():
         if isinstance(value, dict):
-            found += _gains(value, f"{before}.{key}")
+            found += gains_of(value, f"{before}.{key}")
         elif isinstance(value, float | int | str):
             found.append((f"{before}.{key}", value))
     return tuple(found)

@@ -29,6 +29,8 @@ LONGEST_BODY = 64 * 1024
 TARGET = "Target"
 #: The longest name of a message [letters].
 _NAME = 20
+#: Twelve numbers, column by column, the place last; and what version 2 says of its extended header and its metadata.
+_MATRIX, _EXTENDED = struct.Struct("> 12f"), struct.Struct("> H H I")
 #: Units of SENSOR: six bits a unit and four an exponent, after four of a prefix; the first two are used here.
 NEWTON = 0x0B << 54
 NEWTON_METRE = NEWTON | 1 << 50 | 0x01 << 44 | 1 << 40
@@ -160,14 +162,22 @@ def target_of(head: Head, body: bytes) -> Array | None:
         return None
     if CRC64(body) != head.crc:
         raise BadMessage("a target whose check sum is wrong")
-    message = TransformMessage()
-    try:
-        message.unpack({**head._asdict(), "header_version": head.version, "message_type": head.kind,
-                        "device_name": head.name, "timestamp": head.time}, body)  # fmt: skip
-    except (struct.error, UnicodeDecodeError) as error:
-        raise BadMessage(f"a target that is none: {error}") from None
-    place: Array = _WORLD[:3, :3] @ message.matrix[:3, 3]
-    return place
+    content = content_of(head, body)
+    if len(content) != _MATRIX.size:
+        raise BadMessage(f"a target of {len(content)} bytes; {_MATRIX.size} are a matrix")
+    place = np.array(_MATRIX.unpack(content)[9:])
+    if not np.isfinite(place).all():
+        raise BadMessage("a target that is nowhere")
+    world: Array = _WORLD[:3, :3] @ place
+    return world
+
+
+def content_of(head: Head, body: bytes) -> bytes:
+    """A body without what version 2 puts around it: an extended header before, metadata behind."""
+    if head.version < 2 or len(body) < _EXTENDED.size:
+        return body
+    before, names, values = _EXTENDED.unpack(body[: _EXTENDED.size])
+    return body[before : len(body) - names - values]
 
 
 def _transform(name: str, pose: Pose, when: float) -> Packed:

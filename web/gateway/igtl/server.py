@@ -19,6 +19,7 @@ from web.gateway.igtl.messages import (
     BadMessage,
     Packed,
     answer,
+    content_of,
     head_of,
     moving,
     standing,
@@ -115,7 +116,7 @@ class IgtlServer:
             body = await reader.readexactly(head.size)
             place = target_of(head, body)
             if place is None:
-                client.asked(head.kind, head.name, body)
+                client.asked(head.kind, head.name, content_of(head, body))
             elif self._leader in (None, client):
                 # Two who pull at one tip would tear it: the first has it until it leaves.
                 self._leader = client

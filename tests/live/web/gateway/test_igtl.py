@@ -205,6 +205,7 @@ def _stamps(plain: socket.socket, name: str, count: int) -> list[float]:
 
 def _query(kind: str, name: str, body: bytes = b"") -> bytes:
     message = MessageBase(device_name=name)
+    message.header_version = 2
     message._message_type = kind
     message._pack_content = lambda: body
     return message.pack()

@@ -125,6 +125,7 @@ def test_a_target_is_a_place_in_the_world():
         message = TransformMessage(np.diag([1.0, 1.0, 1.0, 1.0]), device_name="Target", timestamp=12.5)
         message.matrix[:3, 3] = (10.0, -20.0, 150.0)
         message.header_version = version
+        message.metadata = {"tool": "needle"} if version == 2 else {}
         data = message.pack()
         head = head_of(data[:HEADER])
         assert (head.kind, head.name, head.size, head.time) == ("TRANSFORM", "Target", len(data) - HEADER, 12.5)
@@ -141,5 +142,25 @@ def test_what_is_no_message_is_refused():
     for header in (http, huge, b"\xff" * HEADER, whole[:20]):
         with pytest.raises(BadMessage):
             head_of(header)
-    with pytest.raises(BadMessage, match="none"):
+    with pytest.raises(BadMessage, match="10 bytes"):
         target_of(head_of(whole[:HEADER])._replace(crc=CRC64(short)), short)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_target_that_is_nowhere_is_refused(value):
+    data = TransformMessage(np.full((4, 4), value), device_name="Target").pack()
+    with pytest.raises(BadMessage, match="nowhere"):
+        target_of(head_of(data[:HEADER]), data[HEADER:])
+
+
+def test_what_lies_about_its_extended_header_is_refused():
+    random = np.random.default_rng(4)
+    whole = TransformMessage(device_name="Target")
+    whole.header_version = 2
+    head = head_of(whole.pack()[:HEADER])
+    for size in range(80):
+        for _ in range(20):
+            body = random.bytes(size)
+            # Its check sum is right: whoever wants to harm us can add up.
+            with pytest.raises(BadMessage):
+                target_of(head._replace(crc=CRC64(body)), body)

@@ -1,0 +1,20 @@
+"""What the station process tells the gateway."""
+
+from web.gateway.host import gains_of
+
+
+def test_gains_are_named_by_their_place_and_nothing_that_is_no_value_is_told():
+    controller = {
+        "strategy": "best",
+        "k1": 2.5,
+        "feedforward": True,
+        "none": None,
+        "list": [1.0],
+        "filter": {"rate": 3},
+    }
+    assert gains_of(controller) == (
+        ("controller.strategy", "best"),
+        ("controller.k1", 2.5),
+        ("controller.feedforward", True),
+        ("controller.filter.rate", 3),
+    )
