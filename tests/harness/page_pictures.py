@@ -169,8 +169,8 @@ def dark(desk: Desk) -> bytes:
 
 def follow(desk: Desk) -> bytes:
     """In a lab with a target."""
-    desk.page.locator("#legend summary").click()
-    desk.tab("plots")
+    desk.tab("start")
+    desk.page.locator(".card", has_text="Follow: the tip stays").click()
     desk.start({"experiment": "follow", "case": "breathing"}, 0.4)
     return desk.shot()
 
