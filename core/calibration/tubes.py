@@ -38,6 +38,7 @@ class TubeCalibration(NamedTuple):
     what: tuple[Quantity, ...]
     fit: Fit
     errors: Array  #: (m,) distance of each coil from where the fitted model puts it [m]
+    rough: bool = False  #: the model alone left more than noise
 
 
 class HeldOut(NamedTuple):
@@ -53,8 +54,12 @@ def calibrate_tubes(
     forces: Array,
     noise: Noise,
     what: tuple[Quantity, ...] | None = None,
+    sags: Array | None = None,
 ) -> TubeCalibration:
     """Fit tubes and frames to measurements under tip forces (m, 3) [N].
+
+    `sags` (m, 3) are the forces in place of the tubes' own weight; they count where the model alone leaves
+    more than noise.
 
     Raises:
         Unobservable: too few measurements or loads, or a frame is left open.
@@ -74,16 +79,19 @@ def calibrate_tubes(
         )
     problem = Prediction(robot, what, measurements, forces, noise, closed_form(robot, measurements, forces))
     found = fit(problem, problem.parameters)
-    if found.variance_factor > ROUGH:
+    rough = found.variance_factor > ROUGH
+    if rough:
         # What no tube of this model can tell (friction, clearance, a bent field) is as good as noise: what is known
         # beforehand weighs against that.
         problem = replace(problem, noise=noise.scaled(math.sqrt(found.variance_factor)), coil=COIL_KNOWN)
+        if sags is not None:
+            problem = replace(problem, forces=forces + sags)
         found = fit(problem, problem.parameters, found.values)
     open_ = [combination for combination in found.weak if not combination.held and combination.open > LOST]
     if open_:
         raise Unobservable(f"the visited poses cannot tell {open_[0]}; measurement more of the travel of every joint")
     errors = np.linalg.norm(problem.errors(found.values), axis=1)
-    return TubeCalibration(problem.tubes(found.values), problem.frames(found.values), what, found, errors)
+    return TubeCalibration(problem.tubes(found.values), problem.frames(found.values), what, found, errors, rough)
 
 
 def held_out(

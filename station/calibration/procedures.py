@@ -91,7 +91,7 @@ def tracker(subject: Subject, effort: Effort) -> Procedure[TrackerResult]:
     for number, joints in enumerate(poses):
         measurement = yield GoTo(joints, 0.0, number / len(poses))
         measurements += [measurement] if isinstance(measurement, Measurement) else []
-    found = register(subject.robot, measurements, _pulls(subject, measurements), NOISE, subject.limits)
+    found = register(subject.robot, measurements, np.zeros((len(measurements), 3)), NOISE, subject.limits)
     return TrackerResult(found, tuple(measurements))
 
 
@@ -105,7 +105,7 @@ def force(subject: Subject, effort: Effort) -> Procedure[ForceResult]:
     few = replace(effort, unloaded=effort.unloaded // 2, loaded=effort.loaded // 2, check=0)
     measurements, _ = yield from _visits(subject, few)
     free = [measurement for measurement in measurements if measurement.weight == 0.0]
-    found = register(subject.robot, free, _pulls(subject, free), NOISE, subject.limits)
+    found = register(subject.robot, free, np.zeros((len(free), 3)), NOISE, subject.limits)
     tips = _tips(subject, found.frames, measurements, np.zeros((len(measurements), 3)))
     sensors = calibrate_sensors(subject.robot, measurements, tips, NOISE, ROUGH)
     return ForceResult(sensors, _checks(subject, sensors, measurements, effort), found, tuple(measurements))
@@ -124,16 +124,19 @@ def tubes(subject: Subject, effort: Effort) -> Procedure[TubesResult]:
     measurements, check = yield from _visits(subject, effort)
     robot = subject.robot
     free = [measurement for measurement in measurements if measurement.weight == 0.0]
-    rough = register(robot, free, _pulls(subject, free), NOISE, subject.limits)
+    rough = register(robot, free, np.zeros((len(free), 3)), NOISE, subject.limits)
     tips = _tips(subject, rough.frames, measurements, np.zeros((len(measurements), 3)))
     sensors = calibrate_sensors(robot, measurements, tips, NOISE, ROUGH)
-    found = calibrate_tubes(robot, measurements, _forces(subject, sensors, measurements), NOISE)
+    sags = _sags(subject, measurements)
+    found = calibrate_tubes(robot, measurements, _forces(subject, sensors, measurements), NOISE, sags=sags)
     fitted = replace(subject, robot=found.robot)
     tips = _tips(fitted, found.frames, measurements, _forces(subject, sensors, measurements))
     sensors = calibrate_sensors(robot, measurements, tips, NOISE, FINE)
     forces = _forces(subject, sensors, measurements)
-    found = calibrate_tubes(robot, measurements, forces, NOISE)
+    found = calibrate_tubes(robot, measurements, forces, NOISE, sags=sags)
     check_forces = _forces(subject, sensors, check)
+    if found.rough:
+        forces, check_forces = forces + sags, check_forces + _sags(subject, check)
     loaded = np.array([measurement.weight != 0.0 for measurement in check])
     all_, under_load = (
         held_out(
@@ -186,14 +189,14 @@ def _visits(subject: Subject, effort: Effort) -> Procedure[tuple[list[Measuremen
 
 
 def _forces(subject: Subject, sensors: SensorCalibration, measurements: Sequence[Measurement]) -> Array:
-    """Tip forces (m, 3) [N]: what is known to hang there, as measured where nobody knows; and the tubes' own weight."""
-    return _pulls(subject, measurements) + np.array([
+    """Tip forces (m, 3) [N]: what is known to hang there; as measured where nobody knows."""
+    return np.array([
         sensors.load(subject.robot, measurement).force if measurement.weight is None else measurement.weight * GRAVITY
         for measurement in measurements
     ])  # fmt: skip
 
 
-def _pulls(subject: Subject, measurements: Sequence[Measurement]) -> Array:
+def _sags(subject: Subject, measurements: Sequence[Measurement]) -> Array:
     """Tip forces (m, 3) in place of the tubes' own weight [N]: left out, it would turn the tracker's frame."""
     return np.array([own_weight(subject.robot, measurement.joints) * GRAVITY for measurement in measurements])
 
