@@ -31,7 +31,7 @@ def xyz(vector) -> list[float]:
     return [vector.x, vector.y, vector.z]
 
 
-@pytest.mark.parametrize("kind", set(TOPICS.values()), ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", sorted(set(TOPICS.values()), key=lambda kind: kind.name), ids=lambda kind: kind.name)
 def test_definitions_and_hashes_are_those_of_ros(kind):
     own = get_typestore(Stores.EMPTY)
     own.register(get_types_from_msg(kind.definition, kind.name))
