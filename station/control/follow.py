@@ -68,8 +68,8 @@ class Target:
             return ""
         if np.isinf(self._seen):
             return (
-                f"target: has not been seen yet (more than {LOST:g} s); name its coil in devices.tracker.target, or bring"
-                " it into the tracker's volume"
+                f"target: has not been seen yet (more than {LOST:g} s); name its coil in devices.tracker.target, or"
+                " bring it into the tracker's volume"
             )
         return (
             f"target: not seen for {self._now - self._seen:.1f} s (more than {LOST:g} s); bring it back into the"
