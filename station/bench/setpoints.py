@@ -80,6 +80,8 @@ def setpoints(seconds: float, progress: Callable[[float], None]) -> dict[str, An
 
 def _led(bench: Bench, station: Served, lab: NotingLab, ring: Ring, rate: float, seconds: float) -> dict[str, Any]:
     """One run at that many setpoints a second."""
+    with Station(station.url) as script:
+        script.goto()  # a part of a turn ends elsewhere: one run after the other would lead the tip out of its reach
     lab.notes()
     since, rows, said, angles = ring.written, list[Array](), list[float](), list[float]()
     with Station(station.url) as script, script.setpoints(silence=SILENCE, end=2.0 * SILENCE) as tip:
