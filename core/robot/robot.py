@@ -54,8 +54,6 @@ class Tube:
         positive(f"tube '{self.name}': bending_stiffness", self.bending_stiffness, "N m^2")
         if self.torsional_stiffness is not None:
             positive(f"tube '{self.name}': torsional_stiffness", self.torsional_stiffness, "N m^2")
-        if not 0.0 <= self.weight < math.inf:
-            raise DescriptionError(f"tube '{self.name}': weight {self.weight:g} N/m must be finite and not negative")
         if not math.isfinite(self.rotation):
             raise DescriptionError(f"tube '{self.name}': rotation {self.rotation} rad is not finite")
         if not -math.inf < self.translation <= 0.0:
@@ -83,6 +81,8 @@ class Tube:
                 f"tube '{self.name}': inner_diameter {1e3 * self.inner_diameter:g} mm is outside"
                 f" 0 ... {1e3 * self.outer_diameter:g} mm (its outer diameter)"
             )
+        if not 0.0 <= self.weight < math.inf:
+            raise DescriptionError(f"tube '{self.name}': weight {self.weight:g} N/m must be finite and not negative")
 
     @property
     def length(self) -> float:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 """The paper's robot is Table I on its stages; a robot file that cannot be is refused by name."""
 
 import math
@@ -26,7 +28,13 @@ def test_the_paper_preset_is_table_1(paper):
 
 
 def test_the_paper_presets_description_is_the_one_the_model_is_tested_with(paper, paper_robot):
-    assert paper.robot() == paper_robot
+    assert replace(paper.robot(), tubes=tuple(replace(tube, weight=0.0) for tube in paper.robot().tubes)) == paper_robot
+
+
+def test_a_tubes_weight_is_that_of_its_materials_ring(paper):
+    inner, outer = (tube.weight for tube in paper.robot().tubes)
+    assert inner == pytest.approx(0.1272, abs=1e-4)  # nitinol of 6450 kg/m^3, 2.011 mm^2 of it [N/m]
+    assert outer == pytest.approx(0.0791, abs=1e-4)  # 1.251 mm^2
 
 
 def test_the_paper_presets_stages_have_the_benchs_limits(paper):
