@@ -1,9 +1,8 @@
-from dataclasses import replace
-
 """The paper's robot is Table I on its stages; a robot file that cannot be is refused by name."""
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
