@@ -2,7 +2,7 @@
 
 from station.control.clock import StationClock
 
-RATE = 1.0
+RATE = 0.5
 #: A clock that leaves the processors time, and no limit on how late the loop may be: others have the processors, too.
 SETTINGS = {
     "clock": {"rate": RATE, "patience": 1.0},
