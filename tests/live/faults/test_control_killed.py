@@ -13,7 +13,7 @@ from tests.harness.watched_lab import WatchedLab
 
 def label(recordings: Path, run: str) -> Label:
     """Of a run, once it is finished."""
-    return read_case(until(lambda: next(recordings.glob(f"{run}*[!l]/run.mcap"), None), run)).label  # none that is .partial
+    return read_case(until(lambda: next(recordings.glob(f"{run}/run.mcap"), None), run)).label
 
 
 def test_a_killed_one_the_stages_are_stopped_and_a_reset_starts_a_new_one(
