@@ -19,7 +19,8 @@ def test_a_circle_is_started_stopped_and_read_back(tmp_path: Path) -> None:
         assert moving["state"] == "RUNNING"
         station.stop()
         assert station.status()["state"] == "STOPPED"
-        station.reset()  # its recording is finished by then
+        station.reset()
+        served.wait_for(lambda status: not status["run"]["recording"])
         read = read_case(station.download(run, tmp_path / "circle.mcap"))
 
     assert read.label is Label.STOPPED
