@@ -1,6 +1,5 @@
 """A station as a person starts it, `ctr-station serve`, in a process of its own, and a browser that shows its page."""
 
-import json
 import shutil
 import signal
 import subprocess
@@ -15,6 +14,7 @@ from typing import Any
 from core.errors import CtrError
 from station.client import Station
 from station.config.robots import RobotFile
+from station.config.toml_text import toml_lines
 from station.control.process import ring_width
 from station.control.ring import PREFIX, SEGMENTS, Ring
 
@@ -64,7 +64,7 @@ def served(folder: Path, settings: Mapping[str, Any]) -> Iterator[Served]:
         CtrError: it does not start; the text is what it said.
     """
     config, said = folder / "station.toml", folder / "said.txt"
-    config.write_text("".join(f"{key} = {_toml(value)}\n" for key, value in settings.items()), encoding="utf-8")
+    config.write_text("\n".join(toml_lines(settings)) + "\n", encoding="utf-8")
     # As a text: this room is below the one that serves.
     command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", "0"]
     with said.open("w", encoding="utf-8") as out:
@@ -107,9 +107,3 @@ def _address(process: "subprocess.Popen[bytes]", said: Path) -> str:
             raise CtrError(f"the station did not start: {text.strip()}")
         time.sleep(0.05)
     return text.split("is at ")[1].split()[0]
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {_toml(inner)}" for key, inner in value.items()) + " }"
-    return json.dumps(value)

@@ -109,10 +109,28 @@ def leave(core: int | None, pids: Iterable[int]) -> None:
     if core is None:
         return
     for pid in pids:
-        with contextlib.suppress(OSError, ValueError):
-            for thread in Path(f"/proc/{pid}/task").iterdir():
-                number = int(thread.name)
-                os.sched_setaffinity(number, os.sched_getaffinity(number) - {core})
+        # Until none is found that had to move: one that had not moved yet may have started another.
+        while any(_moved(int(thread.name), core) for thread in _threads(pid)):
+            pass
+
+
+def _threads(pid: int) -> list[Path]:
+    try:
+        return list(Path(f"/proc/{pid}/task").iterdir())
+    except OSError:  # it has ended
+        return []
+
+
+def _moved(thread: int, core: int) -> bool:
+    """Keep a thread off a processor; whether that had to be done, and could."""
+    try:
+        cores = os.sched_getaffinity(thread)
+        if core not in cores:
+            return False
+        os.sched_setaffinity(thread, cores - {core})
+    except OSError:  # it has ended, or has no other processor
+        return False
+    return True
 
 
 def is_dying(pid: int) -> bool:

@@ -12,14 +12,13 @@ from core.compiled import compiled, copy
 from core.errors import NoSolution, NotFinite
 from core.model.rough_rod import Contact, settle, slots
 from core.robot.robot import Array, Robot, tube_poses, unpack
+from station.config.robots import STANDARD
 from station.devices.interfaces import Truth
 from station.lab.config import PlantConfig
 from station.lab.loads import GRAVITY
 from station.lab.plant import PlantState, true_robot
 from station.lab.walk import Walk
 
-#: Standard gravity [m/s^2].
-STANDARD = 9.80665
 #: Of the end conditions [1/m and N m]: less than 1e-8 m at the tip.
 TOLERANCE = 1e-7
 

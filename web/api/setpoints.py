@@ -92,9 +92,9 @@ async def _begin(socket: WebSocket, service: StationService, lease: Lease, who: 
 
 async def _ready(service: StationService, lease: Lease, who: Who, run: Run) -> None:
     """Wait until the tip may be led; it rests for the tare meanwhile."""
-    while not _moves(service, run):
+    while not moves(service, run):
         # The answer to the start may come before the loop's first word of it.
-        if _over(service, run) and service.supervisor.status().state is not State.RUNNING:
+        if over(service, run) and service.supervisor.status().state is not State.RUNNING:
             status = service.supervisor.status()
             raise _Refused(f"the run has ended before it moved: {status.state.name} {status.cause}".strip(), DONE)
         lease.renew(who.client)
@@ -109,7 +109,7 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
     leader = Leader(asked, start, now())
     await socket.send_json({"ready": True, "tip": start.tolist(), "time": float(row[0])})
     heard, left = now(), False
-    watch = asyncio.create_task(_until_over(service, run))
+    watch = asyncio.create_task(until_over(service, run))
     try:
         while True:
             hearing = asyncio.create_task(socket.receive())
@@ -216,18 +216,21 @@ def _row(service: StationService) -> Array:
     return row
 
 
-def _moves(service: StationService, run: Run) -> bool:
+def moves(service: StationService, run: Run) -> bool:
+    """Whether the tip of a run may be led now."""
     counters = service.supervisor.ring.counters
     return int(counters[RUN]) == run.number and int(counters[PHASE]) == Phase.MOVING
 
 
-def _over(service: StationService, run: Run) -> bool:
+def over(service: StationService, run: Run) -> bool:
+    """Whether a run is not on: it has ended, or the loop has not said a word of it yet."""
     counters = service.supervisor.ring.counters
     return int(counters[RUN]) != run.number or int(counters[STATE]) != State.RUNNING
 
 
-async def _until_over(service: StationService, run: Run) -> None:
-    while not _over(service, run):
+async def until_over(service: StationService, run: Run) -> None:
+    """Wait until a run that may be led has ended."""
+    while not over(service, run):
         await asyncio.sleep(LOOK)
 
 

@@ -9,9 +9,7 @@ from typing import NamedTuple
 
 from fastapi import APIRouter, Depends
 
-from station.control.ring import PHASE, RUN, STATE
 from station.control.states import State
-from station.control.task import Phase
 from station.service.audit import Audit
 from station.service.leader import Leader, LeadIn, NotTaken, TooFast
 from station.service.start import Run
@@ -21,10 +19,8 @@ from web.access.lease import Lease
 from web.api.commands import Commands, aside
 from web.api.control import started
 from web.api.schemas import REFUSED, StartOut
+from web.api.setpoints import LOOK, moves, over, until_over
 from web.gateway.messages import Target
-
-#: Between two looks at whether the run goes on [s].
-LOOK = 0.02
 
 
 class _Led(NamedTuple):
@@ -74,17 +70,17 @@ class LedByTarget:
 
     async def _attend(self, run: Run, who: Who, asked: LeadIn) -> None:
         supervisor = self._service.supervisor
-        counters = supervisor.ring.counters
         try:
-            # The answer to the start may come before the loop's first word of it.
-            while int(counters[RUN]) != run.number and supervisor.status().state is State.RUNNING:
+            while not moves(self._service, run):
+                # The answer to the start may come before the loop's first word of it.
+                if over(self._service, run) and supervisor.status().state is not State.RUNNING:
+                    return
                 await asyncio.sleep(LOOK)
-            while int(counters[RUN]) == run.number and int(counters[STATE]) == State.RUNNING:
-                row = supervisor.ring.latest()
-                if self._led is None and int(counters[PHASE]) == Phase.MOVING and row is not None:
-                    start = supervisor.channels.of(row, "tip_desired").copy()
-                    self._led = _Led(run, Leader(asked, start, supervisor.bench.clock.now()), who.client)
-                await asyncio.sleep(LOOK)
+            row = supervisor.ring.latest()
+            if row is not None:
+                start = supervisor.channels.of(row, "tip_desired").copy()
+                self._led = _Led(run, Leader(asked, start, supervisor.bench.clock.now()), who.client)
+            await until_over(self._service, run)
         finally:
             self._led = None
             self._service.lead(run, None)

@@ -54,8 +54,8 @@ class LslOutlet:
             self._rows.push_chunk(look.rows, times.tolist())
         told = look.told
         before, self._told = self._told, told
-        if before is None or (told.state, told.cause) != (before.state, before.cause):
-            self._events.push_sample([f"{told.state.name}{told.cause and ': '}{told.cause}"], pylsl.local_clock())
+        if before is None or told.text != before.text:
+            self._events.push_sample([told.text], pylsl.local_clock())
 
     async def close(self) -> None:
         """End both streams."""

@@ -34,6 +34,11 @@ class Told:
     cause: str = ""  #: why it is HOLD, STOPPED or FAULT
     gains: tuple[tuple[str, float | str | bool], ...] = ()  #: of the controller, by name
 
+    @property
+    def text(self) -> str:
+        """State and cause in a line."""
+        return f"{self.state.name}: {self.cause}" if self.cause else self.state.name
+
 
 @dataclass(frozen=True)
 class Seen:

@@ -128,12 +128,11 @@ class FoxgloveServer:
         """News from the station: an event, as in the recordings, and gains."""
         told, before = look.told, self._told
         self._told = told
-        if (told.state, told.cause) != (before.state, before.cause):
+        if told.text != before.text:
             bad = told.state in (State.HOLD, State.FAULT)
-            text = f"{told.state.name}{told.cause and ': '}{told.cause}"
             time = float(look.rows[-1, 0]) if len(look.rows) else 0.0
             stamp = int(look.stamps[-1]) if len(look.rows) else time_ns()
-            self._event = stamp, event_json(Event(time, "state", text, WARNING if bad else INFO), stamp)
+            self._event = stamp, event_json(Event(time, "state", told.text, WARNING if bad else INFO), stamp)
             self._say(EVENT, *self._event)
         changed = set(told.gains) - set(before.gains)
         for client in self._clients:

@@ -109,10 +109,9 @@ def moving(robot: Robot, seen: Seen) -> list[Packed]:
 
 def standing(told: Told, when: float) -> list[Packed]:
     """What changes now and then: state and cause, since `when` [s]."""
-    text = f"{told.state.name}: {told.cause}" if told.cause else told.state.name
     code = _CODES.get(told.state, _NOT_READY)
     bodies = (
-        ("STATUS", "Station", status(code, told.state.name, text)),
+        ("STATUS", "Station", status(code, told.state.name, told.text)),
         ("STRING", "State", string(told.state.name)),
         ("STRING", "Cause", string(told.cause)),
     )
