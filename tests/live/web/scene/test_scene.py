@@ -126,7 +126,7 @@ def test_time_that_runs_backward_begins_anew(paper_robot: Robot) -> None:
 def test_at_rest_the_robot_stands_where_the_model_says(viewed: Viewed) -> None:
     viewed.make_ready()
     scene = viewed.view._scene
-    until(lambda: all(mesh.visible for mesh in scene._meshes))
+    until(lambda: viewed.view.drawn.says == "")  # the picture is whole
     joints = viewed.supervisor.status().values["joints"]
     unloaded = viewed.supervisor.statics.solve(joints, np.zeros(6))
     # Noise of the force sensors moves the drawn tip by tenths of a millimetre.
