@@ -4,8 +4,9 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, sync_playwright
 
 from tests.harness.serving import Served
 from tests.harness.waiting import NET
@@ -18,11 +19,11 @@ FLAGS = [
     "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-gpu-compositing",
 ]  # fmt: skip
+#: Started so it takes what stations leave: as root it would put itself before them all.
+GENTLY = Path(__file__).with_name("gentle_chromium")
 #: For what a page waits for [ms].
 PATIENCE = 1e3 * NET
 SIZE = {"width": 1280, "height": 720}
-
-
 #: Drawn without a graphics card a scene takes a whole processor; in coarse pixels at four pictures a second, a fifth.
 #: Pictures to be kept are drawn finely.
 COARSE = 1.0 if "CTR_STATION_PICTURES" in os.environ else 0.4
@@ -39,6 +40,18 @@ def scene_page(browser: Browser) -> Page:
     page.set_default_timeout(PATIENCE)
     page.add_init_script(SLOWLY)
     return page
+
+
+@contextmanager
+def chromium(*flags: str) -> Iterator[Browser]:
+    """A browser that takes what the stations leave."""
+    with (
+        sync_playwright() as playwright,
+        playwright.chromium.launch(
+            executable_path=GENTLY, args=[*FLAGS, *flags], env={**os.environ, "CHROMIUM": str(CHROMIUM)}
+        ) as browser,
+    ):
+        yield browser
 
 
 @contextmanager

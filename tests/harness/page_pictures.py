@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from PIL import Image
-from playwright.sync_api import Browser, FloatRect, Page, sync_playwright
+from playwright.sync_api import Browser, FloatRect, Page
 
-from tests.harness.chromium import CHROMIUM, FLAGS, PATIENCE, SIZE, SLOWLY
+from tests.harness.chromium import PATIENCE, SIZE, SLOWLY, chromium
 from tests.harness.pad import LEFT, PAD
 from tests.harness.serving import Served, serving
 
@@ -210,8 +210,7 @@ def keep(picture: bytes, path: Path) -> None:
 def main() -> None:
     """Into the folder that is named; all of them, or those that are named."""
     folder, wanted = Path(sys.argv[1]), set(sys.argv[2:])
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+    with chromium() as browser:
         for lab, pictures in PICTURES.items():
             chosen = [take for take in pictures if take.__name__ in (wanted or USUAL)]
             if chosen:
@@ -219,7 +218,6 @@ def main() -> None:
                     for take in chosen:
                         keep(take(desk), folder / f"{take.__name__}.png")
                         print(take.__name__, flush=True)  # noqa: T201
-        browser.close()
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from tests.harness.waiting import NET
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The pages first, and files that share the session's station together; workers come from both ends.
 
-    So one worker has the browsers, which take a processor to draw, and no station stands idle for long.
+    So one worker has the browsers, which take a processor to draw, and the shared station ends early.
     """
     pages = {item.path for item in items if "browser" in item.fixturenames}
     sharing = {item.path for item in items if _shares_the_station(item)}
@@ -28,11 +29,41 @@ def _shares_the_station(item: pytest.Item) -> bool:
     return bool(found) and found[-1].baseid == "tests/live"
 
 
-@pytest.fixture(scope="session")
-def running() -> Iterator[Served]:
-    """The station that all share who leave it READY."""
-    with serving() as served:
-        yield served
+class SharedStation:
+    """The station that all share who leave it READY: it ends when the next test is not one of them."""
+
+    def __init__(self) -> None:
+        self._owned = ExitStack()
+        self._served: Served | None = None
+
+    def __call__(self) -> Served:
+        if self._served is None:
+            self._served = self._owned.enter_context(serving())
+        return self._served
+
+    def end(self) -> None:
+        self._served = None
+        self._owned.close()
+
+
+_SHARED = pytest.StashKey[SharedStation]()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None]:
+    """An idle station takes a quarter of a processor from the tests that come."""
+    yield
+    if nextitem is None or not _shares_the_station(nextitem):
+        _shared(item.session).end()
+
+
+@pytest.fixture(scope="module")
+def running(request: pytest.FixtureRequest) -> Served:
+    return _shared(request.session)()
+
+
+def _shared(session: pytest.Session) -> SharedStation:
+    return session.stash.setdefault(_SHARED, SharedStation())
 
 
 @pytest.fixture

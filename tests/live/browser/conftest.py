@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
-from tests.harness.chromium import CHROMIUM, FLAGS, bare_page
+from tests.harness.chromium import CHROMIUM, bare_page, chromium
 from tests.harness.serving import Served
 
 HERE = Path(__file__).parent
@@ -34,10 +34,8 @@ _DESELECTED = pytest.StashKey[int]()
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page
 
-from tests.harness.chromium import CHROMIUM, FLAGS, scene_page
+from tests.harness.chromium import chromium, scene_page
 from tests.harness.relay import Relay, relayed
 from tests.harness.serving import Served
 
@@ -22,13 +22,11 @@ def wire(station: Served) -> Iterator[Relay]:
 def cut_page(station: Served, wire: Relay) -> Iterator[Page]:
     """The page in a browser that reaches the station over the wire."""
     rule = f"--host-resolver-rules=MAP localhost:{station.port} 127.0.0.1:{wire.port}"
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS, rule])
+    with chromium(rule) as browser:
         page = scene_page(browser)
         page.goto(f"http://localhost:{station.port}/")
         page.frame_locator("#scene").locator("canvas").first.wait_for()
         yield page
-        browser.close()
 
 
 def test_the_scene_says_that_it_is_cut_off_and_comes_back_by_itself_and_stop_works_all_along(
