@@ -28,13 +28,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 class FromBothEnds(LoadFileScheduling):
-    """A file to each processor: the first one from the first file on, the others from the last one back.
+    """A file to each worker: the last one takes them from the last file back, the others from the first one on.
 
-    So in a fresh clone the model is compiled by one, and the lab by another.
+    So in a fresh clone the model is compiled by one, and the lab by another; and live tests, which wait, go beside
+    others, which compute.
     """
 
     def _assign_work_unit(self, node: WorkerController) -> None:
-        if node is not self.nodes[0]:
+        if node is self.nodes[-1]:
             self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
         super()._assign_work_unit(node)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 from tests.harness.serving import Served
 from tests.harness.waiting import NET
@@ -23,7 +23,7 @@ FLAGS = [
 GENTLY = Path(__file__).with_name("gentle_chromium")
 #: For what a page waits for [ms].
 PATIENCE = 1e3 * NET
-SIZE = {"width": 1280, "height": 720}
+SIZE: ViewportSize = {"width": 1280, "height": 720}
 #: Drawn without a graphics card a scene takes a whole processor; in coarse pixels at four pictures a second, a fifth.
 #: Pictures to be kept are drawn finely.
 COARSE = 1.0 if "CTR_STATION_PICTURES" in os.environ else 0.4

@@ -13,20 +13,18 @@ from tests.harness.root import ROOT
 from tests.harness.serving import Served, serving
 from tests.harness.waiting import NET
 
+HERE = Path(__file__).parent
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The pages first, and files that share the session's station together; workers come from both ends.
+    """Live tests before all others, the pages first of them, and together those that share a station.
 
     So one worker has the browsers, which take a processor to draw, and the shared station ends early.
     """
     pages = {item.path for item in items if "browser" in item.fixturenames}
     sharing = {item.path for item in items if _shares_the_station(item)}
-    items.sort(key=lambda item: (item.path not in pages, item.path not in sharing))
-
-
-def _shares_the_station(item: pytest.Item) -> bool:
-    found = item._fixtureinfo.name2fixturedefs.get("running", ())
-    return bool(found) and found[-1].baseid == "tests/live"
+    live = {item.path for item in items if item.path.is_relative_to(HERE)}
+    items.sort(key=lambda item: (item.path not in live, item.path not in pages, item.path not in sharing))
 
 
 class SharedStation:
@@ -60,6 +58,11 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 @pytest.fixture(scope="module")
 def running(request: pytest.FixtureRequest) -> Served:
     return _shared(request.session)()
+
+
+def _shares_the_station(item: pytest.Item) -> bool:
+    found = item._fixtureinfo.name2fixturedefs.get("running", ())
+    return bool(found) and found[-1].baseid == "tests/live"
 
 
 def _shared(session: pytest.Session) -> SharedStation:

@@ -1,0 +1,181 @@
+"""How punctual the loop is beside what looks at the station.
+
+    python -m tests.harness.loop_beside [nothing] [page] [gateway] [--seconds S] [--times N] [--config FILE]
+
+`ctr-station bench loop` has the control process, the lab and the recorder; here the server is on the same processors,
+and with `page` a Chromium that draws it, with `gateway` all four of its protocols with two clients each. One recorded
+motion under load; the loop's own counts, with the time that the machine was stolen meanwhile, on stations of their own
+that take turns, and the medians' ratio to the first that is named. With `fifo = false` in the file: without real-time
+scheduling.
+"""
+
+import argparse
+import json
+import os
+import socket
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from station.bench.loop import figures, stolen
+from station.bench.timer_probe import TimerProbe
+from station.config.robots import load_robot
+from station.control.process import ring_width
+from station.control.ring import Ring
+from tests.harness.chromium import SIZE, chromium
+from tests.harness.serving import Served, free_port, serving, shared_memory
+
+MOTION = {
+    "trajectory": {"kind": "circle", "radius": 0.010, "period": 20.0},
+    "load": {"kind": "raised_cosine", "peak": 0.3, "period": 15.0},
+}
+#: Who looks has begun to by then, and the robot is at rest no more [s].
+BEGUN, MOVING = 10.0, 5.0
+#: Clients of each protocol.
+CLIENTS = 2
+
+
+@contextmanager
+def page(station: Served, _: dict[str, int]) -> Iterator[None]:
+    """A Chromium that draws everything."""
+    with chromium() as browser:
+        browser.new_page(viewport=SIZE).goto(station.url)
+        yield
+
+
+@contextmanager
+def gateway(_: Served, ports: dict[str, int]) -> Iterator[None]:
+    """Clients that take whatever comes."""
+    context = get_context("spawn")
+    clients = [
+        context.Process(target=client, args=(ports.get(client.__name__, 0),), daemon=True)
+        for client in (igtl, foxglove, ros2, lsl)
+        for _ in range(CLIENTS)
+    ]
+    for each in clients:
+        each.start()
+    yield
+    assert all(each.is_alive() for each in clients), [(each.name, each.exitcode) for each in clients]
+    for each in clients:
+        each.kill()
+        each.join()
+
+
+@contextmanager
+def nothing(_: Served, __: dict[str, int]) -> Iterator[None]:
+    """Nobody looks."""
+    yield
+
+
+def igtl(port: int) -> None:
+    """Reads all messages."""
+    with socket.create_connection(("127.0.0.1", port)) as client:
+        while client.recv(1 << 16):
+            pass
+
+
+def foxglove(port: int) -> None:
+    """Subscribes to every channel."""
+    from websockets.sync.client import connect
+
+    address, spoken = f"ws://127.0.0.1:{port}/", ["foxglove.sdk.v1"]
+    with connect(address, subprotocols=spoken, proxy=None, max_size=None) as client:  # type: ignore[arg-type]
+        for message in client:
+            told = json.loads(message) if isinstance(message, str) else {}
+            if told.get("op") == "advertise":
+                wish = [{"id": each["id"], "channelId": each["id"]} for each in told["channels"]]
+                client.send(json.dumps({"op": "subscribe", "subscriptions": wish}))
+
+
+def ros2(port: int) -> None:
+    """Subscribes to every topic."""
+    import zenoh
+
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
+    with zenoh.open(config) as session:
+        session.declare_subscriber("0/**", lambda _: None)
+        time.sleep(1e6)
+
+
+def lsl(_: int) -> None:
+    """Takes every row."""
+    import pylsl
+
+    inlet = pylsl.StreamInlet(pylsl.resolve_byprop("name", "ctr-station", 1, 60.0)[0])
+    while True:
+        inlet.pull_chunk(timeout=1.0)
+
+
+BESIDE: dict[str, Callable[[Served, dict[str, int]], Any]] = {"nothing": nothing, "page": page, "gateway": gateway}
+
+
+def measured(name: str, seconds: float, settings: str) -> dict[str, Any]:
+    """The loop's timing beside that."""
+    ports = {name: free_port() for name in ("igtl", "foxglove", "ros2")} if name == "gateway" else {}
+    options = [word for protocol, port in ports.items() for word in (f"--{protocol}", str(port))]
+    with ExitStack() as owned:
+        probe = owned.enter_context(TimerProbe(max(os.sched_getaffinity(0))))
+        station = owned.enter_context(serving(*options, *(["--lsl"] if ports else []), settings=settings, rate=None))
+        station.ready()
+        ring = Ring(ring_width(load_robot("paper")), shared_memory(station.process.pid).pop().name)
+        owned.callback(ring.close, remove=False)
+        owned.enter_context(BESIDE[name](station, ports))
+        time.sleep(BEGUN)
+        started = station.post("/api/start", {**MOTION, "duration": seconds + 60.0})
+        assert started.status_code == 202, started.text
+        time.sleep(MOVING)
+        ring.clear_timing()
+        probe.clear()
+        before = stolen()
+        time.sleep(seconds)
+        status = station.status()
+        result = {
+            **figures(ring, seconds, stolen() - before),
+            "computer": probe.figures(),
+            "state": f"{status['state']} {status['cause']}".strip(),  # a run that had to be held says why
+        }
+        station.post("/api/stop")
+    return result
+
+
+def _over(figure: dict[str, float], other: dict[str, float]) -> dict[str, float]:
+    return {key: round(figure[key] / max(other[key], 1e-9), 2) for key in other}
+
+
+def main() -> None:
+    """Print the loop's timing as JSON."""
+    parser = argparse.ArgumentParser(prog="python -m tests.harness.loop_beside")
+    parser.add_argument("beside", nargs="+", choices=list(BESIDE))
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--times", type=int, default=1, help="stations of each, in turns")
+    parser.add_argument("--config", help="station file of the paper's robot")
+    parsed = parser.parse_args()
+    settings = Path(parsed.config).read_text(encoding="utf-8") if parsed.config else ""
+    found: dict[str, list[dict[str, Any]]] = {name: [] for name in parsed.beside}
+    for _ in range(parsed.times):
+        for name, results in found.items():
+            results.append(measured(name, parsed.seconds, settings))
+            sys.stdout.write(f"{json.dumps({name: results[-1]})}\n")
+            sys.stdout.flush()
+    medians = {
+        name: {
+            part: {key: statistics.median(each[part][key] for each in results) for key in results[0][part]}
+            for part in ("late_us", "tick_us")
+        }
+        for name, results in found.items()
+    }
+    first = medians[parsed.beside[0]]
+    ratios = {name: {part: _over(each[part], first[part]) for part in first} for name, each in medians.items()}
+    sys.stdout.write(f"{json.dumps({'medians': medians, 'ratios': ratios})}\n")
+
+
+if __name__ == "__main__":
+    main()
