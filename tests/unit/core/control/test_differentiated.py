@@ -9,7 +9,10 @@ PERIOD = 0.002
 
 
 def velocities(places, times, ages, ticks, by_joints=0.0):
-    """Along x, tick by tick, the joints moving the tip at `by_joints` [m/s]; a frame of `places` is taken at `times` and arrives `ages` later [s]."""
+    """Along x, tick by tick, the joints moving the tip at `by_joints` [m/s].
+
+    A frame of `places` is taken at `times` and arrives `ages` later [s].
+    """
     seen, tip, found, waiting = AT_REST, np.zeros(3), [], list(zip(places, times, ages, strict=True))
     for number in range(1, ticks + 1):
         now, frame, age = number * PERIOD, None, 0.0
