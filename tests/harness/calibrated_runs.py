@@ -1,9 +1,10 @@
 """What the controller shows on a lab that the station has calibrated itself.
 
-`python -m tests.harness.calibrated_runs [--lab realistic] [--seeds N] [--first K] [--density D]`
+`python -m tests.harness.calibrated_runs [--lab realistic] [--seeds N] [--first K] [--density D] [--load-rate]`
 
 For each seed the bench is calibrated at rest (`tubes`), and the experiments run calibrated on its wire-level devices.
 With `--density` the lab's tubes are of another density [kg/m^3] than the robot's file says: a weight that is not known.
+With `--load-rate` every case of that experiment is run instead, for the largest true distance.
 One JSON line a run with the largest errors of x, y, z, then the table: median and worst of the seeds.
 """
 
@@ -40,7 +41,7 @@ RUNS = (
     ("fig6", "fig6", "turn", {}),
     ("fig7", "fig7", "regulation", {"duration": 20.0}),
 )
-COLUMNS = ("true_max_abs_error_mm", "max_abs_error_mm", "model_error_mm")
+COLUMNS = ("true_max_abs_error_mm", "max_abs_error_mm", "model_error_mm", "true_max_distance_mm")
 
 
 def write(folder: Path, lab: str, seed: int) -> None:
@@ -77,7 +78,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--density", type=float, help="of the lab's tubes [kg/m^3]")
+    parser.add_argument("--load-rate", action="store_true", help="run that experiment instead")
     parsed = parser.parse_args()
+    cases = load_experiment("load_rate").cases if parsed.load_rate else ()
+    runs = [(case.name, "load_rate", case.name, {}) for case in cases] or RUNS
     table: dict[tuple[str, str], list] = defaultdict(list)
     for seed in range(parsed.first, parsed.first + parsed.seeds):
         with tempfile.TemporaryDirectory() as where:
@@ -87,7 +91,7 @@ def main() -> None:
                 else _of_density(parsed.lab, parsed.density, Path(where, "lab.toml"))
             )
             write(Path(where), lab, seed)
-            for name, experiment, case, changes in RUNS:
+            for name, experiment, case, changes in runs:
                 found = run(Path(where), lab, seed, experiment, case, changes)
                 sys.stdout.write(f"{json.dumps({'seed': seed, 'run': name, **found})}\n")
                 sys.stdout.flush()
