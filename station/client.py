@@ -17,15 +17,15 @@ import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import quote
 
 import httpx
-from websockets.exceptions import ConnectionClosed, WebSocketException
-from websockets.sync.client import connect
 
 from station.errors import StationError
-from station.setpoints import Setpoints
+
+if TYPE_CHECKING:
+    from station.setpoints import Setpoints
 
 #: Between two looks at the status while waiting [s]; each of them also keeps the lease.
 LOOK = 0.2
@@ -223,6 +223,9 @@ class Station:
         Raises:
             StationError: the station has gone.
         """
+        from websockets.exceptions import ConnectionClosed, WebSocketException  # here: most scripts need httpx only
+        from websockets.sync.client import connect
+
         url = str(self._http.base_url.join("/api/telemetry")).replace("http", "ws", 1)
         try:
             with connect(f"{url}?rate={rate:g}", additional_headers=self._headers, proxy=None) as socket:
@@ -231,7 +234,7 @@ class Station:
         except (OSError, WebSocketException, ConnectionClosed) as error:
             raise StationError(f"{url}: {error}") from None
 
-    def setpoints(self, **asked: Any) -> Setpoints:
+    def setpoints(self, **asked: Any) -> "Setpoints":
         """Lead the tip: `with station.setpoints() as tip: tip.go(0.001, 0.0, 0.0)`.
 
         A run begins; when the block ends the tip comes to rest and the run ends. The last place wins. Silence of
@@ -245,6 +248,8 @@ class Station:
         Raises:
             StationError: on entering: the state, another operator or a value does not allow it.
         """
+        from station.setpoints import Setpoints
+
         url = str(self._http.base_url.join("/api/setpoints")).replace("http", "ws", 1)
         return Setpoints(url, self._headers, asked)
 
