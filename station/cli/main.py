@@ -76,6 +76,9 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     validate.add(commands)
 
     doctor = commands.add_parser("doctor", help="what this machine offers, in plain words")
+    doctor.add_argument(
+        "--print", choices=("rules", "limits", "service", "dockerfile"), help="a file that a bench's computer needs"
+    )
     doctor.set_defaults(command=_doctor)
     return top, commands
 
@@ -145,7 +148,12 @@ def _lab(parsed: argparse.Namespace) -> int:
     return 0
 
 
-def _doctor(parsed: argparse.Namespace) -> int:  # noqa: ARG001 - it takes no options
+def _doctor(parsed: argparse.Namespace) -> int:
+    if parsed.print:
+        from station.cli.machine import printed
+
+        print(printed(parsed.print), end="")  # noqa: T201
+        return 0
     from station.cli.doctor import findings
 
     console = Console(highlight=False, soft_wrap=True)
