@@ -17,10 +17,11 @@ def main() -> None:
         spec = find_spec(name)
         found = None if spec is None else spec.origin
         if found is None or "ctr-station" not in Path(found).read_text(encoding="utf-8", errors="replace"):
-            sys.exit(
+            sys.stderr.write(
                 f"ctr-station: the package '{name}' found at {found or 'no place'} is not its own; give ctr-station an"
-                " environment of its own (pipx install, or python3 -m venv), and leave PYTHONPATH empty"
+                " environment of its own (pipx install, or python3 -m venv), and leave PYTHONPATH empty\n"
             )
+            sys.exit(2)
     from web.cli import main as commands
 
     commands()
