@@ -65,7 +65,7 @@ Start = Callable[..., "subprocess.Popen[str]"]
 def start(environment: Path, tmp_path: Path) -> Start:
     """Start the installed command in a folder of its own, with a home that takes nothing but a cache."""
     known = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "NUMBA_", "CTR_"))}
-    own = {"HOME": str(environment / "home"), "XDG_CACHE_HOME": str(environment / "cache"), "MPLCONFIGDIR": ""}
+    own = {"HOME": str(environment / "home"), "XDG_CACHE_HOME": str(environment / "cache")}
 
     def start(*arguments: object, **more: str) -> "subprocess.Popen[str]":
         command = [str(environment / "bin" / "ctr-station"), *map(str, arguments)]
@@ -93,6 +93,7 @@ def call(start: Start) -> Callable[..., str]:
 def test_every_file_of_the_source_is_in_the_wheel_and_so_is_what_its_pages_link_to(wheel: Path):
     source = [path for part in PARTS for path in (ROOT / part).rglob("*") if path.is_file()]
     wanted = {path.relative_to(ROOT).as_posix() for path in source if "__pycache__" not in path.parts}
+    wanted.remove("web/ctr_station.py")  # there under a name of its own
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         assert wanted <= names
