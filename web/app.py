@@ -74,6 +74,9 @@ CALIBRATIONS = "calibrations"
 LONGEST_MESSAGE = 64 * 1024
 #: Connections that are taken before the requests of those before them are read.
 ACCEPTED_AT_ONCE = 64
+#: Threads of the station process take turns after so long [s]: while the scene is drawn, a STOP, a setpoint or a look
+#: of the watchdog waits for no more than this from each of them.
+TURN = 0.5e-3
 
 
 class PortError(CtrError):
@@ -105,6 +108,7 @@ def serve(
         CtrError: the control process does not start.
     """
     out = Console(highlight=False, soft_wrap=True)
+    sys.setswitchinterval(TURN)
     wanted.check()
     ring.clear_left_behind()
     port_lock.clear_left_behind()

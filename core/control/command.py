@@ -28,6 +28,10 @@ class Commanded(NamedTuple):
     at_row: Array  #: (m,) 1 where a limit beyond single joints is active
 
 
+#: The tip's drift is the observer's.
+OBSERVED = np.zeros(0)
+
+
 class Looks(NamedTuple):
     """What the loops look at."""
 
@@ -38,7 +42,7 @@ class Looks(NamedTuple):
 
 def command(
     strategy: Strategy, looks: Looks, limits: Limits,
-    joints: Array, now: Estimate, force: Array, setpoint: Setpoint, tip: Array, origin: Array,
+    joints: Array, now: Estimate, force: Array, setpoint: Setpoint, tip: Array, origin: Array, drift: Array = OBSERVED,
 ) -> Commanded:  # fmt: skip
     """Joint velocities for a setpoint.
 
@@ -52,6 +56,7 @@ def command(
         setpoint: from `origin`.
         tip: (3,) the latest tracker frame [m].
         origin: (3,) [m].
+        drift: (3,) tip velocity beyond J q' + C w' [m/s], or `OBSERVED`.
 
     Raises:
         NotFinite: what is asked for, or the Jacobian, is not.
@@ -61,7 +66,7 @@ def command(
     if limits.others:
         rows, room = limits.rows(Situation(joints, now.loaded.jacobian[:3], now.observed.tip, force))
     if strategy.laws is None:
-        u_int, task = _own_loops(strategy, looks, now, setpoint, tip, origin)
+        u_int, task = _own_loops(strategy, looks, now, setpoint, tip, origin, drift)
         jacobian, velocity = (np.ascontiguousarray(side, dtype=np.float64) for side in task)
         found = inverse_at(limits, joints, jacobian, velocity, rows, room)
         return Commanded(found.velocity, u_int, found.sigma, found.at_bound, found.at_row)
@@ -69,21 +74,22 @@ def command(
     found = Commanded(np.empty(n), np.empty(3), np.empty(min(3, n)), np.empty(n), np.empty(room.size))
     if not _command(
         *strategy.laws, *looks, limits.packed, joints, now.loaded.numbers, now.unloaded.numbers, now.numbers,
-        setpoint.position, setpoint.velocity, tip, origin, rows, room, SIGMA_FLOOR, HUNTING, *found,
+        setpoint.position, setpoint.velocity, tip, origin, drift, rows, room, SIGMA_FLOOR, HUNTING, *found,
     ):  # fmt: skip
         raise NotFinite(f"wanted tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
     return found
 
 
 def _own_loops(
-    strategy: Strategy, looks: Looks, now: Estimate, setpoint: Setpoint, tip: Array, origin: Array
+    strategy: Strategy, looks: Looks, now: Estimate, setpoint: Setpoint, tip: Array, origin: Array, drift: Array
 ) -> tuple[Array, VelocityTask]:
     """U_int (3,) and the equation for the joints."""
     known = now.known
     aim = Setpoint(_aim(looks.lead, setpoint.position, setpoint.velocity), setpoint.velocity)
     u_int = strategy.outer.tip_velocity(aim, (known.tip_ahead if looks.observes else tip) - origin)
     rate = known.deflection_rate_exact if looks.exact_rate else known.deflection_rate
-    return u_int, strategy.inner(u_int, View(now.loaded, now.unloaded, rate, known.load_rate, known.drift))
+    drift = known.drift if drift.size == 0 else drift
+    return u_int, strategy.inner(u_int, View(now.loaded, now.unloaded, rate, known.load_rate, drift))
 
 
 @compiled
@@ -99,7 +105,7 @@ def _aim(lead: float, wanted: Array, velocity: Array) -> Array:
 def _command(
     k1: float, k2: float, feedforward: float, number: int, lead: float, observes: bool, exact_rate: bool,
     limits: Array, joints: Array, loaded: Array, unloaded: Array, estimate: Array,
-    wanted: Array, velocity: Array, tip: Array, origin: Array, rows: Array, room: Array,
+    wanted: Array, velocity: Array, tip: Array, origin: Array, drift: Array, rows: Array, room: Array,
     least_floor: float, hunting: float,
     command: Array, u_int: Array, sigma: Array, at_bound: Array, at_row: Array,
 ) -> bool:  # fmt: skip
@@ -110,8 +116,9 @@ def _command(
     copy(outer_law(k1, k2, feedforward, _aim(lead, wanted, velocity), velocity, here), u_int)
     rate = now.deflection_rate_exact if exact_rate else now.deflection_rate
     jacobian, asked = inner_law(
-        number, u_int, parts(loaded).jacobian, parts(unloaded).jacobian, rate, now.load_rate, now.drift
-    )
+        number, u_int, parts(loaded).jacobian, parts(unloaded).jacobian, rate, now.load_rate,
+        now.drift if drift.size == 0 else drift,
+    )  # fmt: skip
     lower, upper = velocity_bounds(joints, limits)
     found, values, held, active, finite = inverse_law(
         jacobian, asked, limits[2], lower, upper, rows, room, least_floor, hunting

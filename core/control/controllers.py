@@ -12,7 +12,7 @@ inner loop that turns it into what the joints must solve.
 |---|---|
 | `type_1` | J(q, 0) q' = U - d(Delta_total)/dt, eq. (24); Delta_2 holds q' itself: a delayed fixed point |
 | `type_1_exact` | J(q, w) q' = U - C w', the same without the fixed point |
-| `type_2` | J(q, w) q' = U - (X' - J(q, w) q'), eq. (29), X' being the tip's velocity as observed |
+| `type_2` | J(q, w) q' = U - (X' - J(q, w) q'), eq. (29), X' being the tip's velocity as observed or by frames |
 """
 
 import math
@@ -37,7 +37,7 @@ class View(NamedTuple):
     unloaded: Solution  #: F(q, 0) and its derivatives
     deflection_rate: Array  #: (3,) rate of Delta_total, by filter or by C and J [m/s]
     load_rate: Array  #: (3,) C(q, w) w', the tip's velocity by the load alone [m/s]
-    drift: Array  #: (3,) tip velocity beyond J q' + C w', as the tracker shows it: X' - J q' - C w' [m/s]
+    drift: Array  #: (3,) tip velocity beyond J q' + C w', as observed or as frames show it: X' - J q' - C w' [m/s]
 
 
 class VelocityTask(NamedTuple):

@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.control.command import Commanded, Looks, command
+from core.control.command import OBSERVED, Commanded, Looks, command
 from core.control.controllers import Strategy
 from core.control.corrections import Corrections
+from core.control.differentiated import AT_REST, Differentiated, differentiate
 from core.control.estimation import Estimate, Estimator
 from core.control.force_fusion import Fused, fuse_at
 from core.control.inverse import NO_ROOM
@@ -44,6 +45,7 @@ class ControllerState(NamedTuple):
     estimate: Estimate
     tip: Array  #: (3,) latest measured tip [m]
     origin: Array  #: (3,) tip at the start, where setpoints count from [m]
+    seen: Differentiated = AT_REST  #: what frames show, where the controller looks at them so
 
 
 class Tick(NamedTuple):
@@ -78,6 +80,9 @@ class Controller:
     #: Type I takes the deflection's rate from C, J and the filtered force; without, from the
     #: filtered numerical derivative (the paper).
     exact_rate: bool = False
+    #: Type II takes the tip's velocity from the tracker's frames, differentiated (the paper); without,
+    #: from the observer.
+    differentiates: bool = False
     #: From a calibration; without, the coil is at the tip and the sensors stand as their tubes.
     corrections: Corrections | None = None
 
@@ -145,11 +150,17 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         controller.statics, controller.estimator, last,
         sample.joints, sample.wrenches, sample.sent, sample.tip, sample.tip_age,
     )  # fmt: skip
-    tip = memory.tip if sample.tip is None else sample.tip
+    tip, seen, drift = memory.tip if sample.tip is None else sample.tip, memory.seen, OBSERVED
+    if controller.differentiates:
+        known = now.known
+        by_joints = known.velocity_observed - known.load_rate - known.drift
+        seen = differentiate(seen, by_joints, memory.tip, sample.tip, sample.tip_age, controller.period)
+        drift = seen.velocity - known.load_rate
     if isinstance(order, Setpoint):
         found = command(
-            controller.strategy, controller.looks, limits, sample.joints, now, load.force, order, tip, memory.origin
-        )
+            controller.strategy, controller.looks, limits,
+            sample.joints, now, load.force, order, tip, memory.origin, drift,
+        )  # fmt: skip
     else:
         # Nothing is asked of the tip: it is where it should be.
         asked = np.zeros(sample.joints.size) if order is None else order.velocity
@@ -161,7 +172,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         )  # fmt: skip
     return Tick(
         found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
-        ControllerState(now, tip, memory.origin),
+        ControllerState(now, tip, memory.origin, seen),
     )  # fmt: skip
 
 

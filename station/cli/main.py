@@ -98,11 +98,11 @@ def execute(top: Parser, commands: Container[str], arguments: Sequence[str] | No
         sys.stderr.write(f"ctr-station: {' '.join(str(error).split())}\n")
         return 2
     except KeyboardInterrupt:
-        return 130
+        return _interrupted()
     except SystemError as error:
         # Ctrl-C inside compiled code comes out as this.
         if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
-            return 130
+            return _interrupted()
         raise
     except BrokenPipeError:
         # Whoever read our output has gone; what is left in the buffer must not fail once more at exit.
@@ -113,6 +113,11 @@ def execute(top: Parser, commands: Container[str], arguments: Sequence[str] | No
             raise
         sys.stderr.write(f"ctr-station: {' '.join(str(error.filename).split())[:LONGEST]}: {error.strerror}\n")
         return 2
+
+
+def _interrupted() -> int:
+    sys.stderr.write("ctr-station: interrupted\n")
+    return 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

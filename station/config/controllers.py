@@ -35,6 +35,8 @@ class ControllerFile(Strict):
     its command takes effect"""
     deflection_rate: Literal["numerical", "exact"] = "numerical"
     """for type_1: the filtered derivative of Delta_total as in the paper, or C w' + (J(q, w) - J(q, 0)) q'"""
+    tip_velocity: Literal["observer", "tracker"] = "observer"
+    """for type_2: as observed, or the tracker's frames differentiated, which the paper warns of"""
     filter_bandwidth: float = 1.0
     """of the deflection's and the force's rate [Hz]"""
     observer_bandwidth: float = 2.0
@@ -63,6 +65,7 @@ class ControllerFile(Strict):
             ),
             observes=self.feedback == "observer",
             exact_rate=self.deflection_rate == "exact",
+            differentiates=self.tip_velocity == "tracker",
         )
 
 

@@ -118,7 +118,8 @@ class ResultFolder:
     def abandon(self) -> None:
         """Something went wrong: keep what was recorded, as a run that was interrupted; nothing if there is nothing."""
         self._folder.let_go()
-        recover(self._out)
+        with contextlib.suppress(RecordingError):  # what went wrong first is to be told; this waits for the next start
+            recover(self._out)
 
 
 def case_metadata(experiment: Experiment, case: Case, seed: int) -> dict[str, Any]:

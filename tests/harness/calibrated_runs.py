@@ -1,13 +1,16 @@
 """What the controller shows on a lab that the station has calibrated itself.
 
-`python -m tests.harness.calibrated_runs [--lab realistic] [--seeds N] [--first K]`
+`python -m tests.harness.calibrated_runs [--lab realistic] [--seeds N] [--first K] [--density D] [--load-rate]`
 
 For each seed the bench is calibrated at rest (`tubes`), and the experiments run calibrated on its wire-level devices.
+With `--density` the lab's tubes are of another density [kg/m^3] than the robot's file says: a weight that is not known.
+With `--load-rate` every case of that experiment is run instead, for the largest true distance.
 One JSON line a run with the largest errors of x, y, z, then the table: median and worst of the seeds.
 """
 
 import argparse
 import json
+import re
 import sys
 import tempfile
 from collections import defaultdict
@@ -17,6 +20,7 @@ import numpy as np
 
 from station.calibration.files import write_registration, write_robot, write_sensors
 from station.config.robots import load_robot
+from station.config.strict import PRESETS
 from station.control.clock import VirtualClock
 from station.experiments.experiment import load_experiment
 from station.experiments.results import summarise
@@ -37,7 +41,7 @@ RUNS = (
     ("fig6", "fig6", "turn", {}),
     ("fig7", "fig7", "regulation", {"duration": 20.0}),
 )
-COLUMNS = ("true_max_abs_error_mm", "max_abs_error_mm", "model_error_mm")
+COLUMNS = ("true_max_abs_error_mm", "max_abs_error_mm", "model_error_mm", "true_max_distance_mm")
 
 
 def write(folder: Path, lab: str, seed: int) -> None:
@@ -57,6 +61,15 @@ def run(folder: Path, lab: str, seed: int, experiment: str, case_name: str, chan
     return {key: summary[key] for key in ("completed", "cause", *COLUMNS) if key in summary}
 
 
+def _of_density(lab: str, density: float | None, file: Path) -> str:
+    """The preset, or a file of it with other tubes."""
+    if density is None:
+        return lab
+    text = (PRESETS / "labs" / f"{lab}.toml").read_text(encoding="utf-8")
+    file.write_text(re.sub(r"(?m)^density = \S+", f"density = {density}", text), encoding="utf-8")
+    return str(file)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tests.harness.calibrated_runs", description=__doc__.splitlines()[0]
@@ -64,13 +77,22 @@ def main() -> None:
     parser.add_argument("--lab", default="realistic")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--density", type=float, help="of the lab's tubes [kg/m^3]")
+    parser.add_argument("--load-rate", action="store_true", help="run that experiment instead")
     parsed = parser.parse_args()
+    cases = load_experiment("load_rate").cases if parsed.load_rate else ()
+    runs = [(case.name, "load_rate", case.name, {}) for case in cases] or RUNS
     table: dict[tuple[str, str], list] = defaultdict(list)
     for seed in range(parsed.first, parsed.first + parsed.seeds):
         with tempfile.TemporaryDirectory() as where:
-            write(Path(where), parsed.lab, seed)
-            for name, experiment, case, changes in RUNS:
-                found = run(Path(where), parsed.lab, seed, experiment, case, changes)
+            lab = (
+                parsed.lab
+                if parsed.density is None
+                else _of_density(parsed.lab, parsed.density, Path(where, "lab.toml"))
+            )
+            write(Path(where), lab, seed)
+            for name, experiment, case, changes in runs:
+                found = run(Path(where), lab, seed, experiment, case, changes)
                 sys.stdout.write(f"{json.dumps({'seed': seed, 'run': name, **found})}\n")
                 sys.stdout.flush()
                 for key in COLUMNS:

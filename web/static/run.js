@@ -15,7 +15,8 @@ const FIRST = {
   constant: { magnitude: 0.2 }, sine: { amplitude: 0.2, frequency: 0.05 }, raised_cosine: { peak: 0.3, period: 20 },
   trapezoid: { magnitude: 0.3, rise: 1, fall: 1, stay: 10, start: 2 }, tap: { peak: 0.5, start: 2 }, hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
 };
-const MORE = ["deflection_rate", "filter_bandwidth", "observer_bandwidth", "hold", "transport", "sublink", "direction", "max_speed", "max_acceleration"];
+const MORE = ["deflection_rate", "tip_velocity", "filter_bandwidth", "observer_bandwidth", "hold", "transport", "sublink", "direction", "max_speed", "max_acceleration"];
+const TARGET = "The tip goes where a program says over OpenIGTLink: transforms named Target, in the world.";
 /** After the last place [s]. */
 const STAY = 3;
 /** A start pose nearer than this needs no confirmation [rad, m]. */
@@ -63,7 +64,9 @@ async function overview() {
     make("h3", {}, "Experiments"), experiments,
     make("h3", {}, "Free motions, from where the robot is"),
     make("div", { className: "cards" }, ...motions.map(([kind, schema]) =>
-      card(kind.replaceAll("_", " "), sentence(schema), null, () => motion(kind, schema, all)))),
+      card(kind.replaceAll("_", " "), sentence(schema), null, () => motion(kind, schema, all))),
+    // The station tells of these only where it takes targets.
+    all.LeadIn && card("target from outside", TARGET, null, () => led(all))),
   );
   if (known !== null) listed(experiments, known);
   try {
@@ -153,6 +156,20 @@ async function motion(kind, schema, all, values = {}) {
     make("fieldset", {}, make("legend", {}, "Motion"), table?.element, path.element, time.element,
       table && saved(kind, () => ({ ...read(), ...(origin() && { start: origin().joints }) }), (kept) => takeUp(kept, schema, all))),
     load.element, make("fieldset", {}, make("legend", {}, "Control"), control.element), frame);
+  on(whole);
+  $("start").replaceChildren(whole);
+  $("start").scrollTop = 0;
+  refresh();
+}
+
+/** A run whose tip goes where targets from outside say, as long as this page keeps control. */
+async function led(all) {
+  const bounds = form(all.LeadIn, { skip: ["frame", "controller"], more: ["acceleration", "silence"] });
+  const control = form(all.ControllerFile, { values: bench.controller, more: MORE, choices: { strategy: bench.strategies, inner: bench.inner } });
+  const { frame, on } = starter("Start following", () => press("POST", "/api/gateway/target", { ...bounds.read(), controller: control.read() }));
+  const whole = make("form", {}, back("target from outside"), make("p", {}, TARGET),
+    make("p", { className: "small dim" }, "Nothing moves before a target comes. The first program that sends one leads until it leaves; keep this page open, and STOP within reach."),
+    make("fieldset", {}, make("legend", {}, "Bounds"), bounds.element), make("fieldset", {}, make("legend", {}, "Control"), control.element), frame);
   on(whole);
   $("start").replaceChildren(whole);
   $("start").scrollTop = 0;

@@ -13,3 +13,8 @@ def test_it_is_there_before_anybody_asks(app: TestClient, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(fastapi.applications, "get_openapi", made_now)
     assert "/api/stop" in app.get("/api/openapi.json").json()["paths"]
+
+
+def test_a_station_that_takes_no_targets_offers_no_form_for_them(app: TestClient) -> None:
+    """The page offers a run for targets where the description has their bounds."""
+    assert "LeadIn" not in app.get("/api/openapi.json").json()["components"]["schemas"]

@@ -102,6 +102,14 @@ def test_so_it_does_with_every_other_inner_loop(paper_robot, inner, observes):
     assert np.abs(tips).max() < 2.5e-4
 
 
+def test_so_it_does_with_the_trackers_own_velocity(paper_robot):
+    """Frames without noise; what is left is what the tip does within a frame and a half."""
+    unit = replace(controller(paper_robot, observes=False), differentiates=True)
+    _, tips = run(unit, Plant(paper_robot), 2.5, force=pull)
+
+    assert np.abs(tips).max() < 5e-4
+
+
 def test_without_compensation_it_does_not(paper_robot):
     _, tips = run(controller(paper_robot, "unloaded_jacobian"), Plant(paper_robot), 4.0, force=pull)
 

@@ -1,0 +1,44 @@
+"""A run whose tip goes where another program says, started on the page, ended by STOP."""
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page
+from pyigtl import OpenIGTLinkClient
+from pyigtl.messages import TransformMessage
+
+from tests.harness.serving import Served, serving
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[Served]:
+    with serving("--igtl", "0") as served:
+        yield served
+
+
+@pytest.fixture
+def client(running: Served) -> Iterator[OpenIGTLinkClient]:
+    (line,) = [line for line in running.said.read_text().splitlines() if line.startswith("OpenIGTLink is at ")]
+    client = OpenIGTLinkClient("127.0.0.1", int(line.rpartition(":")[2]))
+    yield client
+    client.stop()
+
+
+def test_an_operator_starts_it_and_stop_ends_it(page: Page, station: Served, client: OpenIGTLinkClient) -> None:
+    page.locator("#tab-start").click()
+    page.locator(".card", has_text="target from outside").click()
+    assert page.get_by_label("speed").input_value() == "20"  # mm/s
+    page.get_by_label("end", exact=True).fill("60")
+    page.get_by_role("button", name="Start following").click()
+    page.locator("#state", has_text="RUNNING").wait_for()
+    station.wait_for(lambda status: status["phase"] == "moving")
+    begun = np.array(station.status()["tip_desired"])
+    goal = np.eye(4)
+    goal[:3, 3] = 1e3 * begun + [0.0, 0.0, 2.0]
+    while np.abs(1e3 * np.array(station.status()["tip_desired"]) - goal[:3, 3]).max() > 0.02:
+        client.send_message(TransformMessage(goal, device_name="Target"))
+        time.sleep(0.02)
+    page.locator("#stop").click()
+    page.locator("#state", has_text="STOPPED").wait_for()
