@@ -1,0 +1,1 @@
+"""Devices, loop, lab, recordings and commands of ctr-station."""

@@ -17,16 +17,18 @@ import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import quote
 
 import httpx
-from websockets.exceptions import ConnectionClosed, WebSocketException
-from websockets.sync.client import connect
 
 from station.errors import StationError
-from station.setpoints import Setpoints
 
+if TYPE_CHECKING:
+    from station.setpoints import Setpoints
+
+#: Of REST as this client speaks it, and as `GET /api/status` tells it; stations of version 0.1.0 do not, and speak 1.
+FORMAT = 1
 #: Between two looks at the status while waiting [s]; each of them also keeps the lease.
 LOOK = 0.2
 #: An answer takes no longer [s], but for what moves something home or renders a report.
@@ -52,6 +54,7 @@ class Station:
             headers["authorization"] = f"Bearer {token}"
         self._headers = headers
         self._http = httpx.Client(base_url=url, headers=headers, timeout=PATIENCE)
+        self._understood = False
 
     def __enter__(self) -> Self:
         return self
@@ -107,7 +110,7 @@ class Station:
 
     def stop(self) -> str:
         """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
-        return self._ask("POST", "/api/stop", {})["note"]
+        return self._send("POST", "/api/stop", {})["note"]  # at once, whatever the station's format
 
     def reset(self) -> None:
         """Go on after a stop, hold or fault that somebody has looked at."""
@@ -223,6 +226,10 @@ class Station:
         Raises:
             StationError: the station has gone.
         """
+        from websockets.exceptions import ConnectionClosed, WebSocketException  # here: most scripts need httpx only
+        from websockets.sync.client import connect
+
+        self._understand()
         url = str(self._http.base_url.join("/api/telemetry")).replace("http", "ws", 1)
         try:
             with connect(f"{url}?rate={rate:g}", additional_headers=self._headers, proxy=None) as socket:
@@ -231,7 +238,7 @@ class Station:
         except (OSError, WebSocketException, ConnectionClosed) as error:
             raise StationError(f"{url}: {error}") from None
 
-    def setpoints(self, **asked: Any) -> Setpoints:
+    def setpoints(self, **asked: Any) -> "Setpoints":
         """Lead the tip: `with station.setpoints() as tip: tip.go(0.001, 0.0, 0.0)`.
 
         A run begins; when the block ends the tip comes to rest and the run ends. The last place wins. Silence of
@@ -245,10 +252,33 @@ class Station:
         Raises:
             StationError: on entering: the state, another operator or a value does not allow it.
         """
+        from station.setpoints import Setpoints
+
+        self._understand()
         url = str(self._http.base_url.join("/api/setpoints")).replace("http", "ws", 1)
         return Setpoints(url, self._headers, asked)
 
+    def _understand(self) -> None:
+        """Before the first word: see that the station speaks the same REST.
+
+        Raises:
+            StationError: it speaks a later one, or does not answer.
+        """
+        if self._understood:
+            return
+        told = self._send("GET", "/api/status").get("format", 1)
+        if told > FORMAT:
+            raise StationError(
+                f"{self._http.base_url}: the station's REST has format {told}, later than {FORMAT}, the latest that"
+                " this client speaks: update ctr-station here"
+            )
+        self._understood = True
+
     def _ask(self, method: str, path: str, body: Any = None) -> Any:
+        self._understand()
+        return self._send(method, path, body)
+
+    def _send(self, method: str, path: str, body: Any = None) -> Any:
         try:
             answer = self._http.request(method, path, json=body)
         except httpx.HTTPError as error:

@@ -1,0 +1,1 @@
+"""Page, REST and scene of ctr-station."""

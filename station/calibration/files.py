@@ -16,7 +16,7 @@ from core.calibration.rigid import Rigid, vector_of
 from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError
+from station.config.strict import FORMAT, ConfigError
 from station.config.toml_text import toml_string
 from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS
 from station.devices.aurora.tracker import Registration
@@ -89,7 +89,11 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
 def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made: str) -> Path:
     """The described robot with its tubes as they were found; what it was and how sure beside each number."""
     fit, lines = found.fit, [f"# {line}" for line in made.splitlines()]
-    lines += [f"name = {toml_string(described.name)}", f"source = {toml_string(f'calibrated: {made}')}"]
+    lines += [
+        f"format = {FORMAT}",
+        f"name = {toml_string(described.name)}",
+        f"source = {toml_string(f'calibrated: {made}')}",
+    ]
     if described.max_force is not None:
         lines.append(f"max_force = {described.max_force!r}")
     if described.working_pose is not None:

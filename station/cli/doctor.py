@@ -8,25 +8,17 @@ import sys
 import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
-from typing import NamedTuple
 
 from station.bench.timer_probe import TimerProbe
+from station.cli.machine import README, Finding, set_up
 from station.control.realtime import ask_for_fifo, may_lock_memory
 
 #: A timer is watched for so long, once it has started [s].
 WATCHED, STARTS = 3.0, 20.0
 
 
-class Finding(NamedTuple):
-    """One thing that matters, and what to do about it."""
-
-    subject: str
-    good: bool
-    text: str
-
-
 def findings() -> Iterator[Finding]:
-    """Look at scheduling, processors, shared memory, serial ports and browser."""
+    """Look at scheduling, processors, shared memory, serial ports, what was set up for a bench, and browser."""
     yield Finding("Python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     yield Finding(
@@ -37,7 +29,7 @@ def findings() -> Iterator[Finding]:
     yield _punctuality()
     yield _memory()
     yield _shared_memory()
-    yield _serial_ports()
+    yield from _serial_ports()
     browser = next((path for name in BROWSERS if (path := shutil.which(name))), None)
     yield Finding(
         "browser", browser is not None,
@@ -60,9 +52,9 @@ def _scheduling() -> Finding:
     if granted:
         return Finding("real time", True, "SCHED_FIFO is granted: the 500 Hz loop runs with little jitter")
     advice = {
-        "linux": "add '@realtime - rtprio 90' to /etc/security/limits.d/realtime.conf, join the group realtime and"
-        " log in again; for a systemd service LimitRTPRIO=90; or start with CAP_SYS_NICE, e.g."
-        " sudo setcap cap_sys_nice,cap_ipc_lock+ep on a copy of the interpreter",
+        "linux": f"{_limit()}; ctr-station doctor --print limits | sudo tee /etc/security/limits.d/ctr-station.conf,"
+        f" join the group dialout and log in again; for a service or a container {README}; or start with CAP_SYS_NICE,"
+        " e.g. sudo setcap cap_sys_nice,cap_ipc_lock+ep on a copy of the interpreter",
         "darwin": "macOS has no SCHED_FIFO for programs; use Linux for experiments",
     }.get(sys.platform, "this system has no SCHED_FIFO; use Linux for experiments")
     return Finding("real time", False, f"SCHED_FIFO is refused: the loop still runs, with more jitter; {advice}")
@@ -94,7 +86,7 @@ def _punctuality() -> Finding:
 def _memory() -> Finding:
     if may_lock_memory():
         return Finding("memory", True, "may be locked: the loop never waits for the disk")
-    advice = "add '@realtime - memlock unlimited' to the same file, or start with CAP_IPC_LOCK"
+    advice = "the same file sets memlock to unlimited; or start with CAP_IPC_LOCK"
     if sys.platform != "linux":
         advice = "this system has no such right for programs; use Linux for experiments"
     return Finding("memory", False, f"may not be locked: a computer short of memory makes the loop late; {advice}")
@@ -112,10 +104,16 @@ def _shared_memory() -> Finding:
     return Finding("shared memory", True, "available for telemetry")
 
 
-def _serial_ports() -> Finding:
+def _limit() -> str:
+    import resource
+
+    return f"the limit of priorities is {resource.getrlimit(resource.RLIMIT_RTPRIO)[1]} here"
+
+
+def _serial_ports() -> Iterator[Finding]:
     from serial.tools.list_ports import comports
 
-    ports = [f"{port.device} ({port.description})" for port in comports()]
-    if not ports:
-        return Finding("serial ports", True, "none; the virtual lab needs none")
-    return Finding("serial ports", True, ", ".join(ports))
+    ports = list(comports())
+    named = ", ".join(f"{port.device} ({port.description})" for port in ports)
+    yield Finding("serial ports", True, named or "none; the virtual lab needs none")
+    yield from set_up(port.device for port in ports)

@@ -19,7 +19,8 @@ TOP = """# Files of one's own
 
 Robots, stations, virtual labs and experiments are TOML files: SI units (m, rad, s, N), world frame with x down and z
 along the straight tubes. A key that is not listed here is refused with its line; so is a value out of its range. The
-page is printed by `ctr-station keys` from the models that check the files.
+page is printed by `ctr-station keys` from the models that check the files. `format` tells which page a file was
+written after: without it that is 1, and one of a later format than this page's is refused.
 
 * `ctr-station serve --config station.toml` starts a station; the files that it names stand beside it.
 * `ctr-station run FILE.toml` carries out an experiment; the names of those in `[experiments] folder` are listed in

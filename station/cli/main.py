@@ -13,7 +13,6 @@ from typing import Any, NoReturn
 from rich.console import Console
 
 from core.errors import CtrError
-from core.model.statics import PAPER_SUBLINK
 from station.cli import bench, calibrate, export, keys, report, run, soak, sweep, validate
 from station.cli.options import between
 from station.cli.placed import command_first
@@ -53,7 +52,6 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     solve.add_argument(
         "--sublink",
         type=between(0.0001, 0.1, "a length", "m"),
-        default=PAPER_SUBLINK,
         metavar="M",
         help="sub-link length [m] (0.01)",
     )
@@ -78,6 +76,9 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
     validate.add(commands)
 
     doctor = commands.add_parser("doctor", help="what this machine offers, in plain words")
+    doctor.add_argument(
+        "--print", choices=("rules", "limits", "service", "dockerfile"), help="a file that a bench's computer needs"
+    )
     doctor.set_defaults(command=_doctor)
     return top, commands
 
@@ -126,13 +127,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _solve(parsed: argparse.Namespace) -> int:
+    from core.model.statics import PAPER_SUBLINK  # here: compiled code is half of what a command takes to start
     from station.config.robots import load_robot
     from station.service.solve import solve_lines
 
     lines = sys.stdin or ()  # none at all when the shell closed it
     if isinstance(lines, io.TextIOWrapper):
         lines.reconfigure(errors="replace")  # a byte that is no text spoils its own line only
-    for answer in solve_lines(lines, load_robot(parsed.robot).robot(), parsed.sublink, parsed.exact):
+    sublink = PAPER_SUBLINK if parsed.sublink is None else parsed.sublink
+    for answer in solve_lines(lines, load_robot(parsed.robot).robot(), sublink, parsed.exact):
         print(answer, flush=True)  # noqa: T201
     return 0
 
@@ -150,7 +153,12 @@ def _lab(parsed: argparse.Namespace) -> int:
     return 0
 
 
-def _doctor(parsed: argparse.Namespace) -> int:  # noqa: ARG001 - it takes no options
+def _doctor(parsed: argparse.Namespace) -> int:
+    if parsed.print:
+        from station.cli.machine import printed
+
+        print(printed(parsed.print), end="")  # noqa: T201
+        return 0
     from station.cli.doctor import findings
 
     console = Console(highlight=False, soft_wrap=True)

@@ -13,6 +13,7 @@ from core.robot.robot import Array, Base, Joint, Robot, Section, Tube
 from station.config.strict import (
     ConfigError,
     Document,
+    Format,
     Name,
     NotNegative,
     Positive,
@@ -109,6 +110,8 @@ class BoxFile(Strict):
 class RobotFile(Strict):
     """A robot and its stages."""
 
+    format: Format = 1
+    """of this file"""
     name: str
     source: str = ""
     """where the numbers come from"""

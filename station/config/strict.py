@@ -48,6 +48,11 @@ Direction = Annotated[Vector, AfterValidator(_has_length)]
 #: Of tubes, joints and cases, as they stand in column and file names.
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]*$", max_length=60)]
 
+#: Of robot, station, lab and experiment files; one more when an older ctr-station would misunderstand a new file.
+FORMAT = 1
+#: What such a file says of itself.
+Format = Annotated[int, Field(ge=1, le=FORMAT)]
+
 PRESETS = Path(__file__).parent / "presets"
 
 #: So many complaints about one file or request are told.
@@ -150,7 +155,7 @@ def parse_toml(text: str, source: str) -> Document:
     """The table of a text that comes from `source`.
 
     Raises:
-        ConfigError: not TOML; with the line.
+        ConfigError: not TOML, with the line; or of a later format.
     """
     try:
         document = Document(tomllib.loads(text))
@@ -158,6 +163,12 @@ def parse_toml(text: str, source: str) -> Document:
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{source}: not valid TOML: {error}") from None
     document.text = text
+    # Before any of its keys is looked at: one that is unknown here may be good there.
+    if isinstance(told := document.get("format"), int) and told > FORMAT:
+        raise ConfigError(
+            f"{source}: format = {told} is later than {FORMAT}, the latest that this ctr-station reads"
+            f"{on_line(document, 'format')}; update ctr-station (CHANGELOG.md says what has changed)"
+        )
     return document
 
 

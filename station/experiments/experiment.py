@@ -19,6 +19,7 @@ from station.config.robots import RobotFile, load_robot, start_pose
 from station.config.strict import (
     PRESETS,
     ConfigError,
+    Format,
     Name,
     NotNegative,
     Row,
@@ -50,6 +51,8 @@ class PaperNumbers(Strict):
 class CaseFile(Strict):
     """One case of an experiment, everything filled in."""
 
+    format: Format = 1
+    """of this file"""
     title: str
     robot: str = "paper"
     lab: str = "gentle"

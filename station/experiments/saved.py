@@ -11,7 +11,7 @@ from pydantic import Field
 from core.errors import CtrError
 from station.config.controllers import ControllerFile
 from station.config.motions import TipMotion
-from station.config.strict import OWN_EXPERIMENTS, PRESETS, ConfigError, Strict, preset_names, use_experiments
+from station.config.strict import FORMAT, OWN_EXPERIMENTS, PRESETS, ConfigError, Strict, preset_names, use_experiments
 from station.config.toml_text import toml_lines
 from station.experiments.experiment import load_experiment
 from station.lab.loads import Load, NoLoad
@@ -112,6 +112,7 @@ def saved_motion(name: str) -> FreeMotion:
 def _text(motion: FreeMotion, about: Mapping[str, str]) -> str:
     """The experiment's file."""
     table = {
+        "format": FORMAT,
         "title": motion.title,
         **about,
         "start": motion.start,

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError, NotNegative, Strict, Vector, check, preset, read_toml
+from station.config.strict import ConfigError, Format, NotNegative, Strict, Vector, check, preset, read_toml
 
 
 class TubeError(Strict):
@@ -173,6 +173,8 @@ class TargetConfig(Strict):
 class LabConfig(Strict):
     """The virtual lab."""
 
+    format: Format = 1
+    """of this file"""
     title: str = "virtual lab: simulated tubes and devices, parameters that differ from the controller's"
     devices: Literal["wire", "ideal"] = "wire"
     """as real ones behave on their wires, or without flaw: no noise, no delay, no wires"""

@@ -115,8 +115,11 @@ def _quoted(name: str) -> str:
 
 
 def _parquet(case: CaseReader, blocks: Iterable[Array], place: Path) -> None:
-    import pyarrow
-    from pyarrow import parquet
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise RecordingError("Parquet needs the package pyarrow: pip install 'ctr-station[parquet]'") from None
 
     fields = [
         pyarrow.field(channel.column, pyarrow.float64(), metadata={"name": channel.name, "unit": channel.unit})

@@ -14,6 +14,8 @@ from station.control.telemetry import Channel
 #: Metadata records at the head of a recording.
 RUN = "run"
 CHANNELS = "channels"
+#: Of the recordings that are written; one more when an older ctr-station would misunderstand them.
+FORMAT = 1
 #: What a result depends on, besides this program.
 PACKAGES = ("ctr-station", "numpy", "numba", "scipy", "filterpy")
 
@@ -41,6 +43,22 @@ def channels_of(written: Mapping[str, str]) -> tuple[Channel, ...]:
 def versions() -> dict[str, str]:
     """Of the packages that a result depends on, of Python and the system."""
     return {name: version(name) for name in PACKAGES} | {"python": python_version(), "system": platform()}
+
+
+def is_later(run: Mapping[str, Any]) -> str:
+    """Why a recording with this metadata cannot be read here; empty when it can.
+
+    Those of version 0.1.0 do not tell their format, which is the first.
+    """
+    told = run.get("format", 1)
+    if isinstance(told, int) and told <= FORMAT:
+        return ""
+    made = run.get("versions")
+    by = made.get("ctr-station", "of a later version") if isinstance(made, Mapping) else "of a later version"
+    return (
+        f"format = {told} is later than {FORMAT}, the latest that this ctr-station reads; it was recorded by"
+        f" ctr-station {by}: update this one, or export the run there"
+    )
 
 
 def _text(value: Any) -> str:

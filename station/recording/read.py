@@ -22,7 +22,7 @@ from station.control.telemetry import Channel
 from station.recording.events import TOPIC as EVENTS
 from station.recording.events import Event, event_of
 from station.recording.label import Label, RecordingError
-from station.recording.metadata import CHANNELS, RUN, channels_of, values_of
+from station.recording.metadata import CHANNELS, RUN, channels_of, is_later, values_of
 from station.recording.row_message import PREFIX, TOPIC
 from station.recording.summary import HEAD, RESULT
 
@@ -53,7 +53,7 @@ class CaseReader:
         """Read what is not rows.
 
         Raises:
-            RecordingError: damaged, never finished, or not a recording of this program.
+            RecordingError: damaged, never finished, of a later format, or not a recording of this program.
         """
         self._path, self._file = path, file
         with _undamaged(path):
@@ -64,8 +64,10 @@ class CaseReader:
             self._summary: Summary = summary
             self._topics = {topic.topic: number for number, topic in summary.channels.items()}
             written = {record.name: record.metadata for record in self._reader.iter_metadata()}
-            self.channels = channels_of(written[CHANNELS])
             self.metadata: Mapping[str, Any] = values_of(written[RUN])
+            if later := is_later(self.metadata):
+                raise RecordingError(f"{path}: {later}")
+            self.channels = channels_of(written[CHANNELS])
             #: How it ended: label, cause, wall time; of a live one also rows missed and what the recorder took.
             self.result: Mapping[str, Any] = values_of(written[RESULT])
             self.label, self.cause = Label(self.result["label"]), str(self.result["cause"])

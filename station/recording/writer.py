@@ -18,7 +18,7 @@ from station.recording.events import TOPIC as EVENTS
 from station.recording.events import Event, event_json
 from station.recording.foxglove import json_topic
 from station.recording.label import Label, RecordingError
-from station.recording.metadata import CHANNELS, RUN, channel_texts, texts, versions
+from station.recording.metadata import CHANNELS, FORMAT, RUN, channel_texts, texts, versions
 from station.recording.row_message import NO_ROWS, SCHEMA, TOPIC, Rows, definition, message_records
 from station.recording.summary import finish_file
 
@@ -74,7 +74,7 @@ class CaseWriter:
             json_topic(EVENTS, EVENTS_SCHEMA),
             *self._drawing.topics,
         )
-        run = {"started": self.started, "versions": versions(), **metadata}
+        run = {"format": FORMAT, "started": self.started, "versions": versions(), **metadata}
         try:
             self._section = DataSection(self._partial, {RUN: texts(run), CHANNELS: channel_texts(channels)}, topics)
         except OSError as error:

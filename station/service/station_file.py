@@ -11,7 +11,7 @@ from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.controllers import BEST, ControllerFile
 from station.config.robots import RobotFile, load_robot, named_pose
-from station.config.strict import ConfigError, Strict, check, on_line, read_toml, use_experiments
+from station.config.strict import ConfigError, Format, Strict, check, on_line, read_toml, use_experiments
 from station.control.clock import StationClock
 from station.control.known_calibration import Calibration
 from station.control.margins import Margins, check_design
@@ -69,6 +69,8 @@ class ClockFile(Strict):
 class StationFile(Strict):
     """What `ctr-station serve --config FILE` reads."""
 
+    format: Format = 1
+    """of this file"""
     robot: str = "paper"
     """preset, or a .toml file beside this one"""
     lab: str = "gentle"

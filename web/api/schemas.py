@@ -161,6 +161,8 @@ class TouchOut(Strict):
 class StatusOut(Strict):
     """Everything at one look."""
 
+    format: int
+    """of REST: one more when a script that was written for the one before would misunderstand an answer"""
     state: str
     """OFF, CONNECTING, CONNECTED, HOMING, HOMED, READY, RUNNING, HOLD, STOPPED or FAULT"""
     cause: str

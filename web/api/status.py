@@ -1,5 +1,6 @@
 """The station at one look, for the page and for scripts."""
 
+from station.client import FORMAT
 from station.devices.interfaces import Severity
 from station.service.station_service import StationService
 from station.service.status import STALE, Status
@@ -28,6 +29,7 @@ def status_out(service: StationService, of: Commands, who: Who, side_load: SideL
             duration=status.run.start.task.duration, recorded=status.run.start.recorded, recording=status.recording,
         )  # fmt: skip
     return StatusOut(
+        format=FORMAT,
         state=status.state.name,
         cause=status.cause,
         phase=status.phase.name.lower(),

@@ -14,6 +14,9 @@ def test_every_finding_has_words_and_what_is_not_good_says_what_to_do():
         "memory",
         "shared memory",
         "serial ports",
+        "port rights",
+        "udev rules",
+        "service",
         "browser",
     ]
     assert all(finding.text for finding in found.values())

@@ -1,6 +1,7 @@
 """Recordings as other programs read them."""
 
 import csv
+import sys
 
 import numpy as np
 import pytest
@@ -105,6 +106,13 @@ def test_progress_goes_from_block_to_block_to_the_end(run):
     export_run(run, "csv", None, lambda case, part: told.append((case, part)))
 
     assert told == [("one", pytest.approx(100 / 230)), ("one", pytest.approx(200 / 230)), ("one", 1.0)]
+
+
+def test_parquet_without_its_extra_says_what_to_install_and_leaves_nothing(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)  # as if it were not installed
+    with pytest.raises(RecordingError, match=r"Parquet needs .* pip install 'ctr-station\[parquet\]'"):
+        export_run(run, "parquet", None)
+    assert [path.name for path in run.iterdir()] == ["one.mcap"]
 
 
 def test_nothing_to_export_and_nowhere_to_put_it_are_said(tmp_path, run):

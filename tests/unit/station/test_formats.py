@@ -1,0 +1,120 @@
+"""Files of earlier versions are read; those of later formats are refused with what to do.
+
+`tests/kept/VERSION` has what each version has written: a robot, a lab, a station, an experiment and its run.
+"""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from station.client import Station, StationError
+from station.config.robots import load_robot
+from station.config.strict import ConfigError
+from station.experiments.experiment import load_experiment
+from station.lab.config import load_lab
+from station.recording.export import export_run
+from station.recording.label import Label, RecordingError
+from station.recording.metadata import FORMAT
+from station.recording.read import open_case, read_case
+from station.report.run import read_run
+from station.service.station_file import load_station
+from tests.harness.recordings import channels, make_rows, open_writer, recorded
+
+__all__ = ["channels", "make_rows", "open_writer", "recorded"]
+
+KEPT = Path(__file__).parents[2] / "kept"
+VERSIONS = sorted(KEPT.iterdir())
+
+
+@pytest.mark.parametrize("version", VERSIONS, ids=lambda path: path.name)
+def test_a_kept_station_with_its_robot_lab_and_experiment_is_read(version: Path):
+    bench = load_station(version / "station.toml").bench()
+    assert (bench.robot.name, bench.lab.title, bench.seed) == ("mine", "virtual lab: mine", 1)
+    (case,) = load_experiment(str(version / "short.toml")).cases
+    assert (case.robot, case.lab) == (bench.robot, bench.lab)
+
+
+@pytest.mark.parametrize("version", VERSIONS, ids=lambda path: path.name)
+def test_a_kept_run_is_read_exported_and_reported_of(version: Path, tmp_path: Path):
+    case = read_case(version / "run" / "short.mcap")
+    assert (case.label, case.rows.shape[0]) == (Label.COMPLETE, 50)
+    assert case.of("joints")[0] == pytest.approx((0.0, 1.5708, -0.05), abs=0.005)
+    (table,) = export_run(version / "run", "csv", tmp_path)
+    assert len(table.read_text().splitlines()) == 51
+    (reported,) = read_run(version / "run").cases
+    assert reported.file["load"] == {"kind": "constant", "magnitude": 0.1}
+
+
+def test_a_recording_tells_its_format_and_a_later_one_is_refused(recorded, make_rows):
+    with open_case(recorded(make_rows(3))) as case:
+        assert case.metadata["format"] == FORMAT
+    later = recorded(make_rows(3), "later", format=FORMAT + 1, versions={"ctr-station": "9.1"})
+    with pytest.raises(RecordingError, match=r"later\.mcap: format = 2 is later than 1.*ctr-station 9\.1: update"):
+        read_case(later)
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("robot", lambda path: load_robot(str(path))),
+        ("lab", lambda path: load_lab(str(path), load_robot("paper"))),
+        ("station", load_station),
+        ("short", lambda path: load_experiment(str(path))),
+    ],
+)
+def test_a_file_of_a_later_format_is_refused_before_its_keys_are(name, read, tmp_path: Path):
+    text = (VERSIONS[-1] / f"{name}.toml").read_text(encoding="utf-8")
+    path = tmp_path / f"{name}.toml"
+    path.write_text(f'format = 2\nnot_known_yet = "x"\n{text}', encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"format = 2 is later than 1.*\(line 1\); update ctr-station"):
+        read(path)
+    path.write_text(f"format = 0\n{text}", encoding="utf-8")
+    with pytest.raises(ConfigError, match="format = 0"):
+        read(path)
+
+
+@contextmanager
+def answering(status: dict[str, object]) -> Iterator[tuple[str, list[str]]]:
+    """Somebody who answers every request with this; the address, and what is asked."""
+    asked: list[str] = []
+
+    class Answer(BaseHTTPRequestHandler):
+        def answer(self) -> None:
+            asked.append(f"{self.command} {self.path}")
+            body = json.dumps({"note": "", **status}).encode()
+            self.send_response(200)
+            self.send_header("content-length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        do_GET = do_POST = do_DELETE = answer
+
+        def log_message(self, *args: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Answer) as server:
+        thread = Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}", asked
+        server.shutdown()
+        thread.join()
+
+
+def test_a_script_says_nothing_but_stop_to_a_station_that_speaks_a_later_rest():
+    with answering({"format": 2}) as (url, asked), Station(url) as station:
+        with pytest.raises(StationError, match=r"format 2, later than 1.*update ctr-station here"):
+            station.tare()
+        assert station.stop() == ""
+    assert asked == ["GET /api/status", "POST /api/stop", "DELETE /api/operator"]
+
+
+def test_a_script_speaks_to_a_station_that_does_not_tell_its_format():
+    with answering({}) as (url, asked), Station(url) as station:
+        station.tare()
+        station.tare()
+    assert asked == ["GET /api/status", "POST /api/tare", "POST /api/tare", "DELETE /api/operator"]

@@ -1,0 +1,20 @@
+"""What is said of a version is said of the same one everywhere."""
+
+import tomllib
+
+from tests.harness.root import ROOT
+
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+
+
+def test_the_citation_is_of_this_version():
+    assert f"\nversion: {VERSION}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_the_changes_begin_with_this_version():
+    headings = [line for line in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines() if "## " in line]
+    assert headings[0] == f"## {VERSION}"
+
+
+def test_a_run_of_this_version_is_kept():
+    assert (ROOT / "tests" / "kept" / VERSION / "run" / "summary.json").is_file()
