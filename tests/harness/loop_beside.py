@@ -18,7 +18,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +125,9 @@ def measured(name: str, seconds: float, settings: str) -> dict[str, Any]:
         probe = owned.enter_context(TimerProbe(max(os.sched_getaffinity(0))))
         station = owned.enter_context(serving(*options, *(["--lsl"] if ports else []), settings=settings, rate=None))
         station.ready()
-        ring = Ring(ring_width(load_robot("paper")), shared_memory(station.process.pid).pop().name)
+        name_of_ring = shared_memory(station.process.pid).pop().name
+        ring = Ring(ring_width(load_robot("paper")), name_of_ring)
+        resource_tracker.unregister(f"/{name_of_ring}", "shared_memory")  # it is the station's to remove
         owned.callback(ring.close, remove=False)
         owned.enter_context(BESIDE[name](station, ports))
         time.sleep(BEGUN)
