@@ -30,8 +30,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 class FromBothEnds(LoadFileScheduling):
     """A file to each worker: the last one takes them from the last file back, the others from the first one on.
 
-    So in a fresh clone the model is compiled by one, and the lab by another; and live tests, which wait, go beside
-    others, which compute.
+    So in a fresh clone the model is compiled by one, and the lab by another.
     """
 
     def _assign_work_unit(self, node: WorkerController) -> None:
