@@ -122,12 +122,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _solve(parsed: argparse.Namespace) -> int:
     from station.config.robots import load_robot
-    from station.service.solve import solve_lines
+    from station.service.solve import as_they_come, solve_lines
 
-    lines = sys.stdin or ()  # none at all when the shell closed it
-    if isinstance(lines, io.TextIOWrapper):
-        lines.reconfigure(errors="replace")  # a byte that is no text spoils its own line only
-    for answer in solve_lines(lines, load_robot(parsed.robot).robot(), parsed.sublink, parsed.exact):
+    lines = sys.stdin or io.StringIO()  # none at all when the shell closed it
+    # As bytes: one that is no text spoils its own line only.
+    batches = as_they_come(lines.buffer) if isinstance(lines, io.TextIOWrapper) else [list(lines)]
+    for answer in solve_lines(batches, load_robot(parsed.robot).robot(), parsed.sublink, parsed.exact):
         print(answer, flush=True)  # noqa: T201
     return 0
 

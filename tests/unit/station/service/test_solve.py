@@ -22,7 +22,7 @@ def answers(paper_robot):
 
     def ask(*requests: object, sublink: float = 0.010, exact: bool = False) -> list[dict]:
         lines = [request if isinstance(request, str) else json.dumps(request) for request in requests]
-        return [json.loads(answer) for answer in solve_lines(lines, paper_robot, sublink, exact)]
+        return [json.loads(answer) for answer in solve_lines([lines], paper_robot, sublink, exact)]
 
     return ask
 
