@@ -1,6 +1,6 @@
 """The model at many poses, on all processors: `core.model.many` with its chunks spread over threads."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from core.model.many import CHUNK, Solutions
@@ -11,7 +11,7 @@ from station.experiments.side_by_side import processors
 
 
 def solve_many(
-    model: Statics,
+    models: Statics | Sequence[Statics],
     joints: Array,
     wrenches: Array,
     near: Solutions | None = None,
@@ -21,13 +21,13 @@ def solve_many(
     """As `core.model.many.solve_many`, with the same answers, on so many threads; None: one a processor."""
     count = min(threads or processors(), -(-len(joints) // CHUNK))
     if count <= 1:
-        return in_one_thread(model, joints, wrenches, near, along)
+        return in_one_thread(models, joints, wrenches, near, along)
     pool = ThreadPoolExecutor(count)
 
     def spread(solve: Callable[[int], None], chunks: Iterable[int]) -> Iterable[None]:
         return pool.map(solve, chunks)
 
     try:
-        return in_one_thread(model, joints, wrenches, near, along, spread)
+        return in_one_thread(models, joints, wrenches, near, along, spread)
     finally:
         pool.shutdown(cancel_futures=True)  # Ctrl-C does not wait for the rest

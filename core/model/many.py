@@ -7,7 +7,7 @@ the compiled part runs without Python's lock. What comes out does not depend on 
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -96,7 +96,7 @@ class Solutions:
 
 
 def solve_many(
-    model: Statics,
+    models: Statics | Sequence[Statics],
     joints: Array,
     wrenches: Array,
     near: Solutions | None = None,
@@ -106,7 +106,7 @@ def solve_many(
     """Shapes at many poses; forces act at the tip.
 
     Args:
-        model: the robot and its integrator.
+        models: the robot and its integrator; or one for each row, of as many tubes and joints, integrated alike.
         joints: positions (k, n) [rad or m].
         wrenches: force and moment (k, 6), world frame [N, N m].
         near: so many solutions nearby, whose branches are followed, row by row; a row without one begins cold.
@@ -118,29 +118,41 @@ def solve_many(
         DescriptionError: the shapes of the arrays do not fit each other or the robot.
 
     """
-    q, n = len(model.robot.tubes), len(model.robot.joints)
+    own = [models] if isinstance(models, Statics) else models
+    first = own[0]
+    q, n = len(first.robot.tubes), len(first.robot.joints)
     # Copied: compiled code is compiled anew for an array that may not be written to, or whose rows lie apart.
     joints, wrenches = np.array(joints, np.float64, order="C"), np.array(wrenches, np.float64, order="C")
     k = joints.shape[0] if joints.ndim else 0
     if joints.shape != (k, n) or wrenches.shape != (k, 6):
         raise DescriptionError(
-            f"joints {joints.shape} and wrenches {wrenches.shape} are not (k, {n}) and (k, 6) for '{model.robot.name}'"
+            f"joints {joints.shape} and wrenches {wrenches.shape} are not (k, {n}) and (k, 6) for '{first.robot.name}'"
         )
+    if len(own) not in (1, k) or any(not _alike(model, first) for model in own[1:]):
+        raise DescriptionError(f"{len(own)} models are not one for each of {k} rows, of tubes and steps alike")
     if near is not None and (along or near.numbers.shape != (k, count(q, n))):
         raise DescriptionError(f"near has {near.numbers.shape} numbers for {k} rows, or rows shall follow each other")
     numbers, failures = np.empty((k, count(q, n))), dict[int, CtrError]()
-    rows = _Rows(model, joints, wrenches, numbers if near is None else near.numbers, numbers, failures)
+    packed = np.array([model.compiled_arguments[0] for model in own])
+    rows = _Rows(own, packed, joints, wrenches, numbers if near is None else near.numbers, numbers, failures)
     start = NEAR if near is not None else ALONG if along else COLD
     for _ in spread(partial(_chunk, rows, start), range(0, k, CHUNK)):
         pass
     return Solutions(numbers, failures, q, n)
 
 
+def _alike(one: Statics, other: Statics) -> bool:
+    """Whether one compiled function takes both."""
+    (robot, *how), (robot_2, *how_2) = one.compiled_arguments, other.compiled_arguments
+    return robot.size == robot_2.size and how == how_2
+
+
 @dataclass(frozen=True)
 class _Rows:
     """What chunks work on."""
 
-    model: Statics
+    models: Sequence[Statics]
+    packed: Array
     joints: Array
     wrenches: Array
     near: Array
@@ -149,8 +161,9 @@ class _Rows:
 
     def solve(self, row: int, near: Solution | None) -> None:
         """One row, as if alone."""
+        model = self.models[row if len(self.models) > 1 else 0]
         try:
-            self.numbers[row] = self.model.solve(self.joints[row], self.wrenches[row], near).numbers
+            self.numbers[row] = model.solve(self.joints[row], self.wrenches[row], near).numbers
         except CtrError as error:
             self.numbers[row] = math.nan
             self.failures[row] = error
@@ -164,8 +177,8 @@ def _chunk(rows: _Rows, start: int, first: int) -> None:
     while at < last:
         fresh = start == ALONG and at == first
         here, stays = solve_rows(
-            *rows.model.compiled_arguments, rows.joints, rows.wrenches, start, fresh, at, last, rows.near, rows.numbers,
-            left,
+            rows.packed, *rows.models[0].compiled_arguments[1:], rows.joints, rows.wrenches, start, fresh, at, last,
+            rows.near, rows.numbers, left,
         )  # fmt: skip
         for row in left[:stays].tolist():
             before = rows.near[row if start == NEAR else row - 1]
@@ -194,7 +207,8 @@ def solve_rows(
     """Solve rows `first` ... `last` - 1 as far as that goes quickly.
 
     Args:
-        packed, order, sublink, tubes, columns: see `newton`.
+        packed: (1, m) the robot, or (k, m) one for each row.
+        order, sublink, tubes, columns: see `newton`.
         joints, wrenches: (k, n) and (k, 6).
         start: `COLD`, `ALONG` or `NEAR`.
         fresh: along rows, the first one has none before it.
@@ -207,11 +221,11 @@ def solve_rows(
         The row behind the last one that was looked at (along rows none is skipped), and how many are left.
 
     """
-    layout = unpack(packed)
     rest, stays = np.zeros(numbers.shape[1]), 0
     rest[TUBES], rest[JOINTS], rest[CONTACT], rest[PASSES] = len(tubes), joints.shape[1], np.inf, -1.0
     nothing = parts(rest).joints
     for row in range(first, last):
+        robot = packed[row if packed.shape[0] > 1 else 0]
         before, cold = rest, True
         if start == NEAR:
             before, cold = near[row], not near[row, PASSES] > 0.0
@@ -220,18 +234,19 @@ def solve_rows(
         if cold:
             force = wrenches[row, 0] ** 2 + wrenches[row, 1] ** 2 + wrenches[row, 2] ** 2
             moment = abs(wrenches[row, 3]) + abs(wrenches[row, 4]) + abs(wrenches[row, 5])
+            layout = unpack(robot)
             _, beta, stands = tube_poses(layout, joints[row])
             solved = stands and moment == 0.0 and only_shape(layout, beta, np.sqrt(force), tubes)
             if solved:
                 for j in range(joints.shape[1]):
                     nothing[j] = joints[row, j]
                 solved = newton(
-                    packed, order, sublink, joints[row], wrenches[row], rest, np.inf, 0, CLOSEST, tubes, columns,
+                    robot, order, sublink, joints[row], wrenches[row], rest, np.inf, 0, CLOSEST, tubes, columns,
                     numbers[row],
                 )  # fmt: skip
         else:
             solved = newton(
-                packed, order, sublink, joints[row], wrenches[row], before, np.inf, 1, CLOSE, tubes, columns,
+                robot, order, sublink, joints[row], wrenches[row], before, np.inf, 1, CLOSE, tubes, columns,
                 numbers[row],
             )  # fmt: skip
         if not solved:

@@ -2,6 +2,7 @@
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -110,6 +111,24 @@ def test_the_parts_are_those_of_each_solution(model):
         alone = found.at(row)
         for part in ("tip", "rotation", "jacobian", "compliance", "stability", "iterations"):
             assert np.array_equal(getattr(found, part)[row], getattr(alone, part))
+
+
+def test_each_row_may_have_a_robot_of_its_own(paper_robot):
+    inner, outer = paper_robot.tubes
+    models = [
+        Statics(replace(paper_robot, tubes=(replace(inner, bending_stiffness=stiffness), outer)))
+        for stiffness in (0.03, 0.04, 0.05)
+    ]
+    joints, wrenches = wander(3)
+    joints[2, 2] = 0.01
+    found = solve_many(models, joints, wrenches)
+
+    assert found.ok.tolist() == [True, True, False]
+    for row in range(2):
+        assert np.array_equal(found.numbers[row], models[row].solve(joints[row], wrenches[row]).numbers)
+    for others in (models[:2], [*models[:2], Statics(paper_robot, 0.005)]):
+        with pytest.raises(DescriptionError, match="one for each of 3 rows"):
+            solve_many(others, joints, wrenches)
 
 
 def test_no_rows_have_no_solutions(model):
