@@ -19,13 +19,14 @@ def solve_many(
     threads: int | None = None,
 ) -> Solutions:
     """As `core.model.many.solve_many`, with the same answers, on so many threads; None: one a processor."""
-    count = min(threads or processors(), -(-len(joints) // CHUNK))
-    if count <= 1:
+    chunks = -(-len(joints) // CHUNK)
+    count = min(threads or processors(), chunks) if chunks > 1 else 1
+    if count == 1:
         return in_one_thread(models, joints, wrenches, near, along)
     pool = ThreadPoolExecutor(count)
 
-    def spread(solve: Callable[[int], None], chunks: Iterable[int]) -> Iterable[None]:
-        return pool.map(solve, chunks)
+    def spread(solve: Callable[[int], None], firsts: Iterable[int]) -> Iterable[None]:
+        return pool.map(solve, firsts)
 
     try:
         return in_one_thread(models, joints, wrenches, near, along, spread)

@@ -22,10 +22,10 @@ class Reach:
         self.bodies, self.tolerance, self.reward = Bodies(setting, rows), tolerance, reward
         n, reach = self.bodies.lower.size, self.bodies.reach
         self.goals = np.zeros((rows, 3))
-        felt = np.ones(self.bodies.felt().shape[1])
+        felt = self.bodies.felt_bounds
         place = Box(-reach, reach, dtype=np.float64)
         self.observation_space = Dict(
-            observation=Box(np.append(-felt, -reach), np.append(felt, reach), dtype=np.float64),
+            observation=Box(-felt, felt, dtype=np.float64),
             achieved_goal=place,
             desired_goal=place,
         )
@@ -46,18 +46,19 @@ class Reach:
     def observe(self) -> dict[str, Array]:
         """The rows' observations."""
         tips = self.bodies.tips
-        felt = np.concatenate((self.bodies.felt(), tips), axis=1)
-        return {"observation": felt, "achieved_goal": tips.copy(), "desired_goal": self.goals.copy()}
+        return {"observation": self.bodies.felt(), "achieved_goal": tips.copy(), "desired_goal": self.goals.copy()}
 
     def step(self, actions: Array) -> tuple[Array, dict[str, Array | Bools]]:
         """Rewards (k,) of actions (k, n), and more about each row."""
         self.bodies.move(actions)
-        tips = self.bodies.tips
-        return self.compute_reward(tips, self.goals), {"is_success": _away(tips, self.goals) <= self.tolerance}
+        away = _away(self.bodies.tips, self.goals)
+        return self._reward(away), {"is_success": away <= self.tolerance}
 
     def compute_reward(self, achieved: Array, desired: Array, info: Any = None) -> Any:  # noqa: ARG002 - as learners ask
         """Of tips and goals (..., 3) [m]: 0 within the tolerance, else -1; dense: the distance in mm, negative."""
-        away = _away(np.asarray(achieved), np.asarray(desired))
+        return self._reward(_away(np.asarray(achieved), np.asarray(desired)))
+
+    def _reward(self, away: Any) -> Any:
         return -1e3 * away if self.reward == "dense" else np.where(away <= self.tolerance, 0.0, -1.0)[()]
 
     def marks(self, row: int) -> Array:
@@ -67,4 +68,4 @@ class Reach:
 
 def _away(here: Array, there: Array) -> Any:
     gap = here - there
-    return np.sqrt((gap * gap).sum(axis=-1))
+    return np.sqrt(np.add.reduce(gap * gap, axis=-1))

@@ -1,6 +1,6 @@
 """Where the tips of k robots are while their joints move: the loaded model in batches, or the exact rod one by one.
 
-Each robot keeps to its branch, so that it snaps where a real one would; a pose without a shape is told as NaN.
+Each robot keeps to its branch, so that it snaps where a real one would.
 """
 
 from typing import Protocol
@@ -10,7 +10,7 @@ import numpy as np
 from core.errors import CtrError
 from core.model.cosserat import ExactRod, Rod
 from core.model.many import Solutions
-from core.model.solution import count
+from core.model.solution import PASSES, Solution, count
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 from station.solve_many import solve_many
@@ -24,11 +24,14 @@ class Shapes(Protocol):
         ...
 
     def look(self, row: int, joints: Array, wrench: Array) -> Array:
-        """Tips (m, 3) [m] of a row's robot at joints (m, n), from rest; it stays at the first of them."""
+        """Tips (m, 3) [m] of a row's robot at joints (m, n), from rest, NaN without shape; it stays at the first."""
         ...
 
-    def follow(self, joints: Array, wrenches: Array) -> Array:
-        """Tips (k, 3) [m] of all robots, moved on to joints (k, n) and wrenches (k, 6); one without a shape stays."""
+    def follow(self, joints: Array, wrenches: Array) -> tuple[Array, list[int]]:
+        """Tips (k, 3) [m] of all robots, moved on to joints (k, n) and wrenches (k, 6), and which have no shape there.
+
+        These stay, and their tips mean nothing.
+        """
         ...
 
 
@@ -55,15 +58,24 @@ class LoadedShapes:
         self._at.numbers[row] = found.numbers[0]
         return found.tip
 
-    def follow(self, joints: Array, wrenches: Array) -> Array:
+    def follow(self, joints: Array, wrenches: Array) -> tuple[Array, list[int]]:
         """See `Shapes`."""
-        found = solve_many(self.models[0] if self._alike else self.models, joints, wrenches, near=self._at)
-        tips = found.tip
-        if found.failures:
-            tips, lost = tips.copy(), list(found.failures)
-            found.numbers[lost] = self._at.numbers[lost]
-        self._at = Solutions(found.numbers, {}, found.tubes, found.joints)
-        return tips
+        at = self._at
+        if len(self.models) == 1:  # the same, for less
+            near = Solution(at.numbers[0]) if at.numbers[0, PASSES] > 0.0 else None
+            try:
+                alone = self.models[0].solve(joints[0], wrenches[0], near)
+            except CtrError:
+                return at.tip.copy(), [0]
+            self._at = Solutions(alone.numbers[None], {}, at.tubes, at.joints)
+            return alone.tip[None], []
+        found = solve_many(self.models[0] if self._alike else self.models, joints, wrenches, near=at)
+        lost = list(found.failures)
+        tips = found.tip.copy()
+        if lost:
+            found.numbers[lost] = at.numbers[lost]
+        self._at = Solutions(found.numbers, {}, at.tubes, at.joints)
+        return tips, lost
 
 
 class ExactShapes:
@@ -84,14 +96,16 @@ class ExactShapes:
         self._at[row] = rods[0]
         return np.array([np.full(3, np.nan) if rod is None else rod.tip for rod in rods])
 
-    def follow(self, joints: Array, wrenches: Array) -> Array:
+    def follow(self, joints: Array, wrenches: Array) -> tuple[Array, list[int]]:
         """See `Shapes`."""
-        tips = np.full((len(joints), 3), np.nan)
+        tips, lost = np.empty((len(joints), 3)), list[int]()
         for row, (pose, wrench) in enumerate(zip(joints, wrenches, strict=True)):
             rod = self._solve(row, pose, wrench, self._at[row])
-            if rod is not None:
+            if rod is None:
+                lost.append(row)
+            else:
                 self._at[row], tips[row] = rod, rod.tip
-        return tips
+        return tips, lost
 
     def _solve(self, row: int, joints: Array, wrench: Array, near: Rod | None) -> Rod | None:
         try:

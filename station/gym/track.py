@@ -3,10 +3,11 @@
 import numpy as np
 from gymnasium.spaces import Box
 
+from core.compiled import compiled
 from core.errors import NoSolution
 from core.model.many import solve_many
 from core.model.statics import Statics
-from core.robot.robot import Array
+from core.robot.robot import Array, Indices
 from station.gym.bodies import Bodies, Bools, Setting
 from station.gym.reach import MOST_DRAWS
 
@@ -25,7 +26,7 @@ class Track:
         self.paths, self.onsets = np.zeros((rows, steps + 2, 3)), np.zeros(rows)
         self.loads, self.at = np.zeros((rows, 6)), np.zeros(rows, np.int64)
         self._model, self._rows = Statics(self.bodies.robot), np.arange(rows)
-        high = np.concatenate((np.ones(self.bodies.felt().shape[1]), reach, 2.0 * reach, 2.0 * reach))
+        high = np.concatenate((self.bodies.felt_bounds, 2.0 * reach, 2.0 * reach))
         self.observation_space = Box(-high, high, dtype=np.float64)
         self.action_space = Box(-1.0, 1.0, (n,), dtype=np.float64)
 
@@ -48,18 +49,16 @@ class Track:
         tips = self.bodies.tips
         following = np.minimum(self.at + 1, self.steps + 1)
         target, later = self.paths[self._rows, self.at], self.paths[self._rows, following]
-        return np.concatenate((self.bodies.felt(), tips, target - tips, later - tips), axis=1)
+        return np.concatenate((self.bodies.felt(), target - tips, later - tips), axis=1)
 
     def step(self, actions: Array) -> tuple[Array, dict[str, Array | Bools]]:
         """Rewards (k,), the distance from the path in mm and negative, and the same in metres."""
         bodies = self.bodies
         self.at = np.minimum(self.at + 1, self.steps + 1)
-        ramp = RAMP / bodies.setting.period
-        come = ((self.at - self.onsets) / ramp).clip(0.0, 1.0)
-        bodies.wrenches = come[:, None] * self.loads
+        _come(self.at, self.onsets, RAMP / bodies.setting.period, self.loads, bodies.wrenches)
         bodies.move(actions)
         gap = bodies.tips - self.paths[self._rows, self.at]
-        away = np.sqrt((gap * gap).sum(axis=-1))
+        away = np.sqrt(np.add.reduce(gap * gap, axis=-1))
         return -1e3 * away, {"error": away}
 
     def marks(self, row: int) -> Array:
@@ -78,3 +77,12 @@ class Track:
         phase = turn * np.arange(self.steps + 2)
         first, second = 0.25 * part * (1.0 - np.cos(phase)), 0.25 * part * (1.0 - np.cos(2.0 * phase))
         return start + first[:, None] * ways[0] + second[:, None] * ways[1]
+
+
+@compiled
+def _come(at: Indices, onsets: Array, ramp: float, loads: Array, wrenches: Array) -> None:
+    """As much of the loads as has come."""
+    for row in range(at.shape[0]):
+        part = min(max((at[row] - onsets[row]) / ramp, 0.0), 1.0)
+        for k in range(6):
+            wrenches[row, k] = part * loads[row, k]
