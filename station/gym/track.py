@@ -8,6 +8,7 @@ from core.errors import NoSolution
 from core.model.many import solve_many
 from core.model.statics import Statics
 from core.robot.robot import Array, Indices
+from station.config.strict import ConfigError
 from station.gym.bodies import Bodies, Bools, Setting
 from station.gym.reach import MOST_DRAWS
 
@@ -15,12 +16,16 @@ from station.gym.reach import MOST_DRAWS
 SPARE = 0.5
 #: The load comes within this time [s], at some moment in the first half.
 RAMP = 1.0
+#: Of a path so many points are solved at least; its last quarter of waves is no larger than this [m].
+POINTS, SMOOTH = 64, 1e-5
 
 
 class Track:
     """So many episodes side by side. The path is where the described robot's tip goes without load, and back."""
 
     def __init__(self, rows: int, setting: Setting, steps: int = 400) -> None:
+        if steps < POINTS:
+            raise ConfigError(f"steps = {steps} are fewer than {POINTS}")
         self.bodies, self.steps = Bodies(setting, rows), steps
         n, reach = self.bodies.lower.size, self.bodies.reach
         self.paths, self.onsets = np.zeros((rows, steps + 2, 3)), np.zeros(rows)
@@ -36,10 +41,10 @@ class Track:
         for _ in range(MOST_DRAWS):
             robot, load = bodies.disturbed(random), bodies.drawn_load(random)
             joints = self._drawn_joints(random)
-            path = solve_many(self._model, joints, np.zeros((len(joints), 6)), along=True)
+            path = self._path(joints)
             start = bodies.put(row, robot, joints[:1], np.zeros(6))
-            if path.ok.all() and np.isfinite(start).all():
-                self.paths[row], self.loads[row], self.at[row] = path.tip, load, 0
+            if path is not None and np.isfinite(start).all():
+                self.paths[row], self.loads[row], self.at[row] = path, load, 0
                 self.onsets[row] = random.uniform(0.0, 0.5 * self.steps)
                 return
         raise NoSolution(f"robot '{bodies.robot.name}': no path was found along which it has shapes")
@@ -64,6 +69,21 @@ class Track:
     def marks(self, row: int) -> Array:
         """Points (m, 3) to show [m]."""
         return self.paths[row]
+
+    def _path(self, joints: Array) -> Array | None:
+        """The described tip without load (steps + 2, 3) [m]; None where it has no shape, or jumps.
+
+        What is closed and smooth is known everywhere by some of its points.
+        """
+        most = self.steps // POINTS
+        every = max((part for part in range(1, most + 1) if self.steps % part == 0), default=1)
+        poses = joints[: self.steps : every]
+        found = solve_many(self._model, poses, np.zeros((len(poses), 6)), along=True)
+        waves = np.fft.rfft(found.tip, axis=0)
+        if not np.abs(waves[-len(waves) // 4 :]).max() < SMOOTH * len(poses):  # NaN included
+            return None
+        path = every * np.fft.irfft(waves, self.steps, axis=0)
+        return np.concatenate((path, path[:2]))
 
     def _drawn_joints(self, random: np.random.Generator) -> Array:
         """Joints (steps + 2, n) between three poses, where the tubes stand everywhere: their limits are straight."""
