@@ -25,7 +25,8 @@ def gym(seconds: float = 5.0) -> dict[str, Any]:
         raise ConfigError("bench gym needs Gymnasium: pip install 'ctr-station[gym]'") from None
     result: dict[str, Any] = {}
     for name in ("CtrReach-v0", "CtrTrack-v0"):
-        known, hidden = f"station.gym:{name}", {"load": 0.3, "tube_error": 0.05}
+        known = f"station.gym:{name}"
+        hidden: dict[str, Any] = {"load": 0.3, "tube_error": 0.05}
         one = gymnasium.make(known, disable_env_checker=True, **hidden)
         many = gymnasium.make_vec(known, num_envs=ROWS, vectorization_mode="vector_entry_point", **hidden)
         benchmark_step(one, 0, seed=0)  # compiled, or loaded

@@ -3,7 +3,7 @@
 A single environment is a task of one row, so that both show the same.
 """
 
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import gymnasium
 import numpy as np
@@ -35,7 +35,7 @@ class Task(Protocol):
 class TaskEnv(gymnasium.Env[Any, Any]):
     """One episode."""
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - as declared there
 
     def __init__(self, task: Task, render_mode: str | None) -> None:
         self.task, self.render_mode = task, render_mode
@@ -94,7 +94,7 @@ class TrackEnv(TaskEnv):
 class TaskVectorEnv(VectorEnv[Any, Any, Any]):
     """Many episodes; one that has ended begins anew with the next step, as in Gymnasium's own."""
 
-    metadata: ClassVar[dict[str, Any]] = {**TaskEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata: dict[str, Any] = {**TaskEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(self, task: Task, num_envs: int, max_episode_steps: int, render_mode: str | None) -> None:
         self.task, self.num_envs, self.render_mode = task, num_envs, render_mode
