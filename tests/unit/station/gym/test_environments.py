@@ -192,3 +192,17 @@ def test_a_picture_shows_the_robot():
 def test_settings_that_cannot_be_are_refused(wrong):
     with pytest.raises(ConfigError, match=r"outside|snake"):
         ReachEnv(**wrong)
+
+
+def test_a_path_of_few_steps_is_refused():
+    with pytest.raises(ConfigError, match="steps = 10 are fewer than 64"):
+        TrackEnv(steps=10)
+
+
+def test_a_path_on_which_the_described_robot_snaps_is_no_path():
+    env = TrackEnv(robot="three_tubes", load=0.0)
+    joints = np.zeros((402, env.action_space.shape[0]))
+    joints[:, env.task.bodies.slides] = env.task.bodies.drawn_pose(np.random.default_rng(0))[env.task.bodies.slides]
+    turning = np.flatnonzero(~env.task.bodies.slides)[0]
+    joints[200:, turning] = 1.0  # a jump as a snap would make it
+    assert env.task._path(joints) is None
