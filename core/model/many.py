@@ -244,6 +244,8 @@ def solve_rows(
                     robot, order, sublink, joints[row], wrenches[row], rest, np.inf, 0, CLOSEST, tubes, columns,
                     numbers[row],
                 )  # fmt: skip
+                # Sub-links, as the tubes do not, may balance in a twist far beyond what they can tell.
+                solved = solved and numbers[row, STABILITY] > 0.0
         else:
             solved = newton(
                 robot, order, sublink, joints[row], wrenches[row], before, np.inf, 1, CLOSE, tubes, columns,
