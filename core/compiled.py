@@ -48,6 +48,11 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
     return _compiled(function, forceinline=True)
 
 
+def unlocked(function: Callable[P, R]) -> Callable[P, R]:
+    """The same for a function that runs without Python's lock, so that threads call it side by side."""
+    return _compiled(function, nogil=True)
+
+
 def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     made = cast(Any, numba).njit(**options, **_OPTIONS)(function)
     sources, values = _goes_into(function)

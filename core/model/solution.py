@@ -69,8 +69,8 @@ def parts(numbers: Array) -> Parts:
 
 
 @cache
-def _places(q: int, n: int) -> Mapping[str, tuple[slice, tuple[int, ...]]]:
-    """Where `parts` finds each of them, and its shape."""
+def places(q: int, n: int) -> Mapping[str, tuple[slice, tuple[int, ...]]]:
+    """Where `parts` finds each of them in the numbers of q tubes and n joints, and its shape."""
     numbers = np.arange(float(count(q, n)))
     numbers[[TUBES, JOINTS]] = q, n
     found = parts(numbers)._asdict()
@@ -89,7 +89,7 @@ class Solution:
     def _part(self, name: str) -> Array:
         """One of the `Parts`: most of them are never looked at."""
         if self._places is None:
-            self._places = _places(int(self.numbers[TUBES]), int(self.numbers[JOINTS]))
+            self._places = places(int(self.numbers[TUBES]), int(self.numbers[JOINTS]))
         where, shape = self._places[name]
         return self.numbers[where].reshape(shape)
 

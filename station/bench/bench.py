@@ -10,6 +10,7 @@ from rich.table import Table
 
 from core.model.cosserat import ExactRod
 from core.model.statics import Solution, Statics
+from station.bench.many import many
 from station.config.robots import load_robot
 from station.control.clock import VirtualClock
 from station.experiments.experiment import load_experiment
@@ -17,14 +18,15 @@ from station.experiments.runner import run_case
 from station.experiments.side_by_side import Processes, processors
 
 
-def model(solves: int = 20_000) -> dict[str, Any]:
+def model(solves: int = 20_000, tubes: int = 5) -> dict[str, Any]:
     """Warm-started solves while the joints wander about (0, pi/2, -0.100) under 0.2 N along x.
 
     A solve gives tip, J and C, all three taken up. Joints advance 10 mrad and 0.3 mm between solves,
     within +-0.5 rad and +-15 mm. Accuracy is the distance to the exact rod; `residual` is evaluated
     anew after the solve; `derivative_error` is what J and C still lack to those of a solve started
     from the solution, relative to their largest entry. Beside the paper's integrator the other one,
-    and where the time goes: passes along the tubes alone, with and without derivatives.
+    and where the time goes: passes along the tubes alone, with and without derivatives; and the model in batches,
+    by the number of tubes up to so many.
     """
     robot = load_robot("paper").robot()
     result = _wander(Statics(robot), solves)
@@ -35,6 +37,7 @@ def model(solves: int = 20_000) -> dict[str, Any]:
         "derivatives": round((result["pass_us"] - result["state_only_us"]) / sublinks, 4),
     }
     result["fourth_order"] = _wander(Statics(robot, integrator="fourth_order"), solves)
+    result["many"] = many(solves, tubes)
     return result
 
 

@@ -10,14 +10,14 @@ from station.cli.options import between, progress_bar
 
 WHAT = (
     "model", "accuracy", "solver", "cost", "tick", "wire", "loop", "headless", "cold", "recorder", "setpoints",
-    "report",
+    "gym", "report",
 )  # fmt: skip
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
     """Add it."""
     bench = commands.add_parser("bench", help="measure this machine")
-    bench.add_argument("what", choices=WHAT, help="'report': all but accuracy and solver, into a file")
+    bench.add_argument("what", choices=WHAT, help="'report': all but accuracy, solver and gym, into a file")
     bench.add_argument(
         "--seconds",
         type=between(1.0, 86400.0, "a time", "s"),
@@ -49,7 +49,7 @@ def _bench(parsed: argparse.Namespace) -> int:
 
 
 def _measured(parsed: argparse.Namespace) -> dict[str, Any]:
-    from station.bench import accuracy, bench, cold, loop, recorder, setpoints, solver, tick, wire
+    from station.bench import accuracy, bench, cold, gym, loop, recorder, setpoints, solver, tick, wire
 
     with progress_bar() as bar:
         task = bar.add_task(f"bench {parsed.what}", total=1.0)
@@ -76,6 +76,8 @@ def _measured(parsed: argparse.Namespace) -> dict[str, Any]:
                 return wire.wire()
             case "headless":
                 return bench.headless()
+            case "gym":
+                return gym.gym()
             case "cold":
                 return cold.cold()
             case _:

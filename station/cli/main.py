@@ -129,13 +129,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _solve(parsed: argparse.Namespace) -> int:
     from core.model.statics import PAPER_SUBLINK  # here: compiled code is half of what a command takes to start
     from station.config.robots import load_robot
-    from station.service.solve import solve_lines
+    from station.service.solve import as_they_come, solve_lines
 
-    lines = sys.stdin or ()  # none at all when the shell closed it
-    if isinstance(lines, io.TextIOWrapper):
-        lines.reconfigure(errors="replace")  # a byte that is no text spoils its own line only
+    lines = sys.stdin or io.StringIO()  # none at all when the shell closed it
+    # As bytes: one that is no text spoils its own line only.
+    batches = as_they_come(lines.buffer) if isinstance(lines, io.TextIOWrapper) else [list(lines)]
     sublink = PAPER_SUBLINK if parsed.sublink is None else parsed.sublink
-    for answer in solve_lines(lines, load_robot(parsed.robot).robot(), sublink, parsed.exact):
+    for answer in solve_lines(batches, load_robot(parsed.robot).robot(), sublink, parsed.exact):
         print(answer, flush=True)  # noqa: T201
     return 0
 

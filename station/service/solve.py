@@ -1,8 +1,8 @@
 """`ctr-station solve`: the loaded model as a filter, JSON lines in, JSON lines out."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Literal
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
@@ -15,19 +15,61 @@ from station.config.strict import ConfigError
 
 Stability = Literal["stable", "unstable", "not known to be stable"]
 
+#: Lines are read so far ahead at most [bytes], and from so many on they are solved together.
+MOST, TOGETHER = 1 << 20, 8
 
-def solve_lines(lines: Iterable[str], robot: Robot, sublink: float, exact: bool) -> Iterator[str]:
-    """Answer each line; a line that cannot be answered gets {"error": ...} and the next one its turn."""
+
+def as_they_come(source: BinaryIO) -> Iterator[list[str]]:
+    """Lines in batches: those that are there, and nobody waits for more than the first of them."""
+    begun = b""
+    while piece := source.read1(MOST):  # pyright: ignore[reportAttributeAccessIssue] - a buffered reader's
+        *lines, begun = (begun + piece).split(b"\n")
+        yield [line.decode(errors="replace") for line in lines]
+    yield [begun.decode(errors="replace")]
+
+
+def solve_lines(batches: Iterable[Sequence[str]], robot: Robot, sublink: float, exact: bool) -> Iterator[str]:
+    """Answer each line; a line that cannot be answered gets {"error": ...} and the next one its turn.
+
+    The lines of a batch are solved at once, with the answers that each would get alone.
+    """
     statics, rod = Statics(robot, sublink), ExactRod(robot)
-    for line in lines:
-        if not line.strip():
-            continue
+    for lines in batches:
+        requests = [_request(line, robot) for line in lines if line.strip()]
+        asked = [request for request in requests if not isinstance(request, CtrError)]
+        answers = iter(_exact_answers(rod, asked) if exact else _model_answers(statics, asked))
+        for request in requests:
+            answer = request if isinstance(request, CtrError) else next(answers)
+            yield json.dumps({"error": str(answer)} if isinstance(answer, CtrError) else answer)
+
+
+def _request(line: str, robot: Robot) -> tuple[Array, Array] | CtrError:
+    try:
+        return parse(line, robot)
+    except CtrError as error:
+        return error
+
+
+def _exact_answers(rod: ExactRod, asked: Iterable[tuple[Array, Array]]) -> Iterator[dict[str, Any] | CtrError]:
+    for joints, wrench in asked:
         try:
-            joints, wrench = parse(line, robot)
-            answer = exact_answer(rod, joints, wrench) if exact else model_answer(statics, joints, wrench)
+            yield exact_answer(rod, joints, wrench)
         except CtrError as error:
-            answer = {"error": str(error)}
-        yield json.dumps(answer)
+            yield error
+
+
+def _model_answers(statics: Statics, asked: Sequence[tuple[Array, Array]]) -> Iterator[dict[str, Any] | CtrError]:
+    if len(asked) >= TOGETHER:
+        from station.solve_many import solve_many  # not for somebody who asks one line
+
+        together = solve_many(statics, np.array([joints for joints, _ in asked]), np.array([load for _, load in asked]))
+    else:
+        together = None
+    for row, (joints, wrench) in enumerate(asked):
+        try:
+            yield _answer(statics, statics.solve(joints, wrench) if together is None else together.at(row))
+        except CtrError as error:
+            yield error
 
 
 def parse(line: str, robot: Robot) -> tuple[Array, Array]:
@@ -65,14 +107,18 @@ def model_answer(statics: Statics, joints: Array, wrench: Array) -> dict[str, An
     Raises:
         PoseError, NotFinite, NoSolution: see `Statics.solve`.
     """
-    solution = statics.solve(joints, wrench)
+    return _answer(statics, statics.solve(joints, wrench))
+
+
+def _answer(statics: Statics, solution: Solution) -> dict[str, Any]:
+    """To a cold solve, which has looked whether its shape is stable."""
     return {
         "tip": solution.tip.tolist(),
         "joints": list(statics.robot.joint_names),
         "jacobian": solution.jacobian[:3].tolist(),
         "compliance": solution.compliance[:3, :3].tolist(),
         "iterations": solution.iterations,
-        "stability": stability(statics, solution),
+        "stability": stability(statics, solution) if solution.wrench[3:].any() else "stable",
     }
 
 

@@ -8,18 +8,22 @@ from station.bench import bench
 
 
 def test_the_models_bench_reports_times_and_its_distance_from_the_exact_rod():
-    result = bench.model(solves=400)
+    result = bench.model(solves=400, tubes=1)
 
     assert result["solves"] == 400
     assert 0.0 < result["solve_us"]["median"] <= result["solve_us"]["p99"]
     assert 1.0 <= result["passes"] <= 4.0
     # the published accuracy of 10 mm sub-links: 0.041 mm in the mean, 0.114 mm at the worst of 20 000 poses
     assert 0.0 < result["accuracy_mm"]["mean"] < 0.08
+    for start in ("cold", "warm"):
+        assert result["many"][start]["per_core_and_s"] > 0
+        assert next(iter(result["many"][start]["per_s_by_cores"])) == "1"
+    assert list(result["many"]["warm_per_core_and_s_by_tubes"]) == ["1"]
     assert result["accuracy_mm"]["mean"] <= result["accuracy_mm"]["max"] < 0.114
 
 
 def test_few_solves_are_enough_for_a_look():
-    assert bench.model(solves=3)["solves"] == 3
+    assert bench.model(solves=3, tubes=0)["solves"] == 3
 
 
 def test_the_table_shows_every_figure():

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from core.model.solution import at_rest
 from core.model.statics import Statics
 from core.robot.robot import Joint, Robot, Section, Tube
-from station.service.solve import solve_lines, stability
+from station.service.solve import as_they_come, solve_lines, stability
 
 EXACT_TIPS = Path(__file__).parents[2] / "exact_tips.csv"
 POSE = {"outer_rotation": 0.0, "inner_rotation": 1.5708, "inner_translation": -0.1}
@@ -22,7 +23,7 @@ def answers(paper_robot):
 
     def ask(*requests: object, sublink: float = 0.010, exact: bool = False) -> list[dict]:
         lines = [request if isinstance(request, str) else json.dumps(request) for request in requests]
-        return [json.loads(answer) for answer in solve_lines(lines, paper_robot, sublink, exact)]
+        return [json.loads(answer) for answer in solve_lines([lines], paper_robot, sublink, exact)]
 
     return ask
 
@@ -162,3 +163,29 @@ def test_a_bad_line_is_answered_with_its_error_and_the_next_one_as_usual(answers
 
 def test_empty_lines_are_passed_over(answers):
     assert len(answers("", "  \n", {"joints": POSE}, "\n")) == 1
+
+
+def test_lines_of_a_batch_are_answered_as_each_alone(paper_robot):
+    random = np.random.default_rng(2)
+    good = [
+        json.dumps({"joints": {**POSE, "inner_rotation": angle}, "force": [0.1, 0.2, 0.0], "moment": [moment, 0, 0]})
+        for angle, moment in zip(random.uniform(-3.0, 3.0, 12), [0.0] * 9 + [0.01] * 3, strict=True)
+    ]
+    lines = [*good[:6], "{", "", json.dumps({"joints": {**POSE, "inner_translation": 0.01}}), *good[6:]]
+
+    together = list(solve_lines([lines], paper_robot, 0.010, exact=False))
+    assert together == list(solve_lines([[line] for line in lines], paper_robot, 0.010, exact=False))
+    assert ["error" in answer for answer in together] == [False] * 6 + [True, True] + [False] * 6
+
+
+def test_lines_are_taken_as_they_come():
+    """Whoever writes one line gets its answer before the next one is written."""
+    reads, writes = os.pipe()
+    with os.fdopen(reads, "rb") as source, os.fdopen(writes, "wb", buffering=0) as sink:
+        batches = as_they_come(source)
+        for sent, come in ((b"one\n", ["one"]), (b"two\nthr", ["two"]), (b"ee\nfo\xffur\n", ["three", "fo\ufffdur"])):
+            sink.write(sent)
+            assert next(batches) == come
+        sink.write(b"last")
+        sink.close()
+        assert list(batches) == [[], ["last"]]

@@ -1,0 +1,176 @@
+"""The tasks as Gymnasium's environments: one episode, or many at once on the model in batches.
+
+A single environment is a task of one row, so that both show the same.
+"""
+
+from typing import Any, Literal, Protocol
+
+import gymnasium
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from core.robot.robot import Array
+from station.gym import REACH_STEPS, TRACK_STEPS
+from station.gym.bodies import Bodies, Bools, Setting
+from station.gym.picture import Pixels, picture
+from station.gym.reach import Reach
+from station.gym.track import Track
+
+
+class Task(Protocol):
+    """Episodes side by side, one a row."""
+
+    bodies: Bodies
+    observation_space: Any
+    action_space: Any
+
+    def reset(self, row: int, random: np.random.Generator) -> None: ...  # noqa: D102
+    def observe(self) -> Any: ...  # noqa: D102
+    def step(self, actions: Array) -> tuple[Array, dict[str, Any]]: ...  # noqa: D102
+    def marks(self, row: int) -> Array: ...  # noqa: D102
+
+
+class TaskEnv(gymnasium.Env[Any, Any]):
+    """One episode."""
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - as declared there
+
+    def __init__(self, task: Task, render_mode: str | None) -> None:
+        self.task, self.render_mode = task, render_mode
+        self.observation_space, self.action_space = task.observation_space, task.action_space
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Draw robot, load and task."""
+        super().reset(seed=seed, options=options)
+        self.task.reset(0, self.np_random)
+        return self._first(self.task.observe()), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """An action lasts a period; an episode ends by its time only."""
+        rewards, more = self.task.step(np.asarray(action, np.float64)[None])
+        return self._first(self.task.observe()), float(rewards[0]), False, False, {k: v[0] for k, v in more.items()}
+
+    def render(self) -> Any:
+        """Pixels, if they were asked for."""
+        return _picture(self.task, 0) if self.render_mode == "rgb_array" else None
+
+    @staticmethod
+    def _first(observed: Any) -> Any:
+        return {key: part[0] for key, part in observed.items()} if isinstance(observed, dict) else observed[0]
+
+
+class ReachEnv(TaskEnv):
+    """`CtrReach-v0`; arguments of `Setting`, tolerance [m] and reward of `Reach`."""
+
+    def __init__(
+        self,
+        render_mode: str | None = None,
+        tolerance: float = 1e-3,
+        reward: Literal["sparse", "dense"] = "sparse",
+        **setting: Any,
+    ) -> None:
+        task = Reach(1, Setting(**setting), tolerance, reward)
+        self.compute_reward = task.compute_reward
+        super().__init__(task, render_mode)
+
+    def compute_terminated(self, achieved: Any, desired: Any, info: Any) -> bool:  # noqa: ARG002
+        """Never: an episode ends by its time."""
+        return False
+
+    def compute_truncated(self, achieved: Any, desired: Any, info: Any) -> bool:  # noqa: ARG002
+        """Not by what was achieved."""
+        return False
+
+
+class TrackEnv(TaskEnv):
+    """`CtrTrack-v0`; arguments of `Setting`, and steps of the path."""
+
+    def __init__(self, render_mode: str | None = None, steps: int = TRACK_STEPS, **setting: Any) -> None:
+        super().__init__(Track(1, Setting(**setting), steps), render_mode)
+
+
+class TaskVectorEnv(VectorEnv[Any, Any, Any]):
+    """Many episodes; one that has ended begins anew with the next step, as in Gymnasium's own."""
+
+    metadata: dict[str, Any] = {**TaskEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(self, task: Task, num_envs: int, max_episode_steps: int, render_mode: str | None) -> None:
+        self.task, self.num_envs, self.render_mode = task, num_envs, render_mode
+        self.single_observation_space, self.single_action_space = task.observation_space, task.action_space
+        self.observation_space = batch_space(task.observation_space, num_envs)
+        self.action_space = batch_space(task.action_space, num_envs)
+        self._most, self._steps = max_episode_steps, np.zeros(num_envs, np.int64)
+        self._over: Bools = np.zeros(num_envs, np.bool_)
+        self._randoms: list[np.random.Generator] = []
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """All begin; with one seed each has its own, counted on from it."""
+        super().reset(seed=seed if isinstance(seed, int) else None, options=options)
+        seeds = seed if isinstance(seed, list) else [None if seed is None else seed + i for i in range(self.num_envs)]
+        if seed is not None or not self._randoms:
+            self._randoms = [seeding.np_random(own)[0] for own in seeds]
+        for row in range(self.num_envs):
+            self.task.reset(row, self._randoms[row])
+        self._steps[:], self._over = 0, np.zeros(self.num_envs, np.bool_)
+        return self.task.observe(), {}
+
+    def step(self, actions: Any) -> tuple[Any, Array, Bools, Bools, dict[str, Any]]:
+        """A period for all."""
+        rewards, more = self.task.step(np.asarray(actions, np.float64))
+        self._steps += 1
+        told = ~self._over
+        if self._over.any():
+            for row in np.flatnonzero(self._over).tolist():
+                self.task.reset(row, self._randoms[row])
+            rewards, self._steps = np.where(self._over, 0.0, rewards), np.where(self._over, 0, self._steps)
+        truncated = self._steps >= self._most
+        infos = {name: part for key, value in more.items() for name, part in ((key, value), (f"_{key}", told))}
+        self._over = truncated
+        return self.task.observe(), rewards, np.zeros(self.num_envs, np.bool_), truncated.copy(), infos
+
+    def render(self) -> Any:
+        """Pixels of each, if they were asked for."""
+        asked = self.render_mode == "rgb_array"
+        return tuple(_picture(self.task, row) for row in range(self.num_envs)) if asked else None
+
+
+class ReachVectorEnv(TaskVectorEnv):
+    """Many of `ReachEnv`."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int = REACH_STEPS,
+        render_mode: str | None = None,
+        tolerance: float = 1e-3,
+        reward: Literal["sparse", "dense"] = "sparse",
+        **setting: Any,
+    ) -> None:
+        task = Reach(num_envs, Setting(**setting), tolerance, reward)
+        self.compute_reward = task.compute_reward
+        super().__init__(task, num_envs, max_episode_steps, render_mode)
+
+
+class TrackVectorEnv(TaskVectorEnv):
+    """Many of `TrackEnv`."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int = TRACK_STEPS,
+        render_mode: str | None = None,
+        steps: int = TRACK_STEPS,
+        **setting: Any,
+    ) -> None:
+        super().__init__(Track(num_envs, Setting(**setting), steps), num_envs, max_episode_steps, render_mode)
+
+
+def _picture(task: Task, row: int) -> Pixels:
+    bodies = task.bodies
+    return picture(
+        bodies.robots[row], bodies.joints[row], bodies.wrenches[row], bodies.tips[row], task.marks(row)
+    )  # fmt: skip

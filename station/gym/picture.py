@@ -1,0 +1,28 @@
+"""A picture of one robot, as pixels."""
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from core.model.statics import Statics
+from core.robot.robot import Array, Robot
+
+#: Pixels a side.
+SIZE = 480
+Pixels = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
+
+
+def picture(robot: Robot, joints: Array, wrench: Array, tip: Array, marks: Array) -> Pixels:
+    """The shape by the loaded model, the tip and what it is to reach (m, 3); (SIZE, SIZE, 3)."""
+    model = Statics(robot)
+    line = 1e3 * model.shape(model.solve(joints, wrench))[:, 10:13]
+    figure = Figure((SIZE / 100, SIZE / 100), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_subplot(projection="3d")
+    axes.plot(*line.T, color="#3b6ea5", linewidth=3)
+    axes.plot(*(1e3 * marks.T), color="#c2571a", marker="o" if len(marks) == 1 else None)
+    axes.scatter(*(1e3 * tip), color="black", s=18)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
+    axes.set_aspect("equal")
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3].copy()

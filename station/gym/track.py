@@ -1,0 +1,108 @@
+"""The task of `CtrTrack-v0`: keep the tip on a path while a load that nobody tells of comes."""
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from core.compiled import compiled
+from core.errors import NoSolution
+from core.model.many import solve_many
+from core.model.statics import Statics
+from core.robot.robot import Array, Indices
+from station.config.strict import ConfigError
+from station.gym.bodies import Bodies, Bools, Setting
+from station.gym.reach import MOST_DRAWS
+
+#: Of their speed the joints need no more than this part to follow the path without load.
+SPARE = 0.5
+#: The load comes within this time [s], at some moment in the first half.
+RAMP = 1.0
+#: Of a path so many points are solved at least; its last quarter of waves is no larger than this [m].
+POINTS, SMOOTH = 64, 1e-5
+
+
+class Track:
+    """So many episodes side by side. The path is where the described robot's tip goes without load, and back."""
+
+    def __init__(self, rows: int, setting: Setting, steps: int = 400) -> None:
+        if steps < POINTS:
+            raise ConfigError(f"steps = {steps} are fewer than {POINTS}")
+        self.bodies, self.steps = Bodies(setting, rows), steps
+        n, reach = self.bodies.lower.size, self.bodies.reach
+        self.paths, self.onsets = np.zeros((rows, steps + 2, 3)), np.zeros(rows)
+        self.loads, self.at = np.zeros((rows, 6)), np.zeros(rows, np.int64)
+        self._model, self._rows = Statics(self.bodies.robot), np.arange(rows)
+        high = np.concatenate((self.bodies.felt_bounds, 2.0 * reach, 2.0 * reach))
+        self.observation_space = Box(-high, high, dtype=np.float64)
+        self.action_space = Box(-1.0, 1.0, (n,), dtype=np.float64)
+
+    def reset(self, row: int, random: np.random.Generator) -> None:
+        """Begin an episode in this row: robot, load and path are drawn."""
+        bodies = self.bodies
+        for _ in range(MOST_DRAWS):
+            robot, load = bodies.disturbed(random), bodies.drawn_load(random)
+            joints = self._drawn_joints(random)
+            path = self._path(joints)
+            start = bodies.put(row, robot, joints[:1], np.zeros(6))
+            if path is not None and np.isfinite(start).all():
+                self.paths[row], self.loads[row], self.at[row] = path, load, 0
+                self.onsets[row] = random.uniform(0.0, 0.5 * self.steps)
+                return
+        raise NoSolution(f"robot '{bodies.robot.name}': no path was found along which it has shapes")
+
+    def observe(self) -> Array:
+        """What the rows feel of their joints, their tips, the ways to their targets and to the next ones [m]."""
+        tips = self.bodies.tips
+        following = np.minimum(self.at + 1, self.steps + 1)
+        target, later = self.paths[self._rows, self.at], self.paths[self._rows, following]
+        return np.concatenate((self.bodies.felt(), target - tips, later - tips), axis=1)
+
+    def step(self, actions: Array) -> tuple[Array, dict[str, Array | Bools]]:
+        """Rewards (k,), the distance from the path in mm and negative, and the same in metres."""
+        bodies = self.bodies
+        self.at = np.minimum(self.at + 1, self.steps + 1)
+        _come(self.at, self.onsets, RAMP / bodies.setting.period, self.loads, bodies.wrenches)
+        bodies.move(actions)
+        gap = bodies.tips - self.paths[self._rows, self.at]
+        away = np.sqrt(np.add.reduce(gap * gap, axis=-1))
+        return -1e3 * away, {"error": away}
+
+    def marks(self, row: int) -> Array:
+        """Points (m, 3) to show [m]."""
+        return self.paths[row]
+
+    def _path(self, joints: Array) -> Array | None:
+        """The described tip without load (steps + 2, 3) [m]; None where it has no shape, or jumps.
+
+        What is closed and smooth is known everywhere by some of its points.
+        """
+        most = self.steps // POINTS
+        every = max((part for part in range(1, most + 1) if self.steps % part == 0), default=1)
+        poses = joints[: self.steps : every]
+        found = solve_many(self._model, poses, np.zeros((len(poses), 6)), along=True)
+        waves = np.fft.rfft(found.tip, axis=0)
+        if not np.abs(waves[-len(waves) // 4 :]).max() < SMOOTH * len(poses):  # NaN included
+            return None
+        path = every * np.fft.irfft(waves, self.steps, axis=0)
+        return np.concatenate((path, path[:2]))
+
+    def _drawn_joints(self, random: np.random.Generator) -> Array:
+        """Joints (steps + 2, n) between three poses, where the tubes stand everywhere: their limits are straight."""
+        bodies = self.bodies
+        start = bodies.drawn_pose(random)
+        ways = [bodies.drawn_pose(random) - start for _ in range(2)]
+        turn = 2.0 * np.pi / self.steps
+        # The fastest that a quarter of (1 - cos) takes a joint on in a step, over its stride.
+        fastest = np.max([0.25 * turn * np.abs(ways[0]) + 0.5 * turn * np.abs(ways[1])], axis=0) / bodies.stride
+        part = min(1.0, SPARE / float(fastest.max(initial=1e-12)))
+        phase = turn * np.arange(self.steps + 2)
+        first, second = 0.25 * part * (1.0 - np.cos(phase)), 0.25 * part * (1.0 - np.cos(2.0 * phase))
+        return start + first[:, None] * ways[0] + second[:, None] * ways[1]
+
+
+@compiled
+def _come(at: Indices, onsets: Array, ramp: float, loads: Array, wrenches: Array) -> None:
+    """As much of the loads as has come."""
+    for row in range(at.shape[0]):
+        part = min(max((at[row] - onsets[row]) / ramp, 0.0), 1.0)
+        for k in range(6):
+            wrenches[row, k] = part * loads[row, k]
