@@ -1,0 +1,132 @@
+"""A sweep's runs on a Dask cluster: whatever Dask runs on, or worker processes here. Needs the extra `dask`.
+
+The scheduler gives the runs of a lost worker to others. What has been done is kept here, not there: the cluster may
+forget all of it.
+"""
+
+import pickle
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from importlib.util import find_spec
+from itertools import islice
+from queue import Empty, SimpleQueue
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+from core.errors import CtrError
+from station.experiments.interrupt import interrupts
+from station.experiments.manifest import Row
+from station.experiments.side_by_side import LOOK
+from station.experiments.sweep import failed, run_job
+from station.experiments.sweep_plan import Job
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+#: Instead of a scheduler's address: worker processes here.
+LOCAL = "local"
+#: Runs that the scheduler has at a time: enough for any cluster, and no memory filled with what is far ahead.
+AHEAD = 1000
+#: In which a scheduler must answer [s].
+ANSWER = 10.0
+
+
+class DaskError(CtrError):
+    """No Dask, no scheduler, or one that cannot carry out runs."""
+
+
+def check_dask() -> None:
+    """See that it is installed.
+
+    Raises:
+        DaskError: it is not; the text says what to install.
+    """
+    if find_spec("distributed") is None:
+        raise DaskError("--scheduler needs the package distributed: pip install 'ctr-station[dask]'")
+
+
+def on_dask(
+    listed: Sequence[Job],
+    scheduler: str,
+    workers: int,
+    keep: Callable[[Row], None],
+    told: Callable[[float], None],
+    say: Callable[[str], None],
+) -> None:
+    """Carry out all of `listed`: `keep` each that is done, `told` how many are; Ctrl-C leaves out the others.
+
+    Args:
+        listed: the runs.
+        scheduler: its address, or `LOCAL`.
+        workers: number of worker processes here.
+        keep, told: of what is done.
+        say: where the cluster is, and its dashboard.
+
+    Raises:
+        DaskError: no scheduler answers, it has gone, or what it has cannot carry out runs.
+    """
+    check_dask()
+    with ExitStack() as ends:
+        client = _client(scheduler, workers, ends)
+        info = client.scheduler_info()
+        say(f"Dask at {info['address']}: {len(info['workers'])} workers; dashboard: {client.dashboard_link}")
+        finished: SimpleQueue[Future] = SimpleQueue()
+        waiting, on, done = iter(listed), dict[Any, Job](), 0
+
+        def submit(most: int) -> None:
+            for job in islice(waiting, most):
+                # Pickled here: what comes to the worker is what comes to a process, and Dask looks for nothing in it.
+                future = client.submit(_work, pickle.dumps(job), pure=False, key=f"run-{job.run}-{client.id}")
+                on[future] = job
+                future.add_done_callback(finished.put)
+
+        with interrupts() as interrupted:
+            submit(AHEAD)
+            while on and not interrupted():
+                try:
+                    future = finished.get(timeout=LOOK)
+                except Empty:
+                    continue
+                keep(_row(future, on.pop(future)))
+                done += 1
+                told(done)
+                submit(1)
+            client.cancel(list(on))
+
+
+def _client(scheduler: str, workers: int, ends: ExitStack) -> "Client":
+    from distributed import Client, LocalCluster
+
+    try:
+        if scheduler != LOCAL:
+            return ends.enter_context(Client(scheduler, timeout=ANSWER))
+        # A run is a process's work, not a thread's; and nobody but this computer sees the dashboard.
+        cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0")
+        return ends.enter_context(Client(ends.enter_context(cluster)))
+    except (OSError, ValueError, TypeError) as error:
+        raise DaskError(f"--scheduler {scheduler}: no Dask scheduler answers there: {error}") from None
+
+
+def _row(future: "Future", job: Job) -> Row:
+    """What came of a run."""
+    from distributed import KilledWorker
+
+    if future.status == "finished":
+        return future.result()
+    if future.status != "error":
+        raise DaskError("the scheduler has gone; what is done is kept, and the same command goes on")
+    error = future.exception()
+    if isinstance(error, KilledWorker):  # also on the workers that it was given to after the first one
+        return failed(job, f"its worker was lost in the middle of it, time after time: {error}")
+    raise DaskError(
+        f"a worker cannot carry out runs: {type(error).__name__}: {error}; it needs the same ctr-station as here"
+    )
+
+
+_ONE = Lock()
+
+
+def _work(pickled: bytes) -> Row:
+    """On a worker: one run at a time, however many threads it has."""
+    with _ONE:
+        return run_job(pickle.loads(pickled), lambda _: None)  # noqa: S301 - from the client, as this function is
