@@ -77,7 +77,8 @@ def on_processes(
             carry_out(at, min(processes, len(at)))
             return
         except ProcessLost as lost:
-            suspected = [at[number] for number in lost.jobs if at[number].run in left]
+            # A process that ended before it could say what it was about: it was among the first.
+            suspected = [at[number] for number in sorted(lost.jobs) if at[number].run in left] or at[:1]
         for job in suspected:
             try:
                 carry_out([job], 1)

@@ -5,7 +5,8 @@ forget all of it.
 """
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack
 from importlib.util import find_spec
 from itertools import islice
@@ -29,6 +30,8 @@ LOCAL = "local"
 AHEAD = 1000
 #: In which a scheduler must answer [s].
 ANSWER = 10.0
+#: Why a run failed that no worker has survived.
+LOST = "its worker was lost in the middle of it, time after time, also when it had no other run: too little memory?"
 
 
 class DaskError(CtrError):
@@ -72,25 +75,34 @@ def on_dask(
         say(f"Dask at {info['address']}: {len(info['workers'])} workers; dashboard: {client.dashboard_link}")
         finished: SimpleQueue[Future] = SimpleQueue()
         waiting, on, done = iter(listed), dict[Any, Job](), 0
+        suspected, alone = list[Job](), set[int]()
 
-        def submit(most: int) -> None:
-            for job in islice(waiting, most):
+        def submit(jobs: Iterable[Job]) -> None:
+            for job in jobs:
                 # Pickled here: what comes to the worker is what comes to a process, and Dask looks for nothing in it.
-                future = client.submit(_work, pickle.dumps(job), pure=False, key=f"run-{job.run}-{client.id}")
+                future = client.submit(_work, pickle.dumps(job), pure=False)
                 on[future] = job
                 future.add_done_callback(finished.put)
 
         with interrupts() as interrupted:
-            submit(AHEAD)
-            while on and not interrupted():
+            submit(islice(waiting, AHEAD))
+            while (on or suspected) and not interrupted():
+                if not on:  # a worker's end counts against all that it was given
+                    alone.add(suspected[-1].run)
+                    submit([suspected.pop()])
                 try:
                     future = finished.get(timeout=LOOK)
                 except Empty:
                     continue
-                keep(_row(future, on.pop(future)))
+                job = on.pop(future)
+                submit(islice(waiting, 1))
+                row = _row(future)
+                if row is None and job.run not in alone:
+                    suspected.append(job)
+                    continue
+                keep(row or failed(job, LOST))
                 done += 1
                 told(done)
-                submit(1)
             client.cancel(list(on))
 
 
@@ -107,20 +119,23 @@ def _client(scheduler: str, workers: int, ends: ExitStack) -> "Client":
         raise DaskError(f"--scheduler {scheduler}: no Dask scheduler answers there: {error}") from None
 
 
-def _row(future: "Future", job: Job) -> Row:
-    """What came of a run."""
+def _row(future: "Future") -> Row | None:
+    """What came of a run; None: its worker was lost time after time.
+
+    A result that was lost with its worker before it came here is waited for: the scheduler has it made again.
+    """
     from distributed import KilledWorker
 
-    if future.status == "finished":
+    try:
         return future.result()
-    if future.status != "error":
-        raise DaskError("the scheduler has gone; what is done is kept, and the same command goes on")
-    error = future.exception()
-    if isinstance(error, KilledWorker):  # also on the workers that it was given to after the first one
-        return failed(job, f"its worker was lost in the middle of it, time after time: {error}")
-    raise DaskError(
-        f"a worker cannot carry out runs: {type(error).__name__}: {error}; it needs the same ctr-station as here"
-    )
+    except KilledWorker:
+        return None
+    except CancelledError:
+        raise DaskError("the scheduler has gone; what is done is kept, and the same command goes on") from None
+    except Exception as error:
+        raise DaskError(
+            f"a worker cannot carry out runs: {type(error).__name__}: {error}; it needs the same ctr-station as here"
+        ) from error
 
 
 _ONE = Lock()
