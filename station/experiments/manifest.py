@@ -8,11 +8,11 @@ import fcntl
 import json
 import os
 import re
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, BinaryIO, NamedTuple, Self
 
 from station.config.strict import ConfigError, check
 from station.experiments.sweep_plan import Plan
@@ -102,6 +102,8 @@ class Manifest:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise RecordingError(f"{self.path}: another process carries this sweep out") from None
+        except OSError:
+            pass  # a file system without locks, as some clusters have
 
 
 def manifest_name(part: int, parts: int) -> str:
@@ -115,12 +117,10 @@ def read_plan(path: Path) -> Plan | None:
     Raises:
         RecordingError: it cannot be read, or is of another version.
     """
+    with _reading(path) as file:
+        first = file.readline()
     try:
-        with path.open("rb") as file:
-            first = file.readline()
         return check(Plan, json.loads(first), str(path)) if first.endswith(b"\n") else None
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, ConfigError) as error:
         raise RecordingError(f"{error}; {path.name} is no manifest of this version of ctr-station") from None
 
@@ -134,7 +134,8 @@ def read(path: Path) -> Kept:
     plan = read_plan(path)
     if plan is None:
         return Kept(None, {}, 0)
-    data = path.read_bytes()
+    with _reading(path) as file:
+        data = file.read()
     found, runs, rows = _lines(path, data), _Runs(plan, _part(path, plan)), dict[int, Row]()
     for number, row in enumerate(found[1:], 2):
         if wrong := runs.wrong(row) or ("the run is there twice" if row["run"] in rows else ""):
@@ -216,6 +217,15 @@ class _Runs:
             if made.get(name) != version:
                 return f"run {number} was made with {name} {made.get(name)}, this sweep with {version}"
         return ""
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[BinaryIO]:
+    try:
+        with path.open("rb") as file:
+            yield file
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _write(file: int, data: bytes, place: int) -> None:

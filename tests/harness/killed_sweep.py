@@ -86,6 +86,14 @@ def rows(manifest: Path) -> list[Mapping[str, Any]]:
     return [json.loads(line) for line in lines]
 
 
+def wait_for_rows(folder: Path, count: int, client: subprocess.Popen[Any]) -> int:
+    """Wait until a sweep has so many rows, however long it takes; fails when its client has ended before."""
+    while len(found := rows(folder / "manifest.jsonl")) < count:
+        assert client.poll() is None, "the sweep has ended"
+        time.sleep(0.02)
+    return len(found)
+
+
 def without_clock(found: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """The rows in the order of the runs, without what the computer's clock has to say of them."""
     kept = [{key: value for key, value in row.items() if key != "wall_s"} for row in found]
@@ -102,10 +110,9 @@ def killed_sweep(folder: Path, runs: int) -> Figures:
         begin = time.perf_counter()
         client = subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stderr=subprocess.DEVNULL)
         try:
-            until(lambda: len(rows(dask / "manifest.jsonl")) >= runs // 3)
+            first = wait_for_rows(dask, runs // 3, client)
             victim.kill()
-            first = len(rows(dask / "manifest.jsonl"))
-            until(lambda: len(rows(dask / "manifest.jsonl")) >= 2 * runs // 3)
+            wait_for_rows(dask, 2 * runs // 3, client)
         finally:
             client.kill()
             client.wait()
@@ -130,10 +137,10 @@ def main() -> None:
         found = killed_sweep(Path(folder), runs)
     once = len({row["run"] for row in found.rows})
     equal = without_clock(found.rows) == without_clock(found.local)
-    print(f"{found.said.strip()}\n")
-    print(f"{runs} runs; a worker was killed after {found.worker_killed_at}, the client after {found.client_killed_at}")
-    print(f"rows {len(found.rows)}, of different runs {once}, all equal to those of processes: {equal}")
-    print(f"{found.before_s:.0f} s, then {found.after_s:.0f} s; on two processes {found.local_s:.0f} s")
+    print(f"{found.said.strip()}\n")  # noqa: T201
+    print(f"{runs} runs; a worker was killed after {found.worker_killed_at}, the client after {found.client_killed_at}")  # noqa: T201
+    print(f"rows {len(found.rows)}, of different runs {once}, all equal to those of processes: {equal}")  # noqa: T201
+    print(f"{found.before_s:.0f} s, then {found.after_s:.0f} s; on two processes {found.local_s:.0f} s")  # noqa: T201
     sys.exit(0 if found.status == 0 and len(found.rows) == once == runs and equal else 1)
 
 

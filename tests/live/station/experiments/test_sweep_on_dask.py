@@ -9,7 +9,7 @@ import sys
 import psutil
 import pytest
 
-from tests.harness.killed_sweep import cluster, killed_sweep, rows, sweep_command, without_clock
+from tests.harness.killed_sweep import cluster, killed_sweep, rows, sweep_command, wait_for_rows, without_clock
 from tests.harness.waiting import NET, until
 
 pytestmark = pytest.mark.skipif(
@@ -49,7 +49,7 @@ def test_a_cluster_of_ones_own_gives_the_rows_of_processes_although_a_worker_is_
         command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
     )
     try:
-        until(lambda: len(rows(dask / "manifest.jsonl")) >= 3)
+        wait_for_rows(dask, 3, client)
         workers = [one for one in psutil.Process(client.pid).children() if "spawn_main" in " ".join(one.cmdline())]
         workers[0].kill()
         _, said = client.communicate()
@@ -73,7 +73,7 @@ def test_ctrl_c_keeps_what_is_done_and_leaves_no_worker(own, environment, tmp_pa
         start_new_session=True,
     )  # fmt: skip
     try:
-        until(lambda: len(rows(folder / "manifest.jsonl")) >= 2)
+        wait_for_rows(folder, 2, client)
         workers = psutil.Process(client.pid).children(recursive=True)
         os.killpg(client.pid, signal.SIGINT)  # as a terminal does: everybody hears it
         out, said = client.communicate()
