@@ -102,7 +102,7 @@ def _sweep(parsed: argparse.Namespace) -> int:
         made = len(rows) - (len(mine) - len(left))
         said = f"{len(rows)} of {len(mine)} runs{'' if made == len(rows) else f', {made} of them now,'} in {wall:.1f} s"
         if parts == 1:
-            return _show(folder, plan, rows, wall, said, as_json=parsed.json)
+            return _show(folder, manifest.plan, rows, wall, said, as_json=parsed.json)
     return _show_part(folder, f"part {part}/{parts}: {said}", rows, len(mine), as_json=parsed.json)
 
 

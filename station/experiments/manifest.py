@@ -58,7 +58,7 @@ class Manifest:
             self._lock()
             _refuse_another(self.path, plan)
             kept = read(self.path)
-            self.rows, self._length = kept.rows, kept.length
+            self.plan, self.rows, self._length = kept.plan or plan, kept.rows, kept.length
             if kept.plan is None:
                 self._append(plan.model_dump())
         except BaseException:

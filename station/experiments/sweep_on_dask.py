@@ -13,6 +13,7 @@ from itertools import islice
 from queue import Empty, SimpleQueue
 from threading import Lock
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 from core.errors import CtrError
 from station.experiments.interrupt import interrupts
@@ -71,16 +72,16 @@ def on_dask(
     check_dask()
     with ExitStack() as ends:
         client = _client(scheduler, workers, ends)
-        info = client.scheduler_info()
-        say(f"Dask at {info['address']}: {len(info['workers'])} workers; dashboard: {client.dashboard_link}")
+        info = client.scheduler_info(n_workers=-1)
+        page = client.dashboard_link if "dashboard" in info["services"] else "none"
+        say(f"Dask at {info['address']}: {len(info['workers'])} workers; dashboard: {page}")
         finished: SimpleQueue[Future] = SimpleQueue()
         waiting, on, done = iter(listed), dict[Any, Job](), 0
         suspected, alone = list[Job](), set[int]()
 
         def submit(jobs: Iterable[Job]) -> None:
             for job in jobs:
-                # Pickled here: what comes to the worker is what comes to a process, and Dask looks for nothing in it.
-                future = client.submit(_work, pickle.dumps(job), pure=False)
+                future = client.submit(pickle.loads, pickle.dumps(_Sent(job)), key=f"run-{uuid4().hex}")
                 on[future] = job
                 future.add_done_callback(finished.put)
 
@@ -141,7 +142,20 @@ def _row(future: "Future") -> Row | None:
 _ONE = Lock()
 
 
-def _work(pickled: bytes) -> Row:
+class _Sent:
+    """A run on its way: unpickling it, on a worker, is carrying it out.
+
+    So a worker without the station fails in its task, and tells why; it would end if it could not even read the task.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+
+    def __reduce__(self) -> tuple[Callable[[Job], Row], tuple[Job]]:
+        return _work, (self._job,)
+
+
+def _work(job: Job) -> Row:
     """On a worker: one run at a time, however many threads it has."""
     with _ONE:
-        return run_job(pickle.loads(pickled), lambda _: None)  # noqa: S301 - from the client, as this function is
+        return run_job(job, lambda _: None)

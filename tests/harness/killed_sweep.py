@@ -41,6 +41,7 @@ class Cluster(NamedTuple):
     """A scheduler, and whatever workers it is given."""
 
     address: str
+    scheduler: subprocess.Popen[bytes]
     start: Callable[..., subprocess.Popen[bytes]]
 
     def worker(self, first: str = "") -> subprocess.Popen[bytes]:
@@ -64,9 +65,11 @@ def cluster(folder: Path, workers: int, environment: Mapping[str, str] = ENVIRON
             return process
 
         file = folder / "scheduler.json"
-        start("dask_scheduler", "", "--host=127.0.0.1", "--port=0", "--no-dashboard", f"--scheduler-file={file}")
+        scheduler = start(
+            "dask_scheduler", "", "--host=127.0.0.1", "--port=0", "--no-dashboard", f"--scheduler-file={file}"
+        )
         until(lambda: file.is_file() and file.read_text(encoding="utf-8").rstrip().endswith("}"))
-        there = Cluster(json.loads(file.read_text(encoding="utf-8"))["address"], start)
+        there = Cluster(json.loads(file.read_text(encoding="utf-8"))["address"], scheduler, start)
         for _ in range(workers):
             there.worker()
         yield there

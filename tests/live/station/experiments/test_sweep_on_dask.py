@@ -37,6 +37,7 @@ def test_a_worker_and_then_the_client_are_killed_and_every_run_is_there_once_as_
 
     assert found.status == 0, found.said
     assert 6 <= found.worker_killed_at < found.client_killed_at < 18
+    assert "1 workers; dashboard: none" in found.said
     assert f"18 of 18 runs, {18 - found.client_killed_at} of them now" in found.said
     assert sorted(row["run"] for row in found.rows) == list(range(18))
     assert without_clock(found.rows) == without_clock(found.local)
@@ -111,6 +112,24 @@ def test_a_run_that_loses_its_workers_time_after_time_is_a_row_with_that_reason(
     assert [row["completed"] for row in rows(folder / "manifest.jsonl")] == [False]
     assert "own, seed 0: its worker was lost in the middle of it" in out
     assert "0 of 1" in out
+
+
+def test_a_scheduler_that_goes_ends_the_sweep_with_what_is_done_kept(own, environment, tmp_path):
+    folder, hasty = tmp_path / "dask", {**environment, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "2s"}
+    with cluster(tmp_path, 1) as there:
+        command = sweep_command(own, 2000, folder, "--scheduler", there.address)
+        client = subprocess.Popen(command, cwd=tmp_path, env=hasty, stderr=subprocess.PIPE, text=True)
+        try:
+            wait_for_rows(folder, 2, client)
+            there.scheduler.kill()
+            _, said = client.communicate()
+        finally:
+            client.kill()
+            client.wait()
+
+    assert client.returncode == 2
+    assert "the scheduler has gone; what is done is kept, and the same command goes on" in said
+    assert 2 <= len(rows(folder / "manifest.jsonl")) < 2000
 
 
 def test_no_scheduler_there_is_said_in_a_line(own, environment, tmp_path):

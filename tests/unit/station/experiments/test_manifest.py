@@ -49,6 +49,7 @@ def test_rows_come_back_to_the_last_bit(tmp_path):
     assert len(path.read_text(encoding="utf-8").splitlines()) == 3
     with Manifest(tmp_path / "sweep", plan.model_copy(update={"started": 99.0})) as again:
         assert again.rows == {run: a_row(plan, run) for run in (4, 0)}
+        assert again.plan.started == plan.started
     assert read(path).plan == plan
 
 
