@@ -8,12 +8,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 
-def progress_bar() -> Progress:
-    """A progress bar on a terminal, nothing elsewhere."""
+def progress_bar(over: float = 30.0) -> Progress:
+    """A progress bar on a terminal, nothing elsewhere; the time left is told from the pace of the last `over` [s]."""
     console = Console(stderr=True, highlight=False)
     return Progress(
         TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
-        TimeRemainingColumn(), console=console, disable=not console.is_terminal,
+        TimeRemainingColumn(), console=console, disable=not console.is_terminal, speed_estimate_period=over,
     )  # fmt: skip
 
 

@@ -4,17 +4,34 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from core.errors import CtrError
 from station.cli.options import count, data_of, from_here, progress_bar
 from station.experiments.side_by_side import processors
+
+if TYPE_CHECKING:
+    from station.experiments.manifest import Manifest, Row
+    from station.experiments.sweep_plan import Job, Plan
+
+#: Instead of an experiment: put the parts of a sweep together.
+MERGE = "merge"
+#: Most parts of a sweep.
+PARTS = 100_000
+
+
+class SweepError(CtrError):
+    """Options that do not go together."""
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
     """Add it."""
     sweep = commands.add_parser("sweep", help="an experiment with many seeds and settings: one table, one report")
-    sweep.add_argument("experiment", metavar="EXPERIMENT", help="name of a preset or a .toml file")
+    sweep.add_argument("experiment", metavar="EXPERIMENT", help="name of a preset or a .toml file; or 'merge'")
+    sweep.add_argument("parts", nargs="?", type=Path, metavar="FOLDER", help="of 'merge': parts to be put together")
     sweep.add_argument("--seeds", type=count(100_000), default=20, metavar="N", help="seeds 0 ... N-1 (20)")
     sweep.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=A,B,C",
@@ -25,41 +42,133 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     sweep.add_argument(
         "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (one a processor)"
     )
+    sweep.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="carry the runs out on a Dask cluster, tcp://HOST:PORT; 'local': one here",
+    )
+    sweep.add_argument(
+        "--folder", type=Path, metavar="DIR",
+        help="the sweep's own; the same command goes on where it was (as it does without, while runs are missing)",
+    )  # fmt: skip
+    sweep.add_argument("--part", type=part, default=(1, 1), metavar="I/N", help="only this part, 1/N ... N/N")
     sweep.add_argument("--out", type=Path, metavar="DIR", help="where results go (the folder of data)")
     sweep.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")
     sweep.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     sweep.set_defaults(command=_sweep)
 
 
-def _sweep(parsed: argparse.Namespace) -> int:
-    from rich.console import Console
+def part(text: str) -> tuple[int, int]:
+    """Reads I/N."""
+    number, slash, of = text.partition("/")
+    if not slash:
+        raise argparse.ArgumentTypeError(f"{text!r} is not I/N, for example 2/4")
+    parts = count(PARTS)(of)
+    return count(parts)(number), parts
 
+
+def _sweep(parsed: argparse.Namespace) -> int:
     from station.config.strict import use_experiments
     from station.experiments.experiment import load_experiment
+    from station.experiments.manifest import Manifest, folder_of
     from station.experiments.saved import use_saved
-    from station.experiments.sweep import jobs, sweep, sweep_summary
-    from station.experiments.sweep_output import sweep_table, write_sweep
+    from station.experiments.sweep_on_dask import check_dask
+    from station.experiments.sweep_plan import jobs, plan_of
     from station.experiments.sweep_settings import settings
-    from station.report.page import write_report
 
+    if parsed.experiment == MERGE:
+        return _merge(parsed)
+    if parsed.parts is not None:
+        raise SweepError(f"{parsed.parts}: a folder is only named after 'sweep merge'; a sweep's own is --folder")
+    part, parts = parsed.part
+    if parts > 1 and parsed.folder is None:
+        raise SweepError("--part needs --folder: the same one for all parts")
+    if parsed.scheduler is not None:
+        check_dask()
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
     use_saved(data_of(parsed))
     begin = time.perf_counter()
     lab = [] if parsed.lab is None else [f"lab='{from_here(parsed.lab)}'"]
-    chosen = settings([*parsed.settings, *lab])
-    experiment = load_experiment(parsed.experiment)
-    listed = jobs(parsed.experiment, chosen, range(parsed.seeds), parsed.case)
-    with progress_bar() as bar:
-        task = bar.add_task(f"sweep {experiment.name}", total=len(listed))
-        outcomes = sweep(listed, min(parsed.jobs, len(listed)), lambda done: bar.update(task, completed=done))
-    summary = sweep_summary(experiment, listed, outcomes, time.perf_counter() - begin)
-    folder = write_sweep(parsed.out or data_of(parsed), summary, experiment.source)
+    listed = jobs(parsed.experiment, settings([*parsed.settings, *lab]), range(parsed.seeds), parsed.case)
+    plan = plan_of(load_experiment(parsed.experiment), listed, parts)
+    folder = parsed.folder or folder_of(parsed.out or data_of(parsed), plan)
+    with Manifest(folder, plan, part) as manifest:
+        mine = [listed[run] for run in plan.part(part)]
+        left = [job for job in mine if job.run not in manifest.rows]
+        _carry_out(left, len(mine), manifest, parsed)
+        rows = [manifest.rows[job.run] for job in mine if job.run in manifest.rows]
+        wall = time.perf_counter() - begin
+        made = len(rows) - (len(mine) - len(left))
+        said = f"{len(rows)} of {len(mine)} runs{'' if made == len(rows) else f', {made} of them now,'} in {wall:.1f} s"
+        if parts == 1:
+            return _show(folder, manifest.plan, rows, wall, said, as_json=parsed.json)
+    return _show_part(folder, f"part {part}/{parts}: {said}", rows, len(mine), as_json=parsed.json)
+
+
+def _carry_out(left: "Sequence[Job]", planned: int, manifest: "Manifest", parsed: argparse.Namespace) -> None:
+    """Those that are left, here or on a cluster; a bar with how many are done and the time left."""
+    from station.experiments.sweep import on_processes
+    from station.experiments.sweep_on_dask import on_dask
+
+    if not left:
+        return
+    done = planned - len(left)
+    with progress_bar(over=3600.0) as bar:
+        task = bar.add_task("", total=planned, completed=done)
+
+        def told(parts: float) -> None:
+            name = f"{parsed.experiment} {len(manifest.rows)} of {planned}"
+            bad = sum(not row["completed"] for row in manifest.rows.values())
+            bar.update(task, completed=done + parts, description=f"{name}, {bad} failed" if bad else name)
+
+        told(0.0)
+        if parsed.scheduler is None:
+            on_processes(left, parsed.jobs, manifest.append, told)
+        else:
+            workers = min(parsed.jobs, len(left))
+            say = partial(bar.console.print, markup=False, soft_wrap=True)
+            on_dask(left, parsed.scheduler, workers, manifest.append, told, say)
+
+
+def _merge(parsed: argparse.Namespace) -> int:
+    from station.experiments.manifest import merged
+
+    folder = parsed.parts or parsed.folder
+    if folder is None:
+        raise SweepError("sweep merge needs the folder of the parts")
+    plan, rows = merged(folder)
+    return _show(folder, plan, rows, 0.0, f"{len(rows)} runs of {plan.parts} parts", as_json=parsed.json)
+
+
+def _show(folder: Path, plan: "Plan", rows: "Sequence[Row]", wall: float, said: str, *, as_json: bool) -> int:
+    """Results of a whole sweep, on disk and on the screen."""
+    from rich.console import Console
+
+    from station.experiments.sweep import sweep_summary
+    from station.experiments.sweep_output import sweep_table, write_sweep
+    from station.report.page import write_report
+
+    summary = sweep_summary(plan, rows, wall)
+    write_sweep(folder, summary, plan.source, plan.started)
     write_report(folder)
-    if parsed.json:
+    if as_json:
         sys.stdout.write(f"{json.dumps({**summary, 'recording': str(folder)})}\n")
     else:
         out = Console(highlight=False, markup=False)
         out.print(sweep_table(summary))
-        out.print(f"{len(outcomes)} of {len(listed)} runs in {summary['wall_s']:.1f} s\n{folder}", soft_wrap=True)
+        out.print(f"{said}\n{folder}", soft_wrap=True)
     return 0 if summary["completed"] else 1
+
+
+def _show_part(folder: Path, said: str, rows: "Sequence[Row]", planned: int, *, as_json: bool) -> int:
+    """A part has no table: its runs are in its manifest."""
+    from station.experiments.sweep_output import not_completed
+
+    completed = len(rows) == planned and all(row["completed"] for row in rows)
+    if as_json:
+        sys.stdout.write(f"{json.dumps({'completed': completed, 'runs': rows, 'recording': str(folder)})}\n")
+    else:
+        lines = (*not_completed(rows), said, f"when all parts are done: ctr-station sweep merge {folder}")
+        sys.stdout.write("\n".join(lines) + "\n")
+    return 0 if completed else 1

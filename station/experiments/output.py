@@ -13,7 +13,7 @@ from station.control.clock import Clock, VirtualClock
 from station.control.telemetry import Channels
 from station.experiments.experiment import Case, Experiment, PaperNumbers
 from station.experiments.results import summarise
-from station.experiments.runner import run_case
+from station.experiments.runner import INTERRUPTED, run_case
 from station.recording.case_recorder import CaseRecorder
 from station.recording.label import Label, RecordingError
 from station.recording.read import read_case
@@ -140,7 +140,7 @@ def label_of(*, completed: bool, cause: str) -> Label:
     """How a run ended, from what its runner says."""
     if completed:
         return Label.COMPLETE
-    return Label.INTERRUPTED if cause == "interrupted" else Label.STOPPED
+    return Label.INTERRUPTED if cause == INTERRUPTED else Label.STOPPED
 
 
 def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:

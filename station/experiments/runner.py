@@ -22,6 +22,8 @@ from station.lab.virtual_bench import virtual_bench
 
 #: Longest wait until the devices are connected and the controller has begun [s].
 BRING_UP = 60.0
+#: Why a run did not complete that Ctrl-C has ended.
+INTERRUPTED = "interrupted"
 
 
 class Recording(NamedTuple):
@@ -70,7 +72,7 @@ def run_case(
         with interrupts() as interrupted, uncollected():
             while True:
                 if interrupted():
-                    cause = "interrupted"
+                    cause = INTERRUPTED
                     break
                 now = tick * PERIOD
                 clock.wait_until(now)

@@ -33,6 +33,10 @@ Told = Callable[[Sequence[float]], None]
 class ProcessLost(CtrError):
     """A process that ended in the middle of its job."""
 
+    def __init__(self, text: str, jobs: frozenset[int]) -> None:
+        super().__init__(text)
+        self.jobs = jobs  #: numbers of those that were on: one of them, or its process, is to blame
+
 
 def processors() -> int:
     """Number of processors that this process may use."""
@@ -98,8 +102,10 @@ class Processes:
             self._wait(futures, told, go_on)
             return [future.result() for future in futures if not future.cancelled()]
         except BrokenProcessPool:
+            places: list[float] = list(cast(Any, self._places))
             raise ProcessLost(
-                "a process ended in the middle of its job; was it killed, is there too little memory?"
+                "a process ended in the middle of its job; was it killed, is there too little memory?",
+                frozenset(map(int, places[::2])),
             ) from None
 
     def _wait(self, futures: Sequence[Future[R]], told: Told, go_on: Callable[[R], bool]) -> None:
@@ -114,7 +120,8 @@ class Processes:
                         # next in the line may begin yet: asked again until none is left.
                         if child.pid is not None:
                             os.kill(child.pid, signal.SIGINT)
-                if interrupted() or not all(go_on(future.result()) for future in done if not future.cancelled()):
+                going_on = [go_on(future.result()) for future in done if not future.cancelled()]
+                if interrupted() or not all(going_on):
                     waiting = {future for future in waiting if not future.cancel()}
 
     def _parts(self, futures: Sequence[Future[Any]]) -> list[float]:

@@ -1,7 +1,6 @@
 """A sweep on disk and on the screen."""
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from station.recording.label import Label, RecordingError
-from station.recording.run_folder import RunFolder, write_json
+from station.recording.run_folder import EXPERIMENT, SUMMARY, write_json
 
 #: The sweep's file, beside the `summary.json` that every run has.
 SWEEP = "sweep.json"
@@ -19,6 +18,8 @@ SHOWN = (
     ("max_abs_error_mm", "largest measured |E|", "mm"),
     ("model_error_mm", "mean distance of the model", "mm"),
 )
+#: So many runs that did not complete are told one by one.
+MOST = 10
 PARTS = {"x": "x", "y": "y", "z": "z", "loaded": "loaded model", "unloaded": "unloaded model"}
 
 
@@ -54,29 +55,37 @@ def sweep_table(summary: Mapping[str, Any]) -> Table:
         if label[0]:
             table.add_row(*label)
         table.add_section()
+    if reasons := not_completed(summary["runs"]):
+        table.caption = Text("\n".join(reasons), justify="left")
+        table.caption_style = ""
     return table
 
 
-def write_sweep(out: Path, summary: Mapping[str, Any], source: str) -> Path:
-    """A folder of its own under `out`, like that of a run.
+def not_completed(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Runs that did not complete, each with its reason; of many the first."""
+    found = [run for run in runs if not run["completed"]]
+    lines = [f"{setting_words(run['setting'])}, {run['case']}, seed {run['seed']}: {run['cause']}" for run in found]
+    more = len(lines) - MOST
+    return [*lines[:MOST], f"and {more} more"] if more > 0 else lines
+
+
+def write_sweep(folder: Path, summary: Mapping[str, Any], source: str, started: float) -> None:
+    """Results beside the manifests.
 
     Args:
-        out: where runs are kept.
+        folder: the sweep's.
         summary: all of the sweep, without the place where it is.
         source: the experiment's file.
+        started: when it began [s since 1970].
 
     Raises:
-        RecordingError: it cannot be written.
+        RecordingError: they cannot be written.
     """
-    folder = RunFolder(out, f"sweep-{summary['experiment']}-{datetime.now().astimezone():%Y%m%d-%H%M%S}")
     short = {key: value for key, value in summary.items() if key not in ("settings", "runs")}
     label = Label.COMPLETE if summary["completed"] else Label.STOPPED
     try:
-        folder.add_source(source)
-        write_json(folder.partial / SWEEP, summary)
-        folder.finish({**short, "started": folder.started, "label": label, "recording": str(folder.path)})
+        (folder / EXPERIMENT).write_text(source, encoding="utf-8")
+        write_json(folder / SWEEP, summary)
+        write_json(folder / SUMMARY, {**short, "started": started, "label": label, "recording": str(folder)})
     except OSError as error:
-        raise RecordingError(f"{out}: cannot write results there: {error.strerror}") from None
-    finally:
-        folder.let_go()
-    return folder.path
+        raise RecordingError(f"{folder}: cannot write results there: {error.strerror}") from None

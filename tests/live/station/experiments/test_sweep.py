@@ -10,7 +10,9 @@ import time
 import psutil
 import pytest
 
-from station.experiments.sweep import jobs, sweep
+from station.experiments.manifest import Row
+from station.experiments.sweep import on_processes
+from station.experiments.sweep_plan import jobs
 from station.experiments.sweep_settings import settings
 from tests.harness.waiting import NET, until
 
@@ -33,13 +35,26 @@ def test_ctrl_c_ends_the_runs_that_are_on_and_leaves_out_the_others(own):
 
     presser = threading.Thread(target=press)
     presser.start()
-    outcomes = sweep(listed, 1, lambda _: None)
+    rows: list[Row] = []
+    on_processes(listed, 1, rows.append, lambda _: None)
     presser.join()
 
-    # the one that was on and the one that was next in the line
-    assert 1 <= len(outcomes) <= 2
-    assert {outcome.numbers["cause"] for outcome in outcomes} == {"interrupted"}
+    assert rows == []  # a run that was ended is not done
     assert not any(child.is_running() for child in children)
+
+
+def test_a_process_that_is_killed_costs_its_run_a_second_time_and_no_more(own):
+    listed, killed = jobs(own, settings(["duration=2.0"]), range(4), "one"), list[int]()
+    rows: list[Row] = []
+
+    def told(done: float) -> None:
+        if done > 1.0 and not killed:
+            killed.append(workers(psutil.Process())[0].pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    on_processes(listed, 2, rows.append, told)
+    assert len(killed) == 1
+    assert sorted((row["run"], row["completed"]) for row in rows) == [(run, True) for run in range(4)]
 
 
 def workers(parent: psutil.Process) -> list[psutil.Process]:

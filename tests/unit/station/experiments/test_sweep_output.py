@@ -67,17 +67,37 @@ def test_settings_in_words():
     assert setting_words({"controller.k1": 2.5, "lab": "default"}) == "k1 = 2.5, lab = default"
 
 
-def test_every_sweep_has_a_folder_of_its_own(tmp_path):
-    sweep = summary(group(1.0, "max_abs_error_mm", 4.0, 5.0, 6.0))
-    folders = [write_sweep(tmp_path / "out", sweep, "title = 'x'\n") for _ in range(2)]
+def test_runs_that_did_not_complete_are_told_with_their_reasons():
+    runs = [
+        {
+            "setting": {"controller.k1": 5},
+            "case": "hold",
+            "seed": seed,
+            "completed": seed == 0,
+            "cause": f"no. {seed} [x]",
+        }
+        for seed in range(13)
+    ]
+    lines = shown({**summary(group(5.0, "max_abs_error_mm", 4.0, 5.0, 6.0)), "runs": runs})
 
-    assert len(set(folders)) == 2
-    assert json.loads((folders[0] / "sweep.json").read_text(encoding="utf-8")) == sweep
-    assert (folders[0] / "experiment.toml").read_text(encoding="utf-8") == "title = 'x'\n"
-    assert "settings" not in json.loads((folders[0] / "summary.json").read_text(encoding="utf-8"))
+    assert any("k1 = 5, hold, seed 1: no. 1 [x]" in line for line in lines)
+    assert any("seed 10: no. 10" in line for line in lines)
+    assert not any("seed 0" in line or "seed 11" in line for line in lines)
+    assert any("and 2 more" in line for line in lines)
+
+
+def test_a_sweep_is_written_beside_its_manifest(tmp_path):
+    sweep = summary(group(1.0, "max_abs_error_mm", 4.0, 5.0, 6.0))
+    write_sweep(tmp_path, sweep, "title = 'x'\n", 12.0)
+
+    assert json.loads((tmp_path / "sweep.json").read_text(encoding="utf-8")) == sweep
+    assert (tmp_path / "experiment.toml").read_text(encoding="utf-8") == "title = 'x'\n"
+    short = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert (short["started"], short["label"]) == (12.0, "complete")
+    assert "settings" not in short
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(RecordingError, match="file"):
-        write_sweep(tmp_path / "file", summary(), "")
+        write_sweep(tmp_path / "file", summary(), "", 0.0)

@@ -1,6 +1,7 @@
 """The command `sweep`: its table, its JSON, its folder."""
 
 import json
+import sys
 
 import pytest
 
@@ -31,7 +32,7 @@ def test_sweep_prints_one_json_object_and_leaves_a_folder_with_a_report(write, s
 
     folder = tmp_path / summary["recording"]
     assert sorted(path.name for path in folder.iterdir()) == [
-        "experiment.toml", "report.html", "summary.json", "sweep.json",
+        "experiment.toml", "manifest.jsonl", "report.html", "summary.json", "sweep.json",
     ]  # fmt: skip
     kept = json.loads((folder / "sweep.json").read_text(encoding="utf-8"))
     assert kept == {key: value for key, value in summary.items() if key != "recording"}
@@ -49,6 +50,10 @@ def test_sweep_prints_one_json_object_and_leaves_a_folder_with_a_report(write, s
         (("--set", "controller.k1=-1"), "K1 = -1 1/s"),
         (("--set", "nothing"), "write KEY=VALUE"),
         (("--experiments", "nowhere"), "nowhere: no such folder"),
+        (("--part", "2"), "'2' is not I/N, for example 2/4"),
+        (("--part", "3/2"), "3 is outside 1 ... 2"),
+        (("--part", "1/2"), "--part needs --folder"),
+        (("out",), "only named after 'sweep merge'"),
     ],
 )
 def test_bad_options_get_one_line_and_leave_nothing(write, short, tmp_path, monkeypatch, capsys, arguments, said):
@@ -63,3 +68,81 @@ def test_bad_options_get_one_line_and_leave_nothing(write, short, tmp_path, monk
     assert len(error.splitlines()) == 1
     assert said in error
     assert not (tmp_path / "out").exists()
+
+
+def quick(write, short, text=""):
+    return str(write(short.replace("duration = 1.0", "duration = 0.2") + text))
+
+
+def test_the_same_command_goes_on_where_it_was_and_another_one_is_refused(write, short, call, tmp_path):
+    command = ("sweep", quick(write, short), "--jobs", "1", "--folder", "here")
+    assert call(*command, "--seeds", "2").status == 0
+    manifest = tmp_path / "here" / "manifest.jsonl"
+    whole = manifest.read_bytes()
+    manifest.write_bytes(whole[:-50])  # as kill -9 leaves it
+
+    again = call(*command, "--seeds", "2")
+    assert again.status == 0
+    assert "2 of 2 runs, 1 of them now, in" in again.out
+    one, other = (json.loads(data.splitlines()[-1]) for data in (whole, manifest.read_bytes()))
+    assert {**one, "wall_s": 0.0} == {**other, "wall_s": 0.0}
+    assert "2 of 2 runs, 0 of them now, in" in call(*command, "--seeds", "2").out
+    refused = call(*command, "--seeds", "3")
+    assert (refused.status, refused.out) == (2, "")
+    assert "here/manifest.jsonl: another sweep is kept there: --seeds: 2 there, 3 here" in refused.err
+
+
+def test_without_a_folder_a_sweep_that_is_not_done_goes_on_and_one_that_is_has_another_beside_it(
+    write, short, call, tmp_path
+):
+    command = ("sweep", quick(write, short), "--jobs", "1", "--seeds", "2", "--json")
+    first = json.loads(call(*command).out)["recording"]
+    second = json.loads(call(*command).out)["recording"]
+    assert first != second
+    manifest = tmp_path / second / "manifest.jsonl"
+    manifest.write_bytes(manifest.read_bytes()[:-50])
+    assert json.loads(call(*command).out)["recording"] == second
+
+
+def test_parts_are_put_together_to_what_the_whole_gives(write, short, call, tmp_path):
+    command = ("sweep", quick(write, short, TWO), "--seeds", "2", "--jobs", "1")
+    whole = json.loads(call(*command, "--json").out)
+    for part in ("2/3", "1/3"):
+        assert call(*command, "--folder", "parts", "--part", part).status == 0
+    early = call("sweep", "merge", "parts")
+    assert (early.status, early.out) == (2, "")
+    assert "parts/manifest-3-of-3.jsonl is missing: carry out the sweep with --part 3/3" in early.err
+    last = call(*command, "--folder", "parts", "--part", "3/3")
+    assert "part 3/3: 1 of 1 runs in" in last.out
+    assert "ctr-station sweep merge parts" in last.out
+
+    merged = call("sweep", "merge", "parts", "--json")
+    assert merged.status == 0
+    summary = json.loads(merged.out)
+    clocks = {"wall_s": 0.0}
+    assert [{**run, **clocks} for run in summary["runs"]] == [{**run, **clocks} for run in whole["runs"]]
+    assert [run["run"] for run in summary["runs"]] == [0, 1, 2, 3]
+    assert {**summary, "runs": [], "recording": "", **clocks} == {**whole, "runs": [], "recording": "", **clocks}
+    assert (tmp_path / "parts" / "report.html").is_file()
+    assert "4 runs of 3 parts" in call("sweep", "merge", "parts").out
+
+
+def test_a_run_that_fails_is_in_the_table_and_in_the_status(write, short, call):
+    lost = '[[cases.lost.faults]]\nkind = "mute"\ndevice = "tracker"\nat = 0.1\n'
+    experiment = quick(write, short, f"[cases.good]\n{lost}")
+    done = call("sweep", experiment, "--seeds", "1", "--jobs", "1", "--set", "duration=0.6")
+
+    assert done.status == 1
+    assert "1 of 1" in done.out
+    assert "0 of 1" in done.out
+    assert "duration = 0.6, lost, seed 0: " in done.out
+    assert "2 of 2 runs in" in done.out
+
+
+def test_without_dask_a_scheduler_is_refused_with_the_extra_named(write, short, call, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    refused = call("sweep", quick(write, short), "--scheduler", "local", "--folder", "here")
+
+    assert refused.status == 2
+    assert "--scheduler needs the package distributed: pip install 'ctr-station[dask]'" in refused.err
+    assert not (tmp_path / "here").exists()

@@ -1,15 +1,20 @@
-"""A sweep: what is swept, the same runs as alone."""
+"""A sweep: what is swept, the same runs as alone, on any number of processes."""
 
 import os
+import signal
+from typing import Any
 
 import numpy as np
 import pytest
 
 from station.config.strict import ConfigError
 from station.experiments.experiment import load_experiment
+from station.experiments.manifest import Row
 from station.experiments.results import summarise
-from station.experiments.sweep import Job, Outcome, jobs, spreads, sweep, sweep_summary
-from station.experiments.sweep_settings import settings
+from station.experiments.sweep import on_processes, run_job, spreads, sweep_summary
+from station.experiments.sweep_plan import Job, jobs, plan_of
+from station.experiments.sweep_settings import nested, settings
+from station.recording.metadata import versions
 from tests.harness.cases import a_run
 
 
@@ -47,62 +52,130 @@ def test_settings_go_on_top_of_every_case(own):
     assert {(job.case.file.controller.feedforward, job.case.file.controller.k1) for job in listed} == {(False, 3.0)}
 
 
-def without_clock(numbers):
-    return {key: value for key, value in numbers.items() if key != "wall_s"}
+def carried_out(listed: list[Job], processes: int) -> tuple[list[Row], list[float]]:
+    """The rows in the order of the runs, and what was told."""
+    rows: list[Row] = []
+    told: list[float] = []
+    on_processes(listed, processes, rows.append, told.append)
+    return sorted(rows, key=lambda row: row["run"]), told
+
+
+def without_clock(row: Row) -> Row:
+    return {key: value for key, value in row.items() if key != "wall_s"}
 
 
 def test_runs_of_a_sweep_are_bit_for_bit_those_of_single_runs(own):
     listed = jobs(own, settings(["duration=0.4"]), [3, 4], "two")
-    told: list[int] = []
     before = {name: value for name, value in os.environ.items() if "THREADS" in name}
-    outcomes = sweep(listed, 2, told.append)
+    rows, told = carried_out(listed, 2)
 
-    assert [outcome.job.seed for outcome in outcomes] == [3, 4]
+    assert [row["seed"] for row in rows] == [3, 4]
     assert told[-1] == 2
-    for outcome, job in zip(outcomes, listed, strict=True):
+    for row, job in zip(rows, listed, strict=True):
         alone = summarise(a_run(job.case, job.seed))
         assert alone["completed"]
-        assert without_clock(outcome.numbers) == without_clock(alone)
-    assert outcomes[0].numbers["rms_error_mm"] != outcomes[1].numbers["rms_error_mm"]
+        about = {"run": job.run, "setting": {"duration": 0.4}, "case": "two", "seed": job.seed, "versions": versions()}
+        assert without_clock(row) == {**about, **without_clock(alone)}
+    assert rows[0]["rms_error_mm"] != rows[1]["rms_error_mm"]
     assert {name: value for name, value in os.environ.items() if "THREADS" in name} == before
 
 
-def made_up(own: str, values: list[float], broken: int = -1) -> list[Outcome]:
-    case = load_experiment(own).cases[0]
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Deadly(str):
+    """A text that ends the process that it is sent to."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return die, ()
+
+
+def spoilt(listed: list[Job], run: int, **how: Any) -> list[Job]:
+    """With a case that is no good for one of them."""
+    return [job._replace(case=job.case._replace(**how)) if job.run == run else job for job in listed]
+
+
+def test_a_run_that_raises_is_a_row_with_its_reason(own):
+    listed = spoilt(jobs(own, settings(["duration=0.2"]), range(1)), 0, start=np.zeros(7))
+    rows, _ = carried_out(listed, 1)
+
+    about = {"run": 0, "setting": {"duration": 0.2}, "case": "one", "seed": 0, "versions": versions()}
+    assert rows[0] == {**about, "completed": False, "cause": rows[0]["cause"]}
+    assert "Error: " in rows[0]["cause"]
+    assert rows[0] == run_job(listed[0], lambda _: None)
+    assert rows[1]["completed"]
+
+
+def test_a_run_that_ends_its_process_costs_itself_and_no_other(own):
+    listed = jobs(own, settings(["duration=0.2"]), range(2))
+    rows, told = carried_out(spoilt(listed, 1, warnings=(Deadly(),)), 2)
+    alone, _ = carried_out(listed, 2)
+
+    assert [row["completed"] for row in rows] == [True, False, True, True]
+    assert "a process ended in the middle of its job; was it killed" in rows[1]["cause"]
+    assert [without_clock(row) for row in rows if row["run"] != 1] == [
+        without_clock(row) for row in alone if row["run"] != 1
+    ]
+    assert told[-1] == 4
+
+
+def made_up(values: list[float], broken: int = -1) -> list[Row]:
+    """Rows of the first setting and case."""
     return [
-        Outcome(
-            Job((("controller.k1", 1),), case, seed),
-            {
-                "completed": seed != broken,
-                "cause": "",
-                "wall_s": 1.0,
-                "rms_error_mm": [value, 2.0, 3.0],
-                "step": {"rate": value},
-            },
-        )
+        {
+            "run": seed,
+            "setting": {"controller.k1": 1},
+            "case": "one",
+            "seed": seed,
+            "versions": {},
+            "completed": seed != broken,
+            "cause": "",
+            "wall_s": 1.0,
+            "rms_error_mm": [value, 2.0, 3.0],
+            "step": {"rate": value},
+        }
         for seed, value in enumerate(values)
     ]
 
 
-def test_spreads_are_percentiles_over_the_completed_runs(own):
+def test_spreads_are_percentiles_over_the_completed_runs():
     values = [5.0, 1.0, 2.0, 4.0, 3.0, 100.0]
-    found = spreads(made_up(own, values, broken=5))
+    found = spreads(made_up(values, broken=5))
     x = found["rms_error_mm.x"]
 
     assert (x.median, x.worst) == (3.0, 5.0)
     assert (x.p5, x.p95) == (pytest.approx(np.quantile([1, 2, 3, 4, 5], 0.05)), pytest.approx(4.8))
     assert found["step.rate"].median == 3.0
     assert found["rms_error_mm.y"] == (2.0, 2.0, 2.0, 2.0)
-    assert "wall_s" not in found
-    assert "completed" not in found
+    assert set(found) == {"rms_error_mm.x", "rms_error_mm.y", "rms_error_mm.z", "step.rate"}
 
 
 def test_a_sweep_with_a_run_that_did_not_complete_is_not_complete(own):
-    outcomes = made_up(own, [1.0, 2.0, 3.0], broken=1)
-    summary = sweep_summary(load_experiment(own), [outcome.job for outcome in outcomes], outcomes, 1.0)
+    listed = jobs(own, settings(["controller.k1=1"]), range(3), "one")
+    plan, rows = plan_of(load_experiment(own), listed), made_up([1.0, 2.0, 3.0], broken=1)
+    summary = sweep_summary(plan, rows, 1.0)
 
     assert not summary["completed"]
     assert summary["settings"][0]["runs"] == 3
     assert summary["settings"][0]["completed"] == 2
     assert [run["seed"] for run in summary["runs"]] == [0, 1, 2]
     assert summary["runs"][0]["setting"] == {"controller.k1": 1}
+    assert not sweep_summary(plan, rows[:2], 1.0)["completed"]
+    assert sweep_summary(plan, made_up([1.0, 2.0, 3.0]), 1.0)["completed"]
+
+
+def test_a_plan_is_the_same_wherever_the_command_is_given_and_another_when_a_file_of_it_has_changed(
+    own, write, tmp_path, monkeypatch
+):
+    lab = write('title = "a lab"\n', "lab")
+
+    def plan(name: str = own):
+        chosen = settings([f"lab='{lab}'"])
+        return plan_of(load_experiment(name, nested(chosen[0])), jobs(name, chosen, range(2)))
+
+    first = plan()
+    monkeypatch.chdir(tmp_path)
+    assert plan("own.toml").difference(first) == ""
+    write('title = "a lab"\n[tracker]\nnoise = 0.3e-3\n', "lab")
+    assert plan().difference(first) == "a robot, lab, calibration or motion that the experiment names has changed since"
