@@ -131,11 +131,12 @@ def _solve(parsed: argparse.Namespace) -> int:
     from station.config.robots import load_robot
     from station.service.solve import as_they_come, solve_lines
 
+    sublink = PAPER_SUBLINK if parsed.sublink is None else parsed.sublink
+    robot = load_robot(parsed.robot).robot()
     lines = sys.stdin or io.StringIO()  # none at all when the shell closed it
     # As bytes: one that is no text spoils its own line only.
-    batches = as_they_come(lines.buffer) if isinstance(lines, io.TextIOWrapper) else [list(lines)]
-    sublink = PAPER_SUBLINK if parsed.sublink is None else parsed.sublink
-    for answer in solve_lines(batches, load_robot(parsed.robot).robot(), sublink, parsed.exact):
+    batches = as_they_come(lines.buffer) if isinstance(lines, io.TextIOWrapper) else ([line] for line in lines)
+    for answer in solve_lines(batches, robot, sublink, parsed.exact):
         print(answer, flush=True)  # noqa: T201
     return 0
 
