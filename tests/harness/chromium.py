@@ -19,7 +19,7 @@ FLAGS = [
     "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-gpu-compositing",
 ]  # fmt: skip
-#: Started so it takes what stations leave: as root it would put itself before them all.
+#: Started so that it stays beside the stations: as root it would put itself before them all.
 GENTLY = Path(__file__).with_name("gentle_chromium")
 #: For what a page waits for [ms].
 PATIENCE = 1e3 * NET
@@ -44,7 +44,7 @@ def scene_page(browser: Browser) -> Page:
 
 @contextmanager
 def chromium(*flags: str) -> Iterator[Browser]:
-    """A browser that takes what the stations leave."""
+    """A browser that puts itself before nobody."""
     with (
         sync_playwright() as playwright,
         playwright.chromium.launch(
