@@ -54,9 +54,13 @@ def random_rows(rows: int, seed: int = 0) -> tuple[Array, Array]:
 
 def wandering_rows(rows: int) -> tuple[Array, Array]:
     """The same about the working pose under 0.2 N along x: 10 mrad and 0.3 mm from each to the next."""
-    there_and_back = 50 - np.abs(np.arange(rows) % 100 - 50)
-    joints = np.array([0.0, np.pi / 2, -0.1]) + there_and_back[:, None] * np.array([0.01, -0.01, 3e-4])
+    joints = np.array([0.0, np.pi / 2, -0.1]) + _there_and_back(rows) * np.array([0.01, -0.01, 3e-4])
     return joints, np.tile([0.2, 0.0, 0.0, 0.0, 0.0, 0.0], (rows, 1))
+
+
+def _there_and_back(rows: int) -> Array:
+    """0 ... 50 ... 0 and so on (rows, 1)."""
+    return (50.0 - np.abs(np.arange(rows) % 100 - 50.0))[:, None]
 
 
 def _telescope(tubes: int, rows: int) -> int:
@@ -66,7 +70,7 @@ def _telescope(tubes: int, rows: int) -> int:
         [0.3 if joint.motion == "rotation" else -0.02 * (tubes - joint.tube) for joint in model.robot.joints]
     )
     move = np.array([1e-3 if joint.motion == "rotation" else -3e-5 for joint in model.robot.joints])
-    at = joints + (50 - np.abs(np.arange(rows) % 100 - 50))[:, None] * move
+    at = joints + _there_and_back(rows) * move
     load = np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.0], (rows, 1))
     solve_many(model, at[:2], load[:2], along=True, threads=1)
     return round(rows / _spent(lambda: solve_many(model, at, load, along=True, threads=1), 3))

@@ -9,6 +9,7 @@ from core.model.many import solve_many
 from core.model.statics import Statics
 from core.robot.robot import Array, Indices
 from station.config.strict import ConfigError
+from station.gym import TRACK_STEPS
 from station.gym.bodies import Bodies, Bools, Setting
 from station.gym.reach import MOST_DRAWS
 
@@ -23,7 +24,7 @@ POINTS, SMOOTH = 64, 1e-5
 class Track:
     """So many episodes side by side. The path is where the described robot's tip goes without load, and back."""
 
-    def __init__(self, rows: int, setting: Setting, steps: int = 400) -> None:
+    def __init__(self, rows: int, setting: Setting, steps: int = TRACK_STEPS) -> None:
         if steps < POINTS:
             raise ConfigError(f"steps = {steps} are fewer than {POINTS}")
         self.bodies, self.steps = Bodies(setting, rows), steps

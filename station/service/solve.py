@@ -111,14 +111,14 @@ def model_answer(statics: Statics, joints: Array, wrench: Array) -> dict[str, An
 
 
 def _answer(statics: Statics, solution: Solution) -> dict[str, Any]:
-    """To a cold solve, which has looked whether its shape is stable."""
+    """To one request."""
     return {
         "tip": solution.tip.tolist(),
         "joints": list(statics.robot.joint_names),
         "jacobian": solution.jacobian[:3].tolist(),
         "compliance": solution.compliance[:3, :3].tolist(),
         "iterations": solution.iterations,
-        "stability": stability(statics, solution) if solution.wrench[3:].any() else "stable",
+        "stability": stability(statics, solution),
     }
 
 

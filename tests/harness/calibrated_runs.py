@@ -85,11 +85,7 @@ def main() -> None:
     table: dict[tuple[str, str], list] = defaultdict(list)
     for seed in range(parsed.first, parsed.first + parsed.seeds):
         with tempfile.TemporaryDirectory() as where:
-            lab = (
-                parsed.lab
-                if parsed.density is None
-                else _of_density(parsed.lab, parsed.density, Path(where, "lab.toml"))
-            )
+            lab = _of_density(parsed.lab, parsed.density, Path(where, "lab.toml"))
             write(Path(where), lab, seed)
             for name, experiment, case, changes in runs:
                 found = run(Path(where), lab, seed, experiment, case, changes)

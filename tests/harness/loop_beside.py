@@ -18,17 +18,21 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from multiprocessing import get_context, resource_tracker
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import pylsl
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
+
 from station.bench.loop import figures, stolen
+from station.bench.served import Served as TelemetryOf
 from station.bench.timer_probe import TimerProbe
 from station.config.robots import load_robot
-from station.control.process import ring_width
-from station.control.ring import Ring
 from tests.harness.chromium import SIZE, chromium
-from tests.harness.serving import Served, free_port, serving, shared_memory
+from tests.harness.gateway_clients import zenoh_session
+from tests.harness.serving import Served, free_port, serving
 
 MOTION = {
     "trajectory": {"kind": "circle", "radius": 0.010, "period": 20.0},
@@ -81,10 +85,8 @@ def igtl(port: int) -> None:
 
 def foxglove(port: int) -> None:
     """Subscribes to every channel."""
-    from websockets.sync.client import connect
-
-    address, spoken = f"ws://127.0.0.1:{port}/", ["foxglove.sdk.v1"]
-    with connect(address, subprotocols=spoken, proxy=None, max_size=None) as client:  # type: ignore[arg-type]
+    address, spoken = f"ws://127.0.0.1:{port}/", [Subprotocol("foxglove.sdk.v1")]
+    with connect(address, subprotocols=spoken, proxy=None, max_size=None) as client:
         for message in client:
             told = json.loads(message) if isinstance(message, str) else {}
             if told.get("op") == "advertise":
@@ -94,21 +96,13 @@ def foxglove(port: int) -> None:
 
 def ros2(port: int) -> None:
     """Subscribes to every topic."""
-    import zenoh
-
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("scouting/multicast/enabled", "false")
-    config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
-    with zenoh.open(config) as session:
+    with zenoh_session(port) as session:
         session.declare_subscriber("0/**", lambda _: None)
         time.sleep(1e6)
 
 
 def lsl(_: int) -> None:
     """Takes every row."""
-    import pylsl
-
     inlet = pylsl.StreamInlet(pylsl.resolve_byprop("name", "ctr-station", 1, 60.0)[0])
     while True:
         inlet.pull_chunk(timeout=1.0)
@@ -125,10 +119,7 @@ def measured(name: str, seconds: float, settings: str) -> dict[str, Any]:
         probe = owned.enter_context(TimerProbe(max(os.sched_getaffinity(0))))
         station = owned.enter_context(serving(*options, *(["--lsl"] if ports else []), settings=settings, rate=None))
         station.ready()
-        name_of_ring = shared_memory(station.process.pid).pop().name
-        ring = Ring(ring_width(load_robot("paper")), name_of_ring)
-        resource_tracker.unregister(f"/{name_of_ring}", "shared_memory")  # it is the station's to remove
-        owned.callback(ring.close, remove=False)
+        ring = owned.enter_context(TelemetryOf(station.url, station.process.pid).ring(load_robot("paper")))
         owned.enter_context(BESIDE[name](station, ports))
         time.sleep(BEGUN)
         started = station.post("/api/start", {**MOTION, "duration": seconds + 60.0})

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from PIL import Image
-from playwright.sync_api import Browser, FloatRect, Page
+from playwright.sync_api import Browser, FilePayload, FloatRect, Page
 
 from tests.harness.chromium import PATIENCE, SIZE, SLOWLY, chromium
 from tests.harness.pad import LEFT, PAD
@@ -100,8 +100,8 @@ def places(desk: Desk) -> bytes:
     desk.station.ready()
     desk.tab("start")
     desk.page.locator(".card", has_text="Through places").click()
-    file = {"name": "places.csv", "mimeType": "text/csv", "buffer": PLACES.encode()}
-    desk.page.get_by_label("CSV file").set_input_files([file])  # type: ignore[list-item]
+    file = FilePayload(name="places.csv", mimeType="text/csv", buffer=PLACES.encode())
+    desk.page.get_by_label("CSV file").set_input_files(file)
     desk.page.locator(".teach [role=status]", has_text="✓ on the model").wait_for()
     picture = desk.shot()
     desk.page.get_by_role("button", name="all motions").click()

@@ -26,13 +26,12 @@ from urllib.parse import urlsplit
 import httpx
 import numpy as np
 import viser
-from playwright.sync_api import sync_playwright
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
 from station.bench.loop import stolen
 from station.control.realtime import ask_for_fifo
-from tests.harness.chromium import CHROMIUM, FLAGS, bare_page
+from tests.harness.chromium import bare_page, chromium
 from tests.harness.root import ROOT
 from tests.harness.serving import serving
 
@@ -136,7 +135,7 @@ def measure(presses: int) -> np.ndarray:
         with (
             relayed((address[0], int(address[1]))) as told,
             serving(settings=_bench(there, told.recv()), rate=None) as station,
-            sync_playwright() as playwright,
+            chromium() as browser,
         ):
             station.ready()
             viewers = [
@@ -146,7 +145,6 @@ def measure(presses: int) -> np.ndarray:
             for viewer in viewers:
                 viewer.start()
             time.sleep(5.0)
-            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
             with bare_page(browser, station) as page:
                 page.evaluate(
                     "() => document.getElementById('stop').addEventListener('pointerdown',"
@@ -167,7 +165,6 @@ def measure(presses: int) -> np.ndarray:
                     pressed = 1e-3 * float(page.evaluate("() => window.pressed"))
                     stops = heard(told)
                     found.append(1e3 * (stops[min(AXES, len(stops)) - 1] - pressed))
-            browser.close()
             for viewer in viewers:
                 viewer.terminate()
                 viewer.join()

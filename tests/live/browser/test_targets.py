@@ -9,6 +9,7 @@ from playwright.sync_api import Page
 from pyigtl import OpenIGTLinkClient
 from pyigtl.messages import TransformMessage
 
+from tests.harness.gateway_clients import igtl_client
 from tests.harness.serving import Served, serving
 
 
@@ -20,10 +21,8 @@ def running() -> Iterator[Served]:
 
 @pytest.fixture
 def client(running: Served) -> Iterator[OpenIGTLinkClient]:
-    (line,) = [line for line in running.said.read_text().splitlines() if line.startswith("OpenIGTLink is at ")]
-    client = OpenIGTLinkClient("127.0.0.1", int(line.rpartition(":")[2]))
-    yield client
-    client.stop()
+    with igtl_client(running) as client:
+        yield client
 
 
 def test_an_operator_starts_it_and_stop_ends_it(page: Page, station: Served, client: OpenIGTLinkClient) -> None:

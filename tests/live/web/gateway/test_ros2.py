@@ -11,6 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from zenoh.ext import Int64, z_serialize
 
 from tests.harness.gateway import MEASURED, Running, gateway
+from tests.harness.gateway_clients import zenoh_session
 from tests.harness.serving import free_port
 from web.gateway.wanted import Address, Wanted
 
@@ -18,15 +19,6 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 #: As `rmw_zenoh_cpp` spells them: domain, topic, type, hash.
 KEY = re.compile(r"0(?P<topic>/.+)/(?P<package>\w+)::msg::dds_::(?P<name>\w+)_/(?P<hash>RIHS01_[0-9a-f]{64})")
 TOPICS = {"/joint_states", "/tip/measured", "/tip/estimated", "/tip/desired", "/tip/force", "/tf"}
-
-
-def session(port: int, mode: str = "client", way: str = "connect") -> zenoh.Session:
-    config = zenoh.Config()
-    config.insert_json5("mode", f'"{mode}"')
-    config.insert_json5("scouting/multicast/enabled", "false")
-    config.insert_json5("listen/endpoints", "[]")
-    config.insert_json5(f"{way}/endpoints", f'["tcp/127.0.0.1:{port}"]')
-    return zenoh.open(config)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +47,7 @@ def samples(session: zenoh.Session, topics: set[str]) -> dict[str, zenoh.Sample]
 
 
 def test_every_topic_arrives_and_is_what_its_key_says(running: Running) -> None:
-    with closing(session(port_of(running))) as other:
+    with closing(zenoh_session(port_of(running))) as other:
         for sample in samples(other, TOPICS).values():
             match = KEY.fullmatch(str(sample.key_expr))
             assert match is not None
@@ -70,7 +62,7 @@ def test_every_topic_arrives_and_is_what_its_key_says(running: Running) -> None:
 
 
 def test_messages_are_numbered_and_signed_as_rmw_zenoh_wants_them(running: Running) -> None:
-    with closing(session(port_of(running))) as other:
+    with closing(zenoh_session(port_of(running))) as other:
         told = samples(other, {*TOPICS})
     numbers = set()
     for sample in told.values():
@@ -91,7 +83,7 @@ def test_messages_are_numbered_and_signed_as_rmw_zenoh_wants_them(running: Runni
 
 
 def test_the_graph_has_a_node_and_its_publishers(running: Running) -> None:
-    with closing(session(port_of(running))) as other:
+    with closing(zenoh_session(port_of(running))) as other:
         tokens = [str(reply.ok.key_expr).split("/") for reply in other.liveliness().get("@ros2_lv/**") if reply.ok]
     assert [token[5] for token in tokens].count("NN") == 1
     assert {token[8] for token in tokens} == {"ctr_station"}
@@ -102,7 +94,11 @@ def test_the_graph_has_a_node_and_its_publishers(running: Running) -> None:
 
 def test_a_router_that_is_there_is_joined() -> None:
     port = free_port()
-    router = session(port, "router", "listen")
-    with closing(router), gateway(Wanted(ros2=Address("127.0.0.1", port))) as running, closing(session(port)) as other:
+    router = zenoh_session(port, "router", "listen")
+    with (
+        closing(router),
+        gateway(Wanted(ros2=Address("127.0.0.1", port))) as running,
+        closing(zenoh_session(port)) as other,
+    ):
         assert running.lines == (f"ROS 2 is with the Zenoh router at 127.0.0.1:{port}",)
         assert set(samples(other, TOPICS)) == TOPICS

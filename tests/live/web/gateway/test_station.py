@@ -13,6 +13,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from core.robot.robot import Array
+from tests.harness.gateway_clients import igtl_client
 from tests.harness.serving import Served, serving
 
 WIDE = {"silence": 2.0, "end": 5.0}  # the station's clock is slow and the computer busy
@@ -28,10 +29,8 @@ def served() -> Iterator[Served]:
 
 @pytest.fixture
 def client(served: Served) -> Iterator[OpenIGTLinkClient]:
-    (line,) = [line for line in served.said.read_text().splitlines() if line.startswith("OpenIGTLink is at 127.0.0.1:")]
-    client = OpenIGTLinkClient("127.0.0.1", int(line.rpartition(":")[2]))
-    yield client
-    client.stop()
+    with igtl_client(served) as client:
+        yield client
 
 
 def test_a_target_moves_nothing_without_a_run_for_it(served: Served, client: OpenIGTLinkClient) -> None:
