@@ -5,19 +5,23 @@ log det of the information, log det(1 + J A^-1 J^T) for its rows J. The chosen o
 short ways, and each way is walked on the model before it is taken.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from core.calibration.measurements import Measurement, Noise
-from core.calibration.prediction import Frames, Prediction
+from core.calibration.prediction import Frames, Prediction, predicted
 from core.calibration.quantities import Quantity
 from core.calibration.rigid import Rigid
 from core.errors import CtrError, Unreachable
+from core.model.many import solve_many
 from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.limits import Limits, Situation
-from core.robot.robot import Array, Indices, Robot
+from core.robot.robot import Array, Flags, Indices, Robot
+
+T = TypeVar("T")
 
 #: Rotations further than half a turn from zero show nothing new [rad].
 HALF_TURN = np.pi
@@ -33,15 +37,11 @@ def candidates(statics: Statics, limits: Limits, force: Array, count: int) -> Ar
     """Joint positions (m, n) spread evenly over what the limits allow under a tip force (3,); m <= count."""
     lower = np.array([max(j.lower, -HALF_TURN) if j.unit == "rad" else j.lower for j in limits.joints])
     upper = np.array([min(j.upper, HALF_TURN) if j.unit == "rad" else j.upper for j in limits.joints])
-    room = upper - lower
-    found = [
-        joints
-        for part in evenly(count, room.size)
-        if possible(statics, limits, joints := lower + room * (MARGIN + (1.0 - 2.0 * MARGIN) * part), force)
-    ]
-    if not found:
+    inner = lower + (upper - lower) * (MARGIN + (1.0 - 2.0 * MARGIN) * evenly(count, lower.size))
+    found = inner[possible(statics, limits, inner, force)]
+    if not found.size:
         raise Unreachable(f"none of {count} poses inside the travel is inside all limits under {force.tolist()} N")
-    return np.array(found)
+    return found
 
 
 def evenly(count: int, n: int) -> Array:
@@ -53,17 +53,24 @@ def evenly(count: int, n: int) -> Array:
     return (0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0
 
 
-def possible(statics: Statics, limits: Limits, joints: Array, force: Array) -> bool:
-    """Whether the robot can stand there: inside travel, order, workspace, and far from snapping."""
+def possible(statics: Statics, limits: Limits, poses: Array, force: Array) -> Flags:
+    """At which joint positions (m, n) the robot can stand (m,): inside travel, order, workspace, far from snapping."""
+    can = np.array([_holds(limits.check, joints) for joints in poses])
+    travel = poses[can]
+    solved = solve_many(statics, travel, np.tile(pure_force(force), (len(travel), 1)))
+    can[can] = [
+        solved.ok[k] and solved.stability[k] > STABLE and all(_holds(limit.check, at) for limit in limits.others)
+        for k, at in enumerate(map(Situation, travel, solved.jacobian[:, :3], solved.tip, [force] * len(travel)))
+    ]
+    return can
+
+
+def _holds(check: Callable[[T], None], what: T) -> bool:
     try:
-        limits.check(joints)
-        pose = statics.solve(joints, pure_force(force))
-        at = Situation(joints, pose.jacobian[:3], pose.tip, force)
-        for limit in limits.others:
-            limit.check(at)
+        check(what)
     except CtrError:
         return False
-    return pose.stability > STABLE
+    return True
 
 
 def choose(
@@ -108,9 +115,14 @@ def choose(
 
 
 def placed(robot: Robot, measurements: Sequence[Measurement], force: Array) -> list[Measurement]:
-    """Measurements with the coil where the model has the tip."""
-    model, wrench = Statics(robot, integrator="fourth_order"), pure_force(force)
-    return [measurement._replace(coil=model.solve(measurement.joints, wrench).tip) for measurement in measurements]
+    """Measurements with the coil where the model has the tip.
+
+    Raises:
+        NoSolution, PoseError: it has none at one of them.
+
+    """
+    tips = predicted(robot, measurements, np.tile(force, (len(measurements), 1))).complete().tip
+    return [measurement._replace(coil=tip) for measurement, tip in zip(measurements, tips, strict=True)]
 
 
 def tour(statics: Statics, limits: Limits, start: Array, poses: Array, force: Array) -> Array:
@@ -139,4 +151,5 @@ def tour(statics: Statics, limits: Limits, start: Array, poses: Array, force: Ar
 
 def way_is_free(statics: Statics, limits: Limits, start: Array, end: Array, force: Array) -> bool:
     """Whether the straight way between two joint positions stays inside all limits."""
-    return all(possible(statics, limits, start + (end - start) * step / STEPS, force) for step in range(1, STEPS + 1))
+    parts = np.arange(1, STEPS + 1)[:, None] / STEPS
+    return bool(possible(statics, limits, start + (end - start) * parts, force).all())

@@ -21,14 +21,12 @@ from numpy.typing import NDArray
 
 from core.calibration.fit import Fit, Parameter, Unobservable, fit
 from core.calibration.measurements import Measurement, Noise
-from core.calibration.prediction import Frames, Lag, NoShape, Prediction
+from core.calibration.prediction import Frames, Lag, NoShape, Prediction, predicted
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
 from core.calibration.rigid import Rigid, cross_matrix
 from core.calibration.tubes import LEAST_LOADED
 from core.errors import CtrError
-from core.model.solution import pure_force
-from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 
 Extent = Literal["none", "frames", "tubes"]
@@ -210,15 +208,9 @@ def _near(errors: Array, most: int) -> NDArray[np.bool_]:
 
 def _errors(robot: Robot, frames: Frames, plays: Array, measurements: Sequence[Measurement], forces: Array) -> Array:
     """Measured minus predicted point (m, 3), robot's frame [m]; NaN where the model has no shape."""
-    model, found = Statics(robot, integrator="fourth_order"), np.full((len(measurements), 3), math.nan)
-    for k, measurement in enumerate(measurements):
-        joints = measurement.joints if measurement.came is None else measurement.joints - 0.5 * plays * measurement.came
-        try:
-            pose = model.solve(joints, pure_force(forces[k]))
-        except CtrError:
-            continue
-        found[k] = frames.registration.apply(measurement.coil) - pose.tip - pose.rotation @ frames.coil
-    return found
+    solved = predicted(robot, measurements, forces, plays)
+    points = np.array([measurement.coil for measurement in measurements])
+    return frames.registration.apply(points) - solved.tip - solved.rotation @ frames.coil
 
 
 def alike(joints: Array, errors: Array) -> float:

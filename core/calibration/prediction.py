@@ -26,7 +26,7 @@ from core.calibration.measurements import Measurement, Noise
 from core.calibration.quantities import Quantity, changed
 from core.calibration.rigid import Rigid, rotation_of
 from core.errors import NoSolution
-from core.model.solution import Solution, pure_force
+from core.model.many import Solutions, solve_many
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 
@@ -44,6 +44,22 @@ class NoShape(NoSolution):
     def __init__(self, measurement: int, text: str) -> None:
         super().__init__(text)
         self.measurement = measurement  #: its number
+
+
+def predicted(
+    robot: Robot, measurements: Sequence[Measurement], forces: Array, plays: Array | None = None,
+    near: Solutions | None = None,
+) -> Solutions:  # fmt: skip
+    """The model at measurements under tip forces (m, 3) [N].
+
+    Every joint is behind the way that it came by half of its play (n,). `near` are solutions nearby.
+    """
+    joints = np.array([measurement.joints for measurement in measurements])
+    if plays is not None:
+        came = [np.zeros(plays.size) if measurement.came is None else measurement.came for measurement in measurements]
+        joints = joints - 0.5 * plays * np.array(came)
+    wrenches = np.column_stack((forces, np.zeros((len(joints), 3))))
+    return solve_many(Statics(robot, integrator="fourth_order"), joints, wrenches, near)
 
 
 class Lag(NamedTuple):
@@ -121,7 +137,7 @@ class Prediction:
             else:
                 place[:, k - 3] = 1.0
             columns.append(self._weighted(place, direction))
-        tips = np.array([s.rotation for s in solved])
+        tips = solved.rotation
         columns += [self._weighted(-tips[:, :, k], np.zeros_like(self._directions)) for k in range(3)]
         for k in range(self._tilts):
             step = np.zeros(3)
@@ -144,24 +160,17 @@ class Prediction:
         """The robot at parameters (p,)."""
         return changed(self.robot, self.what, values)
 
-    def solutions(self, values: Array) -> list[Solution]:
+    def solutions(self, values: Array) -> Solutions:
         """The model at every measurement.
 
         Raises:
             NoShape: it has none at one of them.
 
         """
-        model, plays = Statics(self.tubes(values), integrator="fourth_order"), self.plays(values)
-        found: list[Solution] = []
-        for k, measurement in enumerate(self.measurements):
-            wrench = pure_force(self.forces[k])
-            joints = (
-                measurement.joints if measurement.came is None else measurement.joints - 0.5 * plays * measurement.came
-            )
-            try:
-                found.append(model.solve(joints, wrench, self._nominal[k]))
-            except NoSolution as error:
-                raise NoShape(k, str(error)) from None
+        found = predicted(self.tubes(values), self.measurements, self.forces, self.plays(values), self._nominal)
+        if found.failures:
+            first = min(found.failures)
+            raise NoShape(first, str(found.failures[first]))
         return found
 
     def errors(self, values: Array) -> Array:
@@ -190,12 +199,9 @@ class Prediction:
         return len(self.what) + len(self._plays)
 
     @cached_property
-    def _nominal(self) -> list[Solution]:
-        model = Statics(self.robot, integrator="fourth_order")
-        return [
-            model.solve(measurement.joints, pure_force(force))
-            for measurement, force in zip(self.measurements, self.forces, strict=True)
-        ]
+    def _nominal(self) -> Solutions:
+        """Of the robot as it was believed to be."""
+        return predicted(self.robot, self.measurements, self.forces).complete()
 
     @cached_property
     def _coils(self) -> Array:
@@ -227,24 +233,21 @@ class Prediction:
     @cached_property
     def _weights(self) -> Array:
         """(m, 3, 3): inverse Cholesky factors of the measurements' covariances."""
-        found: list[Array] = []
-        for measurement, solution in zip(self.measurements, self._nominal, strict=True):
-            c = solution.compliance[:3, :3]
-            force = 0.0 if measurement.weight == 0.0 else self.noise.force
-            covariance = self.noise.coil**2 * np.eye(3) + force**2 * c @ c.T
-            found.append(np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64))
-        return np.array(found)
+        c = self._nominal.compliance[:, :3, :3]
+        force = np.array([0.0 if m.weight == 0.0 else self.noise.force for m in self.measurements])[:, None, None]
+        covariance = self.noise.coil**2 * np.eye(3) + force**2 * c @ c.transpose(0, 2, 1)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
 
     def _turned(self, values: Array) -> Array:
         """Measured coils (m, 3) in the robot's frame, from the middle about which R turns."""
         own = values[self._first :]
         return (self.start.registration.apply(self._coils) - self.middle) @ rotation_of(own[:3]).T
 
-    def _errors(self, values: Array, solved: Sequence[Solution]) -> tuple[Array, Array]:
+    def _errors(self, values: Array, solved: Solutions) -> tuple[Array, Array]:
         """Of the positions (m, 3) [m] and of the directions (m, c, 3)."""
         frames = self.frames(values)
-        tips, turns = np.array([s.tip for s in solved]), np.array([s.rotation for s in solved])
-        place = frames.registration.apply(self._coils) - tips - turns @ frames.coil
+        turns = solved.rotation
+        place = frames.registration.apply(self._coils) - solved.tip - turns @ frames.coil
         seen = self._directions @ frames.registration.rotation.T
         axes = rotation_of(frames.tilt)[:, self._columns]
         return place, seen - np.einsum("mij,jc->mci", turns, axes)

@@ -17,9 +17,8 @@ import numpy as np
 
 from core.calibration.fit import Fit, Unobservable, fit, weak_combinations
 from core.calibration.measurements import Measurement, Noise
-from core.calibration.prediction import Frames, Prediction
+from core.calibration.prediction import Frames, Prediction, predicted
 from core.calibration.rigid import kabsch
-from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
@@ -68,11 +67,7 @@ class Registration(NamedTuple):
 
 def closed_form(robot: Robot, measurements: Sequence[Measurement], forces: Array) -> Frames:
     """Frames with the coil at the tip."""
-    model = Statics(robot, integrator="fourth_order")
-    tips = np.array([
-        model.solve(measurement.joints, pure_force(force)).tip
-        for measurement, force in zip(measurements, forces, strict=True)
-    ])  # fmt: skip
+    tips = predicted(robot, measurements, forces).complete().tip
     return Frames(kabsch(np.array([measurement.coil for measurement in measurements]), tips), np.zeros(3), np.zeros(3))
 
 

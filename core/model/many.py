@@ -19,7 +19,7 @@ from core.model.newton import CLOSE, CLOSEST, newton
 from core.model.only_shape import only_shape
 from core.model.solution import CONTACT, JOINTS, PASSES, STABILITY, TUBES, Solution, count, parts, places
 from core.model.statics import Statics
-from core.robot.robot import Array, Indices, tube_poses, unpack
+from core.robot.robot import Array, Flags, Indices, tube_poses, unpack
 
 #: Rows that are solved in one go. A chunk along rows begins cold, whoever solves it.
 CHUNK = 500
@@ -43,11 +43,22 @@ class Solutions:
         return self.numbers.shape[0]
 
     @cached_property
-    def ok(self) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def ok(self) -> Flags:
         """(k,) which rows are solved."""
         solved = np.ones(len(self), np.bool_)
         solved[list(self.failures)] = False
         return solved
+
+    def complete(self) -> "Solutions":
+        """These, of which none is missing.
+
+        Raises:
+            PoseError, NotFinite, NoSolution: the first one that is, see `Statics.solve`.
+
+        """
+        for row in sorted(self.failures)[:1]:
+            raise self.failures[row]
+        return self
 
     @property
     def tip(self) -> Array:

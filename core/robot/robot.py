@@ -20,6 +20,7 @@ from core.errors import DescriptionError, PoseError
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 #: Beyond these nobody builds one, and a slip of the unit would keep the model busy for ever.
 MOST_TUBES, MOST_SECTIONS, LONGEST = 8, 50, 5.0  # LONGEST: of a tube [m]

@@ -12,7 +12,7 @@ from core.calibration.prediction import Frames
 from core.calibration.quantities import quantities
 from core.calibration.registration import Registration, register
 from core.calibration.tubes import HeldOut, TubeCalibration, calibrate_tubes, held_out
-from core.model.solution import pure_force
+from core.model.many import Solutions, solve_many
 from core.robot.own_weight import own_weight
 from core.robot.robot import Array
 from station.calibration.plan import NOISE, Subject
@@ -149,11 +149,8 @@ def tubes(subject: Subject, effort: Effort) -> Procedure[TubesResult]:
         for which in (np.ones(len(check), dtype=bool), loaded)
     )
     heavy = [measurement for measurement, w in zip(check, loaded, strict=True) if w]
-    expected = [
-        subject.statics.solve(measurement.joints, pure_force(force_)).tip
-        for measurement, force_ in zip(heavy, check_forces[loaded], strict=True)
-    ]
-    believed: Array = np.linalg.norm(np.array([measurement.coil for measurement in heavy]) - np.array(expected), axis=1)
+    expected = _believed(subject, heavy, check_forces[loaded]).tip
+    believed: Array = np.linalg.norm(np.array([measurement.coil for measurement in heavy]) - expected, axis=1)
     checks = _checks(subject, sensors, measurements, effort)
     return TubesResult(found, sensors, checks, all_, under_load, believed, tuple(measurements), tuple(check))
 
@@ -203,12 +200,15 @@ def _sags(subject: Subject, measurements: Sequence[Measurement]) -> Array:
 
 def _tips(subject: Subject, frames: Frames, measurements: Sequence[Measurement], forces: Array) -> Array:
     """Measured tips (m, 3), robot's frame [m]; the coil's place is carried back along the model's frame."""
-    turns = [
-        subject.statics.solve(measurement.joints, pure_force(force_)).rotation
-        for measurement, force_ in zip(measurements, forces, strict=True)
-    ]
+    turns = _believed(subject, measurements, forces).rotation
     coils = frames.registration.apply(np.array([measurement.coil for measurement in measurements]))
-    return coils - np.array([turn @ frames.coil for turn in turns])
+    return coils - turns @ frames.coil
+
+
+def _believed(subject: Subject, measurements: Sequence[Measurement], forces: Array) -> Solutions:
+    """The model that controls the robot, at measurements under tip forces (m, 3) [N]."""
+    joints = np.array([measurement.joints for measurement in measurements])
+    return solve_many(subject.statics, joints, np.column_stack((forces, np.zeros_like(forces)))).complete()
 
 
 def _checks(

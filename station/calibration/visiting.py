@@ -10,7 +10,7 @@ import numpy as np
 from core.calibration.measurements import Measurement
 from core.control.step import Controller
 from core.control.trajectories import JointMotion
-from core.model.solution import pure_force
+from core.model.many import solve_many
 from core.robot.robot import Array
 from station.calibration.procedure import AbortedError, GoTo, Swing, Swung
 from station.control.margins import Margins
@@ -93,9 +93,9 @@ def _coils(channels: Channels, frames: Array, controller: Controller) -> Array:
     tips, known = channels.of(frames, "tip_measured"), controller.corrections
     if known is None or not known.coil.any():
         return tips
-    loads = zip(channels.of(frames, "joints"), channels.of(frames, "force"), strict=True)
-    turns = [controller.statics.solve(joints, pure_force(force)).rotation for joints, force in loads]
-    return tips + np.array([turn @ known.coil for turn in turns])
+    forces = channels.of(frames, "force")
+    loads = np.column_stack((forces, np.zeros_like(forces)))
+    return tips + solve_many(controller.statics, channels.of(frames, "joints"), loads).complete().rotation @ known.coil
 
 
 def _period(times: Array) -> float:

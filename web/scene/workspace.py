@@ -4,13 +4,13 @@ import threading
 
 import numpy as np
 
-from core.errors import CtrError
+from core.model.many import solve_many
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Indices
 
-#: Poses that are tried.
-POSES = 1500
+#: Poses that are tried, and how many between two looks whether to end.
+POSES, AT_ONCE = 1500, 100
 #: Cuts across the axis, and corners of each ring.
 CUTS, CORNERS = 28, 48
 
@@ -21,17 +21,14 @@ def reachable_tips(
     """Tips (k, 3) [m] of unloaded poses spread evenly over the joints' travel; poses that cannot be are left out."""
     lower = np.array([limit.lower for limit in limits.joints])
     upper = np.array([limit.upper for limit in limits.joints])
-    tips: list[Array] = []
-    for share in np.random.default_rng(0).random((poses, len(lower))):
+    joints = lower + np.random.default_rng(0).random((poses, len(lower))) * (upper - lower)
+    tips = [np.empty((0, 3))]
+    for some in np.split(joints, range(AT_ONCE, poses, AT_ONCE)):
         if ending is not None and ending.is_set():
             break
-        joints = lower + share * (upper - lower)
-        try:
-            limits.check(joints)
-            tips.append(statics.solve(joints, np.zeros(6)).tip)
-        except CtrError:
-            continue
-    return np.array(tips).reshape(-1, 3)
+        solved = solve_many(statics, some, np.zeros((len(some), 6)))
+        tips.append(solved.tip[solved.ok])
+    return np.concatenate(tips)
 
 
 def turns_as_a_whole(limits: Limits, statics: Statics) -> bool:

@@ -84,7 +84,7 @@ def test_a_way_through_a_forbidden_region_is_not_free(paper_robot, paper_limits)
     walled = Limits(paper_limits.joints, others=(Workspace(tuple(lower), tuple(upper)),))
 
     assert way_is_free(model, paper_limits, left, right, REST)
-    assert possible(model, walled, left, REST)
+    assert possible(model, walled, left[None], REST).all()
     assert not way_is_free(model, walled, left, right, REST)
 
 
