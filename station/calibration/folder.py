@@ -1,9 +1,12 @@
-"""The folder of a calibration: a new one, made at once, so that nobody else takes its name meanwhile."""
+"""The folder of a calibration: its files, and a new one, made at once, so that nobody else takes its name meanwhile."""
 
 import contextlib
 from pathlib import Path
 
 from station.config.strict import ConfigError
+
+#: What was measured, what came of it as numbers, and for reading.
+VISITS, NUMBERS, REPORT = "visits.json", "report.json", "report.html"
 
 
 def new_folder(out: Path, name: str) -> Path:

@@ -8,14 +8,13 @@ from rich.table import Table
 from rich.text import Text
 
 from station.calibration import files, summary
+from station.calibration.folder import NUMBERS, VISITS
 from station.calibration.plan import Subject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
 from station.calibration.summary import Result
 from station.config.strict import ConfigError
 from station.devices.aurora.tracker import Registration
 from station.lab.aurora.coil import MOUNT
-
-VISITS, NUMBERS, REPORT = "visits.json", "report.json", "report.html"
 
 
 class Provenance(NamedTuple):

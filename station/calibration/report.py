@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from core.calibration.fit import Fit
 from core.robot.robot import Array
-from station.calibration.outcome import REPORT
+from station.calibration.folder import REPORT
 from station.calibration.plan import Subject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
 from station.calibration.summary import Result, findings, rows

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from core.errors import CtrError
 from station.calibration.catalogue import OFFERS
-from station.calibration.outcome import NUMBERS, REPORT, VISITS
+from station.calibration.folder import NUMBERS, REPORT, VISITS
 from station.config.strict import Strict
 from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS
 

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from station.calibration import files
 from station.calibration.findings import findings
-from station.calibration.outcome import NUMBERS
+from station.calibration.folder import NUMBERS
 from station.calibration.poses import Poses, recorded
 from station.calibration.validation import Validation, calibration, found_rows
 from station.calibration.validation_numbers import numbers

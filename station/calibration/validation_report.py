@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from core.calibration.measured import Spread
 from core.robot.robot import Array
 from station.calibration.findings import cannot_tell, findings
-from station.calibration.outcome import REPORT
+from station.calibration.folder import REPORT
 from station.calibration.poses import LeftOut
 from station.calibration.report import intervals
 from station.calibration.validation import (

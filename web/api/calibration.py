@@ -8,7 +8,7 @@ from starlette.exceptions import HTTPException
 
 from station.calibration.catalogue import OFFERS, WEIGHTS
 from station.calibration.exchange import Todo, checklist
-from station.calibration.outcome import REPORT
+from station.calibration.folder import REPORT
 from station.calibration.results import Kept, NoResultError, Results
 from station.config.robots import load_robot, robot_of
 from station.config.strict import preset_names
