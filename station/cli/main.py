@@ -17,6 +17,7 @@ from station.cli import bench, calibrate, export, keys, report, run, soak, sweep
 from station.cli.options import between
 from station.cli.placed import command_first
 from station.config.strict import preset_names
+from station.threads import one_thread_each
 
 #: What the system says of a path that cannot even be looked at, wherever it was given.
 NO_PATH = (errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES)
@@ -91,6 +92,7 @@ def execute(top: Parser, commands: Container[str], arguments: Sequence[str] | No
         top.print_help()
         return 2
     command: Callable[[argparse.Namespace], int] = parsed.command
+    one_thread_each()
     try:
         return command(parsed)
     except CtrError as error:

@@ -148,16 +148,6 @@ def is_dying(pid: int) -> bool:
     return told.get("State", "")[:1] in ("Z", "X") or bool(pending >> (_SIGKILL - 1) & 1)
 
 
-def one_thread_each() -> None:
-    """Processes that are started from now on get no threads for linear algebra.
-
-    A control process needs none for matrices of 3 x 3, and what is killed lets go of its pipes only when the last
-    of its threads has ended: on a busy computer those of normal priority take a tenth of a second for that.
-    """
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-
-
 def calm_memory() -> None:
     """No garbage collection pauses: what lives now lives for ever, the loop makes no cycles."""
     keep_memory()

@@ -3,7 +3,6 @@
 What comes out is what comes out of one after the other: a job shares nothing with its neighbours.
 """
 
-import contextlib
 import os
 import signal
 import threading
@@ -16,9 +15,8 @@ from typing import Any, Self, TypeVar, cast
 
 from core.errors import CtrError
 from station.experiments.interrupt import interrupts
+from station.threads import one_thread_meanwhile
 
-#: Threads that libraries start by themselves would only fight over the processors.
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 #: Between two looks at how far the jobs have come [s].
 LOOK = 0.2
 
@@ -82,7 +80,7 @@ class Processes:
 
     def prepare(self, work: Callable[[], None]) -> None:
         """Have a first process do this meanwhile."""
-        with _one_thread_each(), _deaf_to_interrupts():
+        with one_thread_meanwhile(), _deaf_to_interrupts():
             self._pool.submit(work)
 
     def carry_out(
@@ -97,7 +95,7 @@ class Processes:
             ProcessLost: a process was killed.
         """
         try:
-            with _one_thread_each(), _deaf_to_interrupts():
+            with one_thread_meanwhile(), _deaf_to_interrupts():
                 futures = [self._pool.submit(_work, work, number, about) for number, about in enumerate(listed)]
             self._wait(futures, told, go_on)
             return [future.result() for future in futures if not future.cancelled()]
@@ -178,19 +176,3 @@ def _deaf_to_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """New processes start with this environment."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                with contextlib.suppress(KeyError):
-                    del os.environ[name]
-            else:
-                os.environ[name] = value

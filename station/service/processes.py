@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection
 from typing import Any
 
 from station.control.messages import Notice
-from station.control.realtime import ask_for_fifo, one_thread_each
+from station.control.realtime import ask_for_fifo
 from station.control.ring import HEARTBEAT, LAB_HEARTBEAT, STATION_HEARTBEAT, Ring
 from station.control.states import RefusedError, State
 from station.service.backend import Backend
@@ -15,6 +15,7 @@ from station.service.bench import Bench
 from station.service.control_host import WATCHER_PRIORITY, ControlHost, Ending, Said
 from station.service.last_stop import NOTHING, Stopped
 from station.service.sign_of_life import goes_on
+from station.threads import one_thread_each
 
 #: A control process that has begun to tick and has not for so long is hung: it is ended, the stages are stopped [s].
 HUNG = 1.0

@@ -1,6 +1,5 @@
 """What the system grants, looked at from outside."""
 
-import gc
 import os
 import subprocess
 import sys
@@ -8,7 +7,7 @@ import time
 
 import pytest
 
-from station.control.realtime import is_dying, one_thread_each
+from station.control.realtime import is_dying
 from tests.harness.root import ROOT
 from tests.harness.waiting import NET
 
@@ -77,10 +76,3 @@ def test_a_killed_process_is_seen_to_die_before_it_is_reaped() -> None:
         while not is_dying(process.pid):
             assert time.monotonic() < deadline
     assert not is_dying(process.pid)  # there is none of that number
-
-
-def test_processes_get_no_threads_for_linear_algebra() -> None:
-    one_thread_each()
-    script = "import os, numpy; print(len(os.listdir('/proc/self/task')))"
-    assert int(subprocess.run([sys.executable, "-c", script], capture_output=True, check=True).stdout) == 1
-    assert gc.isenabled()
