@@ -31,7 +31,7 @@ class RegistrationFile(Strict):
     rotation_vector: Vector
     """p_robot = R(rotation_vector) p_tracker + position [rad]"""
     position: Vector
-    """[m]"""
+    """the other part of that motion [m]"""
     coil: Vector = (0.0, 0.0, 0.0)
     """of the coil in the frame of the innermost tube's tip [m]"""
     rms_error: NotNegative
@@ -39,7 +39,7 @@ class RegistrationFile(Strict):
     rotation_interval: Vector
     """half of 95 %, about x, y, z [rad]"""
     position_interval: Vector
-    """[m]"""
+    """half of 95 %, along x, y, z [m]"""
 
 
 Six = Annotated[tuple[float, float, float, float, float, float], Row]
@@ -51,7 +51,7 @@ class SensorFile(Strict):
     mounting: Vector
     """rotation vector from the sensor's axes to its tube's [rad]"""
     weight: float
-    """of what hangs on it [N]"""
+    """of what hangs on it, any number [N]"""
     first_moment: Vector
     """weight times its place in the tube's axes [N m]"""
     skew: Annotated[tuple[Six, Six, Six, Six, Six, Six], Row] | None = None
