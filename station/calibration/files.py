@@ -49,6 +49,7 @@ def write_registration(
     half = 1.96 * fit.errors[first : first + 6]
     text = f"""# Where the tracker stands: p_robot = R(rotation_vector) p_tracker + position.
 # The turn about z is counted from the zero angle of the outermost tube, z from the plate as its straight part has it.
+format = {FORMAT}
 robot = {toml_string(robot.name)}
 made = {toml_string(made)}
 rotation_vector = {_row(vector_of(whole.rotation))}  # [rad]
@@ -65,6 +66,7 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
     """Mounting and hanging weight of each sensor."""
     lines = [
         "# How the base sensors stand and what hangs on them; offsets are tared before every run.",
+        f"format = {FORMAT}",
         f"robot = {toml_string(robot.name)}",
         f"made = {toml_string(made)}",
         f"gravity = {_row(found.sensors.gravity)}  # plate's frame",

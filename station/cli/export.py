@@ -19,13 +19,11 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    from station.cli.options import data_of, progress_bar
+    from station.cli.options import progress_bar, recovered
     from station.recording.export import export_run
     from station.recording.history import resolve_run
-    from station.recording.recover import recover
 
-    runs = data_of(parsed)
-    recover(runs)
+    runs = recovered(parsed)
     with progress_bar() as bar:
         tasks: dict[str, TaskID] = {}
 

@@ -33,6 +33,10 @@ Besides, an experiment's file has `[cases.NAME]`, tables that change any of thes
 `[cross.AXIS.CHOICE]` there is a case for every combination of choices; and `[paper.NAME]` holds numbers to compare
 with: `max_abs_error_mm` by axis, `model_error_mm` by model. Without any of them there is one case, of the file's name.
 """
+CALIBRATIONS = """
+`ctr-station calibrate` writes this file and the next into a folder of its own, with a `robot.toml` that is a robot's
+file as above; `calibration` of a station or an experiment names the folder.
+"""
 DEVICES = """
 What each driver of `[devices]` has to be told is in [devices](devices/README.md).
 """
@@ -54,6 +58,7 @@ def _keys(parsed: argparse.Namespace) -> int:  # noqa: ARG001 - it takes no opti
 def page() -> str:
     """The whole page, Markdown."""
     from station.config.robots import RobotFile
+    from station.control.known_calibration import RegistrationFile, SensorsFile
     from station.experiments.experiment import CaseFile
     from station.lab.config import LabConfig
     from station.service.station_file import StationFile
@@ -65,6 +70,8 @@ def page() -> str:
         ("Station", StationFile, DEVICES),
         ("Virtual lab", LabConfig, ""),
         ("Experiment", CaseFile, CASES),
+        ("Calibration: registration.toml", RegistrationFile, CALIBRATIONS),
+        ("Calibration: sensors.toml", SensorsFile, ""),
     ):
         schema = TypeAdapter(model).json_schema()
         definitions = schema.pop("$defs", {})

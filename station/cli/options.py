@@ -1,6 +1,7 @@
 """What commands share: how options are read, and the progress bar."""
 
 import argparse
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,6 +62,17 @@ def count(most: int) -> Callable[[str], int]:
 def data_of(parsed: argparse.Namespace) -> Path:
     """Folder of runs, calibrations and log."""
     return Path("runs") if parsed.data is None else parsed.data
+
+
+def recovered(parsed: argparse.Namespace) -> Path:
+    """The same, once the runs in it that were cut off are finished; those that cannot be are told."""
+    from station.recording.recover import left_alone, recover
+
+    runs = data_of(parsed)
+    recover(runs)
+    for sentence in left_alone(runs):
+        sys.stderr.write(f"ctr-station: {sentence}\n")
+    return runs
 
 
 def results_of(parsed: argparse.Namespace, name: str) -> Path:

@@ -53,10 +53,7 @@ def _curves(parsed: argparse.Namespace) -> int:
 
 
 def _folder(parsed: argparse.Namespace) -> Path:
-    from station.cli.options import data_of
+    from station.cli.options import recovered
     from station.recording.history import resolve_run
-    from station.recording.recover import recover
 
-    runs = data_of(parsed)
-    recover(runs)
-    return resolve_run(parsed.run, runs)
+    return resolve_run(parsed.run, recovered(parsed))

@@ -26,10 +26,11 @@ class ControllerFile(Strict):
     inner: str = "type_1"
     """of inner_loop and dual_layer: type_1, type_1_exact or type_2"""
     k1: float = 2.5
-    """[1/s]"""
+    """gain of the measured tip in eq. (30), 0 ... 50 [1/s]"""
     k2: float = 2.5
-    """[1/s]"""
+    """gain of the setpoint there, 0 ... 50 [1/s]"""
     feedforward: bool = False
+    """add the trajectory's own velocity to eq. (30); without, the tip lags as eq. (31) says"""
     feedback: Literal["tracker", "observer"] = "tracker"
     """what the outer loop looks at: the latest frame as in the paper, or the observed tip of the moment at which
     its command takes effect"""
@@ -38,15 +39,15 @@ class ControllerFile(Strict):
     tip_velocity: Literal["observer", "tracker"] = "observer"
     """for type_2: as observed, or the tracker's frames differentiated, which the paper warns of"""
     filter_bandwidth: float = 1.0
-    """of the deflection's and the force's rate [Hz]"""
+    """of the deflection's and the force's rate, greater than 0 and below 250 [Hz]"""
     observer_bandwidth: float = 2.0
-    """of the model's bias [Hz]"""
+    """of the model's bias, greater than 0 [Hz]"""
     hold: float = 0.025
-    """between two commands to the same stage, planned for [s]"""
+    """between two commands to the same stage, planned for, 0 ... 1 [s]"""
     transport: float = 0.012
-    """from a command to the motor, planned for [s]"""
+    """from a command to the motor, planned for, 0 ... 1 [s]"""
     sublink: Annotated[float, Field(ge=0.0005, le=0.05)] = PAPER_SUBLINK
-    """[m]"""
+    """length of the model's sub-links [m]"""
 
     def controller(self, robot: RobotFile) -> Controller:
         """The controller of a robot.

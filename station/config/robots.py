@@ -35,7 +35,7 @@ class SectionFile(Strict):
     """One piece of a tube, from the proximal end."""
 
     length: Positive
-    """[m]"""
+    """of the piece, along the tube [m]"""
     curvature: Annotated[tuple[float, float], Row] = (0.0, 0.0)
     """x, y in the tube's frame [1/m]; an arc of radius r that bends toward -y is [1/r, 0]"""
 
@@ -44,23 +44,25 @@ class TubeFile(Strict):
     """One tube; innermost first in the file."""
 
     name: Name
+    """by which joints, labs, sensors and calibrations call it"""
     bending_stiffness: float
-    """EI [N m^2]"""
+    """EI, greater than 0 [N m^2]"""
     poisson_ratio: float = 0.30
-    """GJ = EI / (1 + poisson_ratio)"""
+    """GJ = EI / (1 + poisson_ratio), -1 ... 0.5"""
     torsional_stiffness: float | None = None
-    """GJ [N m^2] where it does not follow from EI and poisson_ratio (a patterned tube)"""
+    """GJ where it does not follow from EI and poisson_ratio (a patterned tube), greater than 0 [N m^2]"""
     rotation: float = 0.0
-    """of a tube that no joint turns [rad]"""
+    """of a tube that no joint turns, any angle [rad]"""
     translation: float = 0.0
     """proximal end of a tube that no joint slides, behind the plate: not positive [m]"""
     outer_diameter: float
-    """[m]"""
+    """of its wall outside, greater than 0 [m]"""
     inner_diameter: float
-    """[m]"""
+    """of its wall inside, 0 ... outer_diameter [m]"""
     density: NotNegative = 0.0
     """of its material: calibration takes the tube's own weight from it and the diameters; 0 leaves it out [kg/m^3]"""
     sections: Annotated[tuple[SectionFile, ...], Row]
+    """its pieces, from the proximal end to the distal one"""
 
     @property
     def weight(self) -> float:
@@ -72,16 +74,19 @@ class JointFile(Strict):
     """One stage and the tube it moves."""
 
     name: Name
+    """by which start poses, station files, recordings and pages call it"""
     tube: str
+    """that it moves, by name"""
     motion: Literal["rotation", "translation"]
+    """what it does to the tube: turn it, or slide it along z"""
     lower: float
-    """[rad or m]"""
+    """end of the travel, below `upper` [rad or m]"""
     upper: float
-    """[rad or m]"""
+    """other end of the travel, above `lower` [rad or m]"""
     speed: float
-    """[rad/s or m/s]"""
+    """that the stage never exceeds, greater than 0 [rad/s or m/s]"""
     acceleration: float
-    """[rad/s^2 or m/s^2]"""
+    """with which it can brake, greater than 0 [rad/s^2 or m/s^2]"""
     microstep: Positive
     """resolution of the stage [rad or m]"""
 
@@ -93,18 +98,18 @@ class BaseFile(Strict):
     """Where the front plate stands in the world."""
 
     position: Three = (0.0, 0.0, 0.0)
-    """[m]"""
+    """of its origin, any place [m]"""
     rotation_vector: Three = (0.0, 0.0, 0.0)
-    """axis times angle [rad]"""
+    """of its axes: axis times angle [rad]"""
 
 
 class BoxFile(Strict):
     """Where the tip may be."""
 
     lower: Vector
-    """[m]"""
+    """corner with the smallest x, y, z [m]"""
     upper: Vector
-    """[m]"""
+    """corner with the largest x, y, z, beyond `lower` [m]"""
 
 
 class RobotFile(Strict):
@@ -113,17 +118,21 @@ class RobotFile(Strict):
     format: Format = 1
     """of this file"""
     name: str
+    """as recordings, reports and calibrations call it"""
     source: str = ""
     """where the numbers come from"""
     base: BaseFile = BaseFile()
+    """where its front plate stands"""
     tubes: Annotated[tuple[TubeFile, ...], Row]
+    """innermost first, 1 to 5 of them"""
     joints: tuple[JointFile, ...] = Field(min_length=1, strict=False)
+    """its stages, in the order of every list of joints"""
     working_pose: Mapping[str, float] | None = None
     """joints from which motions have room: where the station goes after homing [rad or m]; none: it stays there"""
     workspace: BoxFile | None = None
     """of the tip, world frame; none leaves what the joints reach"""
     max_force: Positive | None = None
-    """against which the tip does not push on [N]"""
+    """against which the tip does not push on; none: against any [N]"""
 
     def robot(self) -> Robot:
         """The description that the model works on."""

@@ -13,15 +13,17 @@ from core.control.sensors import Sensors
 from core.control.step import Controller
 from core.robot.robot import Robot
 from station.config.robots import RobotFile, load_robot
-from station.config.strict import ConfigError, NotNegative, Row, Strict, Vector, check, read_toml
+from station.config.strict import ConfigError, Format, NotNegative, Row, Strict, Vector, check, read_toml
 from station.devices.aurora.tracker import Registration
 
 REGISTRATION, SENSORS, ROBOT = "registration.toml", "sensors.toml", "robot.toml"
 
 
 class RegistrationFile(Strict):
-    """Where the tracker's field generator stands in the robot's frame, and the coil in the tip's."""
+    """`registration.toml`: where the tracker's field generator stands in the robot's frame, the coil in the tip's."""
 
+    format: Format = 1
+    """of this file"""
     robot: str
     """its name: the coil belongs to it"""
     made: str
@@ -29,7 +31,7 @@ class RegistrationFile(Strict):
     rotation_vector: Vector
     """p_robot = R(rotation_vector) p_tracker + position [rad]"""
     position: Vector
-    """[m]"""
+    """the other part of that motion [m]"""
     coil: Vector = (0.0, 0.0, 0.0)
     """of the coil in the frame of the innermost tube's tip [m]"""
     rms_error: NotNegative
@@ -37,7 +39,7 @@ class RegistrationFile(Strict):
     rotation_interval: Vector
     """half of 95 %, about x, y, z [rad]"""
     position_interval: Vector
-    """[m]"""
+    """half of 95 %, along x, y, z [m]"""
 
 
 Six = Annotated[tuple[float, float, float, float, float, float], Row]
@@ -49,7 +51,7 @@ class SensorFile(Strict):
     mounting: Vector
     """rotation vector from the sensor's axes to its tube's [rad]"""
     weight: float
-    """of what hangs on it [N]"""
+    """of what hangs on it, any number [N]"""
     first_moment: Vector
     """weight times its place in the tube's axes [N m]"""
     skew: Annotated[tuple[Six, Six, Six, Six, Six, Six], Row] | None = None
@@ -57,13 +59,18 @@ class SensorFile(Strict):
 
 
 class SensorsFile(Strict):
-    """The base sensors. Their offsets are not here: they are tared before every run."""
+    """`sensors.toml`: the base sensors. Their offsets are not here: they are tared before every run."""
 
+    format: Format = 1
+    """of this file"""
     robot: str
+    """its name: the sensors are at its tubes"""
     made: str
+    """when and from what"""
     gravity: Vector
     """direction, plate's frame"""
     tubes: Mapping[str, SensorFile]
+    """by tube name, all of them"""
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,11 @@ class BenchFile(Strict):
     """A bench with devices of its own."""
 
     stages: Options
+    """`driver` and what it has to be told"""
     tracker: Options
+    """`driver` and what it has to be told"""
     sensors: Options
+    """`driver` and what it has to be told"""
 
     @property
     def may_tell_target(self) -> bool:

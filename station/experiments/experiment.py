@@ -54,18 +54,23 @@ class CaseFile(Strict):
     format: Format = 1
     """of this file"""
     title: str
+    """in words, for page and report"""
     robot: str = "paper"
+    """preset, or a .toml file beside this one"""
     lab: str = "gentle"
     """virtual lab: preset or file"""
     start: Mapping[str, float]
     """joint positions [rad or m]"""
     duration: Annotated[float, Field(gt=0.0, le=86400.0)]
-    """[s]"""
+    """of the motion [s]"""
     settling: NotNegative
     """errors count from here on, or from the load's onset if that is earlier [s]"""
     trajectory: Motion
+    """what the tip is to do"""
     load: Load = NoLoad()
+    """what pulls meanwhile"""
     controller: ControllerFile = ControllerFile()
+    """how the tip is controlled"""
     calibration: str = ""
     """folder with what `calibrate` found; without, everything is taken to be as described"""
     faults: Annotated[tuple[LabFault, ...], Row] = ()

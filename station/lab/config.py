@@ -16,6 +16,7 @@ class TubeError(Strict):
     stiffness: Annotated[float, Field(gt=-0.9, lt=10.0)] = 0.0
     """of EI"""
     curvature: Annotated[float, Field(gt=-0.9, lt=10.0)] = 0.0
+    """likewise, of every curved section"""
 
 
 class PlantConfig(Strict):
@@ -81,7 +82,7 @@ class TrackerConfig(Strict):
     """Electromagnetic tracker."""
 
     rate: Annotated[float, Field(gt=0.0, le=1000.0)] = 40.0
-    """[1/s]"""
+    """of its frames [1/s]"""
     latency: NotNegative = 0.024
     """from the measurement to its arrival [s]"""
     noise: NotNegative = 0.1e-3
@@ -98,17 +99,17 @@ class BaseSensorConfig(Strict):
     force_noise: NotNegative = 0.02
     """standard deviation of one sample [N]"""
     moment_noise: NotNegative = 0.2e-3
-    """[N m]"""
+    """the same of a moment [N m]"""
     force_count: NotNegative = 1.0 / 256.0
     """one count of quantisation [N]"""
     moment_count: NotNegative = 0.05e-3
-    """[N m]"""
+    """the same of a moment [N m]"""
     drift: NotNegative = 5e-3 / 60.0
     """slope of the slow drift of each force axis, either way [N/s]"""
     force_offset: NotNegative = 1.0
     """largest reading without load before the tare [N]"""
     moment_offset: NotNegative = 10e-3
-    """[N m]"""
+    """the same of a moment [N m]"""
     gain: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
     """largest error of each axis's gain, either way, and of the cross-talk from each other axis, as fractions of the
     ranges; drawn from the seed"""
@@ -120,17 +121,17 @@ class HiddenConfig(Strict):
     registration_translation: NotNegative = 0.0
     """by how much the tracker stands elsewhere than it is said to [m]"""
     registration_rotation: NotNegative = 0.0
-    """[rad]"""
+    """by how much it is turned against that [rad]"""
     coil_offset: Vector = (0.0, 0.0, 0.0)
     """of the coil from the tip, in the frame of the innermost tube's tip [m]"""
     base_position: NotNegative = 0.0
     """by how much the plate stands elsewhere than the robot's file says [m]"""
     base_rotation: NotNegative = 0.0
-    """[rad]"""
+    """by how much it is turned against that [rad]"""
     rotation_zero: NotNegative = 0.0
     """largest error of a rotation's zero, but the outermost tube's: that is zero by convention [rad]"""
     translation_zero: NotNegative = 0.0
-    """[m]"""
+    """largest error of a translation's zero [m]"""
     mirrored: tuple[str, ...] = Field(default=(), strict=False)
     """joints whose stage runs the other way, about the middle of its travel"""
     tracker_latency: NotNegative = 0.0
@@ -157,13 +158,13 @@ class TargetConfig(Strict):
     breathing: NotNegative = 5e-3
     """from the middle to either end of a line [m]"""
     breathing_rate: Annotated[float, Field(gt=0.0, le=2.0)] = 0.25
-    """[Hz]"""
+    """how often it goes there and back [Hz]"""
     breathing_second: Annotated[float, Field(ge=0.0, le=1.0)] = 0.15
     """part of the size that a wave of twice the rate has"""
     heartbeat: NotNegative = 0.5e-3
     """the same along a line of its own [m]"""
     heartbeat_rate: Annotated[float, Field(gt=0.0, le=5.0)] = 1.2
-    """[Hz]"""
+    """how often that goes there and back [Hz]"""
     rate_drift: Annotated[float, Field(ge=0.0, le=0.5)] = 0.05
     """largest change of both rates, there and back in a minute, as a part"""
     size_drift: Annotated[float, Field(ge=0.0, le=0.5)] = 0.1
@@ -176,12 +177,17 @@ class LabConfig(Strict):
     format: Format = 1
     """of this file"""
     title: str = "virtual lab: simulated tubes and devices, parameters that differ from the controller's"
+    """as recordings and reports call it"""
     devices: Literal["wire", "ideal"] = "wire"
     """as real ones behave on their wires, or without flaw: no noise, no delay, no wires"""
     plant: PlantConfig = PlantConfig()
+    """the true tubes, and what they rub on"""
     tracker: TrackerConfig = TrackerConfig()
+    """how the simulated one measures"""
     sensors: BaseSensorConfig = BaseSensorConfig()
+    """how the simulated ones measure"""
     hidden: HiddenConfig = HiddenConfig()
+    """what the station is told wrongly"""
     target: TargetConfig | None = None
     """none: the tracker has one coil"""
 

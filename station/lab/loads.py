@@ -47,6 +47,7 @@ class _AtTip(Strict):
 
 class _Directed(_AtTip):
     direction: Direction = GRAVITY
+    """in which it pulls, world frame; its length does not matter"""
 
     def _along(self, magnitude: float) -> Array:
         return magnitude * _unit(self.direction)
@@ -72,7 +73,7 @@ class ConstantLoad(_Directed):
 
     kind: Literal["constant"] = "constant"
     magnitude: Force
-    """[N]"""
+    """of the weight [N]"""
 
     def force(self, time: float) -> Array:
         """(3,) [N] at `time` [s] since the motion's start; nothing before."""
@@ -84,9 +85,9 @@ class SineLoad(_Directed):
 
     kind: Literal["sine"] = "sine"
     amplitude: Force
-    """[N]"""
+    """to either side [N]"""
     frequency: Frequency
-    """[Hz]"""
+    """there and back in a second [Hz]"""
 
     def force(self, time: float) -> Array:
         """(3,) [N] at `time` [s] since the motion's start; nothing before."""
@@ -98,9 +99,9 @@ class RaisedCosineLoad(_Directed):
 
     kind: Literal["raised_cosine"] = "raised_cosine"
     peak: Force
-    """[N]"""
+    """largest pull, in the middle of each period [N]"""
     period: Time
-    """[s]"""
+    """from nothing to nothing [s]"""
 
     def force(self, time: float) -> Array:
         """(3,) [N] at `time` [s] since the motion's start; nothing before."""
@@ -114,7 +115,7 @@ class RampLoad(_Directed):
     times: tuple[NotNegative, ...] = Field(min_length=1, strict=False)
     """rising [s]"""
     magnitudes: Annotated[tuple[SignedForce, ...], Row]
-    """[N]"""
+    """at these times, one each; negative pushes [N]"""
 
     @model_validator(mode="after")
     def _match(self) -> Self:
@@ -148,7 +149,7 @@ class TrapezoidLoad(_Directed):
 
     kind: Literal["trapezoid"] = "trapezoid"
     magnitude: Force
-    """[N]"""
+    """once it is on [N]"""
     rise: NotNegative
     """time in which it is put on [s]; 0 for a step"""
     fall: NotNegative = 0.0
@@ -179,9 +180,9 @@ class TapLoad(_Directed):
 
     kind: Literal["tap"] = "tap"
     peak: Force
-    """[N]"""
+    """in the middle of the tap [N]"""
     duration: Time = 0.05
-    """[s]"""
+    """of the tap [s]"""
     start: NotNegative = 0.0
     """when it begins [s]"""
 
@@ -211,7 +212,7 @@ class HungWeightLoad(_Directed):
 
     kind: Literal["hung_weight"] = "hung_weight"
     weight: Force
-    """[N]"""
+    """of what hangs there once it is at rest [N]"""
     lowering: Time = 2.0
     """time in which the hand lets go [s]"""
     frequency: Frequency = 2.0
@@ -246,7 +247,7 @@ class ContactLoad(_Directed):
 
     kind: Literal["contact"] = "contact"
     magnitude: Force
-    """[N]"""
+    """of its push [N]"""
     place: NotNegative
     """arc length from the plate [m]"""
 

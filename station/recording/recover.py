@@ -3,15 +3,21 @@
 Done at the next start. Killed in the middle it is simply done again: chunks are never touched.
 """
 
+import contextlib
 import json
 import os
 import shutil
+import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+from mcap.exceptions import McapError
+from mcap.records import Chunk, Metadata
+from mcap.stream_reader import StreamReader
 
 from station.recording.label import Label, RecordingError
-from station.recording.metadata import texts
+from station.recording.metadata import RUN, is_later, texts, values_of
 from station.recording.read import open_case
 from station.recording.run_folder import RECORDING, SUMMARY, lock_folder, write_json
 from station.recording.summary import finish_file
@@ -24,7 +30,7 @@ CAUSES = {
 
 
 def recover(runs: Path) -> list[Path]:
-    """Finish every run that nobody is writing any more.
+    """Finish every run that nobody is writing any more, but those of a later ctr-station: `left_alone` names them.
 
     Args:
         runs: the folder of runs; it need not exist.
@@ -38,6 +44,8 @@ def recover(runs: Path) -> list[Path]:
     recovered: list[Path] = []
     for folder in sorted(runs.glob(f"*{PARTIAL}")):
         try:
+            if _of_later(folder):
+                continue  # what it means is not known here
             lock = lock_folder(folder)
             if lock is None:
                 continue  # being written
@@ -50,6 +58,41 @@ def recover(runs: Path) -> list[Path]:
         if done is not None:
             recovered.append(done)
     return recovered
+
+
+def left_alone(runs: Path) -> list[str]:
+    """Of each run that was cut off and that only a later ctr-station can finish: which, and what to do about it."""
+    return [
+        f"{folder}: cut off, and not recovered: {why}"
+        for folder in sorted(runs.glob(f"*{PARTIAL}"))
+        if (why := _of_later(folder))
+    ]
+
+
+def _of_later(folder: Path) -> str:
+    """Why what was left in a folder cannot be finished here; empty when it can."""
+    for path in sorted(folder.glob(f"*{RECORDING}*")):
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            if later := is_later(_run(file)):
+                return f"{path.name}: {later}"
+    return ""
+
+
+def _left(folder: Path) -> list[Path]:
+    return sorted((*folder.glob(f"*{RECORDING}{PARTIAL}"), *folder.glob(f"*{RECORDING}{FULL}")))
+
+
+def _run(file: IO[bytes]) -> Mapping[str, Any]:
+    """What a recording that ends anywhere says of its run, before its rows; empty when it does not come to that."""
+    try:
+        for record in StreamReader(file).records:
+            if isinstance(record, Metadata) and record.name == RUN:
+                return values_of(record.metadata)
+            if isinstance(record, Chunk):
+                break
+    except (McapError, ValueError, struct.error):
+        pass  # cut off before
+    return {}
 
 
 def recover_file(left: Path) -> Path | None:
@@ -72,7 +115,7 @@ def recover_file(left: Path) -> Path | None:
 
 
 def _recover_folder(folder: Path) -> Path | None:
-    for left in sorted((*folder.glob(f"*{RECORDING}{PARTIAL}"), *folder.glob(f"*{RECORDING}{FULL}"))):
+    for left in _left(folder):
         recover_file(left)
     recordings = sorted(folder.glob(f"*{RECORDING}"))
     if not recordings:

@@ -12,7 +12,7 @@ from station.control.states import State
 from station.recording.events import ERROR, INFO, Event
 from station.recording.label import Label, RecordingError
 from station.recording.recorder import START_TIME, Recorder
-from station.recording.recover import recover
+from station.recording.recover import left_alone, recover
 from station.recording.space import free_space_problem
 from station.service.sign_of_life import goes_on
 
@@ -26,6 +26,7 @@ class LiveRecording:
     def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock) -> None:
         self.runs = runs
         self.recovered = recover(runs)  #: folders of runs that were left behind
+        self.left_alone = left_alone(runs)  #: sentences about those that cannot be recovered here
         self._ring, self._clock = ring, clock
         ring.numbers[RECORDER_HEARTBEAT], self._started = 0.0, clock.now()
         self._recorder = Recorder(ring, robot, runs, clock)

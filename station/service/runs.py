@@ -56,6 +56,11 @@ class Runs:
         return [] if self._recording is None else self._recording.recovered
 
     @property
+    def left_alone(self) -> list[str]:
+        """What to do about those that only a later ctr-station can finish."""
+        return [] if self._recording is None else self._recording.left_alone
+
+    @property
     def current(self) -> Run | None:
         """The run that is on, or the last one; None before the first."""
         return self._current

@@ -96,7 +96,9 @@ class StationFile(Strict):
     calibration: str | None = None
     """folder with what `calibrate` found, beside this file"""
     experiments: ExperimentsFile = ExperimentsFile()
+    """where those of one's own are"""
     clock: ClockFile = ClockFile()
+    """how fast the station's time goes"""
 
     @model_validator(mode="before")
     @classmethod

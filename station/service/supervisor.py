@@ -57,6 +57,8 @@ class Supervisor:
         self._runs.open()
         for folder in self._runs.recovered:
             self._flight_recorder.note("recovered", f"run {folder.name}, which was left unfinished")
+        for sentence in self._runs.left_alone:
+            self._flight_recorder.note("not recovered", sentence)
         self._processes.open()
 
     def wait_ready(self, timeout: float, since: int = 0) -> None:

@@ -146,16 +146,17 @@ function union(all, field, kind, title, values = FIRST[kind]) {
 
 async function motion(kind, schema, all, values = {}) {
   const path = form(schema, { values: { ...FIRST[kind], ...values.trajectory }, more: MORE, skip: ["points"] });
-  const load = union(all, all.StartIn.properties.load, values.load?.kind ?? "none", "Load on the simulated tip", values.load);
+  // On a bench nobody but a person hangs anything at the tip.
+  const load = bench.virtual ? union(all, all.StartIn.properties.load, values.load?.kind ?? "none", "Load on the simulated tip", values.load) : null;
   const control = form(all.ControllerFile, { values: values.controller ?? bench.controller, more: MORE, choices: { strategy: bench.strategies, inner: bench.inner } });
   const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: values.duration ?? 60 } });
-  const read = () => ({ trajectory: { ...path.read(), ...(table && { points: table.read() }) }, load: load.read(), controller: control.read(), ...time.read() });
+  const read = () => ({ trajectory: { ...path.read(), ...(table && { points: table.read() }) }, ...(load && { load: load.read() }), controller: control.read(), ...time.read() });
   const { frame, on } = starter("Start motion", () => begin(read()));
   const table = kind === "waypoints" ? taught(path, control, time) : null;
   const whole = make("form", {}, back(kind.replaceAll("_", " ")), make("p", {}, sentence(schema)),
     make("fieldset", {}, make("legend", {}, "Motion"), table?.element, path.element, time.element,
       table && saved(kind, () => ({ ...read(), ...(origin() && { start: origin().joints }) }), (kept) => takeUp(kept, schema, all))),
-    load.element, make("fieldset", {}, make("legend", {}, "Control"), control.element), frame);
+    load?.element, make("fieldset", {}, make("legend", {}, "Control"), control.element), frame);
   on(whole);
   $("start").replaceChildren(whole);
   $("start").scrollTop = 0;

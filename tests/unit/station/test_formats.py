@@ -1,9 +1,10 @@
 """Files of earlier versions are read; those of later formats are refused with what to do.
 
-`tests/kept/VERSION` has what each version has written: a robot, a lab, a station, an experiment and its run.
+`tests/kept/VERSION` has what each version has written: robot, lab, station, an experiment and its run, a calibration.
 """
 
 import json
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -12,15 +13,19 @@ from threading import Thread
 
 import pytest
 
+from station.calibration.results import Results
 from station.client import Station, StationError
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
+from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS, Calibration
 from station.experiments.experiment import load_experiment
 from station.lab.config import load_lab
 from station.recording.export import export_run
 from station.recording.label import Label, RecordingError
 from station.recording.metadata import FORMAT
 from station.recording.read import open_case, read_case
+from station.recording.recover import left_alone
+from station.recording.writer import PARTIAL
 from station.report.run import read_run
 from station.service.station_file import load_station
 from tests.harness.recordings import channels, make_rows, open_writer, recorded
@@ -40,6 +45,31 @@ def test_a_kept_station_with_its_robot_lab_and_experiment_is_read(version: Path)
 
 
 @pytest.mark.parametrize("version", VERSIONS, ids=lambda path: path.name)
+def test_a_kept_calibration_is_read_and_listed(version: Path):
+    known = Calibration.load(version / "calibration", load_robot(str(version / "robot.toml")))
+    assert known.registration is not None
+    assert known.registration.position == pytest.approx([0.0, 0.0, -0.2], abs=0.002)
+    assert known.robot.tubes[0].bending_stiffness == pytest.approx(1.05 * 0.0147, rel=0.01)  # as its lab has it
+    assert known.corrections.sensors.weight == pytest.approx([0.000302091, -9.94554e-05])
+    (kept,) = Results(version).all()
+    assert (kept.name, kept.numbers.procedure) == ("calibration", "tubes")
+
+
+@pytest.mark.parametrize("file", [REGISTRATION, SENSORS, ROBOT])
+def test_a_calibration_without_a_format_is_read_and_one_of_a_later_format_refused(file: str, tmp_path: Path):
+    described = load_robot(str(VERSIONS[-1] / "robot.toml"))
+    folder = tmp_path / "calibration"
+    shutil.copytree(VERSIONS[-1] / "calibration", folder)
+    text = (folder / file).read_text(encoding="utf-8")
+    assert text.count("\nformat = 1\n") == 1
+    (folder / file).write_text(text.replace("\nformat = 1\n", "\n"), encoding="utf-8")
+    assert Calibration.load(folder, described).registration is not None
+    (folder / file).write_text(text.replace("\nformat = 1\n", "\nformat = 2\nnew = 1\n"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=rf"{file}: format = 2 is later than 1.*; update ctr-station"):
+        Calibration.load(folder, described)
+
+
+@pytest.mark.parametrize("version", VERSIONS, ids=lambda path: path.name)
 def test_a_kept_run_is_read_exported_and_reported_of(version: Path, tmp_path: Path):
     case = read_case(version / "run" / "short.mcap")
     assert (case.label, case.rows.shape[0]) == (Label.COMPLETE, 50)
@@ -56,6 +86,30 @@ def test_a_recording_tells_its_format_and_a_later_one_is_refused(recorded, make_
     later = recorded(make_rows(3), "later", format=FORMAT + 1, versions={"ctr-station": "9.1"})
     with pytest.raises(RecordingError, match=r"later\.mcap: format = 2 is later than 1.*ctr-station 9\.1: update"):
         read_case(later)
+
+
+def test_a_run_of_a_later_format_that_was_cut_off_is_left_as_it_is_and_told(open_writer, make_rows, tmp_path, call):
+    """Finished here it would have been given an index and a name by somebody who does not know what it means."""
+    runs = tmp_path / "runs"
+    for name, told in (("mine", {}), ("theirs", {"format": FORMAT + 1, "versions": {"ctr-station": "9.1"}})):
+        writer = open_writer(name, **told)
+        writer.write(make_rows(100))
+        folder = runs / f"{name}{PARTIAL}"
+        folder.mkdir(parents=True)
+        content = (tmp_path / f"{name}.mcap{PARTIAL}").read_bytes()
+        (folder / f"run.mcap{PARTIAL}").write_bytes(content)
+        writer.close(Label.COMPLETE)
+    (told,) = left_alone(runs)
+    assert told.startswith(
+        f"{runs / 'theirs.partial'}: cut off, and not recovered: run.mcap.partial: format = 2 is later"
+    )
+    assert "ctr-station 9.1: update this one" in told
+
+    done = call("--data", str(runs), "export", "latest", "--format", "csv")
+    assert done.status == 0
+    assert done.err == f"ctr-station: {told}\n"
+    assert sorted(path.name for path in runs.iterdir()) == ["mine", "theirs.partial"]
+    assert [path.read_bytes() for path in (runs / "theirs.partial").iterdir()] == [content]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """The page of all files of one's own is that of the models that check them, and its worked files work."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from station.cli import keys
 from station.config.motions import CircleMotion, Orders
 from station.config.robots import RobotFile, named_pose
 from station.config.strict import OWN_EXPERIMENTS, preset_names
+from station.control.known_calibration import RegistrationFile, SensorsFile
 from station.experiments.experiment import CaseFile, load_experiment
 from station.lab.config import LabConfig
 from station.service.goto import check_way, to_working_pose
@@ -21,11 +23,39 @@ def test_the_page_is_what_the_command_prints():
     assert FILES.read_text(encoding="utf-8") == keys.page(), "print it anew: python -m station keys > station/FILES.md"
 
 
-@pytest.mark.parametrize("model", [RobotFile, StationFile, LabConfig, CaseFile])
+@pytest.mark.parametrize("model", [RobotFile, StationFile, LabConfig, CaseFile, RegistrationFile, SensorsFile])
 def test_every_key_of_every_file_is_on_it(model):
     text = keys.page()
     for key in model.model_fields:
         assert f"| `{key}` |" in text
+
+
+def rows() -> list[tuple[str, str, str]]:
+    """Of every table: key, value, and what it says of them."""
+    lines = [line.replace("\\|", "/").strip("| ").split(" | ") for line in keys.page().splitlines() if "| `" in line]
+    return [(line[0], line[1], line[3] if len(line) > 3 else "") for line in lines]
+
+
+def test_every_key_has_words_and_not_only_a_unit():
+    assert len(rows()) > 150
+    for key, _, words in rows():
+        assert key == "`kind`" or re.fullmatch(r"(\[[^]]*])?", words) is None, f"{key} needs a sentence"
+
+
+def test_a_number_has_a_unit_or_is_a_part_of_something_and_its_range_stands_in_either_column():
+    for key, value, words in rows():
+        if not value.startswith("number"):
+            continue
+        assert value != "number" or re.search(r"greater than|below|above|\.\.\.|any|not positive", words), key
+        if "[" not in words:
+            assert key.strip("`") in WITHOUT_UNIT, f"{key}: {words}"
+
+
+#: Numbers that are parts, ratios and counts.
+WITHOUT_UNIT = {
+    "poisson_ratio", "stability", "hold_share", "rate", "vary", "friction", "walk", "gain", "stiffness", "curvature",
+    "breathing_second", "value", "rate_drift", "size_drift", "damping", "turns",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", ["circle", "csv", "joint_sweep", "waypoints", "hung_weight", "contact", "ramps"])

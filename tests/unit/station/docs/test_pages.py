@@ -1,0 +1,67 @@
+"""What the three readers' pages say to type can be typed, and what they name is there."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+import station
+from station.cli.main import parser
+from station.config.strict import preset_names
+from station.devices.open_devices import plan
+from station.service.station_file import load_station
+from tests.harness.root import ROOT
+
+DOCS = Path(station.__file__).parent / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+STUDENT = (DOCS / "student.md").read_text(encoding="utf-8")
+
+
+def commands(page: Path) -> list[list[str]]:
+    """Every call of ctr-station or `python -m station...` on a page, as its words."""
+    text = page.read_text(encoding="utf-8")
+    typed = [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.splitlines()]
+    typed += re.findall(r"`(ctr-station [^`]+)`", text)
+    calls = [part.strip() for line in typed for part in re.split(r"[|<#]|&&", line)]
+    return [shlex.split(call)[1:] for call in calls if call.startswith("ctr-station ")]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_command_is_one(page: Path):
+    top, known = parser()
+    called = commands(page)
+    assert called
+    for words in called:
+        if words[0] == "serve":  # of web
+            assert set(words[1::2]) <= {"--config", "--calibration"}
+            continue
+        assert words[0] in known.choices
+        top.parse_args(words)
+        if words[0] in ("run", "sweep") and not words[1].endswith(".toml"):
+            assert words[1] in preset_names("experiments")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_link_and_every_file_of_the_source_is_there(page: Path):
+    text = page.read_text(encoding="utf-8")
+    for link, heading in re.findall(r"\]\(([^)#\s]+)#?([^)\s]*)\)", text):
+        there = (page.parent / link).resolve()
+        assert there.is_file(), link
+        titles = [line.lstrip("#").strip() for line in there.read_text("utf-8").splitlines() if line.startswith("#")]
+        headings = {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
+        assert not heading or heading in headings, f"{link}#{heading}"
+    for path in re.findall(r"`((?:core|station|tests)/[\w./]+)`", text):
+        assert (ROOT / path).exists(), path
+
+
+def test_the_students_station_file_is_a_bench_and_so_is_the_practice_one(tmp_path: Path):
+    bench, practice = (text for text in re.findall(r"```toml\n(.*?)```", STUDENT, re.DOTALL))
+    sensors = [line for line in bench.splitlines() if line.startswith("tubes.")]
+    assert len(sensors) == len(practice.splitlines()) == 2
+    for number, text in enumerate((bench, bench.replace("\n".join(sensors), practice))):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(text, encoding="utf-8")
+        told = load_station(path).bench()
+        assert told.devices is not None
+        assert set(plan(told.devices, told.robot)) == {"stages", "tracker", "sensors"}

@@ -1,0 +1,103 @@
+"""The examples of the engineer's page, as they stand there."""
+
+import importlib
+import importlib.util
+import re
+import runpy
+import tomllib
+from pathlib import Path
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+import station
+from core.control.controllers import STRATEGIES
+from station.experiments.experiment import load_experiment
+from station.lab import loads
+from station.service.station_file import load_station
+from tests.harness.cases import a_run
+
+PAGE = (Path(station.__file__).parent / "docs" / "engineer.md").read_text(encoding="utf-8")
+
+
+def block(language: str, holding: str) -> str:
+    """The page's block of code in which something stands."""
+    (found,) = [text for text in re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL) if holding in text]
+    return found
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where somebody works who follows the page."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def printed(said: str) -> None:
+    """What a script has said is what the page says that it says, but for the last digits."""
+    number = r"(?<![\w.])\d+\.\d+"
+    shown = next(text for text in re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL) if text.split(":")[0] in said)
+    assert re.sub(number, "#", said).split() == re.sub(number, "#", shown).split()
+    assert [*map(float, re.findall(number, said))] == pytest.approx([*map(float, re.findall(number, shown))], rel=0.05)
+
+
+def test_a_controller_of_ones_own_is_known_by_its_name_and_runs(folder: Path, monkeypatch, capsys):
+    monkeypatch.delitem(STRATEGIES, "gentle", raising=False)
+    (folder / "gentle.py").write_text(block("python", "class Gentle"), encoding="utf-8")
+    (folder / "hurry.toml").write_text(block("toml", "gently"), encoding="utf-8")
+    (folder / "try_gentle.py").write_text(block("python", "import gentle"), encoding="utf-8")
+    runpy.run_path("try_gentle.py")
+    monkeypatch.delitem(STRATEGIES, "gentle")
+    printed(capsys.readouterr().out)
+
+
+def with_the_pages_load(folder: Path) -> object:
+    """`loads.py` with what the page puts into it."""
+    text = Path(loads.__file__).read_text(encoding="utf-8")
+    change = block("diff", "SawLoad").splitlines()
+    before, after = ("\n".join(line[1:] for line in change if line[0] != sign) for sign in "+-")
+    assert text.count(before) == 1
+    assert text.count("\nLoad = Annotated[") == 1
+    text = text.replace(before, after).replace("\nLoad = ", f"\n{block('python', 'class SawLoad')}\n\nLoad = ")
+    path = folder / "changed_loads.py"
+    path.write_text(text, encoding="utf-8")
+    return importlib.import_module("changed_loads")
+
+
+def test_a_load_of_ones_own_is_a_table_of_an_experiment_and_pulls(folder: Path):
+    changed = with_the_pages_load(folder)
+    known = TypeAdapter(changed.Load)
+    table = tomllib.loads(block("toml", '"saw"'))["load"]
+    load = known.validate_python(table)
+    assert known.validate_python({"kind": "constant", "magnitude": 0.1}).magnitude == 0.1
+    with pytest.raises(ValidationError, match="less than or equal to 20"):
+        known.validate_python(table | {"peak": 30.0})
+
+    (folder / "saw.toml").write_text(re.sub(r"\[load\].*", "", block("toml", '"saw"'), flags=re.DOTALL))
+    (case,) = load_experiment("saw.toml").cases
+    recording = a_run(case._replace(file=case.file.model_copy(update={"load": load, "duration": 2.2})))
+    pull = recording.channels.of(recording.rows, "force_true")[:, 0]
+    time = recording.channels.of(recording.rows, "time")[:, 0]
+    assert recording.completed
+    grows = time < 1.99
+    assert pull[grows] == pytest.approx(0.15 * time[grows], abs=1e-3)
+    assert pull[time > 2.01] == pytest.approx(0.15 * (time[time > 2.01] - 2.0), abs=1e-3)
+
+
+def test_a_device_of_ones_own_is_found_by_the_stations_file_and_tried_in_the_lab(folder: Path, capsys):
+    (folder / "my_bench.py").write_text(block("python", "class Unloaded"), encoding="utf-8")
+    project = tomllib.loads(block("toml", "my-bench"))["project"]
+    entries = project["entry-points"]["ctr_station.devices"]
+    installed = folder / "my_bench-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: my-bench\nVersion: 1.0\n", encoding="utf-8")
+    lines = [f"{name} = {where}" for name, where in entries.items()]
+    (installed / "entry_points.txt").write_text("\n".join(["[ctr_station.devices]", *lines]), encoding="utf-8")
+    (folder / "bench.toml").write_text(block("toml", 'driver = "unloaded"'), encoding="utf-8")
+    bench = load_station(folder / "bench.toml").bench()
+    assert bench.devices is not None
+
+    (folder / "try_unloaded.py").write_text(block("python", "import open_sensors"), encoding="utf-8")
+    runpy.run_path("try_unloaded.py")
+    printed(capsys.readouterr().out)
