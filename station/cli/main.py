@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from rich.console import Console
 
 from core.errors import CtrError
-from station.cli import bench, calibrate, export, keys, report, run, soak, sweep, validate
+from station.cli import bench, calibrate, design, export, keys, report, run, soak, sweep, validate, workspace
 from station.cli.options import between
 from station.cli.placed import command_first
 from station.config.strict import preset_names
@@ -68,12 +68,14 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
 
     bench.add(commands)
     calibrate.add(commands)
+    design.add(commands)
     export.add(commands)
     keys.add(commands)
     report.add(commands)
     sweep.add(commands)
     soak.add(commands)
     validate.add(commands)
+    workspace.add(commands)
 
     doctor = commands.add_parser("doctor", help="what this machine offers, in plain words")
     doctor.add_argument(

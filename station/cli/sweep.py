@@ -71,8 +71,8 @@ def _sweep(parsed: argparse.Namespace) -> int:
     from station.config.strict import use_experiments
     from station.experiments.experiment import load_experiment
     from station.experiments.manifest import Manifest, folder_of
+    from station.experiments.on_cluster import check_dask
     from station.experiments.saved import use_saved
-    from station.experiments.sweep_on_dask import check_dask
     from station.experiments.sweep_plan import jobs, plan_of
     from station.experiments.sweep_settings import settings
 
