@@ -21,7 +21,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     design = commands.add_parser(
         "design", help="search for tubes that do a task of points and loads better; a robot's file and a report"
     )
-    design.add_argument("study", metavar="STUDY", help="preset (fig10_load, fig10_margin) or .toml file")
+    design.add_argument("study", metavar="STUDY", help="preset (fig10_load) or .toml file")
     design.add_argument(
         "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (one a processor)"
     )

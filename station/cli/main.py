@@ -29,7 +29,18 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
+        self.in_any_order = False
         self.add_argument("--data", type=Path, metavar="DIR", help="folder of runs, calibrations and log (runs)")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Options may also stand between a command's words, where those are `in_any_order`."""
+        if not self.in_any_order:
+            return super().parse_known_args(args, namespace)
+        self.in_any_order = False  # argparse comes back here for the options alone, then for the words alone
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self.in_any_order = True
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2."""

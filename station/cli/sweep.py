@@ -55,6 +55,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     sweep.add_argument("--out", type=Path, metavar="DIR", help="where results go (the folder of data)")
     sweep.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")
     sweep.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    sweep.in_any_order = True  # `sweep merge --json FOLDER`
     sweep.set_defaults(command=_sweep)
 
 

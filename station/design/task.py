@@ -173,7 +173,7 @@ class _Walker:
             return f"margin {at.stability:.3g} is below {self.task.margin:g}"
         slowest = float(dexterity(at.jacobian[None], self._speed)[0])
         if slowest < self.task.dexterity:
-            return f"dexterity {1e3 * slowest:.2g} mm/s is below {1e3 * self.task.dexterity:g} mm/s"
+            return f"dexterity {1e3 * slowest:.4g} mm/s is below {1e3 * self.task.dexterity:g} mm/s"
         softest = float(stiffness(at.compliance[None])[0])
         if softest < self.task.stiffness:
             return f"stiffness {softest:.3g} N/m is below {self.task.stiffness:g} N/m"
