@@ -17,14 +17,15 @@ from station.config import strict
 WORKED = Path(strict.__file__).parent / "worked"
 TOP = """# Files of one's own
 
-Robots, stations, virtual labs and experiments are TOML files: SI units (m, rad, s, N), world frame with x down and z
-along the straight tubes. A key that is not listed here is refused with its line; so is a value out of its range. The
-page is printed by `ctr-station keys` from the models that check the files. `format` tells which page a file was
-written after: without it that is 1, and one of a later format than this page's is refused.
+Robots, stations, virtual labs, experiments and studies are TOML files: SI units (m, rad, s, N), world frame with x
+down and z along the straight tubes. A key that is not listed here is refused with its line; so is a value out of its
+range. The page is printed by `ctr-station keys` from the models that check the files. `format` tells which page a file
+was written after: without it that is 1, and one of a later format than this page's is refused.
 
 * `ctr-station serve --config station.toml` starts a station; the files that it names stand beside it.
 * `ctr-station run FILE.toml` carries out an experiment; the names of those in `[experiments] folder` are listed in
   the panel's tab *Run*, where a file that is no experiment is shown with its reason.
+* `ctr-station design FILE.toml` carries out a study; [design](design/README.md) says what comes of it.
 * Name a preset instead of a file to begin with: robots `paper`, `three_tubes`, `nylon`; labs `gentle`, `realistic`,
   `distorted`, `uncalibrated`, `ideal`.
 """
@@ -46,7 +47,7 @@ Schema = Mapping[str, Any]
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
     """Add it."""
-    keys = commands.add_parser("keys", help="every key of robot, station, lab and experiment files, as Markdown")
+    keys = commands.add_parser("keys", help="every key of robot, station, lab, experiment and study files, as Markdown")
     keys.set_defaults(command=_keys)
 
 
@@ -59,6 +60,7 @@ def page() -> str:
     """The whole page, Markdown."""
     from station.config.robots import RobotFile
     from station.control.known_calibration import RegistrationFile, SensorsFile
+    from station.design.study import StudyFile
     from station.experiments.experiment import CaseFile
     from station.lab.config import LabConfig
     from station.service.station_file import StationFile
@@ -72,6 +74,7 @@ def page() -> str:
         ("Experiment", CaseFile, CASES),
         ("Calibration: registration.toml", RegistrationFile, CALIBRATIONS),
         ("Calibration: sensors.toml", SensorsFile, ""),
+        ("Study", StudyFile, ""),
     ):
         schema = TypeAdapter(model).json_schema()
         definitions = schema.pop("$defs", {})

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from rich.console import Console
 
 from core.errors import CtrError
-from station.cli import bench, calibrate, export, keys, report, run, soak, sweep, validate
+from station.cli import bench, calibrate, design, export, keys, report, run, soak, sweep, validate, workspace
 from station.cli.options import between
 from station.cli.placed import command_first
 from station.config.strict import preset_names
@@ -30,7 +30,18 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
+        self.in_any_order = False
         self.add_argument("--data", type=Path, metavar="DIR", help="folder of runs, calibrations and log (runs)")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Options may also stand between a command's words, where those are `in_any_order`."""
+        if not self.in_any_order:
+            return super().parse_known_args(args, namespace)
+        self.in_any_order = False  # argparse comes back here for the options alone, then for the words alone
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self.in_any_order = True
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2."""
@@ -69,12 +80,14 @@ def parser() -> tuple[Parser, "argparse._SubParsersAction[Parser]"]:
 
     bench.add(commands)
     calibrate.add(commands)
+    design.add(commands)
     export.add(commands)
     keys.add(commands)
     report.add(commands)
     sweep.add(commands)
     soak.add(commands)
     validate.add(commands)
+    workspace.add(commands)
 
     doctor = commands.add_parser("doctor", help="what this machine offers, in plain words")
     doctor.add_argument(

@@ -27,6 +27,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     run.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")
     run.add_argument("--calibration", type=Path, metavar="DIR", help="use what 'calibrate' found")
     run.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
+    run.add_argument("--robot", metavar="ROBOT", help="robot instead of the experiment's: preset or .toml file")
     run.add_argument("--jobs", type=count(1024), metavar="N", help="cases at a time (one a processor)")
     run.add_argument("--realtime", action="store_true", help="at the pace of the clock instead of as fast as it goes")
     run.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
@@ -58,7 +59,7 @@ def _carry_out(parsed: argparse.Namespace, started: "Processes | None") -> int:
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
     use_saved(data_of(parsed))
-    given = {"lab": parsed.lab, "calibration": parsed.calibration}
+    given = {"robot": parsed.robot, "lab": parsed.lab, "calibration": parsed.calibration}
     changes = {key: from_here(value) for key, value in given.items() if value is not None}
     experiment = load_experiment(parsed.experiment, changes)
     for robot in {case.robot.name: case.robot for case in experiment.cases}.values():

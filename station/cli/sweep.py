@@ -55,6 +55,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     sweep.add_argument("--out", type=Path, metavar="DIR", help="where results go (the folder of data)")
     sweep.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")
     sweep.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    sweep.in_any_order = True  # `sweep merge --json FOLDER`
     sweep.set_defaults(command=_sweep)
 
 
@@ -71,8 +72,8 @@ def _sweep(parsed: argparse.Namespace) -> int:
     from station.config.strict import use_experiments
     from station.experiments.experiment import load_experiment
     from station.experiments.manifest import Manifest, folder_of
+    from station.experiments.on_cluster import check_dask
     from station.experiments.saved import use_saved
-    from station.experiments.sweep_on_dask import check_dask
     from station.experiments.sweep_plan import jobs, plan_of
     from station.experiments.sweep_settings import settings
 

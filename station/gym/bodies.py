@@ -110,8 +110,12 @@ class Bodies:
     def felt(self) -> Array:
         """What is known of the robots (k, m): cosine and sine, or -1 ... 1 of its travel, of each joint; the tip."""
         felt = np.empty((self.rows, self._width))
-        _felt(self.joints, self.tips, self._slides, self._bounds, felt)
+        self.feel(felt)
         return felt
+
+    def feel(self, felt: Array) -> None:
+        """The same, written into the first m columns of an array."""
+        _felt(self.joints, self.tips, self._slides, self._bounds, felt)
 
     def _room(self, joints: Array) -> Array:
         """What is left between the tubes (k, m) [m]."""

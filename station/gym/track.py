@@ -10,6 +10,7 @@ from core.model.statics import Statics
 from core.robot.robot import Array, Indices
 from station.config.strict import ConfigError
 from station.gym import TRACK_STEPS
+from station.gym.actions import Actions
 from station.gym.bodies import Bodies, Bools, Setting
 from station.gym.reach import MOST_DRAWS
 
@@ -31,10 +32,11 @@ class Track:
         n, reach = self.bodies.lower.size, self.bodies.reach
         self.paths, self.onsets = np.zeros((rows, steps + 2, 3)), np.zeros(rows)
         self.loads, self.at = np.zeros((rows, 6)), np.zeros(rows, np.int64)
-        self._model, self._rows = Statics(self.bodies.robot), np.arange(rows)
+        self._model = Statics(self.bodies.robot)
         high = np.concatenate((self.bodies.felt_bounds, 2.0 * reach, 2.0 * reach))
+        self._width = high.size
         self.observation_space = Box(-high, high, dtype=np.float64)
-        self.action_space = Box(-1.0, 1.0, (n,), dtype=np.float64)
+        self.action_space = Actions(n)
 
     def reset(self, row: int, random: np.random.Generator) -> None:
         """Begin an episode in this row: robot, load and path are drawn."""
@@ -52,19 +54,19 @@ class Track:
 
     def observe(self) -> Array:
         """What the rows feel of their joints, their tips, the ways to their targets and to the next ones [m]."""
-        tips = self.bodies.tips
-        following = np.minimum(self.at + 1, self.steps + 1)
-        target, later = self.paths[self._rows, self.at], self.paths[self._rows, following]
-        return np.concatenate((self.bodies.felt(), target - tips, later - tips), axis=1)
+        bodies = self.bodies
+        seen = np.empty((bodies.rows, self._width))
+        bodies.feel(seen)
+        _look_ahead(self.paths, self.at, bodies.tips, seen)
+        return seen
 
     def step(self, actions: Array) -> tuple[Array, dict[str, Array | Bools]]:
         """Rewards (k,), the distance from the path in mm and negative, and the same in metres."""
         bodies = self.bodies
-        self.at = np.minimum(self.at + 1, self.steps + 1)
-        _come(self.at, self.onsets, RAMP / bodies.setting.period, self.loads, bodies.wrenches)
+        _come(self.at, self.steps + 1, self.onsets, RAMP / bodies.setting.period, self.loads, bodies.wrenches)
         bodies.move(actions)
-        gap = bodies.tips - self.paths[self._rows, self.at]
-        away = np.sqrt(np.add.reduce(gap * gap, axis=-1))
+        away = np.empty(bodies.rows)
+        _fall_behind(self.paths, self.at, bodies.tips, away)
         return -1e3 * away, {"error": away}
 
     def marks(self, row: int) -> Array:
@@ -101,9 +103,32 @@ class Track:
 
 
 @compiled
-def _come(at: Indices, onsets: Array, ramp: float, loads: Array, wrenches: Array) -> None:
-    """As much of the loads as has come."""
+def _come(at: Indices, last: int, onsets: Array, ramp: float, loads: Array, wrenches: Array) -> None:
+    """On by a step, and as much of the loads as has come then; paths have `steps` + 2 points."""
     for row in range(at.shape[0]):
+        at[row] = min(at[row] + 1, last)
         part = min(max((at[row] - onsets[row]) / ramp, 0.0), 1.0)
         for k in range(6):
             wrenches[row, k] = part * loads[row, k]
+
+
+@compiled
+def _look_ahead(paths: Array, at: Indices, tips: Array, seen: Array) -> None:
+    """The ways to the targets and to the next ones, the last six of what is seen (k, m)."""
+    last, behind = paths.shape[1] - 1, seen.shape[1] - 6
+    for row in range(at.shape[0]):
+        later = min(at[row] + 1, last)
+        for k in range(3):
+            seen[row, behind + k] = paths[row, at[row], k] - tips[row, k]
+            seen[row, behind + 3 + k] = paths[row, later, k] - tips[row, k]
+
+
+@compiled
+def _fall_behind(paths: Array, at: Indices, tips: Array, away: Array) -> None:
+    """Distances (k,) from the targets."""
+    for row in range(at.shape[0]):
+        total = 0.0
+        for k in range(3):
+            gap = tips[row, k] - paths[row, at[row], k]
+            total += gap * gap
+        away[row] = np.sqrt(total)

@@ -42,3 +42,23 @@ def test_what_a_command_does_not_know_is_refused_wherever_it_stands(capsys) -> N
 @pytest.mark.parametrize("command", sorted(parser()[1].choices))
 def test_every_command_takes_the_folder_of_data(command: str) -> None:
     assert "--data" in parser()[1].choices[command].format_help()
+
+
+@pytest.mark.parametrize(
+    "given",
+    ["--json sweep merge {}", "sweep --json merge {}", "sweep merge --json {}", "sweep merge {} --json"],
+)
+def test_the_options_of_a_merge_stand_anywhere(given: str, tmp_path) -> None:
+    top, commands = parser()
+    parsed = top.parse_args(command_first(given.format(tmp_path).split(), commands.choices))
+    assert (parsed.experiment, parsed.parts, parsed.json) == ("merge", tmp_path, True)
+
+
+def test_words_that_a_sweep_does_not_know_are_still_refused(capsys) -> None:
+    for given in (("sweep", "fig3", "one", "two"), ("sweep", "fig3", "--unknown")):
+        with pytest.raises(SystemExit) as refused:
+            main(given)
+        assert refused.value.code == 2
+    with pytest.raises(SystemExit):
+        main(("sweep", "--json"))
+    assert "required: EXPERIMENT" in capsys.readouterr().err

@@ -1,0 +1,114 @@
+"""What a search has looked at: a line of JSON for each candidate, so that a search that was stopped goes on.
+
+The first line says what the search is. A line is written whole; half a last one (kill -9, a full disk) is dropped and
+its candidate looked at again.
+"""
+
+import fcntl
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+from station.config.strict import ConfigError
+from station.design.study import Study
+from station.recording.metadata import PACKAGES, versions
+
+NAME = "candidates.jsonl"
+#: What is kept of a candidate: `parameters` (p,), `cost`, and what makes it up.
+Line = Mapping[str, Any]
+
+
+class Candidates:
+    """The file, locked until it is closed."""
+
+    def __init__(self, folder: Path, study: Study) -> None:
+        """Begin it, or go on with it.
+
+        Raises:
+            ConfigError: another study is kept there, somebody else searches there, or the disk does not take it.
+
+        """
+        self.path, self.lines = folder / NAME, dict[tuple[float, ...], Line]()
+        plan = plan_of(study)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
+        try:
+            self._begin(plan)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let others have it."""
+        os.close(self._file)
+
+    def append(self, line: Line) -> None:
+        """Keep a candidate.
+
+        Raises:
+            ConfigError: the disk does not take it.
+
+        """
+        self._append(line)
+        self.lines[tuple(line["parameters"])] = line
+
+    def _begin(self, plan: Mapping[str, Any]) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(f"{self.path}: another process searches there") from None
+        whole, _, half = self.path.read_bytes().rpartition(b"\n")
+        if half:
+            os.ftruncate(self._file, len(whole) + 1 if whole else 0)
+        told = whole.split(b"\n") if whole else []
+        try:
+            kept = [json.loads(line) for line in told]
+            self.lines = {tuple(line["parameters"]): line for line in kept[1:] if line["cost"] is not None}
+        except (ValueError, KeyError, TypeError):
+            raise ConfigError(f"{self.path}: is no list of candidates; repair it, or take another folder") from None
+        if not kept:
+            self._append(plan)
+        elif kept[0] != plan:
+            names = ", ".join(name for name in plan if kept[0].get(name) != plan[name])
+            raise ConfigError(f"{self.path}: another search is kept there ({names} differ); take another folder")
+
+    def _append(self, value: Mapping[str, Any]) -> None:
+        data = json.dumps(value).encode() + b"\n"
+        try:
+            while data:
+                data = data[os.write(self._file, data) :]
+        except OSError as error:
+            raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from None
+
+
+def plan_of(study: Study) -> dict[str, Any]:
+    """What makes a search what it is; ready for JSON."""
+    found = versions()
+    robot = hashlib.sha256(study.robot.model_dump_json().encode()).hexdigest()
+    return {
+        "study": study.file.model_dump(mode="json"),
+        "robot": robot,
+        "versions": {name: found[name] for name in PACKAGES},
+    }
+
+
+def of(study: Study, line: Line) -> dict[str, float]:
+    """Its parameters by key."""
+    return dict(zip([each.key for each in study.file.parameters], line["parameters"], strict=True))
+
+
+def best(lines: Sequence[Line]) -> Line:
+    """The one that costs least; of several the first."""
+    return min(lines, key=lambda line: line["cost"])

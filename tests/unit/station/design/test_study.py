@@ -1,0 +1,79 @@
+"""Study files: refused by key and line, and what they change of a robot."""
+
+import pytest
+
+from station.config.robots import load_robot, robot_of
+from station.config.strict import ConfigError, preset_names
+from station.design.design_output import robot_text
+from station.design.study import load_study
+
+TEXT = """title = "one"
+robot = "paper"
+
+[task]
+points = [[0.02459, -0.04154, 0.19392]]
+forces = [[0.5, 0.0, 0.0]]
+
+[[parameters]]
+key = "inner.sections.2.curvature"
+lower = 1.0
+upper = 9.0
+"""
+
+
+@pytest.fixture
+def study(tmp_path):
+    path = tmp_path / "one.toml"
+
+    def load(text=TEXT):
+        path.write_text(text)
+        return load_study(str(path))
+
+    return load
+
+
+def test_those_that_come_with_the_station_can_be_loaded():
+    assert preset_names("studies") == ["fig10_load"]
+    for name in preset_names("studies"):
+        assert load_study(name).begun.tolist() == [0.15, 0.153, 4.0, 0.153, 4.0]
+
+
+def test_a_changed_robot_differs_in_what_was_changed_alone(study):
+    before, after = load_robot("paper"), study().changed([7.5])
+    assert after.tubes[0].sections[1].curvature == (7.5, 0.0)
+    assert after.tubes[0].sections[1].length == before.tubes[0].sections[1].length
+    assert (after.tubes[1], after.joints) == (before.tubes[1], before.joints)
+
+
+@pytest.mark.parametrize("name", ["paper", "three_tubes", "nylon"])
+def test_a_robot_that_is_written_is_read_as_it_was(name):
+    file = load_robot(name)
+    assert robot_of(robot_text(file), "it") == file
+
+
+@pytest.mark.parametrize(
+    ("what", "instead", "told"),
+    [
+        ('"inner.sections.2.curvature"', '"middle.bending_stiffness"', "has no tube 'middle'; it has inner, outer"),
+        ('"inner.sections.2.curvature"', '"inner.sections.3.length"', "tube 'inner' has the sections 1 ... 2"),
+        ('"inner.sections.2.curvature"', '"inner.colour"', "is none of inner.bending_stiffness"),
+        ("lower = 1.0", "lower = 9.0", "lower 9 is not below upper 9"),
+        ("curvature", "length", "length 9.15 m is beyond 5 m"),
+        ("[[0.5, 0.0, 0.0]]", "[[0.0, 0.0, 0.0]]", "one of the forces must be more than 0 N"),
+        ('title = "one"', 'titel = "one"', "unknown key 'titel' (line 1)"),
+        ("forces", "force", "unknown key 'task.force' (line 6)"),
+        ('robot = "paper"', 'robot = "nobody"', "'nobody' is not one of the robots"),
+        ("points = [[0.02459", "points = [[nan", "points"),
+    ],
+)
+def test_a_mistake_is_told_with_file_and_key(study, what, instead, told):
+    with pytest.raises(ConfigError) as refused:
+        study(TEXT.replace(what, instead))
+    assert told in str(refused.value)
+    assert "one.toml" in str(refused.value)
+
+
+def test_a_robot_beside_the_study_is_found(study, tmp_path):
+    file = load_robot("paper").model_copy(update={"name": "mine", "working_pose": None})
+    (tmp_path / "mine.toml").write_text(robot_text(file))
+    assert study(TEXT.replace('"paper"', '"mine.toml"')).robot == file
