@@ -57,9 +57,9 @@ class ParameterFile(Strict):
     key: str
     """TUBE.bending_stiffness, TUBE.sections.N.length or TUBE.sections.N.curvature (about x); sections count from 1"""
     lower: float
-    """in the key's own unit"""
+    """least value, in the key's own unit; any below `upper`"""
     upper: float
-    """in the key's own unit"""
+    """largest value, in the key's own unit; any above `lower`"""
 
     @model_validator(mode="after")
     def _room(self) -> Self:
@@ -74,7 +74,9 @@ class SearchFile(Strict):
     population: Annotated[int, Field(ge=2, le=100)] = 8
     """candidates of a generation for each parameter"""
     generations: Annotated[int, Field(ge=1, le=10_000)] = 40
+    """how often all candidates are replaced"""
     seed: Annotated[int, Field(ge=0)] = 0
+    """of what is drawn at random"""
 
 
 class StudyFile(Strict):
@@ -83,13 +85,17 @@ class StudyFile(Strict):
     format: Format = 1
     """of this file"""
     title: str
+    """for people"""
     robot: str = "paper"
     """preset, or .toml file beside the study: what is changed, and what the outcome is held against"""
     objective: Objective = "load"
     """load: the largest multiple of the task's forces that is held; margin, stiffness: the least along the task"""
     task: StudyTaskFile
+    """what the tubes are to do"""
     parameters: Annotated[tuple[ParameterFile, ...], Field(min_length=1, max_length=40, strict=False)]
+    """the numbers of the tubes that are searched"""
     search: SearchFile = SearchFile()
+    """how long"""
 
 
 class Study:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
@@ -43,7 +44,7 @@ def write_report(folder: Path, found: Workspace, said: Mapping[str, Any]) -> Non
 
 def _reach(found: Workspace) -> Drawn:
     figure = Figure(figsize=(style.WIDTH, 3.0))
-    tips, last = 1e3 * found.tips, None
+    tips, last = 1e3 * found.tips, ScalarMappable()
     for axes, (across, up) in zip(figure.subplots(1, 3), ((2, 0), (2, 1), (1, 0)), strict=True):
         last = axes.hexbin(tips[:, across], tips[:, up], gridsize=CELLS, cmap=COLOURS, norm=LogNorm(), mincnt=1)
         axes.set(xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]", aspect="equal")

@@ -54,7 +54,7 @@ def test_a_number_has_a_unit_or_is_a_part_of_something_and_its_range_stands_in_e
 #: Numbers that are parts, ratios and counts.
 WITHOUT_UNIT = {
     "poisson_ratio", "stability", "hold_share", "rate", "vary", "friction", "walk", "gain", "stiffness", "curvature",
-    "breathing_second", "value", "rate_drift", "size_drift", "damping", "turns",
+    "breathing_second", "value", "rate_drift", "size_drift", "damping", "turns", "margin", "lower", "upper",
 }  # fmt: skip
 
 
