@@ -1,13 +1,13 @@
 """What joints do that the task leaves over: they keep away from edges, as far as the task's null space lets them.
 
-Each edge repels with one over the distance to it: the gradient of that, in joints measured by their top speed, is a
-velocity that `inverse` comes as near to as it can without touching the task, by the ridge that keeps a null space
+An edge repels the more the nearer it is, from the distance on that is 1 below: the gradient of one over the distance,
+in joints measured by their top speed, is a velocity that `inverse` comes as near to as it can without touching the task, by the ridge that keeps a null space
 still otherwise. Two levels in one small problem, inside all the limits.
 
 | name | edge | distance |
 |---|---|---|
-| `stability` | the shape folds, the tubes snap | `Solution.stability` |
-| `limits` | the end of a joint's travel | over half of the travel |
+| `stability` | the shape folds, the tubes snap | `Solution.stability` over 0.5 |
+| `limits` | the end of a joint's travel | over a quarter of the travel |
 | `order` | tubes out of order | over 10 mm |
 """
 
@@ -26,11 +26,16 @@ from core.robot.robot import Array
 
 EDGES = ("stability", "limits", "order")
 #: Fastest that a joint goes for this, as a part of its top speed.
-MOST = 0.25
+MOST = 0.1
+#: How eagerly [s]: ten times of it, and joints that are told a tenth of a second late hunt about the place where edges
+#: balance, by enough to move the tip.
+EAGER = 0.1
+#: Part of what a trial says that is believed at once: the load that it is made under is a single sample's.
+BELIEVED = 0.2
 #: No edge repels as if it were nearer.
 NEAREST = 0.05
-#: What the order's distances are measured by [m].
-ORDER = 0.010
+#: What distances are measured by: of the margin, of a joint's end over half of its travel, of the order [m].
+STABLE, END, ORDER = 0.5, 0.5, 0.010
 #: Time for which a joint goes at top speed to tell how the margin changes with it [s].
 TRIED = 0.02
 
@@ -66,9 +71,10 @@ class Spare:
         joints[k] += step
         values, following = last.values.copy(), (k + 1) % joints.size
         try:
-            values[k] = (statics.solve(joints, now.wrench, now).stability - now.stability) / step * speed[k]
+            found = (statics.solve(joints, now.wrench, now).stability - now.stability) / step * speed[k]
         except CtrError:
-            values[k] = 0.0  # it cannot stand there: the order's and the travel's business
+            found = 0.0  # it cannot stand there: the order's and the travel's business
+        values[k] += BELIEVED * (found - values[k])
         return Slope(values, following)
 
     def velocity(self, limits: Limits, joints: Array, margin: float, slope: Slope) -> Array:
@@ -76,13 +82,19 @@ class Spare:
         lower, upper, speed = limits.packed[:3]
         wish, half = np.zeros(joints.size), 0.5 * (upper - lower)
         if weight := self.weights.get("stability", 0.0):
-            wish += weight * slope.values / max(margin, NEAREST) ** 2
+            wish += weight * slope.values / STABLE * _repels(np.array([margin / STABLE]))
         if weight := self.weights.get("limits", 0.0):
-            below, above = (np.maximum(room / half, NEAREST) for room in (joints - lower, upper - joints))
-            wish += weight * (below**-2 - above**-2) * speed / half
+            below, above = (_repels(room / (END * half)) for room in (joints - lower, upper - joints))
+            wish += weight * (below - above) * speed / (END * half)
         if weight := self.weights.get("order", 0.0):
             for limit in limits.others:
                 if isinstance(limit, TubeOrder):
-                    room = np.maximum((limit.bound - limit.matrix @ joints) / ORDER, NEAREST)
-                    wish -= weight * (room**-2 @ limit.matrix) * speed / ORDER
+                    room = (limit.bound - limit.matrix @ joints) / ORDER
+                    wish -= weight * (_repels(room) @ limit.matrix) * speed / ORDER
+        wish *= EAGER
         return speed * wish * min(1.0, MOST / max(float(np.abs(wish).max()), 1e-12))
+
+
+def _repels(distance: Array) -> Array:
+    """How much, at distances (k,): nothing from 1 on."""
+    return np.maximum(np.maximum(distance, NEAREST) ** -2.0 - 1.0, 0.0)
