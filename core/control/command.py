@@ -10,7 +10,8 @@ import numpy as np
 from core.compiled import compiled, copy
 from core.control.controllers import Strategy, VelocityTask, View, inner_law, outer_law
 from core.control.estimation import Estimate, known_of
-from core.control.inverse import HUNTING, NO_ROOM, SIGMA_FLOOR, inverse_at, inverse_law, no_rows
+from core.control.inverse import HUNTING, NO_ROOM, SIGMA_FLOOR, inverse_at, inverse_law, no_rows, no_spare
+from core.control.pointing import NOT_ASKED, PLACE, Aim, with_direction
 from core.control.trajectories import Setpoint
 from core.errors import NotFinite
 from core.model.solution import parts
@@ -23,7 +24,7 @@ class Commanded(NamedTuple):
 
     velocity: Array  #: (n,) [rad/s or m/s]
     u_int: Array  #: (3,) what the outer loop asked for [m/s]
-    sigma: Array  #: singular values of the Jacobian in use, joints in units of top speed [m/s]
+    sigma: Array  #: (min(3, n),) the smallest singular values of the rows in use, joints in units of top speed [m/s]
     at_bound: Array  #: (n,) -1, 0, 1: joint held at its lower bound, free, at its upper
     at_row: Array  #: (m,) 1 where a limit beyond single joints is active
 
@@ -43,6 +44,7 @@ class Looks(NamedTuple):
 def command(
     strategy: Strategy, looks: Looks, limits: Limits,
     joints: Array, now: Estimate, force: Array, setpoint: Setpoint, tip: Array, origin: Array, drift: Array = OBSERVED,
+    aim: Aim = PLACE, pointing: Array = NOT_ASKED, spare: Array | None = None,
 ) -> Commanded:  # fmt: skip
     """Joint velocities for a setpoint.
 
@@ -57,6 +59,9 @@ def command(
         tip: (3,) the latest tracker frame [m].
         origin: (3,) [m].
         drift: (3,) tip velocity beyond J q' + C w' [m/s], or `OBSERVED`.
+        aim: what of the tip is controlled; loops of one's own control the place.
+        pointing: (6, 3) what `pointing.told` says of the direction, where that is asked for.
+        spare: (n,) what joints that are left over should do [rad/s or m/s]; nothing when left out.
 
     Raises:
         NotFinite: what is asked for, or the Jacobian, is not.
@@ -74,7 +79,8 @@ def command(
     found = Commanded(np.empty(n), np.empty(3), np.empty(min(3, n)), np.empty(n), np.empty(room.size))
     if not _command(
         *strategy.laws, *looks, limits.packed, joints, now.loaded.numbers, now.unloaded.numbers, now.numbers,
-        setpoint.position, setpoint.velocity, tip, origin, drift, rows, room, SIGMA_FLOOR, HUNTING, *found,
+        setpoint.position, setpoint.velocity, tip, origin, drift, aim.place, aim.lever, pointing, rows, room,
+        no_spare(n) if spare is None else spare, SIGMA_FLOOR, HUNTING, *found,
     ):  # fmt: skip
         raise NotFinite(f"wanted tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
     return found
@@ -105,7 +111,8 @@ def _aim(lead: float, wanted: Array, velocity: Array) -> Array:
 def _command(
     k1: float, k2: float, feedforward: float, number: int, lead: float, observes: bool, exact_rate: bool,
     limits: Array, joints: Array, loaded: Array, unloaded: Array, estimate: Array,
-    wanted: Array, velocity: Array, tip: Array, origin: Array, drift: Array, rows: Array, room: Array,
+    wanted: Array, velocity: Array, tip: Array, origin: Array, drift: Array,
+    place: float, lever: float, pointing: Array, rows: Array, room: Array, spare: Array,
     least_floor: float, hunting: float,
     command: Array, u_int: Array, sigma: Array, at_bound: Array, at_row: Array,
 ) -> bool:  # fmt: skip
@@ -115,16 +122,21 @@ def _command(
         here[i] = (now.tip_ahead[i] if observes else tip[i]) - origin[i]
     copy(outer_law(k1, k2, feedforward, _aim(lead, wanted, velocity), velocity, here), u_int)
     rate = now.deflection_rate_exact if exact_rate else now.deflection_rate
+    with_load, free = parts(loaded), parts(unloaded)
     jacobian, asked = inner_law(
-        number, u_int, parts(loaded).jacobian, parts(unloaded).jacobian, rate, now.load_rate,
-        now.drift if drift.size == 0 else drift,
+        number, u_int, with_load.jacobian, free.jacobian, rate, now.load_rate, now.drift if drift.size == 0 else drift
+    )
+    jacobian, asked = with_direction(
+        place, lever, number, k1, feedforward, lead,
+        jacobian, asked, with_load.jacobian, free.jacobian, with_load.rotation, pointing,
     )  # fmt: skip
     lower, upper = velocity_bounds(joints, limits)
     found, values, held, active, finite = inverse_law(
-        jacobian, asked, limits[2], lower, upper, rows, room, least_floor, hunting
+        jacobian, asked, limits[2], lower, upper, rows, room, spare, least_floor, hunting
     )
     copy(found, command)
-    copy(values, sigma)
+    for i in range(sigma.shape[0]):
+        sigma[i] = values[max(0, values.shape[0] - sigma.shape[0] + i)]
     copy(held, at_bound)
     copy(active, at_row)
     return finite

@@ -1,7 +1,10 @@
 """From a wanted tip velocity to joint velocities, damped near singular poses and inside every limit.
 
-    minimise  |J v - wanted|^2 + damping^2 |v / speed|^2
+    minimise  |J v - wanted|^2 + damping^2 |v / speed|^2 (+ ridge |(v - spare) / speed|^2)
     subject to  lower <= v <= upper,  rows v <= room
+
+J has a row for each number that is asked of the tip. With more joints than rows a ridge, far below everything else, has
+those that are left over do what is nearest to `spare`, inside the same limits: nothing, unless told otherwise.
 
 Joints are measured in fractions of their top speed, which makes radians and metres comparable:
 the singular values of J diag(speed) are tip speeds [m/s] with the joints at full speed. Below
@@ -34,31 +37,33 @@ class Inverse(NamedTuple):
     """Joint velocities and how they were limited."""
 
     velocity: Array  #: (n,) [rad/s or m/s]
-    sigma: Array  #: (min(3, n),) singular values of J diag(speed), largest first [m/s]
+    sigma: Array  #: (min(m, n),) singular values of J diag(speed), largest first [m/s]
     at_bound: Array  #: (n,) -1, 0 or 1: held at its lower bound, free, at its upper
     at_row: Array  #: (m,) 1 where a row is active
 
 
 def inverse(
     jacobian: Array, wanted: Array, speed: Array, lower: Array, upper: Array,
-    rows: Array | None = None, room: Array = NO_ROOM,
+    rows: Array | None = None, room: Array = NO_ROOM, spare: Array | None = None,
 ) -> Inverse:  # fmt: skip
     """Joint velocity that best gives the wanted tip velocity inside the limits.
 
     Args:
-        jacobian: (3, n) [m/rad or m/m].
-        wanted: (3,) [m/s].
+        jacobian: (m, n) [m/rad or m/m].
+        wanted: (m,) [m/s].
         speed: top speeds (n,), the joints' units of measure [rad/s or m/s].
         lower, upper: bounds (n,) that contain zero [rad/s or m/s].
-        rows, room: further limits, rows (m, n) @ velocity <= room (m,), none of them below zero.
+        rows, room: further limits, rows (k, n) @ velocity <= room (k,), none of them below zero.
+        spare: (n,) what joints that are left over should do [rad/s or m/s]; nothing when left out.
 
     Raises:
         NotFinite: a NaN or an infinity in what is wanted or in the Jacobian.
 
     """
+    spare = no_spare(speed.shape[0]) if spare is None else spare
     rows = no_rows(speed.shape[0]) if rows is None else rows
     velocity, sigma, at_bound, at_row, finite = inverse_law(
-        jacobian, wanted, speed, lower, upper, rows, room, SIGMA_FLOOR, HUNTING
+        jacobian, wanted, speed, lower, upper, rows, room, spare, SIGMA_FLOOR, HUNTING
     )
     if not finite:
         _complain(jacobian, wanted)
@@ -72,7 +77,7 @@ def inverse_at(
     """`inverse` of joints at (n,) [rad or m] that must be able to stop inside their travel."""
     rows = no_rows(joints.shape[0]) if rows is None else rows
     velocity, sigma, at_bound, at_row, finite = _inverse_at(
-        limits.packed, joints, jacobian, wanted, rows, room, SIGMA_FLOOR, HUNTING
+        limits.packed, joints, jacobian, wanted, rows, room, no_spare(joints.shape[0]), SIGMA_FLOOR, HUNTING
     )
     if not finite:
         _complain(jacobian, wanted)
@@ -87,18 +92,24 @@ def _complain(jacobian: Array, wanted: Array) -> None:
 
 @compiled
 def _inverse_at(
-    limits: Array, joints: Array, jacobian: Array, wanted: Array, rows: Array, room: Array,
+    limits: Array, joints: Array, jacobian: Array, wanted: Array, rows: Array, room: Array, spare: Array,
     least_floor: float, hunting: float,
 ) -> tuple[Array, Array, Array, Array, bool]:  # fmt: skip
     speed = limits[2, : joints.shape[0]]
     lower, upper = velocity_bounds(joints, limits)
-    return inverse_law(jacobian, wanted, speed, lower, upper, rows, room, least_floor, hunting)
+    return inverse_law(jacobian, wanted, speed, lower, upper, rows, room, spare, least_floor, hunting)
 
 
 @cache
 def no_rows(joints: int) -> Array:
     """Of limits beyond single joints, where there are none."""
     return np.empty((0, joints))
+
+
+@cache
+def no_spare(joints: int) -> Array:
+    """What joints do that are left over, where nobody says it: nothing."""
+    return np.zeros(joints)
 
 
 @compiled
@@ -110,14 +121,16 @@ def inverse_law(
     upper: Array,
     rows: Array,
     room: Array,
+    spare: Array,
     least_floor: float,
     hunting: float,
 ) -> tuple[Array, Array, Array, Array, bool]:
     """In x = v / speed; limit number c is upper c for c < n, lower c - n for c < 2 n, else row c - 2 n."""
-    n, m = speed.shape[0], rows.shape[0]
-    scaled, total = np.empty((3, n)), 0.0
-    for i in range(3):
+    n, m, asks = speed.shape[0], rows.shape[0], wanted.shape[0]
+    scaled, total, square = np.empty((asks, n)), 0.0, 0.0
+    for i in range(asks):
         total += wanted[i]
+        square += wanted[i] * wanted[i]
         for j in range(n):
             scaled[i, j] = jacobian[i, j] * speed[j]
             total += scaled[i, j]
@@ -125,15 +138,17 @@ def inverse_law(
     velocity, at_bound, at_row = np.zeros(n), np.zeros(n), np.zeros(m)
     if not np.isfinite(total):
         return velocity, sigma, at_bound, at_row, False
-    asked = np.sqrt(wanted[0] * wanted[0] + wanted[1] * wanted[1] + wanted[2] * wanted[2])
+    asked = np.sqrt(square)
     floor = max(least_floor, np.sqrt(hunting * asked))
     ratio = sigma[-1] / floor
     damping = floor * floor * (1.0 - ratio * ratio) if ratio < 1.0 else 0.0
-    # More joints than directions leave a null space: a ridge far below the damping keeps it still.
-    damping += 1e-10 * sigma[0] * sigma[0] if n > 3 else 0.0
+    # More joints than rows leave a null space: a ridge far below the damping keeps it still, or has it do `spare`.
+    ridge = 1e-10 * sigma[0] * sigma[0] if n > asks else 0.0
+    damping += ridge
     normal, right = np.zeros((n, n)), np.zeros(n)
     for i in range(n):
-        for k in range(3):
+        right[i] = ridge * spare[i] / speed[i]
+        for k in range(asks):
             right[i] += scaled[k, i] * wanted[k]
             for j in range(n):
                 normal[i, j] += scaled[k, i] * scaled[k, j]
@@ -241,13 +256,13 @@ def _eliminate(matrix: Array, right: Array, size: int) -> bool:
 
 @compiled
 def _singular_values(matrix: Array) -> Array:
-    """Of a matrix (3, n), largest first, by one-sided Jacobi rotations of its rows."""
-    n = matrix.shape[1]
+    """Of a matrix (m, n), largest first, by one-sided Jacobi rotations of its rows."""
+    m, n = matrix.shape
     rows = matrix.copy()
     for _ in range(12):
         turned = 0.0
-        for p in range(2):
-            for q in range(p + 1, 3):
+        for p in range(m - 1):
+            for q in range(p + 1, m):
                 a, b, c = 0.0, 0.0, 0.0
                 for j in range(n):
                     a += rows[p, j] * rows[p, j]
@@ -265,14 +280,14 @@ def _singular_values(matrix: Array) -> Array:
                         rows[q, j] = cos * (t * up + down)
         if turned == 0.0:
             break
-    sigma = np.empty(3)
-    for i in range(3):
+    sigma = np.empty(m)
+    for i in range(m):
         square = 0.0
         for j in range(n):
             square += rows[i, j] * rows[i, j]
         sigma[i] = np.sqrt(square)
-    for i in range(2):  # three numbers: a library's sort takes a second to compile
-        for k in range(2 - i):
+    for i in range(m - 1):  # a few numbers: a library's sort takes a second to compile
+        for k in range(m - 1 - i):
             if sigma[k] < sigma[k + 1]:
                 sigma[k], sigma[k + 1] = sigma[k + 1], sigma[k]
-    return sigma[: min(3, n)].copy()
+    return sigma[: min(m, n)].copy()

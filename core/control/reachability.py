@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 
 from core.control.inverse import SIGMA_FLOOR, inverse
-from core.control.trajectories import Trajectory
+from core.control.pointing import PLACE, Aim, rows_of, turn
+from core.control.trajectories import Directions, Trajectory
 from core.errors import CtrError, Unreachable
 from core.model.statics import Solution, Statics
 from core.robot.limits import Limits, Situation
@@ -29,7 +30,7 @@ WAY_THERE = 20.0
 
 def check_reach(
     statics: Statics, limits: Limits, joints: Array, trajectory: Trajectory, duration: float,
-    force: Callable[[float], Array] | None = None,
+    force: Callable[[float], Array] | None = None, aim: Aim = PLACE, directions: Directions | None = None,
 ) -> None:  # fmt: skip
     """Refuse a motion that the robot cannot follow.
 
@@ -41,6 +42,8 @@ def check_reach(
         duration: of the motion [s]; what repeats itself is walked once.
         force: (3,) at the tip [N] by the time since the start [s], also what hangs there before it, at
             negative times; none when left out.
+        aim: what of the tip is controlled. An angle counts as the way at its lever.
+        directions: in which the tip points; none keeps that of the start.
 
     Raises:
         Unreachable: the first time at which the tip is off its path, by how much, and the limit.
@@ -48,18 +51,19 @@ def check_reach(
 
     """
     limits.check(joints)
-    walk = _Walk(statics, limits, joints, force)
-    start = walk.at.tip
+    walk = _Walk(statics, limits, joints, force, aim)
+    start, heading = walk.at.tip, walk.at.rotation[:, 2]
     repeats = duration if force is not None else min(duration, trajectory.period)
     step = min(STEP, trajectory.period / 40.0) if trajectory.period > 0.0 else STEP
     before = np.zeros(3)
     for number in range(min(math.ceil(repeats / step), MOST_STEPS) + 1):
-        time, (place, velocity) = number * step, trajectory.setpoint(number * step)
-        away = walk.step(start + place, time, step)
+        time, (place, velocity, *_) = number * step, trajectory.setpoint(number * step)
+        pointing = heading if directions is None else directions.at(time)[0]
+        away = walk.step(start + place, time, step, pointing)
         if float(np.linalg.norm(place - before - step * velocity)) > TOLERANCE:
             # A jump is not followed but gone to; what counts is that it can be reached.
             for _ in range(round(WAY_THERE / step)):
-                away = walk.step(start + place, time, step) if away > 0.1 * TOLERANCE else away
+                away = walk.step(start + place, time, step, pointing) if away > 0.1 * TOLERANCE else away
         before = place
         if away > TOLERANCE:
             raise Unreachable(
@@ -71,13 +75,15 @@ def check_reach(
 class _Walk:
     """A robot without inertia, noise and delay."""
 
-    def __init__(self, statics: Statics, limits: Limits, joints: Array, force: Callable[[float], Array] | None) -> None:
-        self._statics, self._limits, self._force = statics, limits, force
+    def __init__(
+        self, statics: Statics, limits: Limits, joints: Array, force: Callable[[float], Array] | None, aim: Aim
+    ) -> None:
+        self._statics, self._limits, self._force, self._aim = statics, limits, force, aim
         self._reasons: tuple[str, ...] = ()
         self.at: Solution = statics.solve(joints, self._wrench(-STEP))
 
-    def step(self, target: Array, time: float, length: float) -> float:
-        """Go for `length` [s] toward a tip (3,) [m]; how far it then is from it [m]."""
+    def step(self, target: Array, time: float, length: float, pointing: Array) -> float:
+        """Go for `length` [s] toward a tip (3,) [m] that points there (3,); how far it then is from it [m]."""
         at, limits = self.at, self._limits
         lower, upper = limits.velocity_bounds(at.joints)
         rows, room = None, np.zeros(0)
@@ -85,8 +91,10 @@ class _Walk:
             rows, room = limits.rows(Situation(at.joints, at.jacobian[:3], at.tip, at.wrench[:3]))
         wrench = self._wrench(time)
         # What the load will do in this step belongs to what the joints have to make up for.
-        moved = at.tip + at.compliance[:3, :3] @ (wrench[:3] - at.wrench[:3])
-        found = inverse(at.jacobian[:3], (target - moved) / length, limits.speed, lower, upper, rows, room)
+        moved = at.compliance[:, :3] @ (wrench[:3] - at.wrench[:3])
+        wanted = rows_of(self._aim, (self._miss(target, pointing) - moved)[:, None] / length, at.rotation)[:, 0]
+        jacobian = rows_of(self._aim, at.jacobian, at.rotation)
+        found = inverse(jacobian, wanted, limits.speed, lower, upper, rows, room)
         self._reasons = limits.active(at.joints, found.at_bound, found.at_row)
         if found.sigma[-1] < NEAR_SINGULAR:
             self._reasons = (f"a singular pose (sigma {1e3 * found.sigma[-1]:.2g} mm/s)", *self._reasons)
@@ -94,7 +102,11 @@ class _Walk:
             self.at = self._statics.solve(at.joints + length * found.velocity, wrench, at)
         except CtrError as error:
             raise Unreachable(f"at {time:.4g} s: {error}").at(time) from None
-        return float(np.linalg.norm(target - self.at.tip))
+        return float(np.linalg.norm(rows_of(self._aim, self._miss(target, pointing)[:, None], self.at.rotation)))
+
+    def _miss(self, target: Array, pointing: Array) -> Array:
+        """(6,) way [m] and turn [rad] from the tip to where it should be."""
+        return np.concatenate((target - self.at.tip, turn(self.at.rotation[:, 2], pointing)))
 
     @property
     def reasons(self) -> str:

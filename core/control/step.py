@@ -21,8 +21,11 @@ from core.control.estimation import Estimate, Estimator
 from core.control.force_fusion import Fused, fuse_at
 from core.control.inverse import NO_ROOM
 from core.control.perception import perceive
+from core.control.pointing import NOT_ASKED, PLACE, Aim, Pointed, look, told
+from core.control.pointing import start as begin_to_point
+from core.control.spare import Slope, Spare
 from core.control.trajectories import JointMotion, Setpoint
-from core.errors import NotFinite
+from core.errors import DescriptionError, NotFinite
 from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.limits import Limits
@@ -37,6 +40,7 @@ class Sample(NamedTuple):
     wrenches: Array  #: (q, 6) tared base wrenches, each in its sensor's axes [N, N m]
     tip: Array | None  #: (3,) a new tracker frame [m]; None when none arrived since the last tick
     tip_age: float = 0.0  #: time since that frame was measured [s]
+    direction: Array | None = None  #: (3,) in which the tip points, of the same frame; None where the tracker tells none
 
 
 class ControllerState(NamedTuple):
@@ -46,6 +50,8 @@ class ControllerState(NamedTuple):
     tip: Array  #: (3,) latest measured tip [m]
     origin: Array  #: (3,) tip at the start, where setpoints count from [m]
     seen: Differentiated = AT_REST  #: what frames show, where the controller looks at them so
+    pointed: Pointed | None = None  #: what is known of the tip's direction, where that is controlled
+    slope: Slope | None = None  #: of the margin of stability, where joints that are left over look after it
 
 
 class Tick(NamedTuple):
@@ -85,6 +91,17 @@ class Controller:
     differentiates: bool = False
     #: From a calibration; without, the coil is at the tip and the sensors stand as their tubes.
     corrections: Corrections | None = None
+    #: What of the tip is controlled.
+    aim: Aim = PLACE
+    #: What joints that are left over do; without, nothing.
+    spare: Spare | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.limits.joints)
+        if self.aim.lever > 0.0 and self.strategy.laws is None:
+            raise DescriptionError("loops of one's own control the tip's place: its direction is not theirs to ask for")
+        if self.aim.lever > 0.0 and self.aim.rows > n:
+            raise DescriptionError(f"task: {self.aim.rows} numbers are asked of the tip, and there are {n} joints")
 
     @property
     def period(self) -> float:
@@ -131,8 +148,19 @@ def set_origin(controller: Controller, memory: ControllerState, origin: Array) -
 
     The tare has moved the zero of the force, so the estimates begin anew without load.
     """
-    free = memory.estimate.unloaded
-    return memory._replace(estimate=controller.estimator.start(free, free, np.zeros(3), origin), origin=origin)
+    free, pointed = memory.estimate.unloaded, memory.pointed
+    if pointed is not None:
+        pointed = begin_to_point(controller.estimator, free.rotation[:, 2], pointed.observed)
+    estimate = controller.estimator.start(free, free, np.zeros(3), origin)
+    return memory._replace(estimate=estimate, origin=origin, pointed=pointed)
+
+
+def from_here(memory: ControllerState) -> ControllerState:
+    """Setpoints count from where the tip is, and "keep it" is where it points now."""
+    pointed = memory.pointed
+    if pointed is not None:
+        pointed = pointed._replace(origin=pointed.observed)
+    return memory._replace(origin=memory.estimate.observed.tip, pointed=pointed)
 
 
 def step(controller: Controller, memory: ControllerState, sample: Sample, order: Setpoint | JointMotion | None) -> Tick:
@@ -156,15 +184,24 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         by_joints = known.velocity_observed - known.load_rate - known.drift
         seen = differentiate(seen, by_joints, memory.tip, sample.tip, sample.tip_age, controller.period)
         drift = seen.velocity - known.load_rate
+    pointed = None if controller.aim.lever == 0.0 else _pointing(controller, memory.pointed, now, load.force, sample)
+    slope = memory.slope
     if isinstance(order, Setpoint):
+        asked, spare = NOT_ASKED, None
+        if pointed is not None:
+            asked = told(pointed, order.direction, order.turning, controller.observes)
+        if controller.spare is not None:
+            slope = controller.spare.tried(controller.statics, limits, now.loaded, slope)
+            spare = controller.spare.velocity(limits, sample.joints, now.loaded.stability, slope)
         found = command(
             controller.strategy, controller.looks, limits,
             sample.joints, now, load.force, order, tip, memory.origin, drift,
+            controller.aim, asked, spare,
         )  # fmt: skip
     else:
         # Nothing is asked of the tip: it is where it should be.
-        asked = np.zeros(sample.joints.size) if order is None else order.velocity
-        found, order = _as_told(limits, sample.joints, asked), Setpoint(tip - memory.origin, np.zeros(3))
+        velocity = np.zeros(sample.joints.size) if order is None else order.velocity
+        found, order = _as_told(limits, sample.joints, velocity), Setpoint(tip - memory.origin, np.zeros(3))
     finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # an older one has been looked at
     if not (finite and all(map(math.isfinite, found.velocity.tolist()))):
         raise NotFinite(
@@ -172,8 +209,18 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         )  # fmt: skip
     return Tick(
         found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
-        ControllerState(now, tip, memory.origin, seen),
+        ControllerState(now, tip, memory.origin, seen, pointed, slope),
     )  # fmt: skip
+
+
+def _pointing(
+    controller: Controller, last: Pointed | None, now: Estimate, force: Array, sample: Sample
+) -> Pointed:
+    """What is known of the tip's direction, from the first frame on."""
+    if last is None:
+        axis = now.loaded.rotation[:, 2]
+        return begin_to_point(controller.estimator, axis, axis if sample.direction is None else sample.direction)
+    return look(controller.estimator, last, now, force, sample.direction, sample.tip_age)
 
 
 def _as_told(limits: Limits, joints: Array, asked: Array) -> Commanded:

@@ -5,6 +5,7 @@ true of one period is true for ever.
 """
 
 import bisect
+import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,11 +17,16 @@ from core.errors import DescriptionError
 from core.robot.robot import Array
 
 
+STILL = np.zeros(3)
+
+
 class Setpoint(NamedTuple):
     """Desired tip relative to the tip at the start, world frame."""
 
     position: Array  #: (3,) [m]
     velocity: Array  #: (3,) [m/s]
+    direction: Array | None = None  #: (3,) in which the tip points, unit vector; None keeps that of the start
+    turning: Array = STILL  #: (3,) its angular velocity [rad/s]
 
 
 class JointMotion(NamedTuple):
@@ -44,6 +50,48 @@ class Trajectory(Protocol):
 
 #: Between two waypoints [s].
 CLOSEST = 1e-3
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Where the tip points over time: from one direction to the next about one axis, at rest at each of them."""
+
+    times: tuple[float, ...]  #: rising [s]
+    directions: tuple[tuple[float, float, float], ...]  #: of any length but zero, none opposite to the one before
+
+    def __post_init__(self) -> None:
+        if not self.times or len(self.times) != len(self.directions):
+            raise DescriptionError(
+                f"directions: {len(self.times)} times and {len(self.directions)} directions; give one each"
+            )
+        for before, after in zip(self.times, self.times[1:], strict=False):
+            if not after - before >= CLOSEST:
+                raise DescriptionError(
+                    f"directions: {after:g} s does not come {1e3 * CLOSEST:g} ms or more after {before:g} s"
+                )
+        for first, second in itertools.pairwise(self._units):
+            if float(first @ second) < -0.999:
+                raise DescriptionError("directions: two that follow are opposite; say by which way to turn")
+
+    @cached_property
+    def _units(self) -> list[Array]:
+        return [_unit("directions", direction) for direction in self.directions]
+
+    def at(self, time: float) -> tuple[Array, Array]:
+        """Direction (3,) and its angular velocity (3,) [rad/s] at `time` [s]."""
+        after = bisect.bisect_right(self.times, time)
+        if after == 0 or after == len(self.times):
+            return self._units[max(0, after - 1)], STILL
+        first, second = self._units[after - 1 : after + 1]
+        length = self.times[after] - self.times[after - 1]
+        axis, part = _cross(first, second), math.pi * (time - self.times[after - 1]) / length
+        sin = float(np.linalg.norm(axis))
+        whole = math.atan2(sin, float(first @ second))
+        if whole < 1e-9:
+            return first, STILL
+        axis /= sin
+        angle, rate = whole * 0.5 * (1.0 - math.cos(part)), whole * 0.5 * math.pi / length * math.sin(part)
+        return first * math.cos(angle) + _cross(axis, first) * math.sin(angle), axis * rate
 
 
 @dataclass(frozen=True)

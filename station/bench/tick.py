@@ -16,13 +16,28 @@ import core.control.step as control_step
 from station.bench.bench import table
 from station.control import loop
 from station.control.clock import VirtualClock
-from station.experiments.experiment import load_experiment
+from station.experiments.experiment import Case, load_experiment
 from station.experiments.runner import run_case
 
 
+#: What is timed: three joints for the place; six for the place, for place and direction, and with edges to keep from.
+CASES = {
+    "step_us": ("fig10", "feedforward"),
+    "six_joints_step_us": ("points", "position_alone"),
+    "six_joints_pointing_step_us": ("points", "pointing_alone"),
+    "six_joints_spare_step_us": ("points", "pointing"),
+}
+
+
 def tick(seconds: float = 20.0) -> dict[str, Any]:
-    """The feed-forward case of `fig10` for `seconds` after a warm-up; microseconds a step."""
-    case = next(case for case in load_experiment("fig10").cases if case.name == "feedforward")
+    """Each of `CASES` for `seconds` after a warm-up; microseconds a step."""
+    found: dict[str, Any] = {"ticks": round(seconds * 500)}
+    for key, (experiment, name) in CASES.items():
+        found[key] = _tick(next(case for case in load_experiment(experiment).cases if case.name == name), seconds)
+    return found
+
+
+def _tick(case: Case, seconds: float) -> dict[str, float]:
     taken: list[float] = []
 
     def timed(*arguments: Any) -> control_step.Tick:
@@ -42,10 +57,7 @@ def tick(seconds: float = 20.0) -> dict[str, Any]:
     # The preparation does not invert.
     moving = 1e6 * np.array(taken[-int(seconds * 500) :])
     part = np.percentile(moving, [50, 99, 99.9])
-    return {
-        "ticks": len(moving),
-        "step_us": dict(zip(("median", "p99", "p99_9"), np.round(part, 1).tolist(), strict=True)),
-    }
+    return dict(zip(("median", "p99", "p99_9"), np.round(part, 1).tolist(), strict=True))
 
 
 if __name__ == "__main__":

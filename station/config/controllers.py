@@ -1,5 +1,6 @@
 """How the tip is controlled, as a file says it: strategy, gains, filters and delays."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -9,10 +10,12 @@ from core.control.controllers import strategy
 from core.control.deflection import RateFilter
 from core.control.estimation import Estimator
 from core.control.observer import Observer
+from core.control.pointing import LEVER, aim
+from core.control.spare import Spare
 from core.control.step import Controller
 from core.model.statics import PAPER_SUBLINK, Statics
 from station.config.robots import RobotFile
-from station.config.strict import Strict
+from station.config.strict import NotNegative, Strict
 
 #: The inner loop's period [s].
 PERIOD = 0.002
@@ -38,6 +41,13 @@ class ControllerFile(Strict):
     """for type_1: the filtered derivative of Delta_total as in the paper, or C w' + (J(q, w) - J(q, 0)) q'"""
     tip_velocity: Literal["observer", "tracker"] = "observer"
     """for type_2: as observed, or the tracker's frames differentiated, which the paper warns of"""
+    task: Literal["position", "position_and_direction", "direction"] = "position"
+    """what of the tip is controlled: its place (3 numbers), that and where it points (5), or that alone (2)"""
+    direction_weight: Annotated[float, Field(gt=0.0, le=10.0)] = LEVER
+    """of a radian beside a metre [m/rad]"""
+    spare: Mapping[str, NotNegative] = {}
+    """what joints that the task leaves over keep away from, with weights: `stability` (the edge where tubes snap),
+    `limits` (ends of travel), `order` (of the tubes)"""
     filter_bandwidth: float = 1.0
     """of the deflection's and the force's rate, greater than 0 and below 250 [Hz]"""
     observer_bandwidth: float = 2.0
@@ -67,6 +77,8 @@ class ControllerFile(Strict):
             observes=self.feedback == "observer",
             exact_rate=self.deflection_rate == "exact",
             differentiates=self.tip_velocity == "tracker",
+            aim=aim(self.task, self.direction_weight),
+            spare=Spare(self.spare) if self.spare else None,
         )
 
 

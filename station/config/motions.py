@@ -10,14 +10,46 @@ from pydantic import Field, field_validator, model_validator
 
 from core.control.reachability import check_reach
 from core.control.step import Controller
-from core.control.trajectories import Circle, Helix, Hold, JointMotion, Setpoint, Sinusoid, Step, Trajectory, Waypoints
+from core.control.trajectories import (
+    Circle,
+    Directions,
+    Helix,
+    Hold,
+    JointMotion,
+    Setpoint,
+    Sinusoid,
+    Step,
+    Trajectory,
+    Waypoints,
+)
 from core.errors import DescriptionError, Unreachable
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
 from station.config.strict import ConfigError, Direction, Positive, Row, Strict, Vector, check, read_text
 
 
-class HoldMotion(Strict):
+class _Pointed(Strict):
+    """A motion along which the tip may point somewhere, where the controller's task asks for a direction."""
+
+    directions: tuple[Annotated[tuple[float, float, float, float], Row], ...] = Field((), strict=False)
+    """time [s] and the direction x, y, z in which the tip then points; empty keeps that of the start"""
+
+    @field_validator("directions")
+    @classmethod
+    def _can_be(cls, rows: tuple[tuple[float, float, float, float], ...]) -> tuple[tuple[float, float, float, float], ...]:
+        try:
+            directions_of(rows)
+        except DescriptionError as error:
+            raise ValueError(str(error)) from None
+        return rows
+
+
+def directions_of(rows: tuple[tuple[float, float, float, float], ...]) -> Directions | None:
+    """Where the tip points over time; None keeps the direction of the start."""
+    return Directions(tuple(row[0] for row in rows), tuple(row[1:] for row in rows)) if rows else None
+
+
+class HoldMotion(_Pointed):
     """Keep the tip where it is."""
 
     kind: Literal["hold"] = "hold"
@@ -27,7 +59,7 @@ class HoldMotion(Strict):
         return Hold()
 
 
-class SinusoidMotion(Strict):
+class SinusoidMotion(_Pointed):
     """Move the tip back and forth along a line."""
 
     kind: Literal["sinusoid"] = "sinusoid"
@@ -43,7 +75,7 @@ class SinusoidMotion(Strict):
         return Sinusoid(self.direction, self.amplitude, self.frequency)
 
 
-class CircleMotion(Strict):
+class CircleMotion(_Pointed):
     """Move the tip along a circle through its start."""
 
     kind: Literal["circle"] = "circle"
@@ -59,7 +91,7 @@ class CircleMotion(Strict):
         return Circle(self.radius, self.period, self.normal)
 
 
-class HelixMotion(Strict):
+class HelixMotion(_Pointed):
     """Turn the tip about an axis while it advances along it."""
 
     kind: Literal["helix"] = "helix"
@@ -79,7 +111,7 @@ class HelixMotion(Strict):
         return Helix(self.radius, self.pitch, self.turn, self.turns, self.axis)
 
 
-class StepMotion(Strict):
+class StepMotion(_Pointed):
     """Ask for another place at once, to see how the controller gets there."""
 
     kind: Literal["step"] = "step"
@@ -93,7 +125,7 @@ class StepMotion(Strict):
         return Step(self.offset, math.inf if self.stay is None else self.stay)
 
 
-class Places(Strict):
+class Places(_Pointed):
     """Places and times as they are written down, whether or not they can be followed."""
 
     points: tuple[Annotated[tuple[float, float, float, float], Row], ...] = Field(
@@ -249,6 +281,7 @@ class Orders:
         #: The target decides where the tip should be; `at` says where it begins.
         self.follow = motion if isinstance(motion, FollowMotion) else None
         self._trajectory: Trajectory | None = None
+        self._directions = directions_of(motion.directions) if isinstance(motion, _Pointed) else None
         if isinstance(motion, JointSweepMotion):
             if motion.joint not in robot.joint_names:
                 raise DescriptionError(f"joint_sweep: '{motion.joint}' is not one of {', '.join(robot.joint_names)}")
@@ -277,7 +310,10 @@ class Orders:
             self._motion.check(start, controller.limits)
         elif self._trajectory is not None:
             try:
-                check_reach(controller.statics, controller.limits, start, self._trajectory, duration, force)
+                check_reach(
+                    controller.statics, controller.limits, start, self._trajectory, duration, force,
+                    controller.aim, self._directions,
+                )  # fmt: skip
             except Unreachable as error:
                 said = Unreachable(f"{self._motion.kind} {error}")
                 raise said if error.time is None else said.at(error.time) from None
@@ -285,5 +321,6 @@ class Orders:
     def at(self, time: float) -> Setpoint | JointMotion:
         """The order at `time` [s] since the motion's start."""
         if self._trajectory is not None:
-            return self._trajectory.setpoint(time)
+            setpoint = self._trajectory.setpoint(time)
+            return setpoint if self._directions is None else Setpoint(*setpoint[:2], *self._directions.at(time))
         return JointMotion(self._sweep if time < self._sweep_end else np.zeros_like(self._sweep))

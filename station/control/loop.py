@@ -7,7 +7,7 @@ clock: whoever paces it says what time it is, real or virtual.
 from dataclasses import replace
 from typing import Literal
 
-from core.control.step import Controller, ControllerState, Sample, begin, set_origin, step
+from core.control.step import Controller, ControllerState, Sample, begin, from_here, set_origin, step
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
 from core.robot.robot import Array
@@ -182,7 +182,7 @@ class ControlLoop:
         self.request(Event.START)
         self._jog, self._rest = Jog.begin(space, velocity, now), None
         if self._memory is not None:
-            self._memory = self._memory._replace(origin=self._memory.estimate.observed.tip)
+            self._memory = from_here(self._memory)
         self._stall, self._snap = ProgressMonitor(), SnapMonitor(self._margins)
 
     # A period
@@ -220,7 +220,8 @@ class ControlLoop:
         tare = wrenches.wrenches if self._tare is None else self._tare
         order = None if trouble else self._order(now, joints, wrenches.wrenches, frame, asked)
         tip, age = (None, 0.0) if frame is None else (frame.position, now - frame.time)
-        sample = Sample(joints.positions, joints.sent, wrenches.wrenches - tare, tip, age)
+        direction = None if frame is None else frame.direction
+        sample = Sample(joints.positions, joints.sent, wrenches.wrenches - tare, tip, age, direction)
         try:
             if self._memory is None:
                 if frame is None or not wrenches.usable:

@@ -50,4 +50,4 @@ class TimedMotion:
         if blind == 0.0 or not isinstance(order, Setpoint):
             return order
         last = self.orders.at(max(0.0, time - blind))
-        return Setpoint(last.position, order.velocity) if isinstance(last, Setpoint) else order
+        return last._replace(velocity=order.velocity) if isinstance(last, Setpoint) else order

@@ -33,7 +33,7 @@ COUNTERS = 8
 LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECORDER_HEARTBEAT = range(7)
 NUMBERS = 8
 #: A count that is odd while they are being written, then tip, force, whether there is a target, and where it is.
-TRUTH = 12
+TRUTH = 14
 WISH = 11  #: such a count, run, whether it is a place, place, velocity, when it came, how long it goes on
 
 
@@ -86,6 +86,7 @@ class Ring:
         self.counters[STUCK] = stuck
         cells[0] += 1.0
         cells[1:4], cells[4:7], cells[7] = truth.tip, truth.force, truth.target is not None
+        cells[11:14] = 0.0 if truth.direction is None else truth.direction
         if truth.target is not None:
             cells[8:11] = truth.target
         cells[0] += 1.0
@@ -95,7 +96,7 @@ class Ring:
         before = self._truth[0]
         values = self._truth.copy()
         if before and not before % 2.0 and values[0] == before and self._truth[0] == before:
-            self._told = Truth(values[1:4], values[4:7], values[8:11] if values[7] else None)
+            self._told = Truth(values[1:4], values[4:7], values[8:11] if values[7] else None, values[11:14])
         return self._told  # what it told before, while it is just telling: a loop does not wait for it
 
     def ask(self, asked: Asked) -> None:

@@ -15,8 +15,8 @@ from station.control.states import State
 from station.devices.interfaces import JointReading, TipReading, Truth, WrenchReading
 
 XYZ = ("x", "y", "z")
-#: Columns of a target, the last ones.
-TARGET = 14
+#: Columns of the tip's direction, and of a target, the last ones.
+DIRECTION, TARGET = 12, 14
 
 
 class Channel(NamedTuple):
@@ -79,7 +79,7 @@ class Channels:
         a target, 0 without.
         """
         memory, now = tick.memory, tick.memory.estimate
-        true_tip, true_force, _ = truth or _UNKNOWN
+        true_tip, true_force, *_ = truth or _UNKNOWN
         new, frame_time = (False, 0.0) if frame is None else (True, frame.time)
         stages, tracker, sensors = troubles
         wish = _NOTHING if asked is None or asked.wish is None else asked.wish
@@ -95,6 +95,7 @@ class Channels:
             kind, wish.asked, place, wish.velocity,
         )  # fmt: skip
         row[-TARGET:] = 0.0 if target is None else target
+        row[-TARGET - DIRECTION : -TARGET] = _directions(tick, truth)
         return row
 
     def held(
@@ -120,6 +121,17 @@ class Channels:
         self.of(row, "tip_new")[:] = self.of(row, "target_new")[:] = 0.0
         self.of(row, "trouble")[:] = troubles
         return row
+
+
+def _directions(tick: Tick, truth: Truth | None) -> Array:
+    """(12,) the tip's direction as measured, observed, desired and true; 0 of what is not known."""
+    pointed, found = tick.memory.pointed, np.zeros((4, 3))
+    if pointed is not None:
+        wanted = tick.setpoint.direction
+        found[:3] = pointed.measured, pointed.observed, pointed.origin if wanted is None else wanted
+    if truth is not None and truth.direction is not None:
+        found[3] = truth.direction
+    return found.ravel()
 
 
 _NOWHERE = np.zeros(3)
@@ -226,6 +238,10 @@ def _channels(robot: Robot) -> list[Channel]:
         Channel("asked_time", "s"),
         *vector("asked", "m"),
         *vector("asked_velocity", "m/s"),
+        *vector("direction_measured", ""),
+        *vector("direction_observed", ""),
+        *vector("direction_desired", ""),
+        *vector("direction_true", ""),
         Channel("target_new", ""),
         Channel("target_followed", ""),
         *vector("target_measured", "m"),

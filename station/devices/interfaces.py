@@ -54,6 +54,7 @@ class TipReading(NamedTuple):
     time: float  #: when it was measured, by the frame number, not by its arrival [s]
     position: Array  #: (3,) world frame [m]
     target: Array | None = None  #: (3,) of a target with a coil of its own, in the same frame [m]; None: not seen
+    direction: Array | None = None  #: (3,) in which the tip points, unit vector; None: the tracker does not tell
 
 
 class WrenchReading(NamedTuple):
@@ -70,6 +71,7 @@ class Truth(NamedTuple):
     tip: Array  #: (3,) [m]
     force: Array  #: (3,) at the tip [N]
     target: Array | None = None  #: (3,) what moves and may be followed [m]; None: there is nothing
+    direction: Array | None = None  #: (3,) in which the tip points, unit vector; None: nobody looks
 
 
 class Device(Protocol):

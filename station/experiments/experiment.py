@@ -211,7 +211,8 @@ def _case(
                 " for instance 'breathing'"
             )
         # Cases that differ in nothing that the way depends on try it once.
-        way = repr((file.robot, file.calibration, file.controller.sublink, file.start, file.trajectory, file.duration))
+        settings = (file.controller.sublink, file.controller.task, file.controller.direction_weight)
+        way = repr((file.robot, file.calibration, settings, file.start, file.trajectory, file.duration))
         if way not in tried:
             orders.check(controller, start, file.duration)
             tried[way] = ()

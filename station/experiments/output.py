@@ -177,6 +177,11 @@ def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterato
     for key, begin in (("true_max_distance_mm", "counted_from_s"), ("settled_true_max_distance_mm", "settled_from_s")):
         if "settled_from_s" in case:
             yield f"max distance true from {case[begin]:g} s on [mm]", "", "", f"{case[key]:.3f}", ""
+    if off := case.get("true_direction_error_deg"):
+        yield "distance true, 95 % [mm]", "", "", f"{case['true_p95_distance_mm']:.3f}", ""
+        yield "direction true, 95 %, largest [deg]", "", f"{off['p95']:.2f}", f"{off['max']:.2f}", ""
+    for edge, room in case.get("smallest", {}).items():
+        yield f"smallest {edge.replace('_', ' ')}", "", "", f"{room:.3f}", ""
     if "best_possible_mm" in case:
         for name, part in case["by_change"].items():
             words = f"max distance true from {name} on [mm] (best possible: {part['best_possible_mm']:.3f})"

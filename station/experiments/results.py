@@ -3,7 +3,9 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from core.robot.limits import TubeOrder
 from core.robot.robot import Array
 from station.config.controllers import PERIOD
 from station.config.motions import StepMotion
@@ -68,6 +70,8 @@ def summarise(recording: Recording) -> dict[str, Any]:
             summary |= _by_change(recording, error)
             if recording.case.orders.follow is not None:
                 summary |= _settled(recording, error)
+            summary |= _direction(recording, is_counted)
+            summary |= _edges(recording)
         for group in ("force", "force_filtered"):
             force_error = channels.of(counted, group) - channels.of(counted, "force_true")
             summary[f"{group}_rms_error_N"] = rounded(rms(force_error), 4)
@@ -83,6 +87,45 @@ def summarise(recording: Recording) -> dict[str, Any]:
         for group in ("deflection", "delta_1", "delta_2")
     }
     return summary
+
+
+def _direction(recording: Recording, counted: NDArray[np.bool_]) -> dict[str, Any]:
+    """How far the true tip pointed elsewhere than it should, or than at the start where nobody asked [deg].
+
+    Only of more joints than a place takes, and in a lab that looks at it.
+    """
+    channels, rows = recording.channels, recording.rows
+    true, wanted = channels.of(rows, "direction_true"), channels.of(rows, "direction_desired")
+    if len(recording.case.robot.joints) <= 3 or not true.any():
+        return {}
+    off = angles(true, wanted if wanted.any() else np.broadcast_to(true[0], true.shape))[counted]
+    error = np.linalg.norm(channels.of(rows, "tip_desired") - channels.of(rows, "tip_true"), axis=1)[counted]
+    return {
+        "true_p95_distance_mm": rounded(1e3 * np.percentile(error, 95.0)),
+        "true_direction_error_deg": {"p95": rounded(np.percentile(off, 95.0)), "max": rounded(off.max())},
+    }
+
+
+def angles(first: Array, second: Array) -> Array:
+    """Between directions (k, 3) [deg]."""
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1)))
+
+
+def _edges(recording: Recording) -> dict[str, Any]:
+    """How near the joints came to edges, where there are more of them than a place takes."""
+    limits, joints = recording.case.controller.limits, recording.channels.of(recording.rows, "joints")
+    if len(limits.joints) <= 3:
+        return {}
+    lower, upper = limits.packed[:2]
+    room = np.minimum(joints - lower, upper - joints) / (0.5 * (upper - lower))
+    order = [(limit.bound - joints @ limit.matrix.T).min() for limit in limits.others if isinstance(limit, TubeOrder)]
+    return {
+        "smallest": {
+            "stability": rounded(recording.channels.of(recording.rows, "stability").min()),
+            "room_of_half_travel": rounded(room.min()),
+            **({"tube_order_mm": rounded(1e3 * min(order))} if order else {}),
+        }
+    }
 
 
 def _settled(recording: Recording, error: Array) -> dict[str, Any]:

@@ -89,7 +89,7 @@ class TrackerConfig(Strict):
     """standard deviation an axis [m]"""
     distortion: Annotated[float, Field(ge=0.0, le=0.02)] = 0.0
     """of the field by metal nearby, RMS over the measured cube [m]; its form is drawn from the seed"""
-    direction_noise: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    direction_noise: Annotated[float, Field(ge=0.0, le=0.5)] | None = 0.005
     """standard deviation of the coil's axis about each of two others [rad]; None: the axis is not told"""
 
 

@@ -70,6 +70,7 @@ class IdealLab:
         self._stages.advance(now)
         force = self._load.force(now - self._load_start)
         truth, wrenches = self._plant.advance(self._stages.positions, force, now=now)
+        self._tracker.direction = truth.direction
         self._tracker.tip, self._sensors.reading = truth.tip, WrenchReading(now, wrenches)
         return truth
 
@@ -132,6 +133,7 @@ class IdealTracker(_Faultless):
 
     def __init__(self, rate: float) -> None:
         self.tip = np.zeros(3)  #: the true one [m]
+        self.direction: Array | None = None  #: (3,) the true one
         self._rate, self._frame = rate, -1
 
     def poll(self, now: float) -> TipReading | None:
@@ -140,7 +142,7 @@ class IdealTracker(_Faultless):
         if frame == self._frame:
             return None
         self._frame = frame
-        return TipReading(frame, now, self.tip.copy())
+        return TipReading(frame, now, self.tip.copy(), direction=self.direction)
 
 
 class IdealSensors(_Faultless):

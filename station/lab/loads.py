@@ -242,6 +242,27 @@ class HungWeightLoad(_Directed):
         return time - (2.0 * a + math.exp(-a * time) * swing) / (rate * rate)
 
 
+class AllAroundLoad(_AtTip):
+    """A pull of one size whose direction goes over the whole sphere: from +z down to -z, and around meanwhile."""
+
+    kind: Literal["all_around"] = "all_around"
+    magnitude: Force
+    """[N]"""
+    period: Time
+    """from one pole to the other [s]; then the same way back"""
+    turns: Annotated[float, Field(ge=0.0, le=100.0)] = 2.0
+    """around z from pole to pole"""
+    ramp: Time = 5.0
+    """time in which it sets in [s]"""
+
+    def force(self, time: float) -> Array:
+        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        down, around = math.pi * time / self.period, 2.0 * math.pi * self.turns * time / self.period
+        size = self.magnitude * _part(time, self.ramp)
+        across = size * math.sin(down)
+        return np.array([across * math.cos(around), across * math.sin(around), size * math.cos(down)])
+
+
 class ContactLoad(_Directed):
     """Something leans on the shaft."""
 
@@ -270,6 +291,7 @@ Load = Annotated[
     | TrapezoidLoad
     | TapLoad
     | HungWeightLoad
+    | AllAroundLoad
     | ContactLoad,
     Field(discriminator="kind"),
 ]

@@ -77,7 +77,12 @@ def drivers(lab: SimulatedBench, registration: Registration = MOUNT) -> Devices:
     """Drivers on the other ends of the lab's wires in memory."""
     tracker = lab.config.tracker
     target = "" if lab.config.target is None else TARGET_SERIAL
-    settings = AuroraSettings(target_serial=target, frame_rate=tracker.rate, latency=tracker.latency)
+    settings = AuroraSettings(
+        target_serial=target,
+        frame_rate=tracker.rate,
+        latency=tracker.latency,
+        tells_axis=tracker.direction_noise is not None,
+    )
     return Devices(
         ZaberStages(lab.setups, [Port(lab.hosts.zaber, tuple(range(len(lab.setups))))], reopen=_reopened),
         AuroraTracker(lab.hosts.aurora, settings, registration, reopen),

@@ -28,6 +28,7 @@ class Measurement(NamedTuple):
     position: tuple[float, ...] | None  #: of the robot's tip in the field generator's frame, only when GOOD [mm]
     error: float = 0.0  #: the unit's own figure [mm]
     target: tuple[float, ...] | None = None  #: of the target's coil in the same frame, only when good [mm]
+    axis: tuple[float, ...] | None = None  #: of the tip's coil, unit vector in the generator's frame, only when GOOD
 
 
 @dataclass

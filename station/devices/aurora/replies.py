@@ -75,13 +75,17 @@ class Transform(NamedTuple):
     position: tuple[float, ...]  #: x y z [mm]
     error: float  #: the unit's own figure of the fit [mm]
 
+    @property
+    def axis(self) -> tuple[float, ...]:
+        """The tool's z axis, the coil's, as a unit vector: it needs no roll."""
+        w, x, y, z = self.quaternion
+        return (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+
     def ahead(self, distance: float) -> tuple[float, ...]:
-        """The point [mm] so far from the tool's origin along its z axis, the coil's, which needs no roll."""
+        """The point [mm] so far from the tool's origin along its axis."""
         if distance == 0.0:
             return self.position
-        w, x, y, z = self.quaternion
-        axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
-        return tuple(p + distance * a for p, a in zip(self.position, axis, strict=True))
+        return tuple(p + distance * a for p, a in zip(self.position, self.axis, strict=True))
 
 
 class ToolFrame(NamedTuple):

@@ -140,7 +140,7 @@ class AuroraSession:
         if transform is None:
             return [Measurement(frame, time, self.quality, None)]
         tip = transform.ahead(self.talk.settings.coil_to_tip)
-        return [Measurement(frame, time, self.quality, tip, transform.error)]
+        return [Measurement(frame, time, self.quality, tip, transform.error, axis=transform.axis)]
 
     def _target(self, reply: FrameReply, time: float) -> tuple[float, ...] | None:
         """Where the target's coil was at `time` [s]; None when nobody can tell."""

@@ -26,6 +26,7 @@ class AuroraSettings:
     fastest: float = 500.0  #: a coil moving faster jumped [mm/s]
     jitter: float = 2.0  #: allowed on top [mm]
     confirm_jump: int = 10  #: frames that agree with one another after a jump before it is believed
+    tells_axis: bool = True  #: the coil's axis is that of the tip; False: it is not looked at
     coil_to_tip: float = 0.0  #: from the coil to the robot's tip along the coil's axis [mm]
     fault_bits: int = 0  #: port status bits that spoil a measurement besides those of the volume (bits 8.. unconfirmed)
 

@@ -136,7 +136,9 @@ class AuroraTracker:
         target = None
         if newest.target is not None:
             target, self._target_time = self._registration.world(newest.target), newest.time
-        return TipReading(newest.frame, newest.time, self._registration.world(newest.position), target)
+        axis = newest.axis if self._settings.tells_axis else None
+        direction = None if axis is None else self._registration.rotation @ np.array(axis)
+        return TipReading(newest.frame, newest.time, self._registration.world(newest.position), target, direction)
 
     def report(self, now: float) -> TrackerReport:
         """How it stands at `now` [s]."""

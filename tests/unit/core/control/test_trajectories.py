@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from core.control.trajectories import Circle, Helix, Hold, Sinusoid, Step, Waypoints
+from core.control.trajectories import Circle, Directions, Helix, Hold, Sinusoid, Step, Waypoints
 from core.errors import DescriptionError
 
 MOTIONS = [
@@ -94,7 +94,7 @@ def test_waypoints_may_begin_at_the_start_tip_or_be_a_single_place():
     from_here = Waypoints((0.0, 5.0), ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0)))
     np.testing.assert_allclose(from_here.setpoint(2.5).position, [0.005, 0.0, 0.0], rtol=0, atol=1e-12)
     alone = Waypoints((0.0,), ((0.0, 0.0, 0.0),))
-    assert not np.any(alone.setpoint(1.0))
+    assert not np.any(alone.setpoint(1.0)[:2])
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_after_its_period_a_motion_repeats_itself_or_stands(motion, period):
 
 def test_hold_never_moves():
     for time in TIMES:
-        assert not np.any(Hold().setpoint(time))
+        assert not np.any(Hold().setpoint(time)[:2])
 
 
 @pytest.mark.parametrize("length", [1e-3, 1.0, 50.0])
@@ -133,7 +133,7 @@ def test_a_circle_keeps_its_radius_its_plane_and_its_speed_and_turns_once_about_
     centre = 0.5 * motion.setpoint(period / 2).position  # opposite the start
 
     for time in TIMES:
-        position, velocity = motion.setpoint(time)
+        position, velocity = motion.setpoint(time)[:2]
         assert np.linalg.norm(position - centre) == pytest.approx(radius, rel=1e-12)
         assert position @ axis == pytest.approx(0.0, abs=1e-15)
         np.testing.assert_allclose(
@@ -180,3 +180,28 @@ def test_an_impossible_motion_is_refused_by_name_value_and_bound(make, words):
         make()
 
     assert words in str(refused.value)
+
+
+def test_directions_turn_about_one_axis_from_rest_to_rest():
+    way = Directions((1.0, 3.0), ((0.0, 0.0, 2.0), (1.0, 0.0, 0.0)))
+    for time, expected in ((0.0, (0, 0, 1)), (1.0, (0, 0, 1)), (2.0, (0.5**0.5, 0, 0.5**0.5)), (9.0, (1, 0, 0))):
+        np.testing.assert_allclose(way.at(time)[0], expected, atol=1e-12)
+    for time in (1.2, 1.9, 2.7):
+        direction, turning = way.at(time)
+        rate = (way.at(time + 1e-6)[0] - way.at(time - 1e-6)[0]) / 2e-6
+        np.testing.assert_allclose(np.cross(turning, direction), rate, atol=1e-8)
+    assert not way.at(3.5)[1].any()
+
+
+@pytest.mark.parametrize(
+    ("times", "directions", "said"),
+    [
+        ((), (), "give one each"),
+        ((0.0, 0.0), ((0, 0, 1), (1, 0, 0)), "does not come"),
+        ((0.0, 1.0), ((0, 0, 1), (0, 0, -1)), "opposite"),
+        ((0.0,), ((0, 0, 0),), "no length"),
+    ],
+)
+def test_directions_that_cannot_be_are_refused(times, directions, said):
+    with pytest.raises(DescriptionError, match=said):
+        Directions(times, directions)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from core.robot.robot import Base
+from core.robot.stability import design_snap_number
 from station.config.robots import load_robot
 from station.config.strict import PRESETS, ConfigError
 
@@ -189,3 +190,12 @@ def test_workspace_and_force_limit_become_limits_of_the_controller(robot_text, w
 
     assert [type(limit).__name__ for limit in limits.others] == ["Workspace", "ForceLimit"]
     assert load_robot("paper").limits().others == ()
+
+
+def test_the_balanced_pair_has_three_tubes_and_six_motors_and_does_not_snap_anywhere_in_its_travel():
+    file = load_robot("balanced_pair")
+    robot, (lower, upper) = file.robot(), file.limits().packed[:2]
+    assert (len(robot.tubes), len(robot.joints)) == (3, 6)
+    assert 0.9 < design_snap_number(robot, lower, upper) < 1.0
+    inner, middle, outer = robot.tubes
+    assert inner.bending_stiffness == pytest.approx((middle.bending_stiffness + outer.bending_stiffness) / 7.0)

@@ -37,6 +37,14 @@ def test_the_truth_is_what_the_lab_told_last(ring: Ring) -> None:
         assert truth.force.tolist() == [-number] * 3
 
 
+def test_the_direction_is_told_with_the_truth(ring: Ring) -> None:
+    ring.publish_ground_truth(a_truth(1.0)._replace(direction=np.array([0.0, 0.6, 0.8])))
+    truth = ring.truth()
+    assert truth is not None
+    assert truth.direction is not None
+    assert truth.direction.tolist() == [0.0, 0.6, 0.8]
+
+
 def test_a_target_is_told_where_there_is_one(ring: Ring) -> None:
     ring.publish_ground_truth(a_truth(1.0))
     alone = ring.truth()

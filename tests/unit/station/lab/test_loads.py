@@ -172,3 +172,13 @@ def test_at_the_bounds_every_load_is_a_number(edge):
     for load in loads:
         for moment in (0.0, 0.005, 1.0, 86400.0):
             assert np.isfinite(load.force(moment)).all()
+
+
+def test_a_pull_from_all_around_keeps_its_size_and_goes_from_pole_to_pole():
+    around = load(kind="all_around", magnitude=0.3, period=60.0, turns=2.0, ramp=5.0)
+    assert not around.force(-1.0).any()
+    assert around.force(2.5) @ around.force(2.5) == pytest.approx(0.15**2)
+    for time in (5.0, 17.0, 30.0, 59.0):
+        assert np.linalg.norm(around.force(time)) == pytest.approx(0.3)
+    np.testing.assert_allclose(around.force(15.0), 0.3 * np.array([-(0.5**0.5), 0.0, 0.5**0.5]), atol=1e-12)
+    np.testing.assert_allclose(around.force(60.0), [0.0, 0.0, -0.3], atol=1e-12)

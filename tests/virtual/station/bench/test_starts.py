@@ -6,8 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from station.bench.starts import PEAK, Outcome, Start, draw, prepared, reference_error, summary
+from station.bench.starts import PEAKS, Outcome, Start, draw, prepared, reference_error, summary
 from tests.harness.cases import a_case, a_run
+
+
+PEAK = PEAKS["fig8"]
 
 
 @pytest.fixture(scope="module")
@@ -15,14 +18,14 @@ def case():
     return a_case("fig8", "regulation", duration=20.0)
 
 
-def test_a_seed_draws_the_same_start_again_from_the_whole_travel():
-    starts = np.array([draw(seed).joints for seed in range(300)])
+def test_a_seed_draws_the_same_start_again_from_the_whole_travel(case):
+    starts = np.array([draw(seed, case, PEAK).joints for seed in range(300)])
 
-    assert draw(7).joints.tolist() == draw(7).joints.tolist()
+    assert draw(7, case, PEAK).joints.tolist() == starts[7].tolist()
     assert (np.abs(starts[:, :2]) <= math.pi).all()
     assert starts[:, 2].min() == pytest.approx(-0.125, abs=1e-3)
     assert starts[:, 2].max() == pytest.approx(-0.010, abs=1e-3)
-    assert np.linalg.norm(draw(7).direction) == pytest.approx(1.0)
+    assert np.linalg.norm(draw(7, case, PEAK).direction) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -30,7 +33,7 @@ def test_a_seed_draws_the_same_start_again_from_the_whole_travel():
     [(0.0, (0.0, 1.0, 0.0)), (0.0, (0.0, -1.0, 0.0)), (math.pi, (1.0, 0.0, 0.0)), (3.0, (0.0, 1.0, 0.3))],
 )
 def test_from_a_singular_pose_the_tip_is_held_or_the_run_ends_in_hold_but_no_joint_spins(case, apart, direction):
-    start = Start(np.array([0.3, 0.3 + apart, -0.06]), direction)
+    start = Start(np.array([0.3, 0.3 + apart, -0.06]), direction, PEAK)
     recording = a_run(prepared(case, start), 3)
     channels, rows = recording.channels, recording.rows
     away = np.linalg.norm(channels.of(rows, "tip_true") - channels.of(rows, "tip_desired"), axis=1)
@@ -49,7 +52,7 @@ def test_from_a_singular_pose_the_tip_is_held_or_the_run_ends_in_hold_but_no_joi
 
 
 def test_the_reference_finds_what_can_be_held_and_what_cannot(case):
-    held, not_held = draw(0), draw(7)
+    held, not_held = draw(0, case, PEAK), draw(7, case, PEAK)
 
     assert reference_error(prepared(case, held), 0, held) < 1e-6
     assert reference_error(prepared(case, not_held), 7, not_held) > 5e-3

@@ -114,9 +114,16 @@ def test_velocities_move_the_true_joints(homed):
     assert homed.joints.positions == pytest.approx(homed.lab.positions, abs=5e-6)
 
 
-def test_a_robot_of_three_tubes_connects_and_homes():
-    robot = load_robot("three_tubes")
-    at = np.array([0.02, 0.03, 0.04, -0.140, -0.220, -0.325])
+@pytest.mark.parametrize(
+    ("name", "at"),
+    [
+        ("three_tubes", [0.02, 0.03, 0.04, -0.140, -0.220, -0.325]),
+        # The outermost tube is withdrawn first, so that every tube's end stays in front of that around it.
+        ("balanced_pair", [0.02, 0.03, 0.04, -0.040, -0.095, -0.160]),
+    ],
+)
+def test_a_robot_of_three_tubes_connects_and_homes(name, at):
+    robot, at = load_robot(name), np.array(at)
     bench = Bench(robot, at=at).connect().home()
 
     assert bench.stages.ready, bench.stages.problem

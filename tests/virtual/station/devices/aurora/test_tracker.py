@@ -302,3 +302,10 @@ def test_the_driver_tells_the_tip_where_the_coil_is_behind_it():
     assert read
     for _, reading in read:
         assert reading.position == pytest.approx(REST - np.array([0.0, 0.0, 0.004]), abs=1e-7)
+
+
+def test_the_driver_tells_where_the_coil_points_unless_it_is_not_to_be_believed():
+    (_, reading), *_ = AuroraBench().run(1.0)
+    assert reading.direction == pytest.approx(MOUNT.rotation[:, 2], abs=1e-6)
+    (_, reading), *_ = AuroraBench(AuroraSettings(tells_axis=False)).run(1.0)
+    assert reading.direction is None

@@ -1,0 +1,236 @@
+"""Where the tip points: what is asked of its direction, and what is known of it.
+
+A task is rows of one equation for the joints. The place gives three; the direction two, the turning of the tip about
+the two axes across it, for a turn about the tip's own axis does not change where it points. Both sides of the
+direction's rows come from the same inner loop as the place's, from the lower rows of J and C, and count with a lever:
+a radian is worth so many metres.
+
+The direction is observed as the place is: as an arrow that the tip carries, so long that the tracker's noise at its
+head is that of a place.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from core.compiled import compiled, copy
+from core.control.controllers import inner_law
+from core.control.estimation import Estimate, Estimator, known_of
+from core.control.observer import observe
+from core.errors import DescriptionError
+from core.model.solution import parts
+from core.robot.robot import Array
+
+#: Length of the arrow [m]: an Aurora's coil tells its place to 0.1 mm and its axis to 5 mrad.
+REACH = 0.02
+#: Weight of a radian [m/rad], unless said otherwise.
+LEVER = 0.05
+
+#: Tasks by name: whether the place counts, and the direction.
+TASKS = {"position": (True, False), "position_and_direction": (True, True), "direction": (False, True)}
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Weights of what of the tip is controlled; 0 leaves it free."""
+
+    place: float = 1.0  #: [1]
+    lever: float = 0.0  #: of the direction [m/rad]
+
+    @property
+    def rows(self) -> int:
+        """Equations for the joints."""
+        return 3 * (self.place > 0.0) + 2 * (self.lever > 0.0)
+
+
+#: Where the tip is, wherever it points.
+PLACE = Aim()
+
+
+def aim(task: str, lever: float = LEVER) -> Aim:
+    """The aim of that name.
+
+    Raises:
+        DescriptionError: there is no such task.
+
+    """
+    if task not in TASKS:
+        raise DescriptionError(f"task '{task}' is unknown; choose one of {', '.join(TASKS)}")
+    place, direction = TASKS[task]
+    return Aim(float(place), lever if direction else 0.0)
+
+
+class Pointed(NamedTuple):
+    """What is known of the tip's direction at one tick. World frame."""
+
+    measured: Array  #: (3,) latest of the tracker's, or as observed while it tells none
+    origin: Array  #: (3,) at the start of the motion: what "keep it" means
+    bias: Array  #: (3,) of the arrow's head, tracker minus model [m]
+    drift: Array  #: (3,) its rate [m/s]
+    covariance: Array  #: (3,) as of the observer
+    arrows: Array  #: (history, 3) the model's of the last ticks [m]
+    refused: Array  #: (3,) by how much the latest frame that was left out surprised [m]
+    place: int  #: of the newest arrow
+    in_a_row: int  #: so many frames in a row were left out
+    now: Array  #: (5, 3): direction observed, and when a command of now takes effect; turning by the load C w', that
+    #: and (J(q, w) - J(q, 0)) q', and by what the model does not know of [rad/s]
+
+    @property
+    def observed(self) -> Array:
+        """(3,) the best estimate of the direction now."""
+        return self.now[0]
+
+
+def start(estimator: Estimator, model: Array, direction: Array, origin: Array | None = None) -> Pointed:
+    """At rest, pointing along `direction` (3,) while the model says `model` (3,)."""
+    seen = estimator.observer.start(REACH * model, REACH * direction)
+    now = np.zeros((5, 3))
+    now[:2] = direction
+    direction = direction.copy()
+    return Pointed(
+        direction, direction if origin is None else origin, seen.bias, seen.drift, seen.covariance, seen.tips,
+        seen.refused, seen.place, seen.in_a_row, now,
+    )  # fmt: skip
+
+
+def look(
+    estimator: Estimator, last: Pointed, estimate: Estimate, force: Array, frame: Array | None, age: float
+) -> Pointed:
+    """One tick on.
+
+    Args:
+        estimator: the filters.
+        last: of the tick before.
+        estimate: of this tick.
+        force: (3,) that its loaded model was solved for [N].
+        frame, age: the tip's direction (3,) as a tracker frame that has just arrived shows it, and that frame's age [s].
+
+    """
+    new = last._replace(
+        bias=last.bias.copy(), drift=last.drift.copy(), covariance=last.covariance.copy(), arrows=last.arrows.copy(),
+        refused=last.refused.copy(), now=np.empty((5, 3)),
+    )  # fmt: skip
+    place, in_a_row = _look(
+        estimator.settings, estimate.loaded.numbers, estimate.unloaded.numbers, estimate.numbers, force,
+        last.origin if frame is None else frame, -1.0 if frame is None else age,
+        new.bias, new.drift, new.covariance, new.arrows, new.refused, last.place, last.in_a_row, new.now,
+    )  # fmt: skip
+    return new._replace(place=place, in_a_row=in_a_row, measured=last.measured if frame is None else frame)
+
+
+@compiled
+def _look(
+    settings: Array, loaded: Array, unloaded: Array, estimate: Array, force: Array, frame: Array, age: float,
+    bias: Array, drift: Array, covariance: Array, arrows: Array, refused: Array, place: int, in_a_row: int, now: Array,
+) -> tuple[int, int]:  # fmt: skip
+    """`look`, into what is given; new place and frames left out in a row."""
+    period, _, _, _, lead, noise, wander, gate = settings
+    with_load, free, known = parts(loaded), parts(unloaded), known_of(estimate)
+    velocity, n = known.sent[-1], with_load.joints.shape[0]
+    axis, smooth, way = np.empty(3), np.zeros(3), np.zeros(3)
+    for i in range(3):
+        axis[i] = with_load.rotation[i, 2]
+        by_load, extra = 0.0, 0.0
+        for j in range(3):
+            by_load += with_load.compliance[3 + i, j] * known.force_rate[j]
+            smooth[i] += with_load.compliance[3 + i, j] * (known.force_smooth[j] - force[j])
+        for j in range(n):
+            extra += (with_load.jacobian[3 + i, j] - free.jacobian[3 + i, j]) * velocity[j]
+            way[i] += with_load.jacobian[3 + i, j] * known.ahead[j]
+        way[i] += lead * by_load
+        now[2, i], now[3, i] = by_load, by_load + extra
+    model = REACH * (axis + _cross(smooth, axis))
+    place, _, in_a_row = observe(
+        bias, drift, covariance, arrows, refused, place, in_a_row,
+        model, REACH * frame, age, period, noise, wander, gate,
+    )  # fmt: skip
+    seen = _unit(model + bias)
+    copy(seen, now[0])
+    copy(_unit(model + bias + lead * drift + REACH * _cross(way, axis)), now[1])
+    copy(_cross(seen, drift) / REACH, now[4])
+    return place, in_a_row
+
+
+#: Of what is told of a direction that nobody asks for.
+NOT_ASKED = np.zeros((6, 3))
+
+
+def told(pointed: Pointed, wanted: Array | None, turning: Array, observes: bool) -> Array:
+    """(6, 3) what `with_direction` is told.
+
+    Args:
+        pointed: of this tick.
+        wanted: (3,) direction; None keeps that of the start.
+        turning: (3,) its angular velocity [rad/s].
+        observes: the outer loop looks at the direction of the moment when its command takes effect, not at the frame.
+
+    """
+    numbers = np.empty((6, 3))
+    numbers[0], numbers[1] = pointed.origin if wanted is None else wanted, turning
+    numbers[2] = pointed.now[1] if observes else pointed.measured
+    numbers[3:] = pointed.now[2:]
+    return numbers
+
+
+@compiled
+def with_direction(
+    place: float, lever: float, number: int, gain: float, feedforward: float, lead: float,
+    jacobian: Array, velocity: Array, loaded: Array, unloaded: Array, rotation: Array, asked: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """The place's rows, weighted, and under them the direction's; `asked` is what `told` says."""
+    if lever == 0.0:
+        return jacobian, velocity
+    wanted, turning, here = asked[0], asked[1], asked[2]
+    aimed = _unit(wanted + lead * _cross(turning, wanted))
+    turn = _turn(here, aimed)
+    for i in range(3):
+        turn[i] = gain * turn[i] + feedforward * turning[i]
+    across, right = inner_law(number, turn, loaded[3:], unloaded[3:], asked[4], asked[3], asked[5])
+    n, first = jacobian.shape[1], 3 if place > 0.0 else 0
+    rows, sides = np.zeros((first + 2, n)), np.zeros(first + 2)
+    for i in range(first):
+        sides[i] = place * velocity[i]
+        for j in range(n):
+            rows[i, j] = place * jacobian[i, j]
+    for k in range(2):
+        for i in range(3):
+            part = lever * rotation[i, k]
+            sides[first + k] += part * right[i]
+            for j in range(n):
+                rows[first + k, j] += part * across[i, j]
+    return rows, sides
+
+
+@compiled
+def _turn(here: Array, there: Array) -> Array:
+    """The shortest turn (3,) from one direction to the other, axis times angle [rad]."""
+    axis = _cross(here, there)
+    sin, cos = np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2), 0.0
+    for i in range(3):
+        cos += here[i] * there[i]
+    angle = np.arctan2(sin, cos)
+    return axis * (angle / sin) if sin > 1e-12 else np.zeros(3)
+
+
+def turn(here: Array, there: Array) -> Array:
+    """The shortest turn (3,) from one direction (3,) to the other, axis times angle [rad]."""
+    return _turn(here, there)
+
+
+def rows_of(aim: Aim, jacobian: Array, rotation: Array) -> Array:
+    """What the aim makes of the rows (6, n) of J or C, the tip's frame being `rotation` (3, 3)."""
+    parts = [aim.place * jacobian[:3]] * (aim.place > 0.0) + [aim.lever * rotation.T[:2] @ jacobian[3:]] * (
+        aim.lever > 0.0
+    )
+    return np.concatenate(parts)
+
+
+@compiled
+def _cross(a: Array, b: Array) -> Array:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@compiled
+def _unit(vector: Array) -> Array:
+    return vector / np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)

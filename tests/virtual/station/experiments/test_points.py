@@ -1,0 +1,44 @@
+"""Six joints on one chain: the tip goes around while it points the same way, and the recording says how well."""
+
+import numpy as np
+import pytest
+
+from station.experiments.results import angles, summarise
+from tests.harness.cases import a_case, a_run
+
+
+@pytest.fixture(scope="module")
+def pointing():
+    return a_run(a_case("points", "pointing", duration=8.0), 1)
+
+
+def test_the_tip_points_the_same_way_on_its_circle_under_load(pointing):
+    assert pointing.completed, pointing.cause
+    found = summarise(pointing)
+    assert found["true_p95_distance_mm"] < 1.0
+    assert found["true_direction_error_deg"]["p95"] < 1.0
+    assert set(found["smallest"]) == {"stability", "room_of_half_travel", "tube_order_mm"}
+
+
+def test_the_recording_has_the_direction_as_measured_observed_wanted_and_true(pointing):
+    def of(group: str) -> np.ndarray:
+        return pointing.channels.of(pointing.rows, group)
+
+    for group in ("direction_measured", "direction_observed", "direction_desired", "direction_true"):
+        np.testing.assert_allclose(np.linalg.norm(of(group), axis=1), 1.0, atol=1e-6)
+    measured, observed = (angles(of(f"direction_{how}"), of("direction_true")) for how in ("measured", "observed"))
+    assert np.sqrt(np.mean(observed**2)) < np.sqrt(np.mean(measured**2))
+    assert not np.ptp(of("direction_desired"), axis=0).any()
+
+
+def test_every_axis_of_six_gets_its_velocities_over_the_line(pointing):
+    """960 bytes a second, six to a command, as many to its answer; polls take the rest."""
+    assert len(pointing.rates) == 6
+    for rates in pointing.rates.values():
+        assert 20.0 < rates["velocities_per_s"] < 26.0
+
+
+def test_the_place_alone_says_nothing_of_a_wanted_direction():
+    recording = a_run(a_case("points", "position", duration=2.0), 1)
+    assert not recording.channels.of(recording.rows, "direction_desired").any()
+    assert "true_direction_error_deg" in summarise(recording)
