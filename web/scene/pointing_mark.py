@@ -14,7 +14,7 @@ class PointingMark:
     """Handles of what shows directions."""
 
     def __init__(self, scene: viser.SceneApi, unit: float) -> None:
-        def arrow(name: str, colour: palette.Colour, thickness: float) -> viser.ArrowHandle:
+        def arrow(name: str, colour: palette.Colour, thickness: float) -> viser.ArrowsHandle:
             return scene.add_arrows(
                 f"/pointing/{name}", np.zeros((1, 2, 3)), colour, shaft_radius=thickness, head_radius=2.5 * thickness,
                 head_length=0.008, scale=unit, visible=False,
