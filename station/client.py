@@ -151,7 +151,7 @@ class Station:
         self._ask("POST", "/api/tare", {})
 
     def jog(self, space: str, velocity: tuple[float, ...]) -> None:
-        """Move for the next 0.3 s: `joints` [rad/s or m/s] or the `tip` [m/s]."""
+        """Move for the next 0.3 s: `joints` [rad/s or m/s], the `tip` [m/s], or its `direction` [rad/s]."""
         self._ask("POST", "/api/jog", {"space": space, "velocity": velocity})
 
     def wait(self, run: str, timeout: float | None = None) -> dict[str, Any]:

@@ -36,7 +36,9 @@ class _Pointed(Strict):
 
     @field_validator("directions")
     @classmethod
-    def _can_be(cls, rows: tuple[tuple[float, float, float, float], ...]) -> tuple[tuple[float, float, float, float], ...]:
+    def _can_be(
+        cls, rows: tuple[tuple[float, float, float, float], ...]
+    ) -> tuple[tuple[float, float, float, float], ...]:
         try:
             directions_of(rows)
         except DescriptionError as error:

@@ -5,7 +5,6 @@ clock: whoever paces it says what time it is, real or virtual.
 """
 
 from dataclasses import replace
-from typing import Literal
 
 from core.control.step import Controller, ControllerState, Sample, begin, from_here, set_origin, step
 from core.control.trajectories import JointMotion, Setpoint
@@ -13,7 +12,7 @@ from core.errors import CtrError
 from core.robot.robot import Array
 from station.control.causes import Causes
 from station.control.follow import Target
-from station.control.jog import Jog
+from station.control.jog import Jog, Space
 from station.control.led import Asked, Lead, LedMotion
 from station.control.margins import Margins, SnapMonitor
 from station.control.motion import FREEZE, Motion, TimedMotion
@@ -34,6 +33,11 @@ from station.devices.interfaces import (
     WrenchReading,
 )
 
+#: Why nobody turns the tip by hand.
+NOT_POINTED = (
+    "where the tip points is not controlled here; the station file's [controller] needs task ="
+    " 'position_and_direction', and the robot five joints or more"
+)
 #: A tracker whose port is not there is looked for so often, once a person has asked for it [s].
 RETRY = 1.0
 
@@ -166,21 +170,25 @@ class ControlLoop:
             raise RefusedError(f"'tare' is not possible while {self.state.name}; it needs READY")
         self._rest = Rest(now)
 
-    def jog(self, now: float, space: Literal["joints", "tip"], velocity: Array) -> None:
+    def jog(self, now: float, space: Space, velocity: Array) -> None:
         """Move by hand, or go on with it: ends by itself when this is not called again soon.
 
         Args:
             now: time [s].
             space: what `velocity` is of.
-            velocity: (n,) [rad/s or m/s] of the joints or (3,) [m/s] of the tip.
+            velocity: (n,) [rad/s or m/s] of the joints, (3,) [m/s] of the tip, or (3,) [rad/s] of its direction.
 
         Raises:
-            RefusedError: not READY.
+            RefusedError: not READY, or a jog in direction where that is not controlled.
         """
         if self._jog is not None and self._jog.renew(space, velocity, now):
             return
+        pointed = None if self._memory is None else self._memory.pointed
+        if space == "direction" and pointed is None:
+            raise RefusedError(NOT_POINTED)
         self.request(Event.START)
-        self._jog, self._rest = Jog.begin(space, velocity, now), None
+        self._jog = Jog.begin(space, velocity, now, None if pointed is None else pointed.observed)
+        self._rest = None
         if self._memory is not None:
             self._memory = from_here(self._memory)
         self._stall, self._snap = ProgressMonitor(), SnapMonitor(self._margins)

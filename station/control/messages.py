@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from core.robot.robot import Array
+from station.control.jog import Space
 from station.control.states import Event, State
 from station.control.task import Task
 from station.devices.interfaces import Condition
@@ -18,7 +19,7 @@ class Command(NamedTuple):
     what: Event | Literal["tare", "jog"]
     task: Task | None = None  #: to START, or to carry out after HOME
     run: int = 0
-    space: Literal["joints", "tip"] = "joints"  #: of a jog
+    space: Space = "joints"  #: of a jog
     velocity: Array | None = None  #: of a jog [rad/s or m/s]
     cause: str = ""  #: of a HOLD or STOP
     until: float = math.inf  #: it is carried out by then or not at all, by the station's clock [s]

@@ -79,10 +79,13 @@ def _parts(model: Strict, keys: tuple[str, ...], *, turns: bool = True) -> list[
 
 def _part(key: str, value: Any, unit: str) -> str:
     """One key; empty when it says nothing."""
-    if value is None or value is False:
+    if value is None or value is False or value == ():
         return ""
     if value is True:
         return _words(key)
+    if key == "directions":
+        count = len(value)
+        return f"pointing in {count} direction{'s' * (count > 1)}, the last at {shown(value[-1][0], 's')}"
     if isinstance(value, tuple):
         return f"along {_direction(value)}" if key in DIRECTIONS else f"{_words(key)} {_row(value, unit)}"
     return f"{_words(key)} {shown(value, unit) if isinstance(value, float | int) else _words(str(value))}"

@@ -8,11 +8,15 @@ from core.robot.robot import Array
 from station.control.telemetry import Channels
 from station.devices.interfaces import Severity
 
-TRACKED = frozenset({"tip_measured", "tip_time", "target_measured"})
+TRACKED = frozenset({"tip_measured", "tip_time", "direction_measured", "target_measured"})
 FELT = frozenset({"force", "force_filtered", "moment", "deflection", "deflection_filtered", "deflection_rate"})
-TRUE = frozenset({"tip_true", "force_true", "target_true"})
+TRUE = frozenset({"tip_true", "force_true", "direction_true", "target_true"})
 #: What a tick of the controller renews, and what is written down with it.
-COMPUTED = TRACKED | FELT | TRUE | {"tip_estimated", "tip_desired", "u_int", "target_offset"}
+COMPUTED = TRACKED | FELT | TRUE | {
+    "tip_estimated", "tip_desired", "direction_observed", "direction_desired", "u_int", "target_offset",
+}  # fmt: skip
+#: Unit vectors; 0 where nobody asks where the tip points.
+DIRECTIONS = ("direction_measured", "direction_observed", "direction_desired", "direction_true")
 
 
 def standing(channels: Channels, row: Array) -> frozenset[str]:
@@ -25,4 +29,5 @@ def standing(channels: Channels, row: Array) -> frozenset[str]:
         (FELT, sensors >= Severity.HOLD),
         (TRUE, not channels.of(row, "truth_known")[0]),
     )
-    return frozenset().union(*(groups for groups, old in unknown if old))
+    nowhere = (group for group in DIRECTIONS if not channels.of(row, group).any())
+    return frozenset(nowhere).union(*(groups for groups, old in unknown if old))

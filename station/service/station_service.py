@@ -3,7 +3,7 @@
 import math
 import threading
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -14,6 +14,7 @@ from station.config.controllers import BEST, ControllerFile
 from station.config.motions import HoldMotion, Orders, TipMotion
 from station.config.robots import named_pose
 from station.config.strict import Strict, preset_names
+from station.control.jog import Space
 from station.control.led import Asked
 from station.control.states import Event, State, after
 from station.control.task import Task
@@ -29,6 +30,8 @@ from station.service.supervisor import Supervisor
 
 #: Of the tip when it is moved by hand [m/s].
 JOG_TIP_SPEED = 0.010
+#: And fastest that its direction is turned by hand [rad/s].
+JOG_TURN_SPEED = 0.1
 
 
 class RequestError(CtrError):
@@ -187,8 +190,8 @@ class StationService:
         """Ask something of the tip of a run that is led; None: that was all, the tip is to come to rest."""
         self.supervisor.ring.ask(Asked(run.number, wish))
 
-    def jog(self, space: Literal["joints", "tip"], velocity: tuple[float, ...]) -> None:
-        """Move by hand for the next 0.3 s: joint velocities [rad/s or m/s] or the tip's [m/s].
+    def jog(self, space: Space, velocity: tuple[float, ...]) -> None:
+        """Move by hand for the next 0.3 s: joints [rad/s or m/s], the tip [m/s], or its direction [rad/s].
 
         Raises:
             RequestError: a wrong number of velocities, or one beyond what is allowed by hand.
@@ -196,7 +199,8 @@ class StationService:
         """
         limits = self.supervisor.bench.robot.limits()
         names = self.supervisor.robot.joint_names if space == "joints" else ("x", "y", "z")
-        most = limits.speed if space == "joints" else np.full(3, JOG_TIP_SPEED)
+        by_hand = JOG_TIP_SPEED if space == "tip" else JOG_TURN_SPEED
+        most = limits.speed if space == "joints" else np.full(3, by_hand)
         if len(velocity) != len(names):
             raise RequestError(
                 f"a jog in {space} needs {len(names)} velocities ({', '.join(names)}), not {len(velocity)}"

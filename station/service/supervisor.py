@@ -12,6 +12,7 @@ from typing import Any, Literal
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
+from station.control.jog import Space
 from station.control.messages import DeviceReport, Notice, Refused
 from station.control.process import ring_width
 from station.control.realtime import leave
@@ -209,11 +210,11 @@ class Supervisor:
         """
         self._ask_freely("tare")
 
-    def jog(self, space: Literal["joints", "tip"], velocity: Array) -> None:
-        """Move by hand for the next 0.3 s: (n,) [rad/s or m/s] joints or (3,) [m/s] tip.
+    def jog(self, space: Space, velocity: Array) -> None:
+        """Move by hand for the next 0.3 s: (n,) [rad/s or m/s] joints, (3,) [m/s] tip, or (3,) [rad/s] its direction.
 
         Raises:
-            RefusedError: not READY, or a procedure is on.
+            RefusedError: not READY, a procedure is on, or the tip's direction is not controlled.
         """
         self._ask_freely("jog", space=space, velocity=velocity)
 

@@ -8,14 +8,15 @@ from fastapi import APIRouter, Depends, Query
 from pydantic import ConfigDict, Field
 
 from core.control.controllers import INNER_LOOPS, STRATEGIES
-from station.config.controllers import BEST, ControllerFile
+from station.config.controllers import ControllerFile
 from station.config.strict import Strict
+from station.control.jog import Space
 from station.control.messages import DeviceStatus
 from station.control.states import RefusedError
 from station.lab.faults import KINDS, LabFault, Part, check_faults
 from station.lab.loads import Load
 from station.service.audit import Audit, Entry
-from station.service.station_service import JOG_TIP_SPEED, StationService
+from station.service.station_service import JOG_TIP_SPEED, JOG_TURN_SPEED, StationService
 from web.api.commands import Commands, aside
 from web.api.schemas import REFUSED, DoneOut, StartOut
 
@@ -46,6 +47,8 @@ class BenchOut(Strict):
     """innermost first"""
     tip_speed: float
     """of the tip when it is moved by hand, at most [m/s]"""
+    turn_speed: float | None
+    """of where it points, when that is turned by hand, at most [rad/s]; null: that is not controlled here"""
     strategies: tuple[str, ...]
     """of control"""
     inner: tuple[str, ...]
@@ -87,9 +90,9 @@ class JogIn(Strict):
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"space": "tip", "velocity": [0.0, 0.0, 0.002]}]})
 
-    space: Literal["joints", "tip"]
+    space: Space
     velocity: Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=20)]
-    """of every joint [rad/s or m/s], or of the tip, world frame [m/s]"""
+    """of every joint [rad/s or m/s], or, world frame, of the tip [m/s] or of where it points [rad/s]"""
 
 
 class PullIn(Strict):
@@ -223,9 +226,10 @@ def bench_out(service: StationService) -> BenchOut:
         working_pose=bench.robot.working_pose,
         tubes=tuple(tube.name for tube in bench.robot.tubes),
         tip_speed=JOG_TIP_SPEED,
+        turn_speed=None if bench.controller.task == "position" else JOG_TURN_SPEED,
         strategies=tuple(STRATEGIES),
         inner=tuple(INNER_LOOPS),
-        controller=BEST,
+        controller=bench.controller,
     )
 
 

@@ -44,7 +44,8 @@ from web.scene.target_seen import TargetSeen
 STREAMED = (
     "time", "state", "phase", "held", "trouble", "truth_known", "joints", "tip_measured", "tip_estimated",
     "tip_desired", "tip_true", "force", "force_filtered", "u_int", "deflection", "deflection_filtered",
-    "deflection_rate", "target_followed", "target_measured", "target_offset", "target_true",
+    "deflection_rate", "direction_measured", "direction_observed", "direction_desired", "direction_true",
+    "target_followed", "target_measured", "target_offset", "target_true",
 )  # fmt: skip
 #: Those of a single number.
 SCALARS = ("time", "state", "phase", "held", "truth_known", "target_followed")

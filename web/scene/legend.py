@@ -6,6 +6,7 @@ from core.robot.robot import Robot
 from station.config import palette
 from station.config.strict import Strict
 from web.scene.overlays import LARGER, SIGMAS
+from web.scene.pointing_mark import LENGTH
 
 
 class Sign(Strict):
@@ -49,6 +50,7 @@ def signs(*, target: bool) -> tuple[Sign, ...]:
         Sign(name="measured tip, trace of 20 s", colour=css(palette.MEASURED), shape="disc"),
         Sign(name="estimated tip (loaded model)", colour=css(palette.ESTIMATED), shape="square"),
         Sign(name="force, 100 mm for 1 N", colour=css(palette.FORCE), shape="bar"),
+        Sign(name=f"where the tip points, {1e3 * LENGTH:.0f} mm", colour=css(palette.ESTIMATED), shape="line"),
         Sign(name="contact on the shaft, 95 %", colour=css(palette.CONTACT), shape="bar"),
         Sign(name="reference path", colour=css(palette.DESIRED), shape="line"),
         Sign(name="shape without load (on demand)", colour=css(palette.SLATE), shape="line"),

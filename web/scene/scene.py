@@ -21,6 +21,7 @@ from web.scene.extent import extent, translations
 from web.scene.fresh import Fresh, fresh
 from web.scene.grid import Grid, draw_grid
 from web.scene.history import BIN, SPAN, History
+from web.scene.pointing_mark import PointingMark
 from web.scene.reference import path
 from web.scene.stage import Stage
 from web.scene.target_mark import TargetMark
@@ -80,6 +81,7 @@ class Scene:
         )  # fmt: skip
         self._contact = ContactMark(scene, UNIT)
         self._target = TargetMark(scene, UNIT)
+        self._pointing = PointingMark(scene, UNIT)
         self._trace = scene.add_line_segments(
             "/trace", np.zeros((TRACE_POINTS, 2, 3)), _fade(palette.MEASURED, TRACE_POINTS),
             thickness=3.5, thickness_units="screen", scale=UNIT, visible=False,
@@ -102,6 +104,7 @@ class Scene:
         self._put(self._measured, measured)
         self._put(self._desired, desired)
         self._draw_target(status, seen=now.row and history.target_seen)
+        self._draw_direction(status, measured, moving=moving)
         for mesh in self._meshes:
             mesh.opacity = None if now.joints else FADED
         if not now.row:
@@ -180,6 +183,14 @@ class Scene:
         values = status.values
         followed = seen and status.phase is Phase.MOVING and values["target_followed"][0] > 0.0
         self._target.draw(values["target_predicted"] if seen else None, values["target_offset"] if followed else None)
+
+    def _draw_direction(self, status: Status, tip: Array | None, *, moving: bool) -> None:
+        """Where the measured tip (3,) [m] points, and should while a motion is on, if somebody asks for it."""
+        observed, desired = (
+            None if name in status.standing else status.values[name]
+            for name in ("direction_observed", "direction_desired")
+        )
+        self._pointing.draw(tip, observed, desired if moving else None)
 
     def _hide_load(self) -> None:
         self._loaded = self._force.visible = False

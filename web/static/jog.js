@@ -105,6 +105,11 @@ const bench = await ask("GET", "/api/bench");
 const turning = speed("turn at", "rad/s", Math.min(...bench.joints.filter((one) => one.motion === "rotation").map((one) => one.speed)), 0.26);
 const sliding = speed("slide at", "m/s", Math.min(...bench.joints.filter((one) => one.motion === "translation").map((one) => one.speed)), 0.26);
 const tip = speed("tip at", "m/s", bench.tip_speed, 0.3);
+const swinging = bench.turn_speed === null ? null : speed("turn at", "rad/s", bench.turn_speed, 0.3);
+const pointing = swinging === null ? [] : [make("fieldset", {}, make("legend", {}, "Where the tip points"),
+  make("p", { className: "small dim" }, "about an axis of the world frame, its place kept"),
+  make("div", { className: "rows" }, ...swinging.elements),
+  make("div", { className: "jog", style: "margin-top:10px" }, ...["x", "y", "z"].flatMap((name, i) => axis(`turn about ${name}`, 3, i, "direction", swinging.value, () => ""))))];
 const why = make("p", { className: "small" });
 $("jog").append(
   make("p", {}, "The robot moves while a button is held, with the pointer or Space."), why,
@@ -117,6 +122,7 @@ $("jog").append(
     make("div", { className: "rows" }, ...tip.elements),
     make("div", { className: "jog", style: "margin-top:10px" }, ...["x", "y", "z"].flatMap((name, i) =>
       axis(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "not measured now" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`))))),
+  ...pointing,
   make("div", { id: "hands" }),
 );
 onStatus((status, stale) => {

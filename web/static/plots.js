@@ -4,7 +4,7 @@ import { isOpen, onTab } from "./tabs.js";
 import { Chart } from "./chart.js";
 import { unit } from "./form.js";
 import { gap, samples } from "./history.js";
-import { error, known, onOpen, onSample } from "./telemetry.js";
+import { error, known, onOpen, onSample, turned } from "./telemetry.js";
 
 const LONGEST = 300; // s
 const DARK = matchMedia("(prefers-color-scheme: dark)").matches; // blue lines need a light ground
@@ -23,6 +23,8 @@ const ALL = {
   true: ["Error, true", "mm", both((s) => error(s, "tip_true")), 1],
   force: ["Force at the tip", "N", both((s) => known(s, "force_filtered"), (s) => known(s, "force")), 0.1],
   deflection: ["Deflection", "mm", both((s) => scaled(s, "deflection_filtered", 1e3), (s) => scaled(s, "deflection", 1e3)), 1],
+  direction: ["Error of the direction", "°", [
+    { name: "measured", value: (s) => turned(s, "direction_measured") ?? NaN }, { name: "true", value: (s) => turned(s, "direction_true") ?? NaN }], 1],
   timing: ["Loop timing, 99 % over a second", "µs", [
     { name: "late", value: (s) => s.late_us ?? NaN }, { name: "work", value: (s) => s.tick_us ?? NaN }], 100],
   tip: ["Measured tip", "mm", xyz((s) => scaled(s, "tip_measured", 1e3)), 1],

@@ -15,7 +15,7 @@ const FIRST = {
   constant: { magnitude: 0.2 }, sine: { amplitude: 0.2, frequency: 0.05 }, raised_cosine: { peak: 0.3, period: 20 },
   trapezoid: { magnitude: 0.3, rise: 1, fall: 1, stay: 10, start: 2 }, tap: { peak: 0.5, start: 2 }, hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
 };
-const MORE = ["deflection_rate", "tip_velocity", "filter_bandwidth", "observer_bandwidth", "hold", "transport", "sublink", "direction", "max_speed", "max_acceleration"];
+const MORE = ["task", "direction_weight", "deflection_rate", "tip_velocity", "filter_bandwidth", "observer_bandwidth", "hold", "transport", "sublink", "direction", "max_speed", "max_acceleration"];
 const TARGET = "The tip goes where a program says over OpenIGTLink: transforms named Target, in the world.";
 /** After the last place [s]. */
 const STAY = 3;

@@ -1,6 +1,6 @@
 // Always in sight: error, force, deflection and the time left; and when a run is over, how well it went.
 import { $, ask, make, onStatus, Refused } from "./station.js";
-import { error, follows, known, latestSample } from "./telemetry.js";
+import { error, follows, known, latestSample, turned } from "./telemetry.js";
 import { atOneLook, ended, SHAPES } from "./result.js";
 
 const PERIOD = 200; // ms
@@ -23,20 +23,23 @@ function left() {
 
 const asks = (sample) => (follows(sample) ? (sample.target_seen ? "off target" : "target not seen") : "error");
 const fixed = (digits) => (value) => value.toFixed(digits);
-/** Name, unit, value of the newest sample (or null), how it is written, what a dash means. */
+/** Name, unit, value of the newest sample (or null), how it is written, what a dash means, or that there is none. */
 const CELLS = [
   { name: (sample) => `${asks(sample)}, ${against(sample) === "true" ? "true" : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${against(s)}`)), text: fixed(2), none: "known while a motion is on and its devices answer" },
+  { name: (sample) => `direction, ${against(sample) === "true" ? "true" : "tracker"}`, unit: "°", value: (s) => s && turned(s, `direction_${against(s)}`), text: fixed(1), none: "", asked: true },
   { name: () => "force", unit: "N", value: (s) => s && length(known(s, "force_filtered")), text: fixed(2), none: "no fresh word of the force" },
   { name: () => "deflection", unit: "mm", value: (s) => s && length(known(s, "deflection_filtered"), 1e3), text: fixed(1), none: "no fresh word of the force" },
   { name: () => "time left", unit: "", value: left, text: String, none: "no motion is on" },
 ].map((cell) => ({ ...cell, label: make("span", { className: "dim" }), shown: make("output") }));
 
-$("strip").append(...CELLS.map((cell) => make("div", {}, cell.label, cell.shown)));
+for (const cell of CELLS) $("strip").append(cell.element = make("div", { hidden: Boolean(cell.asked) }, cell.label, cell.shown));
 
 function show() {
   const sample = stale ? null : latestSample();
-  for (const { name, unit, value, text, none, label, shown } of CELLS) {
-    const now = value(sample) ?? null, words = now === null ? "–" : `${text(now)}${unit && ` ${unit}`}`;
+  for (const { name, unit, value, text, none, asked, element, label, shown } of CELLS) {
+    const now = value(sample) ?? null;
+    if (asked) element.hidden = now === null; // nobody asks where the tip points
+    const words = now === null ? "–" : `${text(now)}${unit && ` ${unit}`}`;
     label.textContent = name(sample);
     if (shown.textContent !== words) shown.textContent = words;
     shown.title = now === null ? none : "";

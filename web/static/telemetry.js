@@ -29,6 +29,14 @@ export function error(sample, group) {
   return there && there.map((x, i) => 1e3 * (x - tip[i]));
 }
 
+/** Angle between where the tip points, by `direction_true` or `direction_measured`, and where it should [°]; null where nobody asks, and without a motion. */
+export function turned(sample, group) {
+  const here = sample.phase === "moving" ? known(sample, group) : null, there = here && known(sample, "direction_desired");
+  if (!there) return null;
+  const across = Math.hypot(...[0, 1, 2].map((i) => here[(i + 1) % 3] * there[(i + 2) % 3] - here[(i + 2) % 3] * there[(i + 1) % 3]));
+  return (180 / Math.PI) * Math.atan2(across, here.reduce((sum, x, i) => sum + x * there[i], 0));
+}
+
 function connect() {
   const scheme = location.protocol === "https:" ? "wss" : "ws";
   const socket = new WebSocket(`${scheme}://${location.host}/api/telemetry?rate=${RATE}`);

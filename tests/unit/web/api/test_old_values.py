@@ -8,7 +8,7 @@ import pytest
 from core.robot.robot import Array
 from station.control.task import Phase
 from station.devices.interfaces import Severity
-from station.service.standing import FELT, TRACKED
+from station.service.standing import DIRECTIONS, FELT, TRACKED, TRUE
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
@@ -69,5 +69,11 @@ def test_a_silent_device_s_values_are_not_told(
 
 def test_where_nothing_is_known_to_be_true_nothing_is_told(service: StationService, row: Array) -> None:
     service.supervisor.channels.of(row, "truth_known")[:] = 0.0
-    assert told(service, row) == VECTORS - {"tip_true", "target_true"}
+    assert told(service, row) == VECTORS - TRUE
     assert sample_out(service, row, 0, None)["phase"] == "moving"
+
+
+def test_a_direction_that_nobody_asks_for_is_not_told(service: StationService, row: Array) -> None:
+    for group in DIRECTIONS:
+        service.supervisor.channels.of(row, group)[:] = 0.0
+    assert told(service, row) == VECTORS - set(DIRECTIONS)

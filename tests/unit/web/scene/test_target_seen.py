@@ -1,7 +1,5 @@
 """A target is only shown while the tracker sees it, and where there is none nothing is."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import viser
@@ -46,13 +44,6 @@ def test_what_was_seen_before_time_began_anew_is_not_seen(paper_robot: Robot) ->
     history.take(rows(channels, 100.0, 1.0, seen=True))
     history.take(rows(channels, 0.0, 0.1, seen=False))
     assert not history.target_seen
-
-
-@pytest.fixture
-def server() -> Iterator[viser.ViserServer]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
 
 
 def test_the_line_leads_to_where_the_tip_should_be_and_only_while_it_is_followed(server: viser.ViserServer) -> None:
