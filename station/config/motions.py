@@ -31,7 +31,7 @@ from station.config.strict import ConfigError, Direction, Positive, Row, Strict,
 class _Pointed(Strict):
     """A motion along which the tip may point somewhere, where the controller's task asks for a direction."""
 
-    directions: tuple[Annotated[tuple[float, float, float, float], Row], ...] = Field((), strict=False)
+    directions: Annotated[tuple[Annotated[tuple[float, float, float, float], Row], ...], Field(strict=False)] = ()
     """time [s] and the direction x, y, z in which the tip then points; empty keeps that of the start"""
 
     @field_validator("directions")

@@ -247,7 +247,7 @@ class AllAroundLoad(_AtTip):
 
     kind: Literal["all_around"] = "all_around"
     magnitude: Force
-    """[N]"""
+    """of the force, whatever its direction [N]"""
     period: Time
     """from one pole to the other [s]; then the same way back"""
     turns: Annotated[float, Field(ge=0.0, le=100.0)] = 2.0

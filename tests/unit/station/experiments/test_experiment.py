@@ -49,11 +49,15 @@ from station.experiments.experiment import load_experiment, offered
         ('kind = "hold"', 'kind = "hold"\n[cases.fast]\nbogus = 1', "case 'fast': unknown key 'bogus'"),
         ('kind = "hold"', 'kind = "hold"\n[paper.slow]', "paper.slow is not one of the cases: own"),
         ('kind = "hold"', 'kind = "hold"\n[paper.own]\nmax = 1', "unknown key 'paper.own.max'"),
-        ('title = "short"', 'title = "short"\nrobot = "snake"', "'snake' is not one of the robots: nylon, paper"),
+        (
+            'title = "short"',
+            'title = "short"\nrobot = "snake"',
+            "'snake' is not one of the robots: balanced_pair, nylon, paper",
+        ),
         (
             'title = "short"',
             'title = "short"\nlab = "moon"',
-            "'moon' is not one of the labs: breathing, distorted, gentle, heartbeat, ideal, realistic",
+            "'moon' is not one of the labs: breathing, distorted, gentle, heartbeat, ideal, pointing, realistic",
         ),
         ('title = "short"', 'title = "short"\nlab = "none.toml"', "none.toml: no such file"),
         ('title = "short"', 'title = "short', "not valid TOML: "),
