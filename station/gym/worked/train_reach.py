@@ -55,7 +55,13 @@ class Nearer(gymnasium.Wrapper):
     def step(self, action: Any) -> Any:
         """As the environment, but for the reward."""
         seen, _, terminated, truncated, info = self.env.step(action)
-        return seen, float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info)), terminated, truncated, info
+        return (
+            seen,
+            float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info)),
+            terminated,
+            truncated,
+            info,
+        )
 
 
 def distances(policy: Any, episodes: int, seed: int, **setting: Any) -> np.ndarray:
