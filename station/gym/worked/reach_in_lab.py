@@ -110,16 +110,11 @@ def by_controller(trial: Trial) -> None:
     trial.until(lambda: trial.loop.state is State.READY)
     trial.loop.start(Task(trial.controller, Lead(BOUNDS), 1000.0))
     trial.until(lambda: trial.loop.phase is Phase.MOVING)
-    begin, way = trial.now + WAIT, trial.goal - channels_tip(trial)
+    begin, way = trial.now + WAIT, trial.goal - trial.loop.channels.of(trial.row, "tip_desired")
     trial.pull()
     while trial.now < begin + TIME and not trial.loop.cause:
         place = way if trial.now >= begin else np.zeros(3)
         trial.go_on(Asked(0, Wish(place, np.zeros(3), trial.now, 0.0)))
-
-
-def channels_tip(trial: Trial) -> np.ndarray:
-    """The measured tip (3,) [m]."""
-    return trial.loop.channels.of(trial.row, "tip_measured").copy()
 
 
 def main() -> None:

@@ -55,13 +55,8 @@ class Nearer(gymnasium.Wrapper):
     def step(self, action: Any) -> Any:
         """As the environment, but for the reward."""
         seen, _, terminated, truncated, info = self.env.step(action)
-        return (
-            seen,
-            float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info)),
-            terminated,
-            truncated,
-            info,
-        )
+        reward = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info))
+        return seen, reward, terminated, truncated, info
 
 
 def distances(policy: Any, episodes: int, seed: int, **setting: Any) -> np.ndarray:
