@@ -43,9 +43,7 @@ def test_the_largest_load_ends_where_something_becomes_too_little(outcome):
 
 
 def test_stiffer_tubes_hold_more():
-    stiffer = tuple(
-        tube.model_copy(update={"bending_stiffness": 1.5 * tube.bending_stiffness}) for tube in PAPER.tubes
-    )
+    stiffer = tuple(tube.model_copy(update={"bending_stiffness": 1.5 * tube.bending_stiffness}) for tube in PAPER.tubes)
     more = done(PAPER.model_copy(update={"tubes": stiffer}), TASK, "load")
     # All of them by as much: the same shapes under as much more load.
     assert more.load == pytest.approx(1.5 * done(PAPER, TASK, "load").load, rel=0.01)
