@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from stable_baselines3 import SAC  # pyright: ignore[reportMissingImports]
 
@@ -125,7 +126,7 @@ def main() -> None:
     options.add_argument("--load", type=float, default=0.2, help="largest hidden force [N]")
     options.add_argument("--lab", default="gentle")
     parsed = options.parse_args()
-    policy = SAC.load(parsed.path)
+    policy = SAC.load(parsed.path, gymnasium.make("station.gym:CtrReach-v0"))  # HER wants one, if only to look at
     found = np.full((parsed.trials, 2), np.nan)
     for number in range(parsed.trials):
         for column, carry_out in enumerate((lambda trial: by_policy(trial, policy), by_controller)):

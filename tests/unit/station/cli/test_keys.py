@@ -9,6 +9,7 @@ from station.cli import keys
 from station.config.motions import CircleMotion, Orders
 from station.config.robots import RobotFile, named_pose
 from station.config.strict import OWN_EXPERIMENTS, preset_names
+from station.design.study import StudyFile
 from station.experiments.experiment import CaseFile, load_experiment
 from station.lab.config import LabConfig
 from station.service.goto import check_way, to_working_pose
@@ -21,7 +22,7 @@ def test_the_page_is_what_the_command_prints():
     assert FILES.read_text(encoding="utf-8") == keys.page(), "print it anew: python -m station keys > station/FILES.md"
 
 
-@pytest.mark.parametrize("model", [RobotFile, StationFile, LabConfig, CaseFile])
+@pytest.mark.parametrize("model", [RobotFile, StationFile, LabConfig, CaseFile, StudyFile])
 def test_every_key_of_every_file_is_on_it(model):
     text = keys.page()
     for key in model.model_fields:
