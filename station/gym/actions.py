@@ -1,7 +1,5 @@
 """What may be done in a step: a part, -1 ... 1, of every joint's speed."""
 
-from typing import Any
-
 import numpy as np
 from gymnasium.spaces import Box
 
@@ -19,6 +17,3 @@ class Actions(Box):
         if mask is not None or probability is not None:
             return super().sample(mask, probability)  # says why not
         return 2.0 * self.np_random.random(self.shape) - 1.0
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Actions, (self.shape[0],), self.__getstate__()

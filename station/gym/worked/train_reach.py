@@ -127,7 +127,7 @@ def train(path: Path, minutes: float, seed: int) -> None:
 
 def test(path: Path, episodes: int) -> None:
     """Goals that it has not seen, under the load that it has learned with, more, and with the exact rod."""
-    policy = SAC.load(path)
+    policy = SAC.load(path, gymnasium.make(ENVIRONMENT))  # HER wants one, if only to look at
     for words, setting in (
         ("as learned", {}),
         ("without load", {"load": 0.0}),

@@ -11,6 +11,7 @@ from station.config.motions import CircleMotion, Orders
 from station.config.robots import RobotFile, named_pose
 from station.config.strict import OWN_EXPERIMENTS, preset_names
 from station.control.known_calibration import RegistrationFile, SensorsFile
+from station.design.study import StudyFile
 from station.experiments.experiment import CaseFile, load_experiment
 from station.lab.config import LabConfig
 from station.service.goto import check_way, to_working_pose
@@ -23,7 +24,9 @@ def test_the_page_is_what_the_command_prints():
     assert FILES.read_text(encoding="utf-8") == keys.page(), "print it anew: python -m station keys > station/FILES.md"
 
 
-@pytest.mark.parametrize("model", [RobotFile, StationFile, LabConfig, CaseFile, RegistrationFile, SensorsFile])
+@pytest.mark.parametrize(
+    "model", [RobotFile, StationFile, LabConfig, CaseFile, RegistrationFile, SensorsFile, StudyFile]
+)
 def test_every_key_of_every_file_is_on_it(model):
     text = keys.page()
     for key in model.model_fields:

@@ -1,10 +1,12 @@
 """Gymnasium's own checks, and that one environment and many show the same."""
 
+import pickle
 import warnings
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 
@@ -14,6 +16,7 @@ from core.model.statics import Statics
 from core.robot.limits import TubeOrder
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
+from station.gym.actions import Actions
 from station.gym.bodies import Bodies, Setting
 from station.gym.environments import ReachEnv, ReachVectorEnv, TrackEnv, TrackVectorEnv
 
@@ -206,3 +209,32 @@ def test_a_path_on_which_the_described_robot_snaps_is_no_path():
     turning = np.flatnonzero(~env.task.bodies.slides)[0]
     joints[200:, turning] = 1.0  # a jump as a snap would make it
     assert env.task._path(joints) is None
+
+
+def test_actions_are_drawn_as_gymnasium_draws_them_to_the_last_bit():
+    ours, theirs = Actions(3), Box(-1.0, 1.0, (3,), dtype=np.float64)
+    assert ours == theirs
+    for space in (ours, theirs):
+        space.seed(5)
+    for _ in range(100):
+        drawn = ours.sample()
+        assert np.array_equal(drawn, theirs.sample())
+        assert drawn in theirs
+    again = pickle.loads(pickle.dumps(ours))
+    assert np.array_equal(again.sample(), ours.sample())
+    with pytest.raises(gymnasium.error.Error, match="mask"):
+        ours.sample(mask=np.ones(3))
+
+
+@pytest.mark.parametrize("reward", ["sparse", "dense"])
+def test_a_reward_is_that_of_one_pair_or_of_many(reward):
+    env = ReachEnv(reward=reward)
+    random = np.random.default_rng(0)
+    tips = random.uniform(-1.0, 1.0, (4, 5, 3))
+    goals = tips + random.uniform(-1e-3, 1e-3, (4, 5, 3))
+    away = np.linalg.norm(tips - goals, axis=-1)
+    expected = np.where(away <= 1e-3, 0.0, -1.0) if reward == "sparse" else -1e3 * away
+    assert len(set(expected.ravel())) > 1
+    assert env.compute_reward(tips, goals, {}) == pytest.approx(expected)
+    assert float(env.compute_reward(tips[0, 0], goals[0, 0], {})) == pytest.approx(expected[0, 0])
+    assert np.ndim(env.compute_reward(tips[0, 0], goals[0, 0], {})) == 0
