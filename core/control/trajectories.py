@@ -16,7 +16,6 @@ import numpy as np
 from core.errors import DescriptionError
 from core.robot.robot import Array
 
-
 STILL = np.zeros(3)
 
 

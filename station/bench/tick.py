@@ -19,7 +19,6 @@ from station.control.clock import VirtualClock
 from station.experiments.experiment import Case, load_experiment
 from station.experiments.runner import run_case
 
-
 #: What is timed: three joints for the place; six for the place, for place and direction, and with edges to keep from.
 CASES = {
     "step_us": ("fig10", "feedforward"),

@@ -27,6 +27,8 @@ from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
 from station.config.strict import ConfigError, Direction, Positive, Row, Strict, Vector, check, read_text
 
+_Rows = tuple[tuple[float, float, float, float], ...]
+
 
 class _Pointed(Strict):
     """A motion along which the tip may point somewhere, where the controller's task asks for a direction."""
@@ -36,7 +38,7 @@ class _Pointed(Strict):
 
     @field_validator("directions")
     @classmethod
-    def _can_be(cls, rows: tuple[tuple[float, float, float, float], ...]) -> tuple[tuple[float, float, float, float], ...]:
+    def _can_be(cls, rows: _Rows) -> _Rows:
         try:
             directions_of(rows)
         except DescriptionError as error:
@@ -44,7 +46,7 @@ class _Pointed(Strict):
         return rows
 
 
-def directions_of(rows: tuple[tuple[float, float, float, float], ...]) -> Directions | None:
+def directions_of(rows: _Rows) -> Directions | None:
     """Where the tip points over time; None keeps the direction of the start."""
     return Directions(tuple(row[0] for row in rows), tuple(row[1:] for row in rows)) if rows else None
 

@@ -90,8 +90,10 @@ def test_the_rows_are_the_exact_rods_derivatives_of_the_direction_at_a_hundred_l
     tried = 0
     while tried < 100:
         joints, force = rng.uniform(lower, upper), rng.normal(size=3)
-        if not robot.stands(joints) or not robot.stands(joints + 1e-3 * speed) or not robot.stands(
-            joints - 1e-3 * speed
+        if (
+            not robot.stands(joints)
+            or not robot.stands(joints + 1e-3 * speed)
+            or not robot.stands(joints - 1e-3 * speed)
         ):
             continue
         wrench = np.r_[0.3 * rng.uniform() * force / np.linalg.norm(force), np.zeros(3)]

@@ -57,9 +57,7 @@ def test_the_task_is_kept_whatever_the_left_over_joints_do(solved, task):
     rows, rng = rows_of(aim(task), now.jacobian, now.rotation), np.random.default_rng(3)
     wanted, wish = 1e-3 * rng.normal(size=len(rows)), 0.2 * LIMITS.speed * rng.normal(size=6)
     lower, upper = LIMITS.velocity_bounds(POSE)
-    still, busy = (
-        inverse(rows, wanted, LIMITS.speed, lower, upper, spare=spare).velocity for spare in (None, wish)
-    )
+    still, busy = (inverse(rows, wanted, LIMITS.speed, lower, upper, spare=spare).velocity for spare in (None, wish))
     for velocity in (still, busy):
         np.testing.assert_allclose(rows @ velocity, wanted, rtol=0, atol=1e-8)
     # What differs is the wish's part in the null space, joints measured by their top speed.

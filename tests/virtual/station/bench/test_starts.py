@@ -9,7 +9,6 @@ import pytest
 from station.bench.starts import PEAKS, Outcome, Start, draw, prepared, reference_error, summary
 from tests.harness.cases import a_case, a_run
 
-
 PEAK = PEAKS["fig8"]
 
 
