@@ -104,7 +104,7 @@ def look(
         last: of the tick before.
         estimate: of this tick.
         force: (3,) that its loaded model was solved for [N].
-        frame, age: the tip's direction (3,) of a tracker frame that has just arrived, and that frame's age [s].
+        frame, age: the tip's direction (3,) in a tracker frame that has just arrived, and that frame's age [s].
 
     """
     new = last._replace(

@@ -1,8 +1,8 @@
 """What joints do that the task leaves over: they keep away from edges, as far as the task's null space lets them.
 
-An edge repels the more the nearer it is, from the distance on that is 1 below: the gradient of one over the distance,
-in joints measured by their top speed, is a velocity that `inverse` comes as near to as it can without touching the
-task, by the ridge that keeps a null space still otherwise. Two levels in one small problem, inside all the limits.
+An edge repels the more the nearer it is, from a distance of 1 below on: the gradient of one over the distance, in
+joints measured by their top speed, is a velocity that `inverse` comes as near to as it can without touching the task,
+by the ridge that keeps a null space still otherwise. Two levels in one small problem, inside all the limits.
 
 | name | edge | distance |
 |---|---|---|

@@ -40,9 +40,7 @@ class Sample(NamedTuple):
     wrenches: Array  #: (q, 6) tared base wrenches, each in its sensor's axes [N, N m]
     tip: Array | None  #: (3,) a new tracker frame [m]; None when none arrived since the last tick
     tip_age: float = 0.0  #: time since that frame was measured [s]
-    direction: Array | None = (
-        None  #: (3,) in which the tip points, of the same frame; None where the tracker tells none
-    )
+    direction: Array | None = None  #: (3,) of the tip, of the same frame; None: not told
 
 
 class ControllerState(NamedTuple):

@@ -191,9 +191,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m station.bench.starts", description="hold the tip from many starts")
     parser.add_argument("--seeds", type=int, default=200, metavar="N", help="how many starts (200)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes side by side (2)")
-    parser.add_argument(
-        "--experiment", choices=PEAKS, default=EXPERIMENT, help="whose robot, controller and lab (fig8)"
-    )
+    parser.add_argument("--experiment", choices=PEAKS, default=EXPERIMENT, help="whose robot and controller (fig8)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="every outcome as a line of JSON")
     parsed = parser.parse_args()
     lines: list[str] = []

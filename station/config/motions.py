@@ -27,6 +27,8 @@ from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
 from station.config.strict import ConfigError, Direction, Positive, Row, Strict, Vector, check, read_text
 
+_Rows = tuple[tuple[float, float, float, float], ...]
+
 
 class _Pointed(Strict):
     """A motion along which the tip may point somewhere, where the controller's task asks for a direction."""
@@ -36,9 +38,7 @@ class _Pointed(Strict):
 
     @field_validator("directions")
     @classmethod
-    def _can_be(
-        cls, rows: tuple[tuple[float, float, float, float], ...]
-    ) -> tuple[tuple[float, float, float, float], ...]:
+    def _can_be(cls, rows: _Rows) -> _Rows:
         try:
             directions_of(rows)
         except DescriptionError as error:
@@ -46,7 +46,7 @@ class _Pointed(Strict):
         return rows
 
 
-def directions_of(rows: tuple[tuple[float, float, float, float], ...]) -> Directions | None:
+def directions_of(rows: _Rows) -> Directions | None:
     """Where the tip points over time; None keeps the direction of the start."""
     return Directions(tuple(row[0] for row in rows), tuple(row[1:] for row in rows)) if rows else None
 
@@ -66,11 +66,10 @@ class SinusoidMotion(_Pointed):
 
     kind: Literal["sinusoid"] = "sinusoid"
     direction: Direction = (0.0, 0.0, 1.0)
-    """of the line, world frame; its length does not matter"""
     amplitude: Annotated[float, Field(gt=0.0, le=0.1)]
-    """to either side [m]"""
+    """[m]"""
     frequency: Annotated[float, Field(gt=0.0, le=5.0)]
-    """there and back in a second [Hz]"""
+    """[Hz]"""
 
     def trajectory(self) -> Trajectory:
         """What the controller follows."""
@@ -82,11 +81,11 @@ class CircleMotion(_Pointed):
 
     kind: Literal["circle"] = "circle"
     radius: Annotated[float, Field(gt=0.0, le=0.1)]
-    """of the circle [m]"""
+    """[m]"""
     period: Annotated[float, Field(ge=0.2, le=3600.0)]
-    """time for one turn [s]"""
+    """[s]"""
     normal: Direction = (0.0, 0.0, 1.0)
-    """axis of the circle, world frame; its length does not matter"""
+    """axis of the circle"""
 
     def trajectory(self) -> Trajectory:
         """What the controller follows."""
@@ -98,15 +97,13 @@ class HelixMotion(_Pointed):
 
     kind: Literal["helix"] = "helix"
     radius: Annotated[float, Field(gt=0.0, le=0.1)]
-    """of the turns [m]"""
+    """[m]"""
     pitch: Annotated[float, Field(ge=-0.1, le=0.1)]
     """advance in one turn [m]; negative the other way"""
     turn: Annotated[float, Field(ge=0.2, le=3600.0)]
     """time for one turn [s]"""
     turns: Annotated[float, Field(gt=0.0, le=1000.0)]
-    """how many, then the tip stays"""
     axis: Direction = (0.0, 0.0, 1.0)
-    """along which it advances, world frame; its length does not matter"""
 
     def trajectory(self) -> Trajectory:
         """What the controller follows."""
@@ -137,7 +134,7 @@ class Places(_Pointed):
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """of the tip on its way through the points [m/s^2]"""
+    """[m/s^2]"""
 
     def trajectory(self) -> Waypoints:
         """What the controller follows.
@@ -176,7 +173,7 @@ class FollowMotion(Strict):
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """of the tip [m/s^2]"""
+    """[m/s^2]"""
     patience: Annotated[float, Field(ge=0.25, le=60.0)] = 2.0
     """a target that is lost for longer ends the run in HOLD [s]"""
 
@@ -194,7 +191,7 @@ class CsvMotion(Strict):
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """of the tip on its way through the points [m/s^2]"""
+    """[m/s^2]"""
 
     def trajectory(self) -> Trajectory:
         """What the controller follows.
@@ -235,11 +232,10 @@ class JointSweepMotion(Strict):
 
     kind: Literal["joint_sweep"] = "joint_sweep"
     joint: str
-    """by name"""
     speed: float
-    """up to the joint's own, greater than 0, or below 0 for the other way [rad/s or m/s]"""
+    """[rad/s or m/s]; negative the other way"""
     distance: Positive
-    """from the start [rad or m]"""
+    """[rad or m]"""
 
     @field_validator("speed")
     @classmethod

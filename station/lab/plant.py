@@ -85,9 +85,8 @@ class Plant:
             wrench = pure_force(force)
             self._take(exact.solve_tubes(*self.robot.tube_poses(memory.tubes_at), wrench, None, contact))
             _feel(self.robot.packed, self._packed, force, contact)
-        return PlantState(
-            Truth(memory.tip.copy(), force, direction=memory.rotation[:, 2].copy()), memory.wrenches.copy()
-        )
+        truth = Truth(memory.tip.copy(), force, direction=memory.rotation[:, 2].copy())
+        return PlantState(truth, memory.wrenches.copy())
 
     def _take(self, rod: Rod) -> None:
         """Go on from this solution."""

@@ -65,9 +65,8 @@ class RoughPlant:
         if not self._go(positions, force, contact) and not self._in_parts(positions, force, contact):
             raise NoSolution(f"the true robot has no shape at {positions.tolist()} [rad, m] under {force.tolist()} N")
         memory = self._memory
-        return PlantState(
-            Truth(memory.tip.copy(), force, direction=memory.rotation[:, 2].copy()), memory.wrenches.copy()
-        )
+        truth = Truth(memory.tip.copy(), force, direction=memory.rotation[:, 2].copy())
+        return PlantState(truth, memory.wrenches.copy())
 
     def _go(self, positions: Array, force: Array, contact: float) -> bool:
         """One step along the way, friction with it; nothing has changed where it fails."""
