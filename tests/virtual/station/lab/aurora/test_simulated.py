@@ -23,7 +23,7 @@ class Host:
     """Talks to a unit byte by byte, in virtual time, at the unit's own rate unless told otherwise."""
 
     def __init__(self, noise: float = 0.0, **unit: str) -> None:
-        self.unit = SimulatedAurora(TrackerConfig(noise=noise), np.random.default_rng(0), **unit)
+        self.unit = SimulatedAurora(TrackerConfig(noise=noise, direction_noise=0.0), np.random.default_rng(0), **unit)
         self.now = 0.0
         self.tip = TIP
 
