@@ -72,6 +72,8 @@ COMPILING = "still starting: the first start compiles the model, which takes a m
 CALIBRATIONS = "calibrations"
 #: That a browser may send over a websocket [bytes].
 LONGEST_MESSAGE = 64 * 1024
+#: That the system keeps for each connection whose other end does not read, half of it its own [bytes].
+WAITING = 128 * 1024
 #: Connections that are taken before the requests of those before them are read.
 ACCEPTED_AT_ONCE = 64
 
@@ -242,6 +244,7 @@ def _listen(host: str, port: int) -> socket.socket:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         listening = socket.socket(family, socket.SOCK_STREAM)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING)
         listening.bind((host, port))
         listening.listen(ACCEPTED_AT_ONCE)
     except (OSError, OverflowError) as error:

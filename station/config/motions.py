@@ -66,10 +66,11 @@ class SinusoidMotion(_Pointed):
 
     kind: Literal["sinusoid"] = "sinusoid"
     direction: Direction = (0.0, 0.0, 1.0)
+    """of the line, world frame; its length does not matter"""
     amplitude: Annotated[float, Field(gt=0.0, le=0.1)]
-    """[m]"""
+    """to either side [m]"""
     frequency: Annotated[float, Field(gt=0.0, le=5.0)]
-    """[Hz]"""
+    """there and back in a second [Hz]"""
 
     def trajectory(self) -> Trajectory:
         """What the controller follows."""
@@ -81,11 +82,11 @@ class CircleMotion(_Pointed):
 
     kind: Literal["circle"] = "circle"
     radius: Annotated[float, Field(gt=0.0, le=0.1)]
-    """[m]"""
+    """of the circle [m]"""
     period: Annotated[float, Field(ge=0.2, le=3600.0)]
-    """[s]"""
+    """time for one turn [s]"""
     normal: Direction = (0.0, 0.0, 1.0)
-    """axis of the circle"""
+    """axis of the circle, world frame; its length does not matter"""
 
     def trajectory(self) -> Trajectory:
         """What the controller follows."""
@@ -97,13 +98,15 @@ class HelixMotion(_Pointed):
 
     kind: Literal["helix"] = "helix"
     radius: Annotated[float, Field(gt=0.0, le=0.1)]
-    """[m]"""
+    """of the turns [m]"""
     pitch: Annotated[float, Field(ge=-0.1, le=0.1)]
     """advance in one turn [m]; negative the other way"""
     turn: Annotated[float, Field(ge=0.2, le=3600.0)]
     """time for one turn [s]"""
     turns: Annotated[float, Field(gt=0.0, le=1000.0)]
+    """how many, then the tip stays"""
     axis: Direction = (0.0, 0.0, 1.0)
+    """along which it advances, world frame; its length does not matter"""
 
     def trajectory(self) -> Trajectory:
         """What the controller follows."""
@@ -134,7 +137,7 @@ class Places(_Pointed):
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """[m/s^2]"""
+    """of the tip on its way through the points [m/s^2]"""
 
     def trajectory(self) -> Waypoints:
         """What the controller follows.
@@ -173,7 +176,7 @@ class FollowMotion(Strict):
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """[m/s^2]"""
+    """of the tip [m/s^2]"""
     patience: Annotated[float, Field(ge=0.25, le=60.0)] = 2.0
     """a target that is lost for longer ends the run in HOLD [s]"""
 
@@ -191,7 +194,7 @@ class CsvMotion(Strict):
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """[m/s^2]"""
+    """of the tip on its way through the points [m/s^2]"""
 
     def trajectory(self) -> Trajectory:
         """What the controller follows.
@@ -232,10 +235,11 @@ class JointSweepMotion(Strict):
 
     kind: Literal["joint_sweep"] = "joint_sweep"
     joint: str
+    """by name"""
     speed: float
-    """[rad/s or m/s]; negative the other way"""
+    """up to the joint's own, greater than 0, or below 0 for the other way [rad/s or m/s]"""
     distance: Positive
-    """[rad or m]"""
+    """from the start [rad or m]"""
 
     @field_validator("speed")
     @classmethod

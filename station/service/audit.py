@@ -67,11 +67,16 @@ class Audit:
         self._add(self._refused, who, what, where, outcome)
 
     def tail(self, count: int) -> list[Entry]:
-        """The last `count` lines at most, the newest first; a damaged line is left out."""
+        """The last `count` lines at most, the newest first; a damaged line is left out.
+
+        The clock may have been set back in between: old refusals, later by that clock, then leave half of the lines
+        to what was done.
+        """
         with self._lock:
             lines = [log.last(count) for log in (self._done, self._refused)]
-        entries = ([entry for line in log if (entry := _entry(line)) is not None] for log in lines)
-        return list(heapq.merge(*entries, key=lambda entry: datetime.fromisoformat(entry.time), reverse=True))[:count]
+        done, refused = ([entry for line in log if (entry := _entry(line)) is not None] for log in lines)
+        refused = refused[: max(count // 2, count - len(done))]
+        return list(heapq.merge(done, refused, key=_when, reverse=True))[:count]
 
     def close(self) -> None:
         """Let go of the files."""
@@ -92,6 +97,10 @@ def _entry(line: str) -> Entry | None:
         return entry if datetime.fromisoformat(entry.time).tzinfo else None
     except (ValueError, TypeError, RecursionError):
         return None  # cut off by a crash
+
+
+def _when(entry: Entry) -> datetime:
+    return datetime.fromisoformat(entry.time)
 
 
 def _now() -> str:

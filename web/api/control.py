@@ -47,6 +47,8 @@ STREAMED = (
     "deflection_rate", "direction_measured", "direction_observed", "direction_desired", "direction_true",
     "target_followed", "target_measured", "target_offset", "target_true",
 )  # fmt: skip
+#: Sent to all websocket clients together [1/s]: many share them, or telemetry would take the station's whole processor.
+SAMPLES = 400.0
 #: Those of a single number.
 SCALARS = ("time", "state", "phase", "held", "truth_known", "target_followed")
 
@@ -138,23 +140,32 @@ def control_routes(
         answer = model_answer(supervisor.statics, joints, np.array([*request.force, *request.moment]))
         return SolveOut.model_validate(answer, strict=False)
 
+    listeners = 0
+
     @router.websocket("/telemetry")
     async def telemetry(socket: WebSocket, rate: Annotated[float, Query(ge=1.0, le=100.0)] = 30.0) -> None:
+        nonlocal listeners
         await socket.accept()
         listening = asyncio.create_task(_until_closed(socket))
+        listeners += 1
         timing, target = RecentTiming(supervisor.ring), TargetSeen(supervisor.channels)
         try:
             since, before = supervisor.ring.written, None
             while not listening.done():
-                await asyncio.wait([listening], timeout=1.0 / rate)
+                await asyncio.wait([listening], timeout=max(1.0 / rate, listeners / SAMPLES))
                 rows, since, overwritten = supervisor.ring.read(since)
                 if len(rows):
                     sample = sample_out(service, rows[-1], len(rows) - 1 + overwritten, before)
                     before = sample["time"]
-                    await socket.send_json(sample | timing.look() | {"target_seen": target.look(rows)})
+                    listeners -= 1  # one that does not read takes nothing from the others
+                    try:
+                        await socket.send_json(sample | timing.look() | {"target_seen": target.look(rows)})
+                    finally:
+                        listeners += 1
         except (WebSocketDisconnect, RuntimeError):
             return  # the other side has gone
         finally:
+            listeners -= 1
             listening.cancel()
             await asyncio.gather(listening, return_exceptions=True)
 

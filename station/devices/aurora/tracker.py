@@ -87,7 +87,8 @@ class AuroraTracker:
             return self._target_trouble(now)
         report = self.report(now)
         severity = Severity.HOLD if self._lost or report.good_age > BLIND else Severity.WARN
-        what = report.quality.name.lower().replace("_", " ")
+        # The newest is good and yet old: the unit or this computer was held up.
+        what = "late" if report.quality is Quality.GOOD else report.quality.name.lower().replace("_", " ")
         since = "" if math.isinf(report.good_age) else f"; no good position for {report.good_age:.2f} s"
         return Trouble(severity, f"tracker ({self._link.name}): {what}{since}{report.trouble and '; '}{report.trouble}")
 

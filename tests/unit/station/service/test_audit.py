@@ -102,3 +102,16 @@ def test_a_full_disk_does_not_stop_who_writes(tmp_path: Path) -> None:
             log.write("who", "what", "where", "x" * 400)
         log.close()
     assert (tmp_path / NAME).stat().st_size <= 8000
+
+
+def test_what_was_done_since_the_clock_was_set_back_is_told_beside_refusals_of_before(tmp_path: Path) -> None:
+    log = Audit(tmp_path)
+    log.write("Anna (operator)", "POST /api/stop", "10.0.0.1", "200")
+    for number in range(50):
+        log.refused("unknown", f"number {number}", "10.0.0.2", "403")
+    later = (tmp_path / "refused.jsonl").read_text(encoding="utf-8").replace('"time": "20', '"time": "21')
+    (tmp_path / "refused.jsonl").write_text(later, encoding="utf-8")  # as if the clock had been 100 years ahead
+    told = [entry.what for entry in log.tail(20)]
+    log.close()
+    assert len(told) == 20
+    assert "POST /api/stop" in told

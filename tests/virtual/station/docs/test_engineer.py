@@ -43,12 +43,11 @@ def printed(said: str) -> None:
 
 
 def test_a_controller_of_ones_own_is_known_by_its_name_and_runs(folder: Path, monkeypatch, capsys):
-    monkeypatch.delitem(STRATEGIES, "gentle", raising=False)
+    monkeypatch.setitem(STRATEGIES, "gentle", STRATEGIES["dual_layer"])  # forgotten again when the test ends
     (folder / "gentle.py").write_text(block("python", "class Gentle"), encoding="utf-8")
     (folder / "hurry.toml").write_text(block("toml", "gently"), encoding="utf-8")
     (folder / "try_gentle.py").write_text(block("python", "import gentle"), encoding="utf-8")
     runpy.run_path("try_gentle.py")
-    monkeypatch.delitem(STRATEGIES, "gentle")
     printed(capsys.readouterr().out)
 
 
