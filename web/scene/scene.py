@@ -187,7 +187,7 @@ class Scene:
     def _draw_direction(self, status: Status, tip: Array | None, *, moving: bool) -> None:
         """Where the measured tip (3,) [m] points, and should while a motion is on, if somebody asks for it."""
         observed, desired = (
-            None if name in status.standing else status.values[name]
+            None if name in status.standing else status.values.get(name)
             for name in ("direction_observed", "direction_desired")
         )
         self._pointing.draw(tip, observed, desired if moving else None)
