@@ -26,7 +26,7 @@ const fixed = (digits) => (value) => value.toFixed(digits);
 /** Name, unit, value of the newest sample (or null), how it is written, what a dash means, or that there is none. */
 const CELLS = [
   { name: (sample) => `${asks(sample)}, ${against(sample) === "true" ? "true" : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${against(s)}`)), text: fixed(2), none: "known while a motion is on and its devices answer" },
-  { name: (sample) => `direction, ${against(sample) === "true" ? "true" : "tracker"}`, unit: "°", value: (s) => s && turned(s, `direction_${against(s)}`), text: fixed(1), none: "", asked: true },
+  { name: () => "direction", unit: "°", value: (s) => s && turned(s, `direction_${against(s)}`), text: fixed(1), none: "", asked: true },
   { name: () => "force", unit: "N", value: (s) => s && length(known(s, "force_filtered")), text: fixed(2), none: "no fresh word of the force" },
   { name: () => "deflection", unit: "mm", value: (s) => s && length(known(s, "deflection_filtered"), 1e3), text: fixed(1), none: "no fresh word of the force" },
   { name: () => "time left", unit: "", value: left, text: String, none: "no motion is on" },
