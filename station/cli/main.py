@@ -32,7 +32,7 @@ class Parser(argparse.ArgumentParser):
         self.in_any_order = False
         self.add_argument("--data", type=Path, metavar="DIR", help="folder of runs, calibrations and log (runs)")
 
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:  # pyright: ignore
         """Options may also stand between a command's words, where those are `in_any_order`."""
         if not self.in_any_order:
             return super().parse_known_args(args, namespace)

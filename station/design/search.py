@@ -102,8 +102,8 @@ def search(study: Study, candidates: Candidates, engine: Engine, told: Callable[
     file = study.file.search
     costs([study.begun])
     differential_evolution(
-        _never, study.bounds, popsize=file.population, maxiter=file.generations, tol=0.0, atol=0.0, polish=False,
-        init="halton", updating="deferred", workers=spread, x0=begun, rng=file.seed,
+        _never, study.bounds, popsize=file.population, maxiter=file.generations, tol=0.0, polish=False,
+        init="halton", updating="deferred", workers=spread, x0=begun, rng=file.seed,  # pyright: ignore[reportArgumentType]
     )  # fmt: skip
     return asked
 
