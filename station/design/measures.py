@@ -17,9 +17,9 @@ def dexterity(jacobian: Array, speed: Array) -> Array:
     """
     if jacobian.shape[2] < 3:
         return np.zeros(len(jacobian))  # in some direction it does not move at all
-    return np.asarray(np.linalg.svd(jacobian[:, :3] * speed, compute_uv=False)[:, 2], dtype=np.float64)
+    return np.asarray(np.linalg.svd(jacobian[:, :3] * speed, compute_uv=False)[:, 2], np.float64)
 
 
 def stiffness(compliance: Array) -> Array:
     """Force at the tip over its way in the softest direction (k,) [N/m], of compliances (k, 6, 6)."""
-    return 1.0 / np.asarray(np.linalg.svd(compliance[:, :3, :3], compute_uv=False)[:, 0], dtype=np.float64)
+    return 1.0 / np.asarray(np.linalg.svd(compliance[:, :3, :3], compute_uv=False)[:, 0], np.float64)

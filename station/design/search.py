@@ -101,10 +101,9 @@ def search(study: Study, candidates: Candidates, engine: Engine, told: Callable[
     begun = np.clip(study.begun, lower, upper)
     file = study.file.search
     costs([study.begun])
-    search: Any = differential_evolution  # its stub takes neither a tolerance below 1 nor workers of one's own
-    search(
-        _never, study.bounds, popsize=file.population, maxiter=file.generations, tol=0.0, atol=0.0, polish=False,
-        init="halton", updating="deferred", workers=spread, x0=begun, rng=file.seed,
+    differential_evolution(
+        _never, study.bounds, popsize=file.population, maxiter=file.generations, tol=0.0, polish=False,
+        init="halton", updating="deferred", workers=spread, x0=begun, rng=file.seed,  # pyright: ignore[reportArgumentType]
     )  # fmt: skip
     return asked
 

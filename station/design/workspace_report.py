@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
@@ -44,11 +43,13 @@ def write_report(folder: Path, found: Workspace, said: Mapping[str, Any]) -> Non
 
 def _reach(found: Workspace) -> Drawn:
     figure = Figure(figsize=(style.WIDTH, 3.0))
-    tips, last = 1e3 * found.tips, ScalarMappable()
+    tips = 1e3 * found.tips
+    maps: list[Any] = []
     for axes, (across, up) in zip(figure.subplots(1, 3), ((2, 0), (2, 1), (1, 0)), strict=True):
-        last = axes.hexbin(tips[:, across], tips[:, up], gridsize=CELLS, cmap=COLOURS, norm=LogNorm(), mincnt=1)
+        there = tips[:, across], tips[:, up]
+        maps.append(axes.hexbin(*there, gridsize=CELLS, cmap=COLOURS, norm=LogNorm(), mincnt=1))
         axes.set(xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]", aspect="equal")
-    figure.colorbar(last, ax=figure.axes, label="poses in a cell", shrink=0.8)
+    figure.colorbar(maps[-1], ax=figure.axes, label="poses in a cell", shrink=0.8)
     return Drawn(
         "reach", "Reach",
         "Where the tip gets, seen along each axis; colour: how many of the poses bring it there. World frame: x down,"

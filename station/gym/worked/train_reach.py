@@ -35,8 +35,7 @@ class Ways(BaseFeaturesExtractor):
     """Joints, tip, and the way to the goal at several scales; nothing in it is learned."""
 
     def __init__(self, space: gymnasium.spaces.Dict) -> None:
-        (seen,) = space["observation"].shape or (0,)
-        super().__init__(space, seen + 3 * len(SCALES))
+        super().__init__(space, len(space["observation"].sample()) + 3 * len(SCALES))
 
     def forward(self, seen: dict[str, torch.Tensor]) -> torch.Tensor:
         """Features (k, m) of observations (k, ...)."""
