@@ -26,8 +26,8 @@ was written after: without it that is 1, and one of a later format than this pag
 * `ctr-station run FILE.toml` carries out an experiment; the names of those in `[experiments] folder` are listed in
   the panel's tab *Run*, where a file that is no experiment is shown with its reason.
 * `ctr-station design FILE.toml` carries out a study; [design](design/README.md) says what comes of it.
-* Name a preset instead of a file to begin with: robots `paper`, `three_tubes`, `nylon`; labs `gentle`, `realistic`,
-  `distorted`, `uncalibrated`, `ideal`.
+* Name a preset instead of a file to begin with: robots `paper`, `balanced_pair`, `three_tubes`, `nylon`; labs `gentle`,
+  `realistic`, `distorted`, `uncalibrated`, `ideal`.
 """
 CASES = """
 Besides, an experiment's file has `[cases.NAME]`, tables that change any of these keys, one for each case; with

@@ -48,7 +48,8 @@ def facts(case: Case) -> tuple[Fact, ...]:
 def control(file: ControllerFile) -> str:
     """A controller by its strategy and what matters to it."""
     keys = MATTER.get(file.strategy, ())
-    return ", ".join((_words(file.strategy), *_parts(file, keys)))
+    task = () if file.task == "position" else (_words(file.task),)
+    return ", ".join((_words(file.strategy), *task, *_parts(file, keys)))
 
 
 def described(model: Strict, *, turns: bool = True) -> str:
@@ -81,6 +82,8 @@ def _part(key: str, value: Any, unit: str) -> str:
     """One key; empty when it says nothing."""
     if value is None or value is False or value == ():
         return ""
+    if key == "directions":
+        return f"{len(value)} directions in {shown(value[-1][0], 's')}"
     if value is True:
         return _words(key)
     if key == "directions":

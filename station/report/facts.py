@@ -89,6 +89,29 @@ def result(run: Run) -> Iterator[str]:
         yield document.table(("case", "error", *AXES), cells, texts=2)
 
 
+def direction_table(run: Run) -> Iterator[str]:
+    """Of more joints than a place takes: where the tip pointed, and how near the joints came to edges."""
+    rows = [
+        (
+            name,
+            f"{numbers['true_p95_distance_mm']:.3f}",
+            f"{off['p95']:.2f}",
+            f"{off['max']:.2f}",
+            ", ".join(f"{edge.replace('_', ' ')} {room:.3g}" for edge, room in numbers.get("smallest", {}).items()),
+        )
+        for name, numbers in run.summary.get("cases", {}).items()
+        if (off := numbers.get("true_direction_error_deg"))
+    ]
+    if rows:
+        yield document.heading("Where the tip pointed")
+        yield document.paragraph(
+            "Against the true tip: from where it should have pointed, or from where it did at the start where nothing"
+            " was asked of the direction."
+        )
+        head = ("case", "95 % of distances [mm]", "95 % of angles [deg]", "largest [deg]", "smallest")
+        yield document.table(head, rows, texts=1)
+
+
 def bound_table(run: Run) -> Iterator[str]:
     """Where loads are faster than the joints: what was reached, and the best that was possible."""
     rows = [

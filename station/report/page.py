@@ -48,6 +48,7 @@ def _run(folder: Path, out: Path | None) -> Iterator[str]:
     run = read_run(folder)
     yield from facts.head(run)
     yield from facts.result(run)
+    yield from facts.direction_table(run)
     yield from facts.beside_table(run)
     yield document.heading("Figures")
     if not run.cases:

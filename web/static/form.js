@@ -78,14 +78,16 @@ function build(key, field, value, required, choices) {
   return { elements: row(list, si), read: () => list.value.split(",").map(Number) };
 }
 
-/** Whether a field has a place in a form: tables, and rows of numbers, are written in files. */
-const fits = ({ type, items }) => type !== "object" && !(type === "array" && items?.prefixItems);
-
 /** A form for an object schema: {element, read()}. `more` names what is folded away; `choices` the words of a text field. */
 export function form(schema, { values = {}, more = [], choices = {}, skip = [] } = {}) {
   const grid = make("div", { className: "rows" }), rest = make("div", { className: "rows" }), readers = {};
   for (const [key, field] of Object.entries(schema.properties)) {
-    if (field.const !== undefined || skip.includes(key) || !fits(field)) continue;
+    if (field.const !== undefined || skip.includes(key)) continue;
+    // Rows of numbers and tables are for files and scripts: here they stay as they are.
+    if (field.default !== undefined && (field.type === "object" || field.items?.type === "array")) {
+      readers[key] = () => values[key];
+      continue;
+    }
     const required = (schema.required ?? []).includes(key);
     const built = build(key, field, values[key] ?? field.default, required, choices[key]);
     (more.includes(key) ? rest : grid).append(...built.elements);
