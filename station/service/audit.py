@@ -4,7 +4,6 @@ One JSON object a line, with the wall-clock time: what was done in `audit.jsonl`
 so that no number of refusals pushes a command out.
 """
 
-import heapq
 import json
 import threading
 from datetime import datetime
@@ -69,14 +68,14 @@ class Audit:
     def tail(self, count: int) -> list[Entry]:
         """The last `count` lines at most, the newest first; a damaged line is left out.
 
-        The clock may have been set back in between: old refusals, later by that clock, then leave half of the lines
-        to what was done.
+        The clock may have been set back in between: lines that say they come from later than now are old.
         """
         with self._lock:
             lines = [log.last(count) for log in (self._done, self._refused)]
-        done, refused = ([entry for line in log if (entry := _entry(line)) is not None] for log in lines)
-        refused = refused[: max(count // 2, count - len(done))]
-        return list(heapq.merge(done, refused, key=_when, reverse=True))[:count]
+        entries = [entry for log in lines for line in log if (entry := _entry(line)) is not None]
+        now = datetime.now().astimezone()
+        whens = {entry.time: datetime.fromisoformat(entry.time) for entry in entries}
+        return sorted(entries, key=lambda one: (whens[one.time] <= now, whens[one.time]), reverse=True)[:count]
 
     def close(self) -> None:
         """Let go of the files."""
@@ -97,10 +96,6 @@ def _entry(line: str) -> Entry | None:
         return entry if datetime.fromisoformat(entry.time).tzinfo else None
     except (ValueError, TypeError, RecursionError):
         return None  # cut off by a crash
-
-
-def _when(entry: Entry) -> datetime:
-    return datetime.fromisoformat(entry.time)
 
 
 def _now() -> str:

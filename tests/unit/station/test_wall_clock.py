@@ -9,7 +9,7 @@ from tests.harness.root import ROOT
 
 #: Who may ask for it: names of folders, stamps of files, recordings, log lines and messages to others.
 STAMPING = {
-    "station/bench/report.py", "station/cli/calibrate.py", "station/cli/validate.py",
+    "station/bench/report.py", "station/cli/calibrate.py", "station/cli/validate.py", "station/cli/workspace.py",
     "station/experiments/manifest.py", "station/experiments/output.py", "station/experiments/sweep_plan.py",
     "station/recording/run_folder.py", "station/recording/writer.py", "station/service/audit.py",
     "station/service/live_calibration.py", "station/service/runs.py",
