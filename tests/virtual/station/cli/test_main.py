@@ -195,7 +195,7 @@ def test_bench_prints_one_json_object_or_a_table(call, monkeypatch):
     from station.bench import bench
 
     whole = bench.model
-    monkeypatch.setattr(bench, "model", lambda: whole(300))
+    monkeypatch.setattr(bench, "model", lambda: whole(300, 2))
 
     assert {"solve_us", "accuracy_mm"} <= set(json.loads(call("bench", "model", "--json").out))
     assert "accuracy_mm mean" in call("bench", "model").out
