@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 
 import psutil
 import pytest
@@ -25,11 +26,11 @@ def own(write, short):
 
 def test_ctrl_c_ends_the_runs_that_are_on_and_leaves_out_the_others(own):
     listed = jobs(own, settings(["duration=3600.0"]), range(4), "one")
-    children: list[psutil.Process] = []
+    others, children = workers(psutil.Process()), list[psutil.Process]()
 
     def press() -> None:
         while not children:
-            children[:] = workers(psutil.Process())
+            children[:] = workers(psutil.Process(), others)
             time.sleep(0.05)
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -45,11 +46,11 @@ def test_ctrl_c_ends_the_runs_that_are_on_and_leaves_out_the_others(own):
 
 def test_a_process_that_is_killed_costs_its_run_a_second_time_and_no_more(own):
     listed, killed = jobs(own, settings(["duration=2.0"]), range(4), "one"), list[int]()
-    rows: list[Row] = []
+    others, rows = workers(psutil.Process()), list[Row]()
 
     def told(done: float) -> None:
         if done > 1.0 and not killed:
-            killed.append(workers(psutil.Process())[0].pid)
+            killed.append(workers(psutil.Process(), others)[0].pid)
             os.kill(killed[0], signal.SIGKILL)
 
     on_processes(listed, 2, rows.append, told)
@@ -57,8 +58,9 @@ def test_a_process_that_is_killed_costs_its_run_a_second_time_and_no_more(own):
     assert sorted((row["run"], row["completed"]) for row in rows) == [(run, True) for run in range(4)]
 
 
-def workers(parent: psutil.Process) -> list[psutil.Process]:
-    return [child for child in parent.children() if "spawn_main" in " ".join(child.cmdline())]
+def workers(parent: psutil.Process, others: Sequence[psutil.Process] = ()) -> list[psutil.Process]:
+    """Processes that a parent has started, but for `others`, of tests before."""
+    return [child for child in parent.children() if "spawn_main" in " ".join(child.cmdline()) and child not in others]
 
 
 def test_when_the_sweep_is_killed_its_processes_end_too(own, environment, tmp_path):

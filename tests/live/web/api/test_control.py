@@ -144,7 +144,7 @@ def test_a_second_start_is_refused_while_one_is_on(station: Served) -> None:
 
 
 def test_trajectory_and_controller_can_be_set_and_read_back(station: Served) -> None:
-    circle = {"kind": "circle", "radius": 0.01, "period": 20.0, "normal": [1.0, 0.0, 0.0]}
+    circle = {"kind": "circle", "radius": 0.01, "period": 20.0, "normal": [1.0, 0.0, 0.0], "directions": []}
     assert station.rest.put("/api/trajectory", json=circle).json() == circle
     assert station.rest.get("/api/trajectory").json() == circle
     controller = station.rest.put("/api/controller", json={"strategy": "loaded_jacobian", "k1": 1.0}).json()
