@@ -7,6 +7,7 @@ import numpy as np
 from core.compiled import compiled
 from core.control.estimation import NEWEST, USED, VECTORS, known_of
 from core.control.leading import Wish
+from core.control.pointing import Pointed
 from core.control.step import Tick
 from core.model.solution import PASSES, STABILITY, parts
 from core.robot.robot import Array, Robot
@@ -95,7 +96,12 @@ class Channels:
             kind, wish.asked, place, wish.velocity,
         )  # fmt: skip
         row[-TARGET:] = 0.0 if target is None else target
-        row[-TARGET - DIRECTION : -TARGET] = _directions(tick, truth)
+        directions = row[-TARGET - DIRECTION : -TARGET]  # measured, observed, desired, true; 0 of what is not known
+        directions[:] = 0.0
+        if memory.pointed is not None:
+            _point(directions, tick, memory.pointed)
+        if truth is not None and truth.direction is not None:
+            directions[9:] = truth.direction
         return row
 
     def held(
@@ -123,15 +129,11 @@ class Channels:
         return row
 
 
-def _directions(tick: Tick, truth: Truth | None) -> Array:
-    """(12,) the tip's direction as measured, observed, desired and true; 0 of what is not known."""
-    pointed, found = tick.memory.pointed, np.zeros((4, 3))
-    if pointed is not None:
-        wanted = tick.setpoint.direction
-        found[:3] = pointed.measured, pointed.observed, pointed.origin if wanted is None else wanted
-    if truth is not None and truth.direction is not None:
-        found[3] = truth.direction
-    return found.ravel()
+def _point(directions: Array, tick: Tick, pointed: Pointed) -> None:
+    """Put the tip's direction as measured, observed and desired into (12,)."""
+    wanted = tick.setpoint.direction
+    directions[:3], directions[3:6] = pointed.measured, pointed.observed
+    directions[6:9] = pointed.origin if wanted is None else wanted
 
 
 _NOWHERE = np.zeros(3)

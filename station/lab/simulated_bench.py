@@ -168,7 +168,7 @@ class SimulatedBench:
         except (PoseError, NoSolution) as error:
             # A bench goes on: the robot stays as it was until the stages are back where it can stand.
             self.trouble = str(error)
-        axis = self._plant.rotation[:, 2] if self._tells_axis else None
+        axis = self.truth.direction if self._tells_axis else None
         self.aurora.advance(self.time, now, before, self._coil_at, axis, self._move_target(now))
         aurora_wire.pump(self._wires.aurora, self.aurora, now)
         for number, box in enumerate(self.boxes):
