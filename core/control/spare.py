@@ -61,9 +61,12 @@ class Spare:
                 raise DescriptionError(f"spare: weight {weight:g} of '{name}' is outside 0 ... 100")
 
     def tried(self, statics: Statics, limits: Limits, now: Solution, last: Slope | None) -> Slope:
-        """The slope with one joint of `now` tried anew, away from the nearer end of its travel."""
+        """The slope with one joint of `now` tried anew, away from the nearer end of its travel.
+
+        None is tried where the edge does not repel: a trial is a solve.
+        """
         last = last or Slope(np.zeros(now.joints.size), 0)
-        if not self.weights.get("stability"):
+        if not self.weights.get("stability") or now.stability >= STABLE:
             return last
         k, joints, speed = last.next, now.joints.copy(), limits.speed
         lower, upper = limits.packed[0, k], limits.packed[1, k]

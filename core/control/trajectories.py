@@ -334,6 +334,12 @@ def _plane(normal: Array) -> tuple[Array, Array]:
     return first, _cross(normal, first)
 
 
+def turned(direction: Array, way: Array) -> Array:
+    """A direction (3,) after a small turn (3,), axis times angle [rad]; plain, so that no motion waits for a compiler."""
+    there = direction + _cross(way, direction)
+    return there / math.sqrt(float(there @ there))
+
+
 def _unit(what: str, direction: tuple[float, float, float]) -> Array:
     vector = np.array(direction, dtype=np.float64)
     length = float(np.linalg.norm(vector))

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from core.control.trajectories import JointMotion, Setpoint
+from core.control.trajectories import JointMotion, Setpoint, turned
 from core.robot.robot import Array
 
 #: A jog that is not renewed ends after this time [s]: whoever held the button is gone.
@@ -43,8 +43,7 @@ class Jog:
         if self.space == "joints":
             return JointMotion(self.velocity)
         if self.direction is not None:
-            turned = self.direction + period * np.cross(self.velocity, self.direction)
-            self.direction = turned / np.linalg.norm(turned)
+            self.direction = turned(self.direction, period * self.velocity)
             return Setpoint(self.offset, np.zeros(3), self.direction, self.velocity)
         self.offset = self.offset + period * self.velocity
         return Setpoint(self.offset, self.velocity)
