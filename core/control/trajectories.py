@@ -335,7 +335,7 @@ def _plane(normal: Array) -> tuple[Array, Array]:
 
 
 def turned(direction: Array, way: Array) -> Array:
-    """A direction (3,) after a small turn (3,), axis times angle [rad]; plain, so that no motion waits for a compiler."""
+    """A direction (3,) after a small turn (3,), axis times angle [rad]; plain: no motion waits for a compiler."""
     there = direction + _cross(way, direction)
     return there / math.sqrt(float(there @ there))
 
