@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import between, progress_bar, results_of, seed
+from station.cli.options import between, progress_bar, results_of, seed, tell
 
 PROCEDURES = {
     "axes": "which way each axis runs, and the tubes' zero angles roughly",
@@ -54,8 +54,6 @@ def _calibrate(parsed: argparse.Namespace) -> int:
     parsed.out = results_of(parsed, "calibrations")
     if parsed.poses is not None or parsed.hysteresis:
         return _from_poses(parsed)
-    from rich.console import Console
-
     from station.calibration.folder import new_folder
     from station.calibration.outcome import Provenance, write_all
     from station.calibration.plan import Subject
@@ -82,11 +80,8 @@ def _calibrate(parsed: argparse.Namespace) -> int:
     else:
         from station.calibration.outcome import result_table
 
-        out = Console(highlight=False, markup=False)
-        out.print(result_table(result, subject, provenance))
-        for sentence in summary["findings"]:
-            out.print(sentence, soft_wrap=True)
-        out.print(f"{simulated:.0f} s simulated in {summary['wall_s']:.1f} s\n{folder}", soft_wrap=True)
+        took = f"{simulated:.0f} s simulated in {summary['wall_s']:.1f} s"
+        tell([result_table(result, subject, provenance)], [*summary["findings"], took], folder)
     return 0
 
 

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from station.cli.options import count, progress_bar, results_of
+from station.cli.options import count, progress_bar, results_of, tell
 from station.experiments.side_by_side import processors
 
 if TYPE_CHECKING:
@@ -38,8 +38,6 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 
 
 def _design(parsed: argparse.Namespace) -> int:
-    from rich.console import Console
-
     from station.design.candidates import Candidates, plan_of
     from station.design.design_output import sentences, tables, write_design
     from station.design.outcome import design, summary
@@ -59,12 +57,7 @@ def _design(parsed: argparse.Namespace) -> int:
     if parsed.json:
         sys.stdout.write(f"{json.dumps({**said, 'folder': str(folder)})}\n")
         return 0
-    out = Console(highlight=False, markup=False)
-    for table in tables(said):
-        out.print(table)
-    for sentence in sentences(said):
-        out.print(sentence, soft_wrap=True)
-    out.print(str(folder), soft_wrap=True)
+    tell(tables(said), sentences(said), folder)
     return 0
 
 

@@ -1,12 +1,13 @@
-"""What commands share: how options are read, and the progress bar."""
+"""What commands share: how options are read, the progress bar, and how a result is told."""
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 
 def progress_bar(over: float = 30.0) -> Progress:
@@ -83,3 +84,12 @@ def results_of(parsed: argparse.Namespace, name: str) -> Path:
 def from_here(value: Path | str) -> str:
     """A file or folder given on the command line, which an experiment would look for beside itself."""
     return str(Path(value).absolute()) if isinstance(value, Path) or value.endswith(".toml") else value
+
+
+def tell(tables: Iterable[Table], sentences: Iterable[str], folder: Path) -> None:
+    """Print a result: its tables, its sentences and where all of it is kept."""
+    out = Console(highlight=False, markup=False)
+    for table in tables:
+        out.print(table)
+    for sentence in (*sentences, str(folder)):
+        out.print(sentence, soft_wrap=True)

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import results_of
+from station.cli.options import results_of, tell
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
@@ -52,8 +52,6 @@ def _validate(parsed: argparse.Namespace) -> int:
 
 def held(parsed: argparse.Namespace, fit: Any, robot: str, what: str, write: Any) -> int:
     """Read, fit, write by `write`, print; `parsed` has poses, test, hysteresis, out and json."""
-    from rich.console import Console
-
     from station.calibration.folder import new_folder
     from station.calibration.poses import read_poses
     from station.calibration.validation import validate
@@ -70,10 +68,5 @@ def held(parsed: argparse.Namespace, fit: Any, robot: str, what: str, write: Any
     if parsed.json:
         sys.stdout.write(f"{json.dumps(numbers)}\n")
         return 0
-    out = Console(highlight=False, markup=False)
-    for table in tables(found):
-        out.print(table)
-    for sentence in sentences(found):
-        out.print(sentence, soft_wrap=True)
-    out.print(str(folder), soft_wrap=True)
+    tell(tables(found), sentences(found), folder)
     return 0

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import between, count, progress_bar, results_of, seed
+from station.cli.options import between, count, progress_bar, results_of, seed, tell
 
 #: Largest part of a force [N].
 MOST = 100.0
@@ -34,7 +34,6 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 
 def _workspace(parsed: argparse.Namespace) -> int:
     import numpy as np
-    from rich.console import Console
 
     from station.calibration.folder import new_folder
     from station.config.robots import load_robot
@@ -54,11 +53,7 @@ def _workspace(parsed: argparse.Namespace) -> int:
     if parsed.json:
         sys.stdout.write(f"{json.dumps({**said, 'folder': str(folder)})}\n")
         return 0
-    out = Console(highlight=False, markup=False)
-    out.print(table(said))
-    for sentence in sentences(said):
-        out.print(sentence, soft_wrap=True)
-    out.print(str(folder), soft_wrap=True)
+    tell([table(said)], sentences(said), folder)
     return 0
 
 

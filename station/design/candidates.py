@@ -4,16 +4,14 @@ The first line says what the search is. A line is written whole; half a last one
 its candidate looked at again.
 """
 
-import fcntl
 import hashlib
-import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
 from station.config.strict import ConfigError
 from station.design.study import Study
+from station.recording.kept_lines import KeptLines, whole_lines
 from station.recording.metadata import PACKAGES, versions
 
 NAME = "candidates.jsonl"
@@ -28,14 +26,15 @@ class Candidates:
         """Begin it, or go on with it.
 
         Raises:
-            ConfigError: another study is kept there, somebody else searches there, or the disk does not take it.
+            ConfigError: another study is kept there.
+            RecordingError: somebody else searches there, or the disk does not take it.
 
         """
         self.path, self.lines = folder / NAME, dict[tuple[float, ...], Line]()
         plan = plan_of(study)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+            self._file = KeptLines(self.path, "searches there")
         except OSError as error:
             raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
         try:
@@ -52,45 +51,32 @@ class Candidates:
 
     def close(self) -> None:
         """Let others have it."""
-        os.close(self._file)
+        self._file.close()
 
     def append(self, line: Line) -> None:
         """Keep a candidate.
 
         Raises:
-            ConfigError: the disk does not take it.
+            RecordingError: the disk does not take it.
 
         """
-        self._append(line)
+        self._file.append(line)
         self.lines[tuple(line["parameters"])] = line
 
     def _begin(self, plan: Mapping[str, Any]) -> None:
+        data = self.path.read_bytes()
+        kept, self._file.length = whole_lines(self.path, data)
+        if not kept and b"\n" in data:
+            raise ConfigError(f"{self.path}: is no list of candidates; take another folder")
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigError(f"{self.path}: another process searches there") from None
-        whole, _, half = self.path.read_bytes().rpartition(b"\n")
-        if half:
-            os.ftruncate(self._file, len(whole) + 1 if whole else 0)
-        told = whole.split(b"\n") if whole else []
-        try:
-            kept = [json.loads(line) for line in told]
             self.lines = {tuple(line["parameters"]): line for line in kept[1:] if line["cost"] is not None}
-        except (ValueError, KeyError, TypeError):
+        except (KeyError, TypeError):
             raise ConfigError(f"{self.path}: is no list of candidates; repair it, or take another folder") from None
         if not kept:
-            self._append(plan)
+            self._file.append(plan)
         elif kept[0] != plan:
             names = ", ".join(name for name in plan if kept[0].get(name) != plan[name])
             raise ConfigError(f"{self.path}: another search is kept there ({names} differ); take another folder")
-
-    def _append(self, value: Mapping[str, Any]) -> None:
-        data = json.dumps(value).encode() + b"\n"
-        try:
-            while data:
-                data = data[os.write(self._file, data) :]
-        except OSError as error:
-            raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from None
 
 
 def plan_of(study: Study) -> dict[str, Any]:

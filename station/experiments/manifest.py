@@ -4,9 +4,7 @@ There is one, or one for each part of a sweep that many computers share. A line 
 left of one that was not (kill -9, a full disk) is dropped, and its run is made again.
 """
 
-import fcntl
 import json
-import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -16,6 +14,7 @@ from typing import Any, BinaryIO, NamedTuple, Self
 
 from station.config.strict import ConfigError, check
 from station.experiments.sweep_plan import Plan
+from station.recording.kept_lines import KeptLines, whole_lines
 from station.recording.label import RecordingError
 from station.recording.run_folder import SUMMARY
 
@@ -51,16 +50,15 @@ class Manifest:
                 raise RecordingError(f"{folder}: there is another run; choose another folder")
             for path in there:
                 _refuse_another(path, plan)
-            self._file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+            self._file = KeptLines(self.path, "carries this sweep out")
         except OSError as error:
             raise RecordingError(f"{folder}: cannot write results there: {error.strerror}") from None
         try:
-            self._lock()
             _refuse_another(self.path, plan)
             kept = read(self.path)
-            self.plan, self.rows, self._length = kept.plan or plan, kept.rows, kept.length
+            self.plan, self.rows, self._file.length = kept.plan or plan, kept.rows, kept.length
             if kept.plan is None:
-                self._append(plan.model_dump())
+                self._file.append(plan.model_dump())
         except BaseException:
             self.close()
             raise
@@ -73,7 +71,7 @@ class Manifest:
 
     def close(self) -> None:
         """Let others have it."""
-        os.close(self._file)
+        self._file.close()
 
     def append(self, row: Row) -> None:
         """Keep a run that is done.
@@ -83,27 +81,7 @@ class Manifest:
         """
         if wrong := self._runs.wrong(row):
             raise RecordingError(f"{self.path}: not kept: {wrong}")
-        self.rows[row["run"]] = json.loads(self._append(row))
-
-    def _append(self, value: Mapping[str, Any]) -> bytes:
-        line = json.dumps(value).encode() + b"\n"
-        try:
-            os.ftruncate(self._file, self._length)  # half a line, if there was one
-            _write(self._file, line, self._length)
-        except OSError as error:
-            with suppress(OSError):
-                os.ftruncate(self._file, self._length)
-            raise RecordingError(f"{self.path}: cannot be written: {error.strerror}") from None
-        self._length += len(line)
-        return line
-
-    def _lock(self) -> None:
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise RecordingError(f"{self.path}: another process carries this sweep out") from None
-        except OSError:
-            pass  # a file system without locks, as some clusters have
+        self.rows[row["run"]] = json.loads(self._file.append(row))
 
 
 def manifest_name(part: int, parts: int) -> str:
@@ -136,12 +114,12 @@ def read(path: Path) -> Kept:
         return Kept(None, {}, 0)
     with _reading(path) as file:
         data = file.read()
-    found, runs, rows = _lines(path, data), _Runs(plan, _part(path, plan)), dict[int, Row]()
+    (found, length), runs, rows = whole_lines(path, data), _Runs(plan, _part(path, plan)), dict[int, Row]()
     for number, row in enumerate(found[1:], 2):
         if wrong := runs.wrong(row) or ("the run is there twice" if row["run"] in rows else ""):
             raise RecordingError(f"{path}, line {number}: {wrong}")
         rows[row["run"]] = row
-    return Kept(plan, rows, sum(len(line) + 1 for line in data.split(b"\n")[: len(found)]))
+    return Kept(plan, rows, length)
 
 
 def merged(folder: Path) -> tuple[Plan, list[Row]]:
@@ -226,27 +204,6 @@ def _reading(path: Path) -> Iterator[BinaryIO]:
             yield file
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def _write(file: int, data: bytes, place: int) -> None:
-    while data:
-        written = os.pwrite(file, data, place)
-        data, place = data[written:], place + written
-    os.fsync(file)
-
-
-def _lines(path: Path, data: bytes) -> list[Any]:
-    """The whole lines."""
-    *lines, _ = data.split(b"\n")
-    found: list[Any] = []
-    for number, line in enumerate(lines, 1):
-        try:
-            found.append(json.loads(line))
-        except ValueError:
-            if number == len(lines):  # a computer that lost its power may leave anything there
-                break
-            raise RecordingError(f"{path}, line {number}: no JSON; repair it, or take another folder") from None
-    return found
 
 
 def _part(path: Path, plan: Plan) -> int:

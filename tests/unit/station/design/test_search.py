@@ -8,6 +8,7 @@ from station.config.strict import ConfigError
 from station.design.candidates import Candidates
 from station.design.search import Stopped, planned, search
 from station.design.study import load_study
+from station.recording.label import RecordingError
 
 STUDY = """title = "bowl"
 [task]
@@ -95,7 +96,7 @@ def test_another_search_is_not_mixed_in(study, tmp_path):
 
 
 def test_two_do_not_search_in_one_folder(study, tmp_path):
-    with Candidates(tmp_path, study), pytest.raises(ConfigError, match="another process searches there"):
+    with Candidates(tmp_path, study), pytest.raises(RecordingError, match="another process searches there"):
         Candidates(tmp_path, study)
 
 
