@@ -19,6 +19,10 @@ from station.config.strict import NotNegative, Strict
 
 #: The inner loop's period [s].
 PERIOD = 0.002
+#: Between two commands to the same one of three axes or fewer, and what each adds, on one line of 9600 baud [s].
+THREE_AXES, EACH_AXIS = 0.025, 0.0073
+#: Of an observer's bandwidth and the hold: with six axes at 2 Hz the tip hunts by twice what it does at 1 Hz.
+HUNTS_NOT = 0.05
 
 
 class ControllerFile(Strict):
@@ -50,10 +54,11 @@ class ControllerFile(Strict):
     `limits` (ends of travel), `order` (of the tubes)"""
     filter_bandwidth: float = 1.0
     """of the deflection's and the force's rate, greater than 0 and below 250 [Hz]"""
-    observer_bandwidth: float = 2.0
-    """of the model's bias, greater than 0 [Hz]"""
-    hold: float = 0.025
-    """between two commands to the same stage, planned for, 0 ... 1 [s]"""
+    observer_bandwidth: float | None = None
+    """of the model's bias, greater than 0 [Hz]; left out: 0.05 over the hold, so 2 Hz with three axes"""
+    hold: float | None = None
+    """between two commands to the same stage, planned for, 0 ... 1 [s]; left out: what one line of 9600 baud leaves
+    each of the robot's axes, 0.025 s of three and 0.044 s of six"""
     transport: float = 0.012
     """from a command to the motor, planned for, 0 ... 1 [s]"""
     sublink: Annotated[float, Field(ge=0.0005, le=0.05)] = PAPER_SUBLINK
@@ -65,14 +70,16 @@ class ControllerFile(Strict):
         Raises:
             DescriptionError: unknown strategy or inner loop, a gain, bandwidth or delay out of range.
         """
+        hold = max(THREE_AXES, EACH_AXIS * len(robot.joints)) if self.hold is None else self.hold
+        bandwidth = HUNTS_NOT / max(hold, THREE_AXES) if self.observer_bandwidth is None else self.observer_bandwidth
         return Controller(
             Statics(robot.robot(), self.sublink),
             strategy(self.strategy, self.k1, self.k2, self.feedforward, self.inner),
             robot.limits(),
             Estimator(
                 RateFilter(PERIOD, self.filter_bandwidth),
-                Observer(PERIOD, bandwidth=self.observer_bandwidth),
-                Actuation(PERIOD, self.hold, self.transport),
+                Observer(PERIOD, bandwidth=bandwidth),
+                Actuation(PERIOD, hold, self.transport),
             ),
             observes=self.feedback == "observer",
             exact_rate=self.deflection_rate == "exact",
