@@ -5,8 +5,8 @@ gymnasium.make("station.gym:CtrReach-v0", load=0.3)
 
 import gymnasium
 
-#: Steps of an episode.
-REACH_STEPS, TRACK_STEPS = 100, 400
+#: Steps of an episode. Of the 15 s to reach a point, a half turn of a tube takes 9.
+REACH_STEPS, TRACK_STEPS = 150, 400
 
 
 def register() -> None:

@@ -101,7 +101,7 @@ class Curve(BaseCallback):
 def train(path: Path, minutes: float, seed: int) -> None:
     """Learn; from the policy at `path` on, if there is one."""
     many = make_vec_env(ENVIRONMENT, ROWS, seed, wrapper_class=Nearer)
-    begin = 150 * ROWS  # by then every row has an episode to learn from
+    begin = 200 * ROWS  # by then every row has an episode to learn from
     if path.with_suffix(".zip").exists():
         model = SAC.load(path, many)
         model.learning_starts = model.num_timesteps + begin
@@ -112,7 +112,7 @@ def train(path: Path, minutes: float, seed: int) -> None:
             replay_buffer_class=HerReplayBuffer,
             replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
             policy_kwargs={"features_extractor_class": Ways, "net_arch": [256, 256]},
-            gamma=0.9,  # an action tells within a second
+            gamma=0.95,  # an action tells within two seconds
             learning_rate=7e-4,
             train_freq=1,
             gradient_steps=GRADIENTS,
