@@ -18,7 +18,7 @@ from core.errors import CtrError, Unreachable
 from core.model.many import solve_many
 from core.model.solution import pure_force
 from core.model.statics import Statics
-from core.robot.limits import Limits, Situation
+from core.robot.limits import At, Limits
 from core.robot.robot import Array, Flags, Indices, Robot
 
 T = TypeVar("T")
@@ -60,7 +60,7 @@ def possible(statics: Statics, limits: Limits, poses: Array, force: Array) -> Fl
     solved = solve_many(statics, travel, np.tile(pure_force(force), (len(travel), 1)))
     can[can] = [
         solved.ok[k] and solved.stability[k] > STABLE and all(_holds(limit.check, at) for limit in limits.others)
-        for k, at in enumerate(map(Situation, travel, solved.jacobian[:, :3], solved.tip, [force] * len(travel)))
+        for k, at in enumerate(map(At, travel, solved.jacobian[:, :3], solved.tip, [force] * len(travel)))
     ]
     return can
 

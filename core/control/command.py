@@ -15,7 +15,7 @@ from core.control.pointing import NOT_ASKED, PLACE, Aim, with_direction
 from core.control.trajectories import Setpoint
 from core.errors import NotFinite
 from core.model.solution import parts
-from core.robot.limits import Limits, Situation, velocity_bounds
+from core.robot.limits import Limits, velocity_bounds
 from core.robot.robot import Array
 
 
@@ -69,7 +69,7 @@ def command(
     """
     rows, room = no_rows(joints.size), NO_ROOM
     if limits.others:
-        rows, room = limits.rows(Situation(joints, now.loaded.jacobian[:3], now.observed.tip, force))
+        rows, room = limits.rows(_Now(joints, now, force))
     if strategy.laws is None:
         u_int, task = _own_loops(strategy, looks, now, setpoint, tip, origin, drift)
         jacobian, velocity = (np.ascontiguousarray(side, dtype=np.float64) for side in task)
@@ -84,6 +84,25 @@ def command(
     ):  # fmt: skip
         raise NotFinite(f"wanted tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
     return found
+
+
+class _Now:
+    """The situation of a tick: the tube order, which most robots have alone, needs the joints alone."""
+
+    __slots__ = ("_now", "force", "joints")
+
+    def __init__(self, joints: Array, now: Estimate, force: Array) -> None:
+        self.joints, self._now, self.force = joints, now, force
+
+    @property
+    def jacobian(self) -> Array:
+        """(3, n)."""
+        return self._now.loaded.jacobian[:3]
+
+    @property
+    def tip(self) -> Array:
+        """(3,)."""
+        return self._now.observed.tip
 
 
 def _own_loops(

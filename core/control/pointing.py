@@ -66,32 +66,44 @@ class Pointed(NamedTuple):
 
     measured: Array  #: (3,) latest of the tracker's, or as observed while it tells none
     origin: Array  #: (3,) at the start of the motion: what "keep it" means
-    bias: Array  #: (3,) of the arrow's head, tracker minus model [m]
-    drift: Array  #: (3,) its rate [m/s]
-    covariance: Array  #: (3,) as of the observer
-    arrows: Array  #: (history, 3) the model's of the last ticks [m]
-    refused: Array  #: (3,) by how much the latest frame that was left out surprised [m]
-    place: int  #: of the newest arrow
-    in_a_row: int  #: so many frames in a row were left out
-    now: Array  #: (5, 3): direction observed, and when a command of now takes effect; turning by the load C w', that
-    #: and (J(q, w) - J(q, 0)) q', and by what the model does not know of [rad/s]
+    numbers: Array  #: (m,) `observed`, and what the next tick needs: see `_Numbers`
 
     @property
     def observed(self) -> Array:
         """(3,) the best estimate of the direction now."""
-        return self.now[0]
+        return self.numbers[:3]
+
+
+class _Numbers(NamedTuple):
+    """Views of the numbers of `Pointed`."""
+
+    now: Array  #: (5, 3): direction observed, and when a command of now takes effect; turning by the load C w', that
+    #: and (J(q, w) - J(q, 0)) q', and by what the model does not know of [rad/s]
+    bias: Array  #: (3,) of the arrow's head, tracker minus model [m]
+    drift: Array  #: (3,) its rate [m/s]
+    covariance: Array  #: (3,) as of the observer
+    refused: Array  #: (3,) by how much the latest frame that was left out surprised [m]
+    counts: Array  #: (2,) place of the newest arrow; so many frames in a row were left out
+    arrows: Array  #: (history, 3) the model's of the last ticks [m]
+
+
+@compiled
+def _numbers_of(numbers: Array) -> _Numbers:
+    return _Numbers(
+        numbers[:15].reshape(5, 3), numbers[15:18], numbers[18:21], numbers[21:24], numbers[24:27], numbers[27:29],
+        numbers[29:].reshape((numbers.shape[0] - 29) // 3, 3),
+    )  # fmt: skip
 
 
 def start(estimator: Estimator, model: Array, direction: Array, origin: Array | None = None) -> Pointed:
     """At rest, pointing along `direction` (3,) while the model says `model` (3,)."""
     seen = estimator.observer.start(REACH * model, REACH * direction)
-    now = np.zeros((5, 3))
-    now[:2] = direction
+    counts = np.array((seen.place, seen.in_a_row), dtype=np.float64)
     direction = direction.copy()
-    return Pointed(
-        direction, direction if origin is None else origin, seen.bias, seen.drift, seen.covariance, seen.tips,
-        seen.refused, seen.place, seen.in_a_row, now,
-    )  # fmt: skip
+    return Pointed(direction, direction if origin is None else origin, np.concatenate(
+        (direction, direction, np.zeros(9), seen.bias, seen.drift, seen.covariance, seen.refused, counts,
+         seen.tips.ravel()),
+    ))  # fmt: skip
 
 
 def look(
@@ -107,24 +119,20 @@ def look(
         frame, age: the tip's direction (3,) in a tracker frame that has just arrived, and that frame's age [s].
 
     """
-    new = last._replace(
-        bias=last.bias.copy(), drift=last.drift.copy(), covariance=last.covariance.copy(), arrows=last.arrows.copy(),
-        refused=last.refused.copy(), now=np.empty((5, 3)),
-    )  # fmt: skip
-    place, in_a_row = _look(
-        estimator.settings, estimate.loaded.numbers, estimate.unloaded.numbers, estimate.numbers, force,
-        last.origin if frame is None else frame, -1.0 if frame is None else age,
-        new.bias, new.drift, new.covariance, new.arrows, new.refused, last.place, last.in_a_row, new.now,
-    )  # fmt: skip
-    return new._replace(place=place, in_a_row=in_a_row, measured=last.measured if frame is None else frame)
+    numbers, told = last.numbers.copy(), (last.origin, -1.0) if frame is None else (frame, age)
+    _look(
+        estimator.settings, estimate.loaded.numbers, estimate.unloaded.numbers, estimate.numbers, force, *told, numbers
+    )
+    return Pointed(last.measured if frame is None else frame, last.origin, numbers)
 
 
 @compiled
 def _look(
     settings: Array, loaded: Array, unloaded: Array, estimate: Array, force: Array, frame: Array, age: float,
-    bias: Array, drift: Array, covariance: Array, arrows: Array, refused: Array, place: int, in_a_row: int, now: Array,
-) -> tuple[int, int]:  # fmt: skip
-    """`look`, into what is given; new place and frames left out in a row."""
+    numbers: Array,
+) -> None:  # fmt: skip
+    """`look`, with the last tick's numbers, into themselves."""
+    now, bias, drift, covariance, refused, counts, arrows = _numbers_of(numbers)
     period, _, _, _, lead, noise, wander, gate = settings
     with_load, free, known = parts(loaded), parts(unloaded), known_of(estimate)
     velocity, n = known.sent[-1], with_load.joints.shape[0]
@@ -142,14 +150,14 @@ def _look(
         now[2, i], now[3, i] = by_load, by_load + extra
     model = REACH * (axis + _cross(smooth, axis))
     place, _, in_a_row = observe(
-        bias, drift, covariance, arrows, refused, place, in_a_row,
+        bias, drift, covariance, arrows, refused, int(counts[0]), int(counts[1]),
         model, REACH * frame, age, period, noise, wander, gate,
     )  # fmt: skip
     seen = _unit(model + bias)
     copy(seen, now[0])
     copy(_unit(model + bias + lead * drift + REACH * _cross(way, axis)), now[1])
     copy(_cross(seen, drift) / REACH, now[4])
-    return place, in_a_row
+    counts[0], counts[1] = place, in_a_row
 
 
 #: Of what is told of a direction that nobody asks for.
@@ -168,8 +176,8 @@ def told(pointed: Pointed, wanted: Array | None, turning: Array, observes: bool)
     """
     numbers = np.empty((6, 3))
     numbers[0], numbers[1] = pointed.origin if wanted is None else wanted, turning
-    numbers[2] = pointed.now[1] if observes else pointed.measured
-    numbers[3:] = pointed.now[2:]
+    numbers[2] = pointed.numbers[3:6] if observes else pointed.measured
+    numbers[3:] = pointed.numbers[6:15].reshape(3, 3)
     return numbers
 
 

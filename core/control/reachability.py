@@ -15,7 +15,7 @@ from core.control.pointing import PLACE, Aim, rows_of, turn
 from core.control.trajectories import Directions, Trajectory
 from core.errors import CtrError, Unreachable
 from core.model.statics import Solution, Statics
-from core.robot.limits import Limits, Situation
+from core.robot.limits import At, Limits
 from core.robot.robot import Array
 
 #: How far the tip may fall behind [m].
@@ -88,7 +88,7 @@ class _Walk:
         lower, upper = limits.velocity_bounds(at.joints)
         rows, room = None, np.zeros(0)
         if limits.others:
-            rows, room = limits.rows(Situation(at.joints, at.jacobian[:3], at.tip, at.wrench[:3]))
+            rows, room = limits.rows(At(at.joints, at.jacobian[:3], at.tip, at.wrench[:3]))
         wrench = self._wrench(time)
         # What the load will do in this step belongs to what the joints have to make up for.
         moved = at.compliance[:, :3] @ (wrench[:3] - at.wrench[:3])

@@ -18,10 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from core.compiled import compiled
 from core.errors import CtrError, DescriptionError
 from core.model.solution import Solution
 from core.model.statics import Statics
-from core.robot.limits import Limits, TubeOrder
+from core.robot.limits import Limits
 from core.robot.robot import Array
 
 EDGES = ("stability", "limits", "order")
@@ -82,22 +83,39 @@ class Spare:
 
     def velocity(self, limits: Limits, joints: Array, margin: float, slope: Slope) -> Array:
         """Velocity (n,) that the joints would like [rad/s or m/s] at the margin of stability."""
-        lower, upper, speed = limits.packed[:3]
-        wish, half = np.zeros(joints.size), 0.5 * (upper - lower)
-        if weight := self.weights.get("stability", 0.0):
-            wish += weight * slope.values / STABLE * _repels(np.array([margin / STABLE]))
-        if weight := self.weights.get("limits", 0.0):
-            below, above = (_repels(room / (END * half)) for room in (joints - lower, upper - joints))
-            wish += weight * (below - above) * speed / (END * half)
-        if weight := self.weights.get("order", 0.0):
-            for limit in limits.others:
-                if isinstance(limit, TubeOrder):
-                    room = (limit.bound - limit.matrix @ joints) / ORDER
-                    wish -= weight * (_repels(room) @ limit.matrix) * speed / ORDER
-        wish *= EAGER
-        return speed * wish * min(1.0, MOST / max(float(np.abs(wish).max()), 1e-12))
+        weights, (matrix, bound) = self.weights, limits.order
+        return _velocity(
+            weights.get("stability", 0.0), weights.get("limits", 0.0), weights.get("order", 0.0),
+            limits.packed, matrix, bound, joints, margin, slope.values,
+        )  # fmt: skip
 
 
-def _repels(distance: Array) -> Array:
-    """How much, at distances (k,): nothing from 1 on."""
-    return np.maximum(np.maximum(distance, NEAREST) ** -2.0 - 1.0, 0.0)
+@compiled
+def _velocity(
+    stability: float, ends: float, order: float,
+    limits: Array, matrix: Array, bound: Array, joints: Array, margin: float, slope: Array,
+) -> Array:  # fmt: skip
+    """`Spare.velocity` by its weights."""
+    n, wish, largest = joints.shape[0], np.zeros(joints.shape[0]), 1e-12
+    for i in range(n):
+        half = END * 0.5 * (limits[1, i] - limits[0, i])
+        away = _repels((joints[i] - limits[0, i]) / half) - _repels((limits[1, i] - joints[i]) / half)
+        wish[i] = stability * slope[i] / STABLE * _repels(margin / STABLE) + ends * away * limits[2, i] / half
+    for k in range(bound.shape[0]):
+        room = bound[k]
+        for i in range(n):
+            room -= matrix[k, i] * joints[i]
+        for i in range(n):
+            wish[i] -= order * _repels(room / ORDER) * matrix[k, i] * limits[2, i] / ORDER
+    for i in range(n):
+        wish[i] *= EAGER
+        largest = max(largest, abs(wish[i]))
+    for i in range(n):
+        wish[i] *= limits[2, i] * min(1.0, MOST / largest)
+    return wish
+
+
+@compiled
+def _repels(distance: float) -> float:
+    """How much, at a distance: nothing from 1 on."""
+    return max(max(distance, NEAREST) ** -2.0 - 1.0, 0.0)

@@ -18,15 +18,41 @@ from core.robot.robot import Array, Robot
 
 #: Time constant of closing in on a limit [s]; several times the delay of the stages.
 APPROACH = 0.25
+#: Left between tubes that are in each other's way [m]: stages come to rest a little late.
+APART = 1e-4
 
 
-class Situation(NamedTuple):
-    """Where the robot is when limits are asked what they allow."""
+class Situation(Protocol):
+    """Where the robot is when limits are asked what they allow; what none of them asks for is not looked up."""
 
-    joints: Array  #: (n,) [rad or m]
-    jacobian: Array  #: (3, n) of the loaded tip [m/rad or m/m]
-    tip: Array  #: (3,) [m]
-    force: Array  #: (3,) on the tip, world frame [N]
+    @property
+    def joints(self) -> Array:
+        """(n,) [rad or m]."""
+        ...
+
+    @property
+    def jacobian(self) -> Array:
+        """(3, n) of the loaded tip [m/rad or m/m]."""
+        ...
+
+    @property
+    def tip(self) -> Array:
+        """(3,) [m]."""
+        ...
+
+    @property
+    def force(self) -> Array:
+        """(3,) on the tip, world frame [N]."""
+        ...
+
+
+class At(NamedTuple):
+    """A situation whose parts are all known; as `Situation` has them."""
+
+    joints: Array
+    jacobian: Array
+    tip: Array
+    force: Array
 
 
 class Limit(Protocol):
@@ -94,6 +120,12 @@ class Limits:
         """(n,) [rad/s or m/s]."""
         return self._arrays[2]
 
+    @cached_property
+    def order(self) -> tuple[Array, Array]:
+        """Rows (m, n) and bounds (m,) of the tubes' order [m]; none where the joints' travel sees to it."""
+        found = next((limit for limit in self.others if isinstance(limit, TubeOrder)), None)
+        return (np.empty((0, len(self.joints))), np.empty(0)) if found is None else (found.matrix, found.bound)
+
     def check(self, joints: Array) -> None:
         """Raise PoseError when a position (n,) is not finite or outside its travel."""
         for limit, value in zip(self.joints, joints, strict=True):
@@ -110,6 +142,8 @@ class Limits:
     def rows(self, at: Situation) -> tuple[Array, Array]:
         """All limits beyond single joints: rows (m, n) and room (m,)."""
         parts = [limit.rows(at) for limit in self.others]
+        if len(parts) == 1:
+            return parts[0]
         return np.concatenate([rows for rows, _ in parts]), np.concatenate([room for _, room in parts])
 
     def blocking(self, joints: Array, at_bound: Array, at_row: Array) -> bool:
@@ -189,8 +223,8 @@ class TubeOrder:
         return cls(tuple(names), np.array(rows), np.array(bounds)) if names else None
 
     def rows(self, at: Situation) -> tuple[Array, Array]:
-        """Each pair closes in on the other ever more slowly."""
-        return self.matrix, np.maximum(self.bound - self.matrix @ at.joints, 0.0) / APPROACH
+        """Each pair closes in on the other ever more slowly, as far as `APART`."""
+        return self.matrix, _room(self.matrix, self.bound - APART, at.joints, APPROACH)
 
     def check(self, at: Situation) -> None:
         """Raise PoseError for the first pair out of order."""
@@ -260,6 +294,18 @@ class ForceLimit:
         force = float(np.linalg.norm(at.force))
         if force > self.most:
             raise PoseError(f"force on the tip {force:.3g} N is above {self.most:g} N (its limit)")
+
+
+@compiled
+def _room(matrix: Array, bound: Array, joints: Array, approach: float) -> Array:
+    """What is left of matrix @ joints <= bound, none below zero, over `approach`."""
+    room = np.empty(bound.shape[0])
+    for i in range(bound.shape[0]):
+        left = bound[i]
+        for j in range(joints.shape[0]):
+            left -= matrix[i, j] * joints[j]
+        room[i] = max(left, 0.0) / approach
+    return room
 
 
 @compiled

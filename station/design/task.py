@@ -16,7 +16,7 @@ from core.control.inverse import inverse
 from core.errors import CtrError
 from core.model.solution import Solution
 from core.model.statics import Statics
-from core.robot.limits import Situation, TubeOrder
+from core.robot.limits import At, TubeOrder
 from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.design.measures import dexterity, stiffness
@@ -152,7 +152,7 @@ class _Walker:
                 upper = np.minimum(self._upper - at.joints, LONGEST * self._speed).clip(min=0.0)
                 rows, room = None, np.zeros(0)
                 if self._order is not None:
-                    rows, _ = self._order.rows(Situation(at.joints, at.jacobian[:3], at.tip, wrench[:3]))
+                    rows, _ = self._order.rows(At(at.joints, at.jacobian[:3], at.tip, wrench[:3]))
                     room = (self._order.bound - rows @ at.joints).clip(min=0.0)
                 found = inverse(at.jacobian[:3], way * min(1.0, STRIDE / away), self._speed, lower, upper, rows, room)
                 reasons = ", ".join(self.limits.active(at.joints, found.at_bound, found.at_row))

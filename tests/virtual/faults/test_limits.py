@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from core.errors import CtrError, PoseError
-from core.robot.limits import Situation
+from core.robot.limits import At
 from station.config.motions import CircleMotion, JointSweepMotion, Orders, StepMotion
 from station.config.robots import BoxFile, load_robot
 from station.control.states import State
@@ -52,9 +52,9 @@ def test_tube_order_and_workspace_are_refused_with_value_and_bound() -> None:
     with pytest.raises(
         PoseError, match=r"tube order: end of tube 'middle' beyond that of tube 'outer' does not hold, by [\d.]+ mm"
     ):
-        order.check(Situation(out, nothing, np.zeros(3), np.zeros(3)))
+        order.check(At(out, nothing, np.zeros(3), np.zeros(3)))
     with pytest.raises(PoseError, match=r"tip x 0.15 m is outside -0.1 ... 0.1 m \(the workspace\)"):
-        box.check(Situation(middle, nothing, np.array([0.15, 0.0, 0.1]), np.zeros(3)))
+        box.check(At(middle, nothing, np.array([0.15, 0.0, 0.1]), np.zeros(3)))
 
 
 def test_at_the_end_of_its_travel_an_axis_brakes_in_time(virtual: VirtualStation) -> None:
