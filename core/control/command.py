@@ -10,7 +10,7 @@ import numpy as np
 from core.compiled import compiled, copy
 from core.control.controllers import Strategy, VelocityTask, View, inner_law, outer_law
 from core.control.estimation import Estimate, known_of
-from core.control.inverse import HUNTING, NO_ROOM, SIGMA_FLOOR, inverse_at, inverse_law, no_rows, no_spare
+from core.control.inverse import HUNTING, NO_ROOM, inverse_at, inverse_law, no_rows, no_spare
 from core.control.pointing import NOT_ASKED, PLACE, Aim, with_direction
 from core.control.trajectories import Setpoint
 from core.errors import NotFinite
@@ -80,7 +80,7 @@ def command(
     if not _command(
         *strategy.laws, *looks, limits.packed, joints, now.loaded.numbers, now.unloaded.numbers, now.numbers,
         setpoint.position, setpoint.velocity, tip, origin, drift, aim.place, aim.lever, pointing, rows, room,
-        no_spare(n) if spare is None else spare, SIGMA_FLOOR, HUNTING, *found,
+        no_spare(n) if spare is None else spare, aim.floor, HUNTING, *found,
     ):  # fmt: skip
         raise NotFinite(f"wanted tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
     return found

@@ -17,6 +17,7 @@ import numpy as np
 from core.compiled import compiled, copy
 from core.control.controllers import inner_law
 from core.control.estimation import Estimate, Estimator, known_of
+from core.control.inverse import SIGMA_FLOOR
 from core.control.observer import observe
 from core.errors import DescriptionError
 from core.model.solution import parts
@@ -26,6 +27,10 @@ from core.robot.robot import Array
 REACH = 0.02
 #: Weight of a radian [m/rad], unless said otherwise.
 LEVER = 0.05
+
+#: `SIGMA_FLOOR` where a direction counts: a coil's axis is noisier than its place, and what is hardly within the
+#: joints' reach they would chase at full speed, to and fro [m/s].
+DIRECTED_FLOOR = 2e-3
 
 #: Tasks by name: whether the place counts, and the direction.
 TASKS = {"position": (True, False), "position_and_direction": (True, True), "direction": (False, True)}
@@ -42,6 +47,11 @@ class Aim:
     def rows(self) -> int:
         """Equations for the joints."""
         return 3 * (self.place > 0.0) + 2 * (self.lever > 0.0)
+
+    @property
+    def floor(self) -> float:
+        """Tip speed in the worst direction below which the inverse is damped [m/s]."""
+        return DIRECTED_FLOOR if self.lever > 0.0 else SIGMA_FLOOR
 
 
 #: Where the tip is, wherever it points.

@@ -18,8 +18,8 @@ from core.robot.robot import Array, Robot
 
 #: Time constant of closing in on a limit [s]; several times the delay of the stages.
 APPROACH = 0.25
-#: Left between tubes that are in each other's way [m]: stages come to rest a little late.
-APART = 1e-4
+#: Left between tubes that are in each other's way [m]: stages are told one after the other, and go on meanwhile.
+APART = 5e-4
 
 
 class Situation(Protocol):

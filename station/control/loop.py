@@ -248,7 +248,7 @@ class ControlLoop:
         if snap is not None and (self.state is State.RUNNING or snap.severity is Severity.STOP):
             self._act_on(snap, now)
         if self.state is State.RUNNING and isinstance(order, Setpoint) and frame is not None:
-            stalled = self._stall.look(now, tick, self.controller.limits)
+            stalled = self._stall.look(now, tick, self.controller.limits, self.controller.aim.floor)
             self._act_on(Trouble(Severity.HOLD, stalled) if stalled else None, now)
         if order is not None and self.state is State.RUNNING:
             stages.command(tick.command, now)

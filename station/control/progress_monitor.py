@@ -25,13 +25,14 @@ class ProgressMonitor:
         self._what = ""  # it was
         self._errors: deque[tuple[float, float]] = deque()  # times and tip errors while it has been
 
-    def look(self, now: float, tick: Tick, limits: Limits) -> str:
+    def look(self, now: float, tick: Tick, limits: Limits, floor: float = SIGMA_FLOOR) -> str:
         """Why the motion should end [one line], or nothing.
 
         Args:
             now: time [s].
             tick: a tick that followed a setpoint.
             limits: those of its controller.
+            floor: smallest singular value from which on nothing is damped [m/s].
 
         """
         memory = tick.memory
@@ -39,9 +40,9 @@ class ProgressMonitor:
         error = math.sqrt(float(away @ away))
         sigma, joints = float(tick.sigma[-1]), memory.estimate.loaded.joints
         blocked = limits.blocking(joints, tick.at_bound, tick.at_row)
-        if sigma < SIGMA_FLOOR or blocked:
+        if sigma < floor or blocked:
             self._in_the_way = now
-            reasons = [f"singular pose, sigma {1e3 * sigma:.2g} of {1e3 * SIGMA_FLOOR:g} mm/s"] * (sigma < SIGMA_FLOOR)
+            reasons = [f"singular pose, sigma {1e3 * sigma:.2g} of {1e3 * floor:g} mm/s"] * (sigma < floor)
             self._what = ", ".join((*reasons, *(limits.active(joints, tick.at_bound, tick.at_row) if blocked else ())))
         if error < TOLERANCE or now - self._in_the_way > FREE:
             self._errors.clear()

@@ -161,8 +161,8 @@ def test_tubes_that_could_pass_each_other_get_a_row_each(three_tubes):
     order.check(at(-0.05, -0.03, -0.01))
     rows, room = order.rows(at(-0.05, -0.03, -0.01))
     assert (room > 0.0).all()
-    # a stage comes to rest a little late: a tenth of a millimetre before the edge nothing more is allowed
-    assert order.rows(at(-0.03009, -0.03, -0.01))[1].min() == 0.0 < order.rows(at(-0.0302, -0.03, -0.01))[1].min()
+    # two stages are told one after the other: half a millimetre before the edge nothing more is allowed
+    assert order.rows(at(-0.0304, -0.03, -0.01))[1].min() == 0.0 < order.rows(at(-0.0306, -0.03, -0.01))[1].min()
     with pytest.raises(
         PoseError, match=r"tube order: start of tube 'a' behind that of tube 'b' does not hold, by 10 mm"
     ):
