@@ -33,7 +33,7 @@ from station.lab.loads import TrapezoidLoad
 from station.lab.virtual_bench import virtual_bench
 
 #: The load comes within a time, and after another the tip is to go to its goal, which takes a third [s].
-RISE, WAIT, TIME = 1.0, 3.0, 10.0
+RISE, WAIT, TIME = 1.0, 3.0, 15.0
 #: The controller's way to the goal.
 BOUNDS = Pursuit(max_speed=0.02, max_acceleration=0.1, rate=20.0, braking=0.8)
 NAMES = "policy", "controller"
