@@ -56,7 +56,7 @@ async function tell(run) {
   try {
     found = await ask("GET", `/api/runs/${encodeURIComponent(run.id)}`, undefined, 5000);
   } catch (error) {
-    if (!(error instanceof Refused)) told = null; // nobody answers: asked again; else it was not recorded
+    if (!(error instanceof Refused)) told = null; // nobody answers: asked again
     return;
   }
   if (told !== run.id) return;
@@ -75,7 +75,7 @@ onStatus((now, old) => {
   const run = now?.run;
   if (!run) return;
   if (now.state === "RUNNING") { told = null; $("ended").hidden = true; }
-  else if (run.id !== told && !run.recording && !old) tell(run);
+  else if (run.recorded && run.id !== told && !run.recording && !old) tell(run);
 });
 setInterval(show, PERIOD);
 show();
