@@ -137,10 +137,13 @@ def _summary(recordings: list[Path]) -> Mapping[str, Any]:
     labels: list[Label] = []
     run: Mapping[str, Any] = {}
     for path in recordings:
-        with open_case(path) as case:
-            run = case.metadata
-            labels.append(case.label)
-            cases[path.stem] = {"completed": case.label is Label.COMPLETE, "cause": case.cause}
+        try:
+            with open_case(path) as case:
+                run = case.metadata
+                labels.append(case.label)
+                cases[path.stem] = {"completed": case.label is Label.COMPLETE, "cause": case.cause}
+        except RecordingError as error:  # the others are worth keeping, and the station is to start
+            cases[path.stem] = {"completed": False, "cause": str(error)}
     # The run itself did not get to its end, whatever its cases did.
     label = Label.INCOMPLETE if Label.INCOMPLETE in labels else Label.INTERRUPTED
     kept = {key: run[key] for key in ("experiment", "title", "seed", "started") if key in run}

@@ -26,6 +26,24 @@ def test_what_the_disk_had_no_room_to_finish_is_incomplete(tmp_path, open_writer
     assert (summary["label"], summary["cause"]) == ("incomplete", "the disk took no more")
 
 
+def test_a_damaged_recording_does_not_keep_the_others_from_their_names(tmp_path, open_writer, make_rows):
+    writer = open_writer("good")
+    writer.write(make_rows(100))
+    writer.close(Label.COMPLETE)
+    content = (tmp_path / "good.mcap").read_bytes()
+    folder = tmp_path / "runs" / f"one{PARTIAL}"
+    folder.mkdir(parents=True)
+    (folder / "good.mcap").write_bytes(content)
+    (folder / "bad.mcap").write_bytes(content[: len(content) // 2])
+    (folder / "worse.mcap").write_bytes(b"\0" * 5000)
+
+    (done,) = recover(tmp_path / "runs")
+    cases = json.loads((done / "summary.json").read_text(encoding="utf-8"))["cases"]
+    assert cases["good"] == {"completed": True, "cause": ""}
+    assert all("damaged" in cases[name]["cause"] for name in ("bad", "worse"))
+    assert len(read_case(done / "good.mcap").rows) == 100
+
+
 def test_a_recording_that_never_reached_the_disk_leaves_nothing(tmp_path):
     folder = RunFolder(tmp_path, "one")
     (folder.partial / "run.mcap.partial").write_bytes(b"")
