@@ -66,6 +66,7 @@ function build(key, field, value, required, choices) {
   }
   if (core.type === "number" || core.type === "integer") {
     const input = numberInput(core, value, scale, required && !optional, label);
+    if (optional) input.placeholder = "as it suits"; // left out, and the station's own choice
     const read = () => (input.value === "" ? undefined : Number(input.value) / scale);
     return { elements: row(input, shown + range(bounds(core, scale))), read };
   }
