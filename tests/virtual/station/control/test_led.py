@@ -144,7 +144,7 @@ def test_six_joints_point_where_is_told_and_keep_the_place_and_in_silence_they_s
     assert away[1000:].max() < 1e-3
 
     station.asked = says(tuple(begin))
-    station.seconds(0.5)
+    station.seconds(0.2)
     last = Asked(1, leader.place((0.0, 0.0, 0.0), station.now))
     station.asked = lambda _: last
     station.seconds(0.5)
