@@ -67,6 +67,7 @@ def test_the_load_that_is_on_counts(robot: RobotFile, statics: Statics) -> None:
 def turned_by(angle: float) -> tuple[Way, Array]:
     """The way of six motors to a near place where the tip points by an angle [rad] off, and that direction."""
     robot = load_robot("balanced_pair")
+    assert robot.working_pose is not None
     statics, pose = Statics(robot.robot()), start_pose(robot.working_pose, robot)
     at = statics.solve(pose, np.zeros(6))
     now = at.rotation[:, 2]
