@@ -246,8 +246,9 @@ class Station:
 
         Args:
             asked: `frame` ("start": places are told from the tip at the start, or "world"), `speed` [m/s],
-                `acceleration` [m/s^2] and `reach` [m] that the tip keeps to, `silence`, `end`, `duration` [s],
-                `controller`.
+                `acceleration` [m/s^2] and `reach` [m] that the tip keeps to, `turning` [rad/s] that its direction
+                does, `silence`, `end`, `duration` [s], `controller`; a direction may be told where its `task` is
+                "position_and_direction".
 
         Raises:
             StationError: on entering: the state, another operator or a value does not allow it.

@@ -27,6 +27,7 @@ class Setpoints:
             math.nan,
             math.nan,
         )  #: the tip at the start, in the world [m]
+        self.direction: tuple[float, float, float] | None = None  #: then, in the world; None: it is not controlled
         self.newest: dict[str, Any] = {}  #: the last answer
 
     def __enter__(self) -> Self:
@@ -35,8 +36,12 @@ class Setpoints:
         except (OSError, WebSocketException) as error:
             raise StationError(f"{self._url}: {error}") from None
         self.run = self._say(self._asked)["run_id"]
-        x, y, z = self._hear()["tip"]
+        begun = self._hear()
+        x, y, z = begun["tip"]
         self.start, self._begun = (x, y, z), time.monotonic()
+        if "direction" in begun:
+            x, y, z = begun["direction"]
+            self.direction = (x, y, z)
         return self
 
     def __exit__(
@@ -54,17 +59,26 @@ class Setpoints:
         finally:
             self._socket.close()
 
-    def go(self, x: float, y: float, z: float) -> dict[str, Any]:
-        """Ask the tip to be at a place [m], soon; what it does now.
+    def go(self, x: float, y: float, z: float, direction: tuple[float, float, float] | None = None) -> dict[str, Any]:
+        """Ask the tip to be at a place [m] and to point in a direction, soon; what it does now.
+
+        Args:
+            x: the place, in the `frame` of the beginning.
+            y: the same.
+            z: the same.
+            direction: always in the world, its length does not matter; the controller's task must ask for one. Left
+                out, the last one stands; before any that of the start is kept.
 
         Returns:
-            time [s], `measured`, `estimated` and `desired` tip [m], `force` [N], `error` [m], and what holds it back.
+            time [s], `measured`, `estimated` and `desired` tip [m], `force` [N], `error` [m], what holds it back, and
+            where it is controlled `direction_measured` and `direction_desired`, in the world.
 
         Raises:
-            StationError: the place was refused, or the run has ended; the text says why.
+            StationError: the place or the direction was refused, or the run has ended; the text says why.
         """
         # With its time: what other programs hold up on its way does not shake the tip.
-        return self.say({"tip": [x, y, z], "time": time.monotonic()})
+        told = {} if direction is None else {"direction": list(direction)}
+        return self.say({"tip": [x, y, z], "time": time.monotonic(), **told})
 
     def move(self, x: float, y: float, z: float) -> dict[str, Any]:
         """Ask the tip to move at a velocity [m/s]; the same as `go` otherwise."""

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from core.control.leading import BOUNDS, LedTip, Wish
+from core.control.leading import BOUNDS, TURNS, LedTip, Wish
 from core.control.pursuit import Pursuit
 from core.control.trajectories import Setpoint
+from core.robot.robot import Array
 
-#: A tip that moves slower than this is at rest [m/s].
-AT_REST = 1e-4
+#: A tip that moves and turns slower than this is at rest [m/s], [rad/s].
+AT_REST, POINTS_STILL = 1e-4, 1e-3
 
 
 class Asked(NamedTuple):
@@ -25,14 +26,15 @@ class Lead:
     bounds: Pursuit = BOUNDS
     silence: float = 0.2  #: without a word for this long the tip comes to rest [s]
     end: float = 2.0  #: and after this long the motion ends [s]
+    turning: Pursuit = TURNS  #: bounds of the wanted direction, of angles
 
 
 class LedMotion:
     """One such motion, from its start."""
 
-    def __init__(self, lead: Lead, start: float, period: float) -> None:
-        """It begins at `start` [s]; a tick takes a `period` [s]."""
-        self._lead, self._tip, self._period = lead, LedTip(lead.bounds), period
+    def __init__(self, lead: Lead, start: float, period: float, pointing: Array | None = None) -> None:
+        """It begins at `start` [s]; a tick takes a `period` [s]; `pointing` (3,) as of `LedTip`."""
+        self._lead, self._tip, self._period = lead, LedTip(lead.bounds, lead.turning, pointing), period
         self._heard = start  # the last word, or the start [s]
 
     def order(self, now: float, blind: float, asked: Asked | None) -> Setpoint | None:
@@ -47,6 +49,7 @@ class LedMotion:
         if wish is not None:
             self._heard = max(self._heard, wish.asked)
         silent = now - self._heard
-        if (asked is not None and wish is None and self._tip.speed < AT_REST) or silent > self._lead.end:
+        rests = self._tip.speed < AT_REST and self._tip.turning < POINTS_STILL
+        if (asked is not None and wish is None and rests) or silent > self._lead.end:
             return None
         return self._tip.advance(now, None if blind > 0.0 or silent > self._lead.silence else wish, self._period)

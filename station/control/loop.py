@@ -378,7 +378,10 @@ class ControlLoop:
             self._target.follow(task.follow, task.controller, tip)
             self._motion = self._target
         elif isinstance(task.orders, Lead):
-            self._motion = LedMotion(task.orders, start, task.controller.period)
+            pointed = self._memory.pointed
+            self._motion = LedMotion(
+                task.orders, start, task.controller.period, None if pointed is None else pointed.origin
+            )
         else:
             self._motion = TimedMotion(task.orders, start)
         return True

@@ -34,7 +34,9 @@ LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECOR
 NUMBERS = 8
 #: A count that is odd while they are being written, then tip, force, whether there is a target, and where it is.
 TRUTH = 14
-WISH = 11  #: such a count, run, whether it is a place, place, velocity, when it came, how long it goes on
+#: Such a count, run, whether it is a place, place, velocity, when it came, how long it goes on, whether there is a
+#: direction, and it.
+WISH = 15
 
 
 class Timing(NamedTuple):
@@ -106,7 +108,8 @@ class Ring:
         cells[1], cells[2] = asked.run, -1.0 if wish is None else float(wish.place is not None)
         if wish is not None:
             cells[3:6], cells[6:9] = 0.0 if wish.place is None else wish.place, wish.velocity
-            cells[9], cells[10] = wish.asked, wish.goes_on
+            cells[9], cells[10], cells[11] = wish.asked, wish.goes_on, wish.direction is not None
+            cells[12:15] = 0.0 if wish.direction is None else wish.direction
         cells[0] += 1.0
 
     def asked(self, run: int) -> Asked | None:
@@ -119,7 +122,8 @@ class Ring:
             wish = None
             if values[2] >= 0.0:
                 place = values[3:6] if values[2] else None
-                wish = Wish(place, values[6:9], float(values[9]), float(values[10]))
+                direction = values[12:15] if values[11] else None
+                wish = Wish(place, values[6:9], float(values[9]), float(values[10]), direction)
             self._asked = Asked(run, wish)
         # What was asked before, while something is just being asked.
         return self._asked if self._asked is not None and self._asked.run == run else None

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from core.control.leading import BOUNDS, Wish
+from core.control.leading import BOUNDS, Wish, turns
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.controllers import BEST, ControllerFile
@@ -26,6 +26,8 @@ PERIODS, SHORTEST, LONGEST = 2.5, 0.05, 0.2
 HELD_UP = 0.1
 #: That the two clocks may go apart [s/s].
 DRIFT = 1e-3
+#: A direction that is shorter than this is none.
+NO_LENGTH = 1e-9
 
 
 class NotTaken(CtrError):
@@ -45,6 +47,8 @@ class LeadIn(Strict):
     """that the tip's setpoint keeps to, whatever is asked for [m/s]"""
     acceleration: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
     """the same [m/s^2]"""
+    turning: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
+    """that the direction in which the tip should point turns at, where the controller's task asks for it [rad/s]"""
     reach: Annotated[float, Field(gt=0.0, le=0.2)] = 0.05
     """places farther from the start tip are refused [m]"""
     silence: Annotated[float, Field(ge=0.05, le=2.0)] = 0.2
@@ -58,7 +62,12 @@ class LeadIn(Strict):
     def lead(self) -> Lead:
         """The same for the control loop."""
         bounds = replace(BOUNDS, max_speed=self.speed, max_acceleration=self.acceleration, reach=self.reach)
-        return Lead(bounds, self.silence, self.end)
+        return Lead(bounds, self.silence, self.end, turns(self.turning))
+
+    @property
+    def points(self) -> bool:
+        """Whether the direction of the tip is controlled, so that it may be told."""
+        return self.controller.task != "position"
 
 
 class Leader:
@@ -66,7 +75,8 @@ class Leader:
 
     def __init__(self, asked: LeadIn, start: Array, now: float) -> None:
         """`start` (3,) is the tip at the start, in the world [m]."""
-        self._reach = asked.reach
+        self._reach, self._points = asked.reach, asked.points
+        self._direction: Array | None = None  # told last
         self._zero = start if asked.frame == "world" else np.zeros(3)
         self._said: deque[tuple[float, Array]] = deque()  # times and places
         self._credit, self._counted = BURST, now
@@ -84,17 +94,21 @@ class Leader:
         if self._credit < 0.0:
             raise TooFast(f"more than {FASTEST:g} messages a second; send fewer")
 
-    def place(self, told: tuple[float, ...], now: float, sent: float | None = None) -> Wish:
+    def place(
+        self, told: tuple[float, ...], now: float, sent: float | None = None, direction: tuple[float, ...] | None = None
+    ) -> Wish:
         """To be at a place, which goes on as the ones before it did.
 
         Args:
             told: where [m].
             now: when it has come [s].
             sent: when, by the sender's own clock [s]: what was held up on its way counts as if it had not been.
+            direction: in which the tip should point, in the world, of any length but zero; None: the one told last.
 
         Raises:
-            NotTaken: not three finite numbers, or beyond the reach.
+            NotTaken: not three finite numbers, beyond the reach, or a direction that cannot be followed.
         """
+        pointing = self._pointing(direction)
         place = _vector("tip", told, "m") - self._zero
         away = math.hypot(*place)
         if away > self._reach:
@@ -102,6 +116,7 @@ class Leader:
                 f"tip {[round(x, 6) for x in told]} m is {1e3 * away:.4g} mm from the start, beyond the reach of"
                 f" {1e3 * self._reach:.4g} mm; the place before it stands"
             )
+        self._direction = pointing
         when = self._when(now, sent)
         said, period = self._said, self._period(when)
         if said and when - said[-1][0] > LONGEST:
@@ -109,17 +124,37 @@ class Leader:
         said.append((when, place))
         while len(said) > FEWEST and when - said[0][0] > WINDOW:
             said.popleft()
-        return Wish(place, _slope(said), when, min(max(PERIODS * period, SHORTEST), LONGEST))
+        return Wish(place, _slope(said), when, min(max(PERIODS * period, SHORTEST), LONGEST), pointing)
 
     def velocity(self, told: tuple[float, ...], now: float) -> Wish:
-        """To move at a velocity.
+        """To move at a velocity, and point in the direction told last.
 
         Raises:
             NotTaken: not three finite numbers.
         """
         self._said.clear()
         self._period(now)
-        return Wish(None, _vector("velocity", told, "m/s"), now, math.inf)
+        return Wish(None, _vector("velocity", told, "m/s"), now, math.inf, self._direction)
+
+    def _pointing(self, told: tuple[float, ...] | None) -> Array | None:
+        """The unit vector (3,) of a direction, or the one told last."""
+        if told is None:
+            return self._direction
+        if not self._points:
+            raise NotTaken(
+                "direction: where the tip points is not controlled in this run; begin it with"
+                ' controller.task = "position_and_direction", which needs five joints or more; what was asked before it'
+                " stands"
+            )
+        vector = _vector("direction", told, "")
+        largest = float(np.abs(vector).max())
+        if largest < NO_LENGTH:
+            raise NotTaken(
+                f"direction {list(told)} has the length {math.hypot(*told):.3g}, shorter than {NO_LENGTH:g}; tell one"
+                " of any other length, in the world frame; what was asked before it stands"
+            )
+        vector /= largest  # the square of what is finite need not be
+        return vector / math.hypot(*vector)
 
     def _when(self, now: float, sent: float | None) -> float:
         """When a message would have come, had it been as quick as the quickest [s]; never before the one before it."""
@@ -142,7 +177,7 @@ class Leader:
 
 def _vector(name: str, told: tuple[float, ...], unit: str) -> Array:
     if len(told) != 3 or not all(math.isfinite(x) for x in told):
-        said = f"{list(told)} {unit}" if len(told) == 3 else f"of {len(told)} numbers"
+        said = f"{list(told)} {unit}".rstrip() if len(told) == 3 else f"of {len(told)} numbers"
         raise NotTaken(f"{name} {said}: three finite numbers are needed; what was asked before it stands")
     return np.array(told, dtype=np.float64)
 

@@ -7,7 +7,9 @@ from typing import Annotated
 import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, WebSocket, WebSocketDisconnect
 
-from station.config.strict import Strict, Vector
+from core.robot.robot import Array
+from station.config.strict import Direction, Strict, Vector
+from station.control.loop import NOT_POINTED
 from station.control.states import RefusedError
 from station.service.station_service import StationService
 from web.access.identity import who_of
@@ -28,10 +30,12 @@ class ShownOut(Shown):
 
 
 class TargetIn(Strict):
-    """A place for the tip."""
+    """A place for the tip, and where it is to point there."""
 
     position: Vector
     """world frame [m]"""
+    direction: Direction | None = None
+    """world frame, where the station's controller controls it; left out: as before"""
 
 
 class TargetOut(Strict):
@@ -39,6 +43,8 @@ class TargetOut(Strict):
 
     position: Vector
     """world frame [m]"""
+    direction: Vector | None
+    """in which the tip is to point there, world frame; null where that is not controlled"""
     reachable: bool
     """along a straight way from where the tip is now, under the load that is on it now"""
     duration: float
@@ -89,15 +95,21 @@ def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter
     @router.get("/target", summary="The target, and whether the tip can get there")
     def get_target() -> TargetOut:
         way = view.way_to_target()
-        place = view.target.tolist()
+        direction = view.target_direction
         return TargetOut(
-            position=(place[0], place[1], place[2]), reachable=way.motion is not None, duration=way.duration,
-            reason=way.reason,
+            position=_three(view.target), direction=None if direction is None else _three(direction),
+            reachable=way.motion is not None, duration=way.duration, reason=way.reason,
         )  # fmt: skip
 
     @router.put("/target", responses=REFUSED, dependencies=operator, summary="Put the target somewhere else")
     def put_target(target: TargetIn) -> TargetOut:
-        view.place_target(np.array(target.position))
+        if target.direction is None:
+            view.place_target(np.array(target.position))
+            return get_target()
+        if view.pointing is None:
+            raise RefusedError(NOT_POINTED)
+        direction = np.array(target.direction)
+        view.place_target(np.array(target.position), direction / np.linalg.norm(direction))
         return get_target()
 
     @router.post(
@@ -107,9 +119,16 @@ def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter
         way = await aside(view.way_to_target)
         if way.motion is None:
             raise RefusedError(f"the target is out of reach: {way.reason}")
-        return started(await aside(service.start_motion, way.motion, None, None, way.duration))
+        # A controller that was chosen for the place alone would not turn the tip.
+        controller = view.pointing if service.settings.controller.task == "position" else None
+        return started(await aside(service.start_motion, way.motion, controller, None, way.duration))
 
     return router
+
+
+def _three(vector: Array) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()
+    return x, y, z
 
 
 async def _until_closed(socket: WebSocket, hear: Callable[[str], object]) -> None:

@@ -1,4 +1,12 @@
-"""`WS /api/setpoints`: somebody outside leads the tip, message by message, as long as they hold the lease."""
+"""`WS /api/setpoints`: somebody outside leads the tip, message by message, as long as they hold the lease.
+
+    {"controller": {"task": "position_and_direction"}}     first what one agrees to, `LeadIn`; {} will do
+    {"tip": [0.0, 0.0, 0.002], "time": 12.34, "direction": [0.1, 0.0, 1.0]}
+    {"velocity": [0.0, 0.0, 0.001]}
+    {"end": true}
+
+The tip is told in the `frame` of the beginning, a direction always in the world.
+"""
 
 import asyncio
 import contextlib
@@ -107,7 +115,10 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
     now, row = supervisor.bench.clock.now, _row(service)
     start = supervisor.channels.of(row, "tip_desired").copy()
     leader = Leader(asked, start, now())
-    await socket.send_json({"ready": True, "tip": start.tolist(), "time": float(row[0])})
+    told = {"ready": True, "tip": start.tolist(), "time": float(row[0])}
+    if asked.points:
+        told["direction"] = supervisor.channels.of(row, "direction_desired").tolist()
+    await socket.send_json(told)
     heard, left = now(), False
     watch = asyncio.create_task(until_over(service, run))
     try:
@@ -132,7 +143,7 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
                 raise _Refused(str(error), TOO_MUCH) from None
             except (NotTaken, HeldError) as error:
                 refused = str(error)
-            await socket.send_json(_answer(service, run, refused))
+            await socket.send_json(_answer(service, run, asked, refused))
     finally:
         watch.cancel()
     status = supervisor.status()
@@ -144,18 +155,21 @@ async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: W
 def _wish(leader: Leader, message: dict[str, Any], now: float) -> Any:
     with contextlib.suppress(OverflowError):  # a whole number that is no float any more
         match message:
-            case {"tip": [*place]} if len(message) == 1 and _numbers(place):
-                return leader.place(tuple(map(float, place)), now)
-            case {"tip": [*place], "time": sent} if len(message) == 2 and _numbers([*place, sent]):
-                if math.isfinite(float(sent)):
-                    return leader.place(tuple(map(float, place)), now, float(sent))
+            case {"tip": [*place], **more} if set(more) <= {"time", "direction"} and _numbers(place):
+                sent, pointing = more.get("time", 0.0), more.get("direction", [])
+                if isinstance(pointing, list) and _numbers([sent, *pointing]) and math.isfinite(float(sent)):
+                    return leader.place(
+                        tuple(map(float, place)), now,
+                        float(sent) if "time" in more else None,
+                        tuple(map(float, pointing)) if "direction" in more else None,
+                    )  # fmt: skip
             case {"velocity": [*velocity]} if len(message) == 1 and _numbers(velocity):
                 return leader.velocity(tuple(map(float, velocity)), now)
             case _:
                 pass
     raise NotTaken(
-        '{"tip": [x, y, z]} [m], with "time" [s] by a clock of your own if you like, {"velocity": [x, y, z]} [m/s] or'
-        ' {"end": true} is what may be said;'
+        '{"tip": [x, y, z]} [m], with "time" [s] by a clock of your own and "direction": [x, y, z] in the world if you'
+        ' like, {"velocity": [x, y, z]} [m/s] or {"end": true} is what may be said;'
         " what was asked before it stands"
     )
 
@@ -184,10 +198,11 @@ def _object(heard: Message) -> dict[str, Any]:
     return message
 
 
-def _answer(service: StationService, run: Run, refused: str) -> dict[str, Any]:
-    """What a tip is doing that is led."""
+def _answer(service: StationService, run: Run, asked: LeadIn, refused: str) -> dict[str, Any]:
+    """What a tip is doing that is led; of its direction where that is controlled."""
     of, row = service.supervisor.channels.of, _row(service)
     desired, measured = of(row, "tip_desired"), of(row, "tip_measured")
+    pointing = ("direction_measured", "direction_desired") if asked.points else ()
     return {
         "time": float(row[0]),
         "measured": measured.tolist(),
@@ -195,6 +210,7 @@ def _answer(service: StationService, run: Run, refused: str) -> dict[str, Any]:
         "desired": desired.tolist(),
         "force": of(row, "force").tolist(),
         "error": (measured - desired).tolist(),
+        **{group: of(row, group).tolist() for group in pointing},
         "held_back": _held_back(service, run, row),
         "refused": refused,
     }

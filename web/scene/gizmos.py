@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import viser
+from viser.transforms import SO3
 
 from core.robot.robot import Array
 from web.scene.messages import Box
@@ -33,13 +34,14 @@ def boxes(unit: float) -> dict[str, Box]:
 class Gizmo:
     """One handle with arrows of `size` [m]; what is dragged is read by another thread."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, unit: float, size: float) -> None:
+    def __init__(self, scene: viser.SceneApi, name: str, unit: float, size: float, *, turns: bool = False) -> None:
+        """One that `turns` has rings, too, and its z axis is a direction."""
         self._unit = unit
         self._handle = scene.add_transform_controls(
-            name, scale=unit * size, disable_rotations=True, depth_test=False, visible=False
+            name, scale=unit * size, disable_rotations=not turns, depth_test=False, visible=False
         )
         self._lock = threading.Lock()
-        self._place = np.zeros(3)
+        self._place, self._direction = np.zeros(3), np.array([0.0, 0.0, 1.0])
         self._dragged = -np.inf
         self._fresh = False
 
@@ -47,6 +49,8 @@ class Gizmo:
         async def moved(event: viser.TransformControlsEvent) -> None:
             with self._lock:
                 self._place = np.array(event.target.position) / unit
+                if turns:
+                    self._direction = SO3(np.array(event.target.wxyz)).as_matrix()[:, 2]
                 self._dragged, self._fresh = time.monotonic(), True
 
         self._handle.on_update(moved)
@@ -55,13 +59,17 @@ class Gizmo:
         """Have it there or not."""
         self._handle.visible = visible
 
-    def put(self, place: Array) -> None:
-        """Move it to (3,) [m], unless somebody has it in hand."""
+    def put(self, place: Array, direction: Array | None = None) -> None:
+        """Move it to (3,) [m], and turn it to a unit vector (3,), unless somebody has it in hand."""
         with self._lock:
             if time.monotonic() - self._dragged < HELD:
                 return
             self._place = place
+            if direction is not None:
+                self._direction = direction
         self._handle.position = self._unit * place
+        if direction is not None:
+            self._handle.wxyz = along(direction)
 
     @property
     def place(self) -> Array:
@@ -69,11 +77,25 @@ class Gizmo:
         with self._lock:
             return self._place.copy()
 
+    @property
+    def direction(self) -> Array:
+        """Of its z axis, unit vector (3,)."""
+        with self._lock:
+            return self._direction.copy()
+
     def taken(self) -> Array | None:
         """Where it was dragged to since the last look (3,) [m]; None when nobody did."""
         with self._lock:
             fresh, self._fresh = self._fresh, False
             return self._place.copy() if fresh else None
+
+
+def along(direction: Array) -> Array:
+    """Quaternion w, x, y, z of the shortest turn from z to a unit vector (3,)."""
+    x, y, z = direction
+    numbers = np.array([1.0 + z, -y, x, 0.0])
+    length = float(np.linalg.norm(numbers))
+    return numbers / length if length > 1e-6 else np.array([0.0, 1.0, 0.0, 0.0])
 
 
 def pull(place: Array, tip: Array, arrow: float) -> Array:

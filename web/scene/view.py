@@ -5,10 +5,14 @@ import math
 import threading
 import time
 from collections import Counter
+from collections.abc import Mapping
 
 import numpy as np
 import viser
 
+from core.control.pointing import aim
+from core.errors import CtrError
+from core.model.solution import pure_force
 from core.robot.robot import Array
 from station.config import palette
 from station.lab.loads import GRAVITY, ConstantLoad, NoLoad
@@ -22,7 +26,7 @@ from web.scene.history import History
 from web.scene.overlays import Overlays, Shown
 from web.scene.proxy import SceneServer
 from web.scene.scene import ARROW, UNIT, Scene
-from web.scene.target import Way, way_to
+from web.scene.target import Pointing, Way, way_to
 from web.scene.workspace import Workspace
 
 #: Pictures a second; trace and target come with every third, a look at the load with every tenth.
@@ -53,7 +57,11 @@ class View:
         )
         self._workspace = Workspace(service.supervisor.statics, self._limits)
         self._overlays = Overlays(server.scene, service.supervisor.statics, self._workspace, UNIT)
-        self._target = Gizmo(server.scene, TARGET, UNIT, TARGET_SIZE)
+        #: By which the tip goes to the target where the station controls its direction, too.
+        file = service.supervisor.bench.controller
+        self.pointing = file if file.task == "position_and_direction" else None
+        self._aim = aim(file.task, file.direction_weight)
+        self._target = Gizmo(server.scene, TARGET, UNIT, TARGET_SIZE, turns=self.pointing is not None)
         self._hand = Gizmo(server.scene, FORCE, UNIT, FORCE_SIZE)
         self._pulls = False
         self.scene_server = SceneServer(server.get_port(), boxes(UNIT), Counter())
@@ -81,12 +89,12 @@ class View:
         """Show something else beside the robot; a target begins at the tip."""
         values = self._supervisor.status().values
         if shown.target and not self._shown.target and "tip_observed" in values:
-            self.place_target(values["tip_observed"])
+            self.place_target(values["tip_observed"], self._heading(values))
         self._shown = shown
 
-    def place_target(self, place: Array) -> None:
-        """Put the target at (3,) [m]."""
-        self._target.put(place)
+    def place_target(self, place: Array, direction: Array | None = None) -> None:
+        """Put the target at (3,) [m], with the tip to point along a unit vector (3,); None: as before."""
+        self._target.put(place, direction)
         self._way = self.way_to_target()
 
     @property
@@ -94,15 +102,42 @@ class View:
         """Where the target is (3,) [m]."""
         return self._target.place
 
+    @property
+    def target_direction(self) -> Array | None:
+        """Where the tip is to point there (3,); None: its direction is not controlled."""
+        return None if self.pointing is None else self._target.direction
+
     def way_to_target(self) -> Way:
         """How the tip gets from where it is now to the target."""
         values = self._supervisor.status().values
         if not values:
             return Way(None, 0.0, "there is no telemetry yet")
+        pointing = None
+        if self.pointing is not None:
+            # It sets out as the model has it, on which the way is tried; the tip turns by the little that is between.
+            heading = self._modelled(values)
+            if heading is None:
+                return Way(None, 0.0, "where the tip points is not known now")
+            pointing = Pointing(self._aim, heading, self._target.direction)
         return way_to(
             self._target.place, self._supervisor.statics, self._limits, values["joints"], values["tip_observed"],
-            values["force_filtered"],
+            values["force_filtered"], pointing,
         )  # fmt: skip
+
+    def _heading(self, values: Mapping[str, Array]) -> Array | None:
+        """Where the tip points (3,), as observed or, while no controller looks at that, as the model has it."""
+        if self.pointing is None:
+            return None
+        seen = values["direction_observed"]
+        return seen if seen.any() and np.isfinite(seen).all() else self._modelled(values)
+
+    def _modelled(self, values: Mapping[str, Array]) -> Array | None:
+        """Where the model has the tip pointing (3,); None while joints and force do not tell it."""
+        try:
+            at = self._supervisor.statics.solve(values["joints"], pure_force(values["force_filtered"]))
+        except CtrError:
+            return None
+        return at.rotation[:, 2]
 
     def close(self) -> None:
         """End the thread; the server is the caller's to stop."""

@@ -56,7 +56,9 @@ async function refresh() {
     if (!shown.target) return;
     const target = await ask("GET", "/api/scene/target", undefined, 1000);
     const place = target.position.map((x) => (1e3 * x).toFixed(1)).join(", ");
-    $("target-says").textContent = target.reachable ? `✓ (${place}) mm in ${target.duration.toFixed(0)} s` : `✗ (${place}) mm: ${target.reason}`;
+    const pointing = target.direction === null ? "" : `, pointing (${target.direction.map((x) => x.toFixed(2)).join(", ")})`;
+    const where = `(${place}) mm${pointing}`;
+    $("target-says").textContent = target.reachable ? `✓ ${where} in ${target.duration.toFixed(0)} s` : `✗ ${where}: ${target.reason}`;
     $("target-says").title = $("target-says").textContent;
     const status = latest();
     $("go").disabled = !target.reachable || status === null || status.state !== "READY" || !mayCommand(status);

@@ -42,6 +42,9 @@ def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> No
             '{"tip": [NaN, 0, 0]}', '{"tip": [1e400, 0, 0]}', '{"tip": [0, 0]}', '{"tip": ["0", 0, 0]}', '{"tip": [0,',
             '{"tip": [0, 0, 0], "velocity": [0, 0, 0]}', '{"velocity": [true, 0, 0]}', "null", "", '{"end": 1}',
             '{"velocity": [0, NaN, 0]}', '{"tip": [0, 0, 0], "time": NaN}', '{"tip": [0, 0, 0], "time": "now"}',
+            '{"tip": [0, 0, 0], "direction": [0, 0]}', '{"tip": [0, 0, 0], "direction": [0, 0, 1]}',
+            '{"tip": [0, 0, 0], "direction": "up"}', '{"tip": [0, 0, 0], "direction": null}',
+            '{"direction": [0, 0, 1]}', '{"velocity": [0, 0, 0], "direction": [0, 0, 1]}',
             b'{"tip": [0, 0, 0]}', f'{{"tip": [1{400 * "0"}, 0, 0]}}', '{"tip": [1e308, 0, 0]}', '{"tip": [1, 0, 0]}',
         ):  # fmt: skip
             socket.send(lie)

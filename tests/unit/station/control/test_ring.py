@@ -69,7 +69,7 @@ def test_while_the_lab_is_telling_what_it_told_before_holds(ring: Ring) -> None:
 
 
 def a_wish(number: float) -> Wish:
-    return Wish(np.full(3, number), np.full(3, -number), number, 0.1)
+    return Wish(np.full(3, number), np.full(3, -number), number, 0.1, np.array([0.0, 0.6, -0.8]))
 
 
 def test_of_all_that_was_asked_since_the_last_tick_the_newest_counts_and_of_that_run_alone(ring: Ring) -> None:
@@ -83,6 +83,13 @@ def test_of_all_that_was_asked_since_the_last_tick_the_newest_counts_and_of_that
     assert asked.wish.place.tolist() == [9999.0] * 3
     assert asked.wish.velocity.tolist() == [-9999.0] * 3
     assert (asked.wish.asked, asked.wish.goes_on) == (9999.0, 0.1)
+    assert asked.wish.direction is not None
+    assert asked.wish.direction.tolist() == [0.0, 0.6, -0.8]
+    ring.ask(Asked(1, a_wish(1.0)._replace(direction=None)))
+    asked = ring.asked(1)
+    assert asked is not None
+    assert asked.wish is not None
+    assert asked.wish.direction is None
     assert ring.asked(2) is None
     ring.ask(Asked(1, None))
     assert ring.asked(1) == Asked(1, None)

@@ -7,6 +7,7 @@ import pytest
 
 from station.service.leader import BURST, FASTEST, Leader, LeadIn, NotTaken, TooFast
 
+POINTING = {"task": "position_and_direction"}
 START = np.array([0.01, 0.02, 0.15])
 
 
@@ -100,7 +101,84 @@ def _all(quick: Leader, begin: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"speed": 0.0}, {"speed": math.nan}, {"reach": 1.0}, {"frame": "tip"}, {"silence": 10.0}, {"what": 1}]
+    "told", [(0.0, 0.0, 2.0), (0.0, 0.0, 3e-9), (0.0, 0.0, 1e308), (1e308, 1e308, 1e308), (3, -4, 12)]
+)
+def test_a_direction_counts_whatever_its_length(told):
+    direction = leader(controller=POINTING).place((0.0, 0.0, 0.0), 0.1, direction=told).direction
+    assert direction is not None
+    scaled = np.array(told) / np.abs(told).max()
+    assert direction == pytest.approx(scaled / np.linalg.norm(scaled))
+
+
+def test_the_direction_told_last_stands_and_there_is_none_before():
+    one = leader(controller=POINTING)
+    assert one.place((0.0, 0.0, 0.0), 0.1).direction is None
+    assert one.velocity((0.0, 0.0, 0.0), 0.2).direction is None
+    one.place((0.0, 0.0, 0.0), 0.3, direction=(2.0, 0.0, 0.0))
+    for wish in (one.place((0.0, 0.0, 0.001), 0.4), one.velocity((0.0, 0.0, 0.001), 0.5)):
+        assert wish.direction is not None
+        assert wish.direction.tolist() == [1.0, 0.0, 0.0]
+
+
+def test_directions_are_told_in_the_world_whatever_places_are():
+    for frame, place in (("start", (0.0, 0.0, 0.0)), ("world", tuple(START))):
+        wish = leader(frame=frame, controller=POINTING).place(place, 0.1, direction=(0.0, 1.0, 0.0))
+        assert wish.direction is not None
+        assert wish.direction.tolist() == [0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("told", "reason"),
+    [
+        ((0.0, 0.0, 0.0), r"direction \[0.0, 0.0, 0.0\] has the length 0, shorter than 1e-09"),
+        ((1e-10, 0.0, 0.0), r"direction \[1e-10, 0.0, 0.0\] has the length 1e-10, shorter than 1e-09"),
+        ((math.nan, 0.0, 1.0), r"direction \[nan, 0.0, 1.0\]: three finite numbers are needed"),
+        ((0.0, -math.inf, 1.0), r"direction \[0.0, -inf, 1.0\]: three finite numbers are needed"),
+        ((0.0, 1.0), "direction of 2 numbers: three finite numbers are needed"),
+        ((), "direction of 0 numbers"),
+    ],
+)
+def test_what_is_no_direction_is_not_taken_and_nothing_of_its_message_is(told, reason):
+    one = leader(controller=POINTING)
+    one.place((0.0, 0.0, 0.0), 0.0, direction=(0.0, 0.0, 1.0))
+    with pytest.raises(NotTaken, match=reason + ".*before it stands"):
+        one.place((0.010, 0.0, 0.0), 0.02, direction=told)
+    wish = one.place((0.0, 0.0, 0.0), 0.04)
+    assert wish.velocity == pytest.approx(np.zeros(3))
+    assert wish.direction is not None
+    assert wish.direction.tolist() == [0.0, 0.0, 1.0]
+
+
+def test_the_direction_beside_a_place_beyond_the_reach_is_not_taken_either():
+    one = leader(controller=POINTING)
+    with pytest.raises(NotTaken, match="beyond the reach"):
+        one.place((1.0, 0.0, 0.0), 0.1, direction=(1.0, 0.0, 0.0))
+    assert one.place((0.0, 0.0, 0.0), 0.2).direction is None
+
+
+def test_a_direction_is_not_taken_where_only_the_place_is_controlled_and_what_to_do_is_said():
+    with pytest.raises(NotTaken, match=r'begin it with controller\.task = "position_and_direction"'):
+        leader().place((0.0, 0.0, 0.0), 0.1, direction=(0.0, 0.0, 1.0))
+
+
+def test_the_direction_turns_as_fast_as_was_agreed():
+    assert LeadIn(turning=0.4).lead().turning.max_speed == 0.4
+    assert LeadIn().lead().turning.max_speed == 0.2
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"turning": 0.0},
+        {"turning": 1.1},
+        {"turning": math.nan},
+        {"speed": 0.0},
+        {"speed": math.nan},
+        {"reach": 1.0},
+        {"frame": "tip"},
+        {"silence": 10.0},
+        {"what": 1},
+    ],
 )
 def test_what_one_agrees_to_has_bounds(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

@@ -44,7 +44,7 @@ class Bench:
         return None if passed is None else msgspec.msgpack.decode(passed)
 
 
-@pytest.mark.parametrize("message", [CAMERA, MOVE, START, END])
+@pytest.mark.parametrize("message", [CAMERA, MOVE, MOVE | {"wxyz": [0.5, -0.5, 0.5, 0.5]}, START, END])
 def test_what_an_operators_browser_says_goes_on_as_it_was(message: dict) -> None:
     assert Bench().say(message) == message
 
@@ -88,6 +88,9 @@ def test_a_lapsed_lease_drags_nothing() -> None:
         MOVE | {"position": [math.nan, 0, 1]},
         MOVE | {"position": [0, 0]},
         MOVE | {"wxyz": [math.inf, 0, 0, 0]},
+        MOVE | {"wxyz": [math.nan, 0, 0, 0]},
+        MOVE | {"wxyz": [0, 0, 0, 0]},
+        MOVE | {"wxyz": [1, 1, 1, 1]},
         CAMERA | {"position": [0, 0, math.nan]},
         CAMERA | {"position": [0, 0, 2 * FAR]},
         CAMERA | {"image_height": 10**9},

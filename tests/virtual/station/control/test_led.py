@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from core.control.leading import BOUNDS, Wish
+from core.control.trajectories import turned
 from station.config.controllers import BEST
 from station.config.motions import CircleMotion, Orders
 from station.control.led import Asked, Lead
@@ -14,6 +15,7 @@ from station.control.motion import TimedOrders
 from station.control.states import State
 from station.control.task import Phase, Task
 from station.service.leader import Leader, LeadIn
+from tests.harness.cases import a_case
 from tests.harness.virtual_station import VirtualStation, usual_case
 
 CIRCLE = CircleMotion(radius=0.010, period=20.0)
@@ -113,6 +115,49 @@ def test_what_was_asked_for_and_when_is_in_the_rows():
     assert since + 0.45 < station.of("asked_time", [row])[0] <= station.now
     assert station.of("asked", [row])[0] - station.of("asked", [station.rows[-20]])[0] == pytest.approx(0.0, abs=1e-12)
     assert math.isfinite(station.of("asked_velocity", [row])[0].sum())
+
+
+def test_six_joints_point_where_is_told_and_keep_the_place_and_in_silence_they_stop_turning():
+    case = a_case("points", "pointing_alone")
+    station = VirtualStation(case).ready()
+    station.loop.start(Task(case.controller, Lead(silence=0.2, end=3.0), 60.0))
+    station.until(lambda: station.loop.phase is Phase.MOVING)
+    station.seconds(0.5)
+    begin, place, since = station.of("direction_desired")[-1], station.of("tip_desired")[-1], len(station.rows)
+    told = turned(begin, 0.15 * np.cross(begin, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(begin, [0.0, 0.0, 1.0])))
+    leader = Leader(LeadIn(controller=case.file.controller), np.zeros(3), station.now)
+
+    def says(direction):
+        return lambda now: Asked(1, leader.place((0.0, 0.0, 0.0), now, direction=direction))
+
+    station.asked = says(tuple(2.5 * told))
+    station.seconds(3.0)
+    rows = station.rows[since:]
+    desired, true = station.of("direction_desired", rows), station.of("direction_true", rows)
+    assert station.state is State.RUNNING
+    assert desired[-1] == pytest.approx(told, abs=1e-6)
+    steps = np.linalg.norm(np.diff(desired, axis=0), axis=1)
+    assert steps.max() == pytest.approx(0.2 * 0.002, rel=1e-3)
+    assert _angles(true, desired)[500:].max() < math.radians(2.0)
+    away = np.linalg.norm(station.of("tip_true", rows) - place, axis=1)
+    assert away.max() < 4e-3  # on the way, as when it is turned by hand
+    assert away[1000:].max() < 1e-3
+
+    station.asked = says(tuple(begin))
+    station.seconds(0.2)
+    last = Asked(1, leader.place((0.0, 0.0, 0.0), station.now))
+    station.asked = lambda _: last
+    station.seconds(0.5)
+    still = station.of("direction_desired")[-1]
+    assert _angles(still, told) > 0.05
+    assert _angles(still, begin) > 0.02
+    station.seconds(1.0)
+    assert station.of("direction_desired")[-1] == pytest.approx(still, abs=1e-12)
+
+
+def _angles(ones: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Between directions (..., 3) [rad]."""
+    return np.arctan2(np.linalg.norm(np.cross(ones, others), axis=-1), (ones * others).sum(axis=-1))
 
 
 def _largest(station: VirtualStation, since: float) -> float:
