@@ -16,6 +16,9 @@ from core.robot.robot import Array
 #: A coil further askew sits otherwise than it should [rad].
 MOST = math.radians(45.0)
 LOOK = "the coil sits the wrong way round, or the joints are not where they are said to be"
+#: Single poses further apart than this [rad] say more about the model than about the coil.
+APART = math.radians(2.0)
+DOUBTFUL = "the model does not bend as the robot does"
 
 
 class CoilAxis(NamedTuple):
@@ -40,4 +43,8 @@ def coil_axis(turns: Array, seen: Array) -> CoilAxis:
     across = there - (there @ direction)[:, None] * direction
     spread = math.sqrt(float(np.sum(across**2)) / (2.0 * max(len(there) - 1, 1)))
     found = CoilAxis(direction, spread)
-    return found if found.askew <= MOST else found._replace(refused=f"more than {math.degrees(MOST):.0f} deg: {LOOK}")
+    if found.askew > MOST:
+        return found._replace(refused=f"more than {math.degrees(MOST):.0f} deg: {LOOK}")
+    if spread > APART:
+        return found._replace(refused=f"single poses say so within {math.degrees(spread):.1f} deg only: {DOUBTFUL}")
+    return found

@@ -19,6 +19,11 @@ from station.calibration.plan import Subject
 from station.calibration.procedures import SUSPICIOUS, ForceResult, TrackerResult, TubesResult
 
 Result = TrackerResult | ForceResult | TubesResult | AxesResult | LatencyResult
+#: Errors that are left at poses no fit has seen, as a part of those before, from which a calibration is not worth it.
+HARDLY = 0.7
+NOT_THIS_MODEL = (
+    "no tubes of this model are the robot (friction between stiff tubes, or a wrong description); do not use robot.toml"
+)
 
 
 class Row(NamedTuple):
@@ -82,10 +87,12 @@ def findings(result: Result) -> list[str]:
     if isinstance(result, ForceResult):
         return [*_checks(result.checks), *_unseen(result.calibration.fit)]
     loaded = result.held_out_loaded
+    hardly = float(loaded.after.mean()) > HARDLY * float(result.held_out_believed.mean())
     return [
         f"Loaded measurements that no fit has seen: {1e3 * float(result.held_out_believed.mean()):.2f} mm mean as"
         f" believed before, {1e3 * float(loaded.before.mean()):.2f} mm with the described tubes in the best frames for"
         f" them, {1e3 * float(loaded.after.mean()):.3f} mm calibrated.",
+        *([f"That is hardly better than before: {NOT_THIS_MODEL}."] if hardly else []),
         f"{_rms_mm(result.calibration.errors):.3f} mm RMS at the measurements of the fit,"
         f" {result.calibration.fit.variance_factor:.2f} of the variance that the noise lets expect.",
         *_checks(result.checks),

@@ -39,6 +39,14 @@ def test_what_a_model_bends_too_much_looks_like_a_coil_askew(tips):
     assert found.spread == pytest.approx(0.0, abs=1e-9)
 
 
+def test_poses_that_do_not_agree_are_refused(tips):
+    noise = 0.05 * np.random.default_rng(4).standard_normal((40, 3))
+
+    found = coil_axis(tips.as_matrix(), (Rotation.from_rotvec(noise) * tips).apply([0.0, 0.0, 1.0]))
+
+    assert "the model does not bend as the robot does" in found.refused
+
+
 def test_a_coil_that_looks_back_is_refused(tips):
     found = coil_axis(tips.as_matrix(), tips.apply([0.0, 0.0, -1.0]))
 
