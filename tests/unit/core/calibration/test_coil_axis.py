@@ -11,7 +11,7 @@ from core.calibration.coil_axis import coil_axis
 
 @pytest.fixture
 def tips() -> Rotation:
-    return Rotation.random(40, random_state=np.random.default_rng(3))
+    return Rotation.random(40, np.random.default_rng(3))
 
 
 @pytest.mark.parametrize("askew", [0.0, 3.0, 40.0])
