@@ -40,6 +40,7 @@ class LatencyResult(NamedTuple):
     """What the procedure `latency` has found."""
 
     latency: Latency  #: beyond what the tracker is said to have
+    time: float  #: when the swing had ended [s]
 
 
 def axes(subject: Subject) -> Procedure[AxesResult]:
@@ -106,7 +107,8 @@ def latency(subject: Subject) -> Procedure[LatencyResult]:
     swung = yield Swing(amplitudes, PERIOD, DURATION, 0.2)
     if not isinstance(swung, Swung):
         raise AbortedError("nothing was recorded of the swing")
-    return LatencyResult(find_latency(swung.times, _tips(subject, swung.joints), swung.frame_times, swung.coils))
+    found = find_latency(swung.times, _tips(subject, swung.joints), swung.frame_times, swung.coils)
+    return LatencyResult(found, float(swung.times[-1]))
 
 
 def _tips(subject: Subject, joints: Array) -> Array:

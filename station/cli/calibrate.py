@@ -122,8 +122,8 @@ def _carried_out(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[An
             return static_lab.carry_out(procedure, bench, progress), bench.time
         clock = RealClock() if parsed.realtime else VirtualClock()
         result = headless.carry_out(procedure, subject, lab, parsed.seed, clock, progress)
-        measurements = getattr(result, "measurements", ())
-        return result, measurements[-1].time if measurements else 0.0
+        # A latency is of one swing, everything else of measurements.
+        return result, result.time if parsed.what == "latency" else result.measurements[-1].time
 
 
 def robot_start(robot: "RobotFile") -> "Array":
