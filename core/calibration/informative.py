@@ -29,6 +29,8 @@ HALF_TURN = np.pi
 MARGIN = 0.03
 #: Below this margin of elastic stability a pose is left out.
 STABLE = 0.25
+#: Between the ends of neighbouring tubes [m].
+APART = 1.5e-3
 #: Poses that are looked at on the way between two measurements.
 STEPS = 12
 
@@ -54,8 +56,11 @@ def evenly(count: int, n: int) -> Array:
 
 
 def possible(statics: Statics, limits: Limits, poses: Array, force: Array) -> Flags:
-    """At which joint positions (m, n) the robot can stand (m,): inside travel, order, workspace, far from snapping."""
-    can = np.array([_holds(limits.check, joints) for joints in poses])
+    """At which joint positions (m, n) the robot can stand (m,): inside travel, order, workspace, far from snapping.
+
+    Ends of neighbouring tubes keep apart: lengths, zeros and plays that a fit tries must not put one inside the other.
+    """
+    can = np.array([_holds(limits.check, joints) and _apart(statics.robot, joints) for joints in poses])
     travel = poses[can]
     solved = solve_many(statics, travel, np.tile(pure_force(force), (len(travel), 1)))
     can[can] = [
@@ -63,6 +68,12 @@ def possible(statics: Statics, limits: Limits, poses: Array, force: Array) -> Fl
         for k, at in enumerate(map(At, travel, solved.jacobian[:, :3], solved.tip, [force] * len(travel)))
     ]
     return can
+
+
+def _apart(robot: Robot, joints: Array) -> bool:
+    """Whether every tube ends clearly beyond its neighbour."""
+    ends = robot.tube_poses(joints)[1] + np.array([tube.length for tube in robot.tubes])
+    return bool((ends[:-1] - ends[1:] > APART).all())
 
 
 def _holds(check: Callable[[T], None], what: T) -> bool:

@@ -77,6 +77,7 @@ class Pointed(NamedTuple):
     measured: Array  #: (3,) latest of the tracker's, or as observed while it tells none
     origin: Array  #: (3,) at the start of the motion: what "keep it" means
     numbers: Array  #: (m,) `observed`, and what the next tick needs: see `_Numbers`
+    seen: bool = False  #: the tracker has told it
 
     @property
     def observed(self) -> Array:
@@ -133,7 +134,7 @@ def look(
     _look(
         estimator.settings, estimate.loaded.numbers, estimate.unloaded.numbers, estimate.numbers, force, *told, numbers
     )
-    return Pointed(last.measured if frame is None else frame, last.origin, numbers)
+    return Pointed(last.measured if frame is None else frame, last.origin, numbers, last.seen or frame is not None)
 
 
 @compiled

@@ -95,6 +95,8 @@ class Controller:
     aim: Aim = PLACE
     #: What joints that are left over do; without, nothing.
     spare: Spare | None = None
+    #: The direction is looked at although it is not controlled: for a calibration.
+    watches: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.limits.joints)
@@ -150,7 +152,8 @@ def set_origin(controller: Controller, memory: ControllerState, origin: Array) -
     """
     free, pointed = memory.estimate.unloaded, memory.pointed
     if pointed is not None:
-        pointed = begin_to_point(controller.estimator, free.rotation[:, 2], pointed.observed)
+        seen = pointed.seen
+        pointed = begin_to_point(controller.estimator, free.rotation[:, 2], pointed.observed)._replace(seen=seen)
     estimate = controller.estimator.start(free, free, np.zeros(3), origin)
     return memory._replace(estimate=estimate, origin=origin, pointed=pointed)
 
@@ -184,11 +187,13 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         by_joints = known.velocity_observed - known.load_rate - known.drift
         seen = differentiate(seen, by_joints, memory.tip, sample.tip, sample.tip_age, controller.period)
         drift = seen.velocity - known.load_rate
-    pointed = None if controller.aim.lever == 0.0 else _pointing(controller, memory.pointed, now, load.force, sample)
+    pointed = None
+    if controller.aim.lever > 0.0 or controller.watches:
+        pointed = _pointing(controller, memory.pointed, now, load.force, sample)
     slope = memory.slope
     if isinstance(order, Setpoint):
         asked, spare = NOT_ASKED, None
-        if pointed is not None:
+        if pointed is not None and controller.aim.lever > 0.0:
             asked = told(pointed, order.direction, order.turning, controller.observes)
         if controller.spare is not None:
             slope = controller.spare.tried(controller.statics, limits, now.loaded, slope)
@@ -217,7 +222,9 @@ def _pointing(controller: Controller, last: Pointed | None, now: Estimate, force
     """What is known of the tip's direction, from the first frame on."""
     if last is None:
         axis = now.loaded.rotation[:, 2]
-        return begin_to_point(controller.estimator, axis, axis if sample.direction is None else sample.direction)
+        direction = axis if sample.direction is None else sample.direction
+        pointed = begin_to_point(controller.estimator, axis, direction)
+        return pointed._replace(seen=sample.direction is not None)
     return look(controller.estimator, last, now, force, sample.direction, sample.tip_age)
 
 
@@ -235,7 +242,8 @@ def _corrected(controller: Controller, sample: Sample, rotation: Array) -> Sampl
         return sample
     alpha, _ = controller.statics.robot.tube_poses(sample.joints)
     tip = None if sample.tip is None else corrections.tip(sample.tip, rotation)
-    return sample._replace(wrenches=corrections.wrenches(sample.wrenches, alpha), tip=tip)
+    direction = None if sample.direction is None else corrections.direction(sample.direction, rotation)
+    return sample._replace(wrenches=corrections.wrenches(sample.wrenches, alpha), tip=tip, direction=direction)
 
 
 _NO_LOAD = np.zeros(6)

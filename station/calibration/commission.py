@@ -7,10 +7,12 @@ import numpy as np
 
 from core.calibration.commissioning import Latency, Signs, find_latency, find_signs
 from core.calibration.fit import fit
+from core.calibration.informative import way_is_free
 from core.calibration.measurements import Measurement
 from core.calibration.prediction import Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
+from core.errors import Unreachable
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.calibration.plan import NOISE, Subject
@@ -18,6 +20,8 @@ from station.calibration.procedure import AbortedError, GoTo, Procedure, Swing, 
 
 #: Small moves about the start pose [rad, m], and larger ones for the zeros.
 SMALL, LARGE = {"rad": 0.25, "m": 0.010}, {"rad": 1.2, "m": 0.015}
+#: Where limits (short travels, ends of tubes that come close) leave no room for all of a move, these parts are tried.
+PARTS = (1.0, 0.8, 0.6, 0.4, 0.2)
 #: The model is not better than this before the tubes are calibrated [m].
 MODEL_ERROR = 1e-3
 #: To and fro for the latency [rad, m], once in so many seconds, for so long.
@@ -36,6 +40,7 @@ class LatencyResult(NamedTuple):
     """What the procedure `latency` has found."""
 
     latency: Latency  #: beyond what the tracker is said to have
+    time: float  #: when the swing had ended [s]
 
 
 def axes(subject: Subject) -> Procedure[AxesResult]:
@@ -43,6 +48,7 @@ def axes(subject: Subject) -> Procedure[AxesResult]:
 
     Raises:
         Unobservable: the signs are not clear.
+        Unreachable: a joint has no room to move.
     """
     measurements: list[Measurement] = []
     yield from _moves(subject, SMALL, 0.0, measurements)
@@ -68,14 +74,26 @@ def _moves(
     subject: Subject, steps: Mapping[str, float], done: float, measurements: list[Measurement]
 ) -> Procedure[None]:
     """Each joint either way from the start pose; half of the procedure, from `done` on."""
-    moves = [
-        sign * steps[joint.unit] * np.eye(len(subject.robot.joints))[k]
-        for k, joint in enumerate(subject.robot.joints)
-        for sign in (1.0, -1.0)
-    ]
+    moves: list[Array] = []
+    for k, joint in enumerate(subject.robot.joints):
+        both = [sign * steps[joint.unit] * np.eye(len(subject.robot.joints))[k] for sign in (1.0, -1.0)]
+        found = [move for move in (_with_room(subject, move) for move in both) if move is not None]
+        if not found:
+            raise Unreachable(
+                f"{joint.name} has no room either way where the robot rests; give it a working_pose with more"
+            )
+        moves += found
     for number, move in enumerate(moves):
         measurement = yield GoTo(subject.start + move, 0.0, done + 0.5 * number / len(moves))
         measurements += [measurement] if isinstance(measurement, Measurement) else []
+
+
+def _with_room(subject: Subject, move: Array) -> Array | None:
+    """The move (n,) from the start pose, or a part of it that stays inside all limits; None when there is none."""
+    for part in PARTS:
+        if way_is_free(subject.statics, subject.limits, subject.start, subject.start + part * move, np.zeros(3)):
+            return part * move
+    return None
 
 
 def latency(subject: Subject) -> Procedure[LatencyResult]:
@@ -89,7 +107,8 @@ def latency(subject: Subject) -> Procedure[LatencyResult]:
     swung = yield Swing(amplitudes, PERIOD, DURATION, 0.2)
     if not isinstance(swung, Swung):
         raise AbortedError("nothing was recorded of the swing")
-    return LatencyResult(find_latency(swung.times, _tips(subject, swung.joints), swung.frame_times, swung.coils))
+    found = find_latency(swung.times, _tips(subject, swung.joints), swung.frame_times, swung.coils)
+    return LatencyResult(found, float(swung.times[-1]))
 
 
 def _tips(subject: Subject, joints: Array) -> Array:

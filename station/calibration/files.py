@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from core.calibration.coil_axis import CoilAxis
 from core.calibration.fit import Fit
 from core.calibration.force import SensorCalibration
 from core.calibration.prediction import Frames
@@ -40,8 +41,9 @@ def carry_over(known: Path, folder: Path) -> list[Path]:
 
 
 def write_registration(
-    folder: Path, robot: Robot, frames: Frames, fit: Fit, errors: Array, assumed: Registration, made: str
-) -> Path:
+    folder: Path, robot: Robot, frames: Frames, fit: Fit, errors: Array, assumed: Registration, made: str,
+    axis: CoilAxis | None = None,
+) -> Path:  # fmt: skip
     """The found motion after the assumed one: measurements were seen through the latter."""
     whole = frames.registration.after(Rigid(assumed.rotation, assumed.position))
     names = [parameter.name for parameter in fit.parameters]
@@ -55,7 +57,7 @@ made = {toml_string(made)}
 rotation_vector = {_row(vector_of(whole.rotation))}  # [rad]
 position = {_row(whole.position)}  # [m]
 coil = {_row(frames.coil)}  # in the frame of the innermost tube's tip [m]
-rms_error = {math.sqrt(float(np.mean(errors**2))):.3g}  # [m]
+{_axis(axis)}rms_error = {math.sqrt(float(np.mean(errors**2))):.3g}  # [m]
 rotation_interval = {_row(half[:3], 3)}  # half of 95 % [rad]
 position_interval = {_row(half[3:], 3)}  # [m]
 """
@@ -147,6 +149,13 @@ def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made
             f"{key} = {getattr(joint, key)!r}" for key in ("lower", "upper", "speed", "acceleration", "microstep")
         ]
     return _write(folder / ROBOT, "\n".join(lines) + "\n")
+
+
+def _axis(axis: CoilAxis | None) -> str:
+    """The line of the coil's axis, if there is one."""
+    if axis is None or axis.refused:
+        return ""
+    return f"axis = {_row(axis.direction)}  # of the coil, there; single poses say so within {axis.spread:.2g} rad\n"
 
 
 def _write(path: Path, text: str) -> Path:

@@ -68,14 +68,18 @@ def write_all(
     if isinstance(result, TrackerResult):
         found = result.registration
         written.append(
-            files.write_registration(folder, subject.robot, found.frames, found.fit, found.errors, assumed, made)
+            files.write_registration(
+                folder, subject.robot, found.frames, found.fit, found.errors, assumed, made, result.axis
+            )
         )
     elif isinstance(result, ForceResult):
         written.append(files.write_sensors(folder, subject.robot, result.calibration, made))
     elif isinstance(result, TubesResult):
         tubes = result.calibration
         written += [
-            files.write_registration(folder, subject.robot, tubes.frames, tubes.fit, tubes.errors, assumed, made),
+            files.write_registration(
+                folder, subject.robot, tubes.frames, tubes.fit, tubes.errors, assumed, made, result.axis
+            ),
             files.write_sensors(folder, subject.robot, result.sensors, made),
             files.write_robot(folder, subject.file, tubes, made),
         ]

@@ -6,21 +6,26 @@ from typing import NamedTuple
 
 import numpy as np
 
+from core.calibration.coil_axis import CoilAxis, coil_axis
 from core.calibration.force import SensorCalibration, WeightCheck, calibrate_sensors, check_weight
 from core.calibration.measurements import Measurement
-from core.calibration.prediction import Frames
+from core.calibration.prediction import Frames, predicted
 from core.calibration.quantities import quantities
 from core.calibration.registration import Registration, register
 from core.calibration.tubes import HeldOut, TubeCalibration, calibrate_tubes, held_out
 from core.model.many import Solutions, solve_many
 from core.robot.own_weight import own_weight
-from core.robot.robot import Array
+from core.robot.robot import Array, Robot
 from station.calibration.plan import NOISE, Subject
 from station.calibration.procedure import Ask, GoTo, Procedure
 from station.lab import loads
 
 #: Which way a hung weight pulls, world frame.
 GRAVITY = np.array(loads.GRAVITY)
+#: Residuals of this many times the noise mean that the model is not the robot.
+SUSPICIOUS = 9.0
+#: Why the axis of the coil is left alone then.
+NOT_TOLD = "the tubes differ from their description, and a tip that bends otherwise looks like a coil askew"
 #: How well the tip is known from the tracker before the tubes are calibrated [m], and afterwards.
 ROUGH, FINE = 3e-3, 0.1e-3
 
@@ -55,6 +60,7 @@ class TrackerResult(NamedTuple):
 
     registration: Registration
     measurements: tuple[Measurement, ...]
+    axis: CoilAxis | None = None  #: None: the tracker does not tell it
 
 
 class ForceResult(NamedTuple):
@@ -77,10 +83,11 @@ class TubesResult(NamedTuple):
     held_out_believed: Array  #: (k,) errors under load of what the station believed before, frames included [m]
     measurements: tuple[Measurement, ...]
     check_measurements: tuple[Measurement, ...]
+    axis: CoilAxis | None = None  #: None: the tracker does not tell it
 
 
 def tracker(subject: Subject, effort: Effort) -> Procedure[TrackerResult]:
-    """Registration of the tracker and place of the coil, from poses without load.
+    """Registration of the tracker, place and axis of the coil, from poses without load.
 
     Raises:
         Unobservable: the poses inside the limits cannot tell.
@@ -91,8 +98,12 @@ def tracker(subject: Subject, effort: Effort) -> Procedure[TrackerResult]:
     for number, joints in enumerate(poses):
         measurement = yield GoTo(joints, 0.0, number / len(poses))
         measurements += [measurement] if isinstance(measurement, Measurement) else []
-    found = register(subject.robot, measurements, np.zeros((len(measurements), 3)), NOISE, subject.limits)
-    return TrackerResult(found, tuple(measurements))
+    forces = np.zeros((len(measurements), 3))
+    found = register(subject.robot, _places(measurements), forces, NOISE, subject.limits)
+    axis = _coil_axis(subject.robot, found.frames, measurements, forces)
+    if axis is not None and found.fit.variance_factor > SUSPICIOUS:
+        axis = axis._replace(refused=NOT_TOLD)
+    return TrackerResult(found, tuple(measurements), axis)
 
 
 def force(subject: Subject, effort: Effort) -> Procedure[ForceResult]:
@@ -105,7 +116,7 @@ def force(subject: Subject, effort: Effort) -> Procedure[ForceResult]:
     few = replace(effort, unloaded=effort.unloaded // 2, loaded=effort.loaded // 2, check=0)
     measurements, _ = yield from _visits(subject, few)
     free = [measurement for measurement in measurements if measurement.weight == 0.0]
-    found = register(subject.robot, free, np.zeros((len(free), 3)), NOISE, subject.limits)
+    found = register(subject.robot, _places(free), np.zeros((len(free), 3)), NOISE, subject.limits)
     tips = _tips(subject, found.frames, measurements, np.zeros((len(measurements), 3)))
     sensors = calibrate_sensors(subject.robot, measurements, tips, NOISE, ROUGH)
     return ForceResult(sensors, _checks(subject, sensors, measurements, effort), found, tuple(measurements))
@@ -121,7 +132,8 @@ def tubes(subject: Subject, effort: Effort) -> Procedure[TubesResult]:
         Unobservable: the poses inside the limits cannot tell.
         Unreachable: there are none.
     """
-    measurements, check = yield from _visits(subject, effort)
+    visited, visited_check = yield from _visits(subject, effort)
+    measurements, check = _places(visited), _places(visited_check)
     robot = subject.robot
     free = [measurement for measurement in measurements if measurement.weight == 0.0]
     rough = register(robot, free, np.zeros((len(free), 3)), NOISE, subject.limits)
@@ -152,7 +164,8 @@ def tubes(subject: Subject, effort: Effort) -> Procedure[TubesResult]:
     expected = _believed(subject, heavy, check_forces[loaded]).tip
     believed: Array = np.linalg.norm(np.array([measurement.coil for measurement in heavy]) - expected, axis=1)
     checks = _checks(subject, sensors, measurements, effort)
-    return TubesResult(found, sensors, checks, all_, under_load, believed, tuple(measurements), tuple(check))
+    axis = _coil_axis(found.robot, found.frames, visited, forces)
+    return TubesResult(found, sensors, checks, all_, under_load, believed, tuple(visited), tuple(visited_check), axis)
 
 
 def _visits(subject: Subject, effort: Effort) -> Procedure[tuple[list[Measurement], list[Measurement]]]:
@@ -183,6 +196,20 @@ def _visits(subject: Subject, effort: Effort) -> Procedure[tuple[list[Measuremen
         poses, known = subject.tour(what, np.zeros(3), effort.between, known, at)
         yield from rest(poses, 0.0, measurements)
     return measurements, check
+
+
+def _places(measurements: Sequence[Measurement]) -> list[Measurement]:
+    """Without the coil's axis: a model's direction is further off than the coil's and must not pull at the frames."""
+    return [measurement._replace(axes=None) for measurement in measurements]
+
+
+def _coil_axis(robot: Robot, frames: Frames, measurements: Sequence[Measurement], forces: Array) -> CoilAxis | None:
+    """The coil's axis as the model has the tip under forces (m, 3) [N]; None where the tracker does not tell it."""
+    axes = [measurement.axes for measurement in measurements]
+    if any(a is None for a in axes):
+        return None
+    seen = np.array(axes)[:, -1] @ frames.registration.rotation.T
+    return coil_axis(predicted(robot, measurements, forces).complete().rotation, seen)
 
 
 def _forces(subject: Subject, sensors: SensorCalibration, measurements: Sequence[Measurement]) -> Array:

@@ -50,6 +50,7 @@ class StaticLab:
         # Of each box the stream that it has at wire level, after that of its line.
         boxes = [box.spawn(2)[1] for box in sensors.spawn(q)]
         self._skew = np.array([skew(felt.gain, BoxSettings(), box) for box in boxes])
+        self._wobble = sensors.spawn(1)[0]  # likewise apart: the rest is the same with and without
         self._drift = np.zeros((q, 6))
         self._drift[:, :3] = felt.drift * sensors.choice([-1.0, 1.0], (q, 3))
         self.generator = self.hidden.mount(MOUNT)  #: where the tracker really stands
@@ -74,7 +75,7 @@ class StaticLab:
         came = np.sign(joints - self._at)
         self._at = joints.copy()
         seen, felt = self._seen(state.truth.tip), self._felt(state.wrenches)
-        measurement = Measurement(self.time, joints.copy(), seen, felt, weight, came)
+        measurement = Measurement(self.time, joints.copy(), seen, felt, weight, came, self._axes())
         self.time += 0.5 * AVERAGE
         return measurement
 
@@ -83,6 +84,16 @@ class StaticLab:
         tracker = self._config.tracker
         error = tracker.noise / math.sqrt(AVERAGE * tracker.rate) * self._rng.standard_normal(3)
         return self.said(tip + self._plant.rotation @ self.hidden.coil) + error
+
+    def _axes(self) -> Array | None:
+        """Mean of the coil's axes (1, 3), by where the tracker is said to stand; None where it does not tell."""
+        tracker = self._config.tracker
+        if tracker.direction_noise is None:
+            return None
+        off = tracker.direction_noise / math.sqrt(AVERAGE * tracker.rate) * self._wobble.standard_normal(3)
+        axis = self._plant.rotation @ self.hidden.coil_axis
+        axis = axis + off - (off @ axis) * axis
+        return (MOUNT.rotation @ self.generator.rotation.T @ axis)[None]
 
     def said(self, place: Array) -> Array:
         """Where a coil at `place` (3,) is said to be by a tracker believed to stand at `MOUNT`, without noise [m]."""

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from core.calibration.coil_axis import CoilAxis
 from core.calibration.fit import Fit
 from core.calibration.force import SensorCalibration, WeightCheck
 from core.calibration.measurements import Measurement
@@ -15,11 +16,14 @@ from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.calibration.commission import AxesResult, LatencyResult
 from station.calibration.plan import Subject
-from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
+from station.calibration.procedures import SUSPICIOUS, ForceResult, TrackerResult, TubesResult
 
 Result = TrackerResult | ForceResult | TubesResult | AxesResult | LatencyResult
-#: Residuals of this many times the noise mean that the model is not the robot.
-SUSPICIOUS = 9.0
+#: Errors that are left at poses no fit has seen, as a part of those before, from which a calibration is not worth it.
+HARDLY = 0.7
+NOT_THIS_MODEL = (
+    "no tubes of this model are the robot (friction between stiff tubes, or a wrong description); do not use robot.toml"
+)
 
 
 class Row(NamedTuple):
@@ -46,13 +50,14 @@ def rows(result: Result, subject: Subject) -> list[Row]:
         late = result.latency
         return [Row("tracker later than it says", "0", f"{1e3 * late.latency:.1f}", f"{1.96e3 * late.error:.1f} ms")]
     if isinstance(result, TrackerResult):
-        return frame_rows(result.registration.fit, result.registration.frames)
+        return [*frame_rows(result.registration.fit, result.registration.frames), *_axis_rows(result.axis)]
     if isinstance(result, ForceResult):
         return _sensors(result.calibration, subject.robot)
     tubes = result.calibration
     return [
         *tube_rows(tubes, subject.robot),
         *frame_rows(tubes.fit, tubes.frames),
+        *_axis_rows(result.axis),
         *_sensors(result.sensors, subject.robot),
     ]
 
@@ -78,17 +83,20 @@ def findings(result: Result) -> list[str]:
         ]
         if found.fit.variance_factor > SUSPICIOUS:
             said.append("That is far more than the noise: the tubes differ from their description; calibrate them.")
-        return [*said, *_weak(found.fit)]
+        return [*said, *_axis_said(result.axis), *_weak(found.fit)]
     if isinstance(result, ForceResult):
         return [*_checks(result.checks), *_unseen(result.calibration.fit)]
     loaded = result.held_out_loaded
+    hardly = float(loaded.after.mean()) > HARDLY * float(result.held_out_believed.mean())
     return [
         f"Loaded measurements that no fit has seen: {1e3 * float(result.held_out_believed.mean()):.2f} mm mean as"
         f" believed before, {1e3 * float(loaded.before.mean()):.2f} mm with the described tubes in the best frames for"
         f" them, {1e3 * float(loaded.after.mean()):.3f} mm calibrated.",
+        *([f"That is hardly better than before: {NOT_THIS_MODEL}."] if hardly else []),
         f"{_rms_mm(result.calibration.errors):.3f} mm RMS at the measurements of the fit,"
         f" {result.calibration.fit.variance_factor:.2f} of the variance that the noise lets expect.",
         *_checks(result.checks),
+        *_axis_said(result.axis),
         *_weak(result.calibration.fit),
         *_unseen(result.sensors.fit),
     ]
@@ -103,6 +111,7 @@ def numbers(result: Result, subject: Subject) -> dict[str, Any]:
     if isinstance(result, TrackerResult):
         summary |= {"rms_m": result.registration.rms, "held_out_mean_m": float(result.registration.held_out.mean())}
         summary["parameters"] = _parameters(result.registration.fit)
+        summary |= _axis_numbers(result.axis)
     elif isinstance(result, ForceResult):
         summary["parameters"] = _parameters(result.calibration.fit)
         summary["weights"] = _weights(result.checks)
@@ -116,6 +125,7 @@ def numbers(result: Result, subject: Subject) -> dict[str, Any]:
             "described_tubes_best_frames": float(result.held_out_loaded.before.mean()),
             "calibrated": float(result.held_out_loaded.after.mean()),
         }
+        summary |= _axis_numbers(result.axis)
     elif isinstance(result, AxesResult):
         summary["signs"] = dict(zip([j.name for j in subject.robot.joints], result.signs.signs.tolist(), strict=True))
     else:
@@ -132,6 +142,7 @@ def recorded(measurements: Sequence[Measurement]) -> list[dict[str, Any]]:
             "coil": measurement.coil.tolist(),
             "wrenches": measurement.wrenches.tolist(),
             "weight": measurement.weight,
+            **({} if measurement.axes is None else {"coil_axis": measurement.axes[-1].tolist()}),
         }
         for measurement in measurements
     ]
@@ -188,6 +199,24 @@ def frame_rows(fit: Fit, frames: Frames) -> list[Row]:
     return found
 
 
+def _axis_rows(axis: CoilAxis | None) -> list[Row]:
+    """How the coil leans towards x and y of the tip; the mean of many poses is no surer: the model's error is in it."""
+    if axis is None or axis.refused:
+        return []
+    half = f"{math.degrees(1.96 * axis.spread):.2g} deg"
+    lean = [math.degrees(math.atan2(part, axis.direction[2])) for part in axis.direction[:2]]
+    return [Row(f"coil leans to {to}", "0", f"{angle:.2f}", half) for to, angle in zip("xy", lean, strict=True)]
+
+
+def _axis_said(axis: CoilAxis | None) -> list[str]:
+    if axis is None:
+        return ["The tracker does not tell where the coil points; the tip's direction cannot be measured."]
+    by = f"{math.degrees(axis.askew):.2f} deg from the tip's"
+    if axis.refused:
+        return [f"The coil's axis seems {by}, which is not used: {axis.refused}."]
+    return [f"The coil's axis is {by}; single poses say so within {math.degrees(axis.spread):.2f} deg."]
+
+
 def _sensors(found: SensorCalibration, robot: Robot) -> list[Row]:
     listed: list[Row] = []
     for i, tube in enumerate(robot.tubes):
@@ -225,6 +254,12 @@ def _parameters(fit: Fit) -> Mapping[str, Mapping[str, Any]]:
         p.name: {"value": float(value), "standard_deviation": float(error), "unit": p.unit}
         for p, value, error in zip(fit.parameters, fit.values, fit.errors, strict=True)
     }
+
+
+def _axis_numbers(axis: CoilAxis | None) -> dict[str, Any]:
+    if axis is None or axis.refused:
+        return {}
+    return {"coil_axis": axis.direction.tolist(), "coil_axis_spread_rad": axis.spread}
 
 
 def _weights(checks: Sequence[tuple[float, WeightCheck]]) -> list[dict[str, float]]:

@@ -4,6 +4,7 @@ The same in virtual time and on a running station.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -45,7 +46,8 @@ def still(joints: int) -> Sway:
 
 
 def task(step: GoTo | Swing, controller: Controller) -> Task:
-    """A measurement ends with the rest before its motion, a swing begins there."""
+    """A measurement ends with the rest before its motion, a swing begins there; where the coil points is recorded."""
+    controller = replace(controller, watches=True)
     if isinstance(step, GoTo):
         return Task(controller, still(len(step.joints)), 0.0, step.joints, MARGINS)
     return Task(controller, Sway(step.amplitudes, step.period), step.duration, margins=MARGINS)
@@ -77,7 +79,7 @@ def measured(
     if len(frames) == 0:
         raise AbortedError("no tracker frame while the robot rested; is the coil inside the tracker's volume?")
     times, joints = channels.of(counted, "time")[:, 0], channels.of(counted, "joints")
-    coils = _coils(channels, frames, controller)
+    coils, axes = _coils(channels, frames, controller)
     if isinstance(step, Swing):
         seen = channels.of(frames, "tip_time")[:, 0]
         # The first frames were measured before the swing began.
@@ -85,17 +87,27 @@ def measured(
         return Swung(times, joints, seen[inside], coils[inside])
     wrenches = channels.of(counted, "wrench_raw").mean(axis=0).reshape(-1, 6)
     came = np.sign(joints[-1] - before)
-    return Measurement(float(times.mean()), joints[-1].copy(), coils.mean(axis=0), wrenches, step.weight, came)
+    axis = None
+    if axes.any():
+        mean = axes.mean(axis=0)
+        axis = (mean / float(np.linalg.norm(mean)))[None]
+    return Measurement(float(times.mean()), joints[-1].copy(), coils.mean(axis=0), wrenches, step.weight, came, axis)
 
 
-def _coils(channels: Channels, frames: Array, controller: Controller) -> Array:
-    """Where the coil was (k, 3) [m]: a calibration that is in use has led the controller from there to the tip."""
-    tips, known = channels.of(frames, "tip_measured"), controller.corrections
-    if known is None or not known.coil.any():
-        return tips
+def _coils(channels: Channels, frames: Array, controller: Controller) -> tuple[Array, Array]:
+    """Where the coil was (k, 3) [m], and its axis (k, 3), zeros where the tracker does not tell.
+
+    A calibration that is in use has led the controller from there to the tip.
+    """
+    tips, directions = channels.of(frames, "tip_measured"), channels.of(frames, "direction_measured")
+    known = controller.corrections
+    if known is None or not (known.coil.any() or known.axis is not None):
+        return tips, directions
     forces = channels.of(frames, "force")
     loads = np.column_stack((forces, np.zeros_like(forces)))
-    return tips + solve_many(controller.statics, channels.of(frames, "joints"), loads).complete().rotation @ known.coil
+    turns = solve_many(controller.statics, channels.of(frames, "joints"), loads).complete().rotation
+    axes = [known.coil_axis(direction, turn) for direction, turn in zip(directions, turns, strict=True)]
+    return tips + turns @ known.coil, np.array(axes)
 
 
 def _period(times: Array) -> float:

@@ -6,9 +6,13 @@ import sys
 import time
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from station.cli.options import between, progress_bar, results_of, seed, tell
+
+if TYPE_CHECKING:
+    from core.robot.robot import Array
+    from station.config.robots import RobotFile
 
 PROCEDURES = {
     "axes": "which way each axis runs, and the tubes' zero angles roughly",
@@ -118,13 +122,31 @@ def _carried_out(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[An
             return static_lab.carry_out(procedure, bench, progress), bench.time
         clock = RealClock() if parsed.realtime else VirtualClock()
         result = headless.carry_out(procedure, subject, lab, parsed.seed, clock, progress)
-        measurements = getattr(result, "measurements", ())
-        return result, measurements[-1].time if measurements else 0.0
+        # A latency is of one swing, everything else of measurements.
+        return result, result.time if parsed.what == "latency" else result.measurements[-1].time
 
 
-def robot_start(robot: Any) -> Any:
-    """Where a robot rests before it is calibrated (n,): the paper's start, or the middle of each travel."""
+def robot_start(robot: "RobotFile") -> "Array":
+    """Where a robot rests before it is calibrated (n,): its working pose, or the middle of each travel [rad or m].
+
+    Raises:
+        ConfigError: it has no working pose, and cannot stand in the middle of its travel.
+    """
     import numpy as np
 
-    usual = {"outer_rotation": 0.0, "inner_rotation": np.pi / 2, "inner_translation": -0.100}
-    return np.array([usual.get(joint.name, 0.5 * (joint.lower + joint.upper)) for joint in robot.joints])
+    from core.errors import CtrError
+    from station.config.robots import named_pose
+    from station.config.strict import ConfigError
+
+    if robot.working_pose is not None:
+        return named_pose(robot.working_pose, robot, "working_pose")
+    middle = np.array([0.5 * (joint.lower + joint.upper) for joint in robot.joints])
+    try:
+        robot.limits().check(middle)
+        robot.robot().check_pose(middle)
+    except CtrError as error:
+        raise ConfigError(
+            f"robot '{robot.name}' has no working_pose to begin at, and cannot stand in the middle of its travel"
+            f" ({error}): add one to its file"
+        ) from None
+    return middle

@@ -1,5 +1,6 @@
 """What earlier calibrations have found of a bench, read back for a run or a station."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from core.calibration.rigid import rotation_of, vector_of
 from core.control.corrections import Corrections
 from core.control.sensors import Sensors
 from core.control.step import Controller
-from core.robot.robot import Robot
+from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile, load_robot
 from station.config.strict import ConfigError, Format, NotNegative, Row, Strict, Vector, check, read_toml
 from station.devices.aurora.tracker import Registration
@@ -34,6 +35,8 @@ class RegistrationFile(Strict):
     """the other part of that motion [m]"""
     coil: Vector = (0.0, 0.0, 0.0)
     """of the coil in the frame of the innermost tube's tip [m]"""
+    axis: Vector | None = None
+    """of the coil in that frame, unit vector; none: it points where the tip does"""
     rms_error: NotNegative
     """between coil and model at the poses it was made from [m]"""
     rotation_interval: Vector
@@ -97,16 +100,17 @@ class Calibration:
         file = load_robot(str(own)) if own.is_file() else described
         _of_robot(file.name, described.name, own)
         robot = file.robot()
-        registration, coil = None, np.zeros(3)
+        registration, coil, axis = None, np.zeros(3), None
         if frames.is_file():
             known = check(RegistrationFile, read_toml(frames), str(frames))
             _of_robot(known.robot, robot.name, frames)
             registration = Registration(rotation_of(np.array(known.rotation_vector)), np.array(known.position))
             coil = np.array(known.coil)
+            axis = None if known.axis is None else _axis(known.axis, frames)
         found = Sensors.ideal(len(robot.tubes))
         if sensors.is_file():
             found = _sensors(check(SensorsFile, read_toml(sensors), str(sensors)), robot, sensors)
-        return cls(file, registration, Corrections(found, coil), folder)
+        return cls(file, registration, Corrections(found, coil, axis), folder)
 
     @property
     def mount(self) -> dict[str, list[float]] | None:
@@ -119,6 +123,15 @@ class Calibration:
     def applied(self, controller: Controller) -> Controller:
         """The controller that takes coil and sensors into account."""
         return replace(controller, corrections=self.corrections)
+
+
+def _axis(axis: tuple[float, float, float], path: Path) -> Array:
+    length = math.hypot(*axis)
+    if abs(length - 1.0) > 1e-3 or axis[2] <= 0.0:
+        raise ConfigError(
+            f"{path}: axis {list(axis)} must be of length 1 and less than 90 deg from the tip's, which is [0, 0, 1]"
+        )
+    return np.array(axis) / length
 
 
 def _sensors(file: SensorsFile, robot: Robot, path: Path) -> Sensors:

@@ -183,7 +183,7 @@ class ControlLoop:
         """
         if self._jog is not None and self._jog.renew(space, velocity, now):
             return
-        pointed = None if self._memory is None else self._memory.pointed
+        pointed = None if self._memory is None or not self.controller.aim.lever else self._memory.pointed
         if space == "direction" and pointed is None:
             raise RefusedError(NOT_POINTED)
         self.request(Event.START)

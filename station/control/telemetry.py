@@ -132,7 +132,8 @@ class Channels:
 def _point(directions: Array, tick: Tick, pointed: Pointed) -> None:
     """Put the tip's direction as measured, observed and desired into (12,)."""
     wanted = tick.setpoint.direction
-    directions[:3], directions[3:6] = pointed.measured, pointed.observed
+    directions[:3] = pointed.measured if pointed.seen else 0.0
+    directions[3:6] = pointed.observed
     directions[6:9] = pointed.origin if wanted is None else wanted
 
 

@@ -124,6 +124,8 @@ class HiddenConfig(Strict):
     """by how much it is turned against that [rad]"""
     coil_offset: Vector = (0.0, 0.0, 0.0)
     """of the coil from the tip, in the frame of the innermost tube's tip [m]"""
+    coil_askew: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """by which angle the coil's axis is turned against the tip's [rad]"""
     base_position: NotNegative = 0.0
     """by how much the plate stands elsewhere than the robot's file says [m]"""
     base_rotation: NotNegative = 0.0

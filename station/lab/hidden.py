@@ -32,6 +32,11 @@ class Hidden:
         )
         self._base = Base(tuple((config.base_position * shift).tolist()), tuple((config.base_rotation * tilt).tolist()))
         self.coil = np.array(config.coil_offset)  #: (3,) in the frame of the tip [m]
+        self.askew = config.coil_askew > 0.0  #: the coil's axis is not the tip's
+        # From a stream of its own, so that the rest is the same with and without.
+        about = float(rng.spawn(1)[0].uniform(-math.pi, math.pi))
+        turn = rotation_of(config.coil_askew * np.array([math.cos(about), math.sin(about), 0.0]))
+        self.coil_axis: Array = turn[:, 2].copy()  #: (3,) in the frame of the tip
         self.late = config.tracker_latency  #: on top of what the tracker is said to have [s]
         random = rng.uniform(-1.0, 1.0, len(joints))
         turns = np.array([joint.motion == "rotation" for joint in joints])

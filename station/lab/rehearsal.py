@@ -1,5 +1,7 @@
 """A station's tick rehearsed on a bench in memory, so that nothing is compiled when it counts."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from core.control.leading import BOUNDS, LedTip
@@ -30,6 +32,8 @@ def rehearse(robot: RobotFile, config: LabConfig, seed: int, park: tuple[float, 
     memory = begin(controller, still)
     for order in (Setpoint(np.zeros(3), np.zeros(3)), JointMotion(np.zeros_like(joints)), None):
         memory = step(controller, memory, still, order).memory
+    for _ in range(2):  # a calibration looks at the direction, controlled or not
+        memory = step(replace(controller, watches=True), memory, still, None).memory
     LedTip(BOUNDS).advance(0.0, None, PERIOD)
     # The drivers, too: what a first frame or record compiled later would look like a dead device.
     lab, devices = virtual_bench(robot, config, seed, joints)

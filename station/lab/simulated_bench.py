@@ -168,7 +168,7 @@ class SimulatedBench:
         except (PoseError, NoSolution) as error:
             # A bench goes on: the robot stays as it was until the stages are back where it can stand.
             self.trouble = str(error)
-        axis = self.truth.direction if self._tells_axis else None
+        axis = self._coil_axis() if self._tells_axis else None
         self.aurora.advance(self.time, now, before, self._coil_at, axis, self._move_target(now))
         aurora_wire.pump(self._wires.aurora, self.aurora, now)
         for number, box in enumerate(self.boxes):
@@ -189,6 +189,10 @@ class SimulatedBench:
         if not self._off_tip:
             return self.truth.tip
         return self.truth.tip + self._plant.rotation @ self.hidden.coil
+
+    def _coil_axis(self) -> Array | None:
+        """Where it points (3,), world frame."""
+        return self._plant.rotation @ self.hidden.coil_axis if self.hidden.askew else self.truth.direction
 
 
 def _unit(setup: StageSetup, place: float, homed: bool) -> Unit:

@@ -8,6 +8,7 @@ from core.calibration.quantities import quantities
 from core.errors import Unreachable
 from core.model.statics import Statics
 from core.robot.limits import Limits, Workspace
+from station.config.robots import load_robot
 from tests.harness.visited import NOISE
 
 START = np.array([0.0, 1.5, -0.1])
@@ -35,6 +36,19 @@ def test_candidates_are_inside_all_limits(paper_robot, paper_limits):
         tip = model.solve(joints, np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])).tip
         assert tip[0] >= -0.02
         assert tip[2] <= 0.22
+
+
+def test_tubes_keep_their_ends_apart_where_a_fit_may_move_them():
+    file = load_robot("balanced_pair")
+    robot, rest = file.robot(), file.working_pose
+    assert rest is not None
+    pose = np.array([rest[joint.name] for joint in file.joints])
+    ends = robot.tube_poses(pose)[1] + np.array([tube.length for tube in robot.tubes])
+    poses = np.array([pose, pose])
+    for row, left in zip(poses, (1.4e-3, 1.6e-3), strict=True):
+        row[3] += ends[1] - ends[2] - left  # the outer tube, out to so little before the middle one's end
+
+    assert possible(Statics(robot), file.limits(), poses, REST).tolist() == [False, True]
 
 
 def test_the_chosen_poses_tell_more_than_as_many_at_random(paper_robot, paper_limits):

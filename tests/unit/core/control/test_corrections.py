@@ -1,4 +1,4 @@
-"""Corrections in the tick: an off-set coil and askew sensors lead to the estimates of ideal ones."""
+"""Corrections in the tick: a coil that is off and askew and askew sensors lead to the estimates of ideal ones."""
 
 from dataclasses import replace
 
@@ -68,3 +68,50 @@ def test_a_tare_leaves_in_what_hangs_on_the_sensors(controller, paper_robot):
     left = offset + sensors.hanging(paper_robot.tube_poses(there)[0]) - tare
     alpha = paper_robot.tube_poses(there)[0]
     np.testing.assert_allclose(corrected.corrections.wrenches(left, alpha), np.zeros((2, 6)), rtol=0, atol=1e-12)
+
+
+AXIS = Rotation.from_euler("zy", [50.0, 3.0], degrees=True).apply([0.0, 0.0, 1.0])
+TIP = Rotation.from_euler("xyz", [140.0, 35.0, -75.0], degrees=True)
+
+
+def test_the_axis_of_a_coil_askew_is_led_to_the_tips():
+    corrections = Corrections(Sensors.ideal(2), axis=AXIS)
+
+    direction = corrections.direction(TIP.apply(AXIS), TIP.as_matrix())
+
+    np.testing.assert_allclose(direction, TIP.apply([0.0, 0.0, 1.0]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(corrections.coil_axis(direction, TIP.as_matrix()), TIP.apply(AXIS), rtol=0, atol=1e-12)
+
+
+def test_of_an_error_of_the_models_frame_only_the_coils_lean_is_left():
+    """Six degrees of error about any axis, three of lean: at most their product gets into the direction."""
+    corrections, errors = Corrections(Sensors.ideal(2), axis=AXIS), np.random.default_rng(5).standard_normal((20, 3))
+    for error in errors:
+        wrong = Rotation.from_rotvec(np.radians(6.0) * error / np.linalg.norm(error)) * TIP
+        direction = corrections.direction(TIP.apply(AXIS), wrong.as_matrix())
+        angle = np.arccos(min(direction @ TIP.apply([0.0, 0.0, 1.0]), 1.0))
+        assert angle < 1.05 * np.radians(6.0) * np.radians(3.0)
+
+
+def test_without_a_known_axis_the_measured_one_is_the_tips():
+    measured = TIP.apply(AXIS)
+    assert Corrections(Sensors.ideal(2)).direction(measured, TIP.as_matrix()) is measured
+
+
+def test_the_tick_looks_at_the_direction_only_where_somebody_asks_and_corrected(controller):
+    pose = controller.statics.solve(JOINTS, np.r_[FORCE, np.zeros(3)])
+    corrected = replace(controller, corrections=Corrections(Sensors.ideal(2), axis=AXIS))
+    sample = Sample(JOINTS, np.zeros(3), at_bases(pose.tip), pose.tip, direction=pose.rotation @ AXIS)
+
+    plain = step(corrected, begin(corrected, sample), sample, None)
+    watching = replace(corrected, watches=True)
+    watched = step(watching, begin(watching, sample), sample, None)
+
+    assert plain.memory.pointed is None
+    assert watched.memory.pointed is not None
+    assert watched.memory.pointed.seen
+    np.testing.assert_allclose(watched.memory.pointed.measured, pose.rotation[:, 2], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(watched.command, plain.command)
+    untold = step(watching, begin(watching, sample), sample._replace(direction=None), None)
+    assert untold.memory.pointed is not None
+    assert not untold.memory.pointed.seen

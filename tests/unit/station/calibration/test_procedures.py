@@ -17,6 +17,7 @@ from station.calibration import commission, procedures
 from station.calibration.outcome import Provenance, write_all
 from station.calibration.plan import Subject
 from station.calibration.static_lab import StaticLab, carry_out
+from station.calibration.summary import findings
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
 from station.control.known_calibration import Calibration
@@ -70,6 +71,29 @@ def test_targets_on_the_path_of_fig10_are_registered_to_a_tenth_of_a_millimetre(
 def test_loaded_poses_that_no_fit_has_seen_are_predicted_at_least_four_times_better(found):
     assert found.held_out_believed.mean() > 4.0 * found.held_out_loaded.after.mean()
     assert found.held_out_loaded.after.mean() < 0.2e-3
+
+
+def test_a_calibration_that_is_hardly_better_than_none_says_so(found):
+    assert not any("hardly better" in sentence for sentence in findings(found))
+    poor = found._replace(held_out_believed=1.2 * found.held_out_loaded.after)
+    assert any("hardly better than before" in sentence for sentence in findings(poor))
+
+
+def test_the_axis_of_the_coil_is_found_and_read_back(subject, bench, found, folder):
+    assert found.axis is not None
+    assert math.degrees(math.acos(bench.hidden.coil_axis[2])) == pytest.approx(3.0, abs=0.01)
+    assert math.degrees(math.acos(min(float(found.axis.direction @ bench.hidden.coil_axis), 1.0))) < 0.3
+    axis = Calibration.load(folder, subject.file).corrections.axis
+    np.testing.assert_allclose(axis, found.axis.direction, rtol=0, atol=1e-8)
+
+
+def test_a_coils_axis_that_cannot_be_is_refused_with_the_file(subject, folder, tmp_path):
+    text = (folder / "registration.toml").read_text(encoding="utf-8")
+    lines = ["axis = [0.0, 0.0, -1.0]" if line.startswith("axis = ") else line for line in text.splitlines()]
+    (tmp_path / "registration.toml").write_text("\n".join(lines), encoding="utf-8")
+
+    with pytest.raises(ConfigError, match=r"registration\.toml: axis .* less than 90 deg from the tip's"):
+        Calibration.load(tmp_path, subject.file)
 
 
 def test_known_weights_come_out(found):

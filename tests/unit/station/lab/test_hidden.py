@@ -34,6 +34,7 @@ def test_nothing_is_hidden_by_default(paper, hidden):
     assert nothing.robot(paper.robot()) == paper.robot()
     np.testing.assert_array_equal(nothing.mount(MOUNT).rotation, MOUNT.rotation)
     np.testing.assert_array_equal(nothing.mount(MOUNT).position, MOUNT.position)
+    np.testing.assert_array_equal(nothing.coil_axis, [0.0, 0.0, 1.0])
     assert nothing.felt_as_is
     np.testing.assert_allclose(nothing.felt(wrenches, START), wrenches, atol=1e-15)
     assert nothing.tracker(LabConfig().tracker) == LabConfig().tracker
@@ -49,6 +50,18 @@ def test_sizes_are_the_configured_ones_and_directions_the_seeds(hidden):
         assert np.linalg.norm(shift) == pytest.approx(0.3e-3)
     np.testing.assert_array_equal(first.mount(MOUNT).rotation, again.mount(MOUNT).rotation)
     assert not np.allclose(first.mount(MOUNT).rotation, other.mount(MOUNT).rotation, atol=1e-5)
+
+
+def test_a_coil_askew_leans_by_so_much_and_changes_nothing_else(hidden):
+    plain, askew, other = hidden(), *(hidden(ALL.model_copy(update={"coil_askew": 0.05}), seed) for seed in (0, 1))
+
+    for each in (askew, other):
+        assert math.acos(each.coil_axis[2]) == pytest.approx(0.05)
+    assert not np.allclose(askew.coil_axis, other.coil_axis, atol=1e-3)
+    np.testing.assert_array_equal(askew.joints(START), plain.joints(START))
+    np.testing.assert_array_equal(askew.mount(MOUNT).rotation, plain.mount(MOUNT).rotation)
+    wrenches = np.ones((2, 6))
+    np.testing.assert_array_equal(askew.felt(wrenches, START), plain.felt(wrenches, START))
 
 
 def test_a_mirrored_stage_runs_the_other_way_about_the_middle_of_its_travel(paper, hidden):

@@ -71,6 +71,25 @@ def test_the_coil_of_a_calibration_in_use_is_taken_out_of_what_is_measured(paper
     np.testing.assert_allclose(second.coil, first.coil, rtol=0, atol=20e-6)  # the frames' own mean is as sure
 
 
+def test_the_axis_of_the_coil_is_what_the_tracker_says_whatever_calibration_is_in_use(paper):
+    plain, step = BEST.controller(paper), GoTo(START, 0.0, 0.0)
+    axis = np.array([0.03, -0.04, np.sqrt(1.0 - 0.0025)])
+    known = replace(plain, corrections=Corrections(Sensors.ideal(2), axis=axis))
+    (loop, rows), (_, corrected) = rows_of(step, plain, paper), rows_of(step, known, paper)
+
+    first = measured(loop.channels, rows, step, START, plain)
+    second = measured(loop.channels, corrected, step, START, known)
+
+    shown = [loop.channels.of(each, "direction_measured")[-1] for each in (rows, corrected)]
+    assert np.arccos(shown[0] @ shown[1]) == pytest.approx(0.05, rel=0.05)
+    assert first.axes is not None
+    assert first.axes.shape == (1, 3)
+    np.testing.assert_allclose(second.axes, first.axes, rtol=0, atol=2e-4)
+    untold = rows.copy()
+    loop.channels.of(untold, "direction_measured")[:] = 0.0
+    assert measured(loop.channels, untold, step, START, plain).axes is None
+
+
 def test_a_swing_is_everything_that_was_seen_in_it(paper):
     controller, step = BEST.controller(paper), Swing(np.array([0.1, 0.1, 0.003]), 4.0, 4.0, 0.0)
     loop, rows = rows_of(step, controller, paper)

@@ -17,6 +17,13 @@ def test_the_command_writes_its_folder_and_says_where(call, tmp_path):
     assert folder.name in done.out
 
 
+def test_the_latency_command_says_how_long_it_was_on_the_bench(call):
+    done = call("calibrate", "latency", "--out", "found", "--json")
+
+    assert done.status == 0, done.err
+    assert 20.0 < json.loads(done.out)["robot_s"] < 30.0
+
+
 def test_the_axes_command_finds_a_mirrored_stage_on_the_wire(call, write):
     lab = write('[hidden]\nmirrored = ["inner_rotation"]\n', "mirrored")
 

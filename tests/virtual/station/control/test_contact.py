@@ -100,3 +100,41 @@ def test_too_few_rows_say_nothing(recorded):
     run = recorded('kind = "none"')
 
     assert look(Statics(load_robot("paper").robot()), run.channels, run.rows[:5]) is None
+
+
+SIX = """
+title = "resting"
+robot = "balanced_pair"
+lab = "pointing"
+start = {{ outer_rotation = 0.0, middle_rotation = 1.5707963267948966, inner_rotation = 4.15, outer_translation = -0.026, middle_translation = -0.083, inner_translation = -0.155 }}
+duration = 2.0
+settling = 0.0
+[trajectory]
+kind = "joint_sweep"
+joint = "inner_rotation"
+speed = 0.0001
+distance = 0.0001
+[load]
+kind = "contact"
+magnitude = 0.3
+place = {place:g}
+direction = [0.0, 1.0, 0.3]
+"""  # noqa: E501
+
+
+@pytest.mark.parametrize("place", [0.10, 0.22])
+def test_a_contact_on_three_tubes_is_found_from_three_sensors(tmp_path, place):
+    """On the pair, and on the tube that is out of it alone."""
+    path = tmp_path / "own.toml"
+    path.write_text(SIX.format(place=place), encoding="utf-8")
+    run = a_run(load_experiment(str(path)).cases[0])
+
+    touch = look(Statics(load_robot("balanced_pair").robot()), run.channels, run.rows[-300:])
+
+    assert touch is not None
+    assert not touch.tip.holds
+    assert touch.contact is not None
+    assert touch.contact.located, touch.contact.note
+    assert touch.contact.place == pytest.approx(place, abs=10e-3)
+    assert any(start - 1e-3 <= place <= end + 1e-3 for start, end in touch.contact.intervals)
+    np.testing.assert_allclose(np.linalg.norm(touch.force), 0.3, atol=0.02)
