@@ -19,7 +19,6 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import ValidationError
 from starlette.types import Message
 
-from core.control.inverse import SIGMA_FLOOR
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.control.ring import PHASE, RUN, STATE
@@ -220,8 +219,8 @@ def _held_back(service: StationService, run: Run, row: Array) -> str:
     """What keeps the tip from where it is asked to be, in words; empty when nothing does."""
     of = service.supervisor.channels.of
     sigma = float(of(row, "sigma")[-1])
-    singular = [f"singular pose, sigma {1e3 * sigma:.2g} of {1e3 * SIGMA_FLOOR:g} mm/s"] * (sigma < SIGMA_FLOOR)
-    limits = run.start.task.controller.limits
+    limits, floor = run.start.task.controller.limits, run.start.task.controller.aim.floor
+    singular = [f"singular pose, sigma {1e3 * sigma:.2g} of {1e3 * floor:g} mm/s"] * (sigma < floor)
     return ", ".join((*singular, *limits.active(of(row, "joints"), of(row, "at_bound"), np.zeros(0))))
 
 
