@@ -40,7 +40,7 @@ OFFERS: Mapping[str, Offer] = {
     "axes": Offer(
         "Axes",
         "First on a new bench: each joint moves a little either way, and the tracker tells which way it really went.",
-        "", 87.0, 0.0, False, lambda subject, _: commission.axes(subject),
+        "", 115.0, 0.0, False, lambda subject, _: commission.axes(subject),
     ),
     "latency": Offer(
         "Latency",
@@ -50,7 +50,7 @@ OFFERS: Mapping[str, Offer] = {
     "tracker": Offer(
         "Tracker",
         "After the field generator or the coil was moved: where both are, from poses all over the workspace.",
-        "", 265.0, 0.0, True, procedures.tracker,
+        "", 320.0, 0.0, True, procedures.tracker,
     ),
     "force": Offer(
         "Force sensors",
@@ -61,7 +61,7 @@ OFFERS: Mapping[str, Offer] = {
         "Tubes, tracker and sensors",
         "The whole: stiffness, curvature, lengths and zeros of the tubes, jointly with tracker, coil and sensors.",
         "known weights, a way to hang them at the tip, and a caliper: the coil's middle at the tip to 0.3 mm",
-        1150.0, 410.0, True, procedures.tubes,
+        1290.0, 410.0, True, procedures.tubes,
     ),
 }  # fmt: skip
 
