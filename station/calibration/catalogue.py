@@ -61,7 +61,7 @@ OFFERS: Mapping[str, Offer] = {
         "Tubes, tracker and sensors",
         "The whole: stiffness, curvature, lengths and zeros of the tubes, jointly with tracker, coil and sensors.",
         "known weights, a way to hang them at the tip, and a caliper: the coil's middle at the tip to 0.3 mm",
-        1290.0, 410.0, True, procedures.tubes,
+        1150.0, 410.0, True, procedures.tubes,
     ),
 }  # fmt: skip
 
