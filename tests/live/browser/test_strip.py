@@ -13,7 +13,7 @@ HELD = {
 CELL = "(nth) => document.querySelectorAll('#strip output')[nth].textContent"
 NUMBER = f"(nth) => /^[0-9.]+ m?[mN]$/.test(({CELL})(nth))"
 EMPTY = f"(nth) => !/[0-9]/.test(({CELL})(nth))"
-ERROR, FORCE, DEFLECTION, LEFT = range(4)
+ERROR, _, FORCE, DEFLECTION, LEFT = range(5)  # the second is of the direction, where one is asked for
 
 
 def test_numbers_while_it_moves_and_how_it_went_at_the_end(page: Page, station: Served) -> None:
