@@ -84,12 +84,21 @@ class Pointed(NamedTuple):
         """(3,) the best estimate of the direction now."""
         return self.numbers[:3]
 
+    @property
+    def ahead(self) -> Array:
+        """(3,) the same when a command of now takes effect."""
+        return self.numbers[3:6]
+
+    @property
+    def turnings(self) -> Array:
+        """(3, 3) by the load C w', that and (J(q, w) - J(q, 0)) q', and by what the model does not know of [rad/s]."""
+        return self.numbers[6:15].reshape(3, 3)
+
 
 class _Numbers(NamedTuple):
     """Views of the numbers of `Pointed`."""
 
-    now: Array  #: (5, 3): direction observed, and when a command of now takes effect; turning by the load C w', that
-    #: and (J(q, w) - J(q, 0)) q', and by what the model does not know of [rad/s]
+    now: Array  #: (5, 3) `observed`, `ahead` and `turnings`
     bias: Array  #: (3,) of the arrow's head, tracker minus model [m]
     drift: Array  #: (3,) its rate [m/s]
     covariance: Array  #: (3,) as of the observer
@@ -187,8 +196,8 @@ def told(pointed: Pointed, wanted: Array | None, turning: Array, observes: bool)
     """
     numbers = np.empty((6, 3))
     numbers[0], numbers[1] = pointed.origin if wanted is None else wanted, turning
-    numbers[2] = pointed.numbers[3:6] if observes else pointed.measured
-    numbers[3:] = pointed.numbers[6:15].reshape(3, 3)
+    numbers[2] = pointed.ahead if observes else pointed.measured
+    numbers[3:] = pointed.turnings
     return numbers
 
 

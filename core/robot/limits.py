@@ -224,7 +224,7 @@ class TubeOrder:
 
     def rows(self, at: Situation) -> tuple[Array, Array]:
         """Each pair closes in on the other ever more slowly, as far as `APART`."""
-        return self.matrix, _room(self.matrix, self.bound - APART, at.joints, APPROACH)
+        return self.matrix, _room(self.matrix, self.bound, at.joints)
 
     def check(self, at: Situation) -> None:
         """Raise PoseError for the first pair out of order."""
@@ -297,14 +297,14 @@ class ForceLimit:
 
 
 @compiled
-def _room(matrix: Array, bound: Array, joints: Array, approach: float) -> Array:
-    """What is left of matrix @ joints <= bound, none below zero, over `approach`."""
+def _room(matrix: Array, bound: Array, joints: Array) -> Array:
+    """What is left of matrix @ joints <= bound - `APART`, none below zero, over `APPROACH`."""
     room = np.empty(bound.shape[0])
     for i in range(bound.shape[0]):
-        left = bound[i]
+        left = bound[i] - APART
         for j in range(joints.shape[0]):
             left -= matrix[i, j] * joints[j]
-        room[i] = max(left, 0.0) / approach
+        room[i] = max(left, 0.0) / APPROACH
     return room
 
 

@@ -55,7 +55,7 @@ class ControllerFile(Strict):
     filter_bandwidth: float = 1.0
     """of the deflection's and the force's rate, greater than 0 and below 250 [Hz]"""
     observer_bandwidth: float | None = None
-    """of the model's bias, greater than 0 [Hz]; left out: 0.05 over the hold, so 2 Hz with three axes"""
+    """of the model's bias, greater than 0 [Hz]; left out: 0.05 over the hold, 2 Hz at most"""
     hold: float | None = None
     """between two commands to the same stage, planned for, 0 ... 1 [s]; left out: what one line of 9600 baud leaves
     each of the robot's axes, 0.025 s of three and 0.044 s of six"""

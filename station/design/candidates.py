@@ -27,7 +27,7 @@ class Candidates:
 
         Raises:
             ConfigError: another study is kept there.
-            RecordingError: somebody else searches there, or the disk does not take it.
+            RecordingError: somebody else searches there, the file is no list, or the disk does not take it.
 
         """
         self.path, self.lines = folder / NAME, dict[tuple[float, ...], Line]()
@@ -64,10 +64,7 @@ class Candidates:
         self.lines[tuple(line["parameters"])] = line
 
     def _begin(self, plan: Mapping[str, Any]) -> None:
-        data = self.path.read_bytes()
-        kept, self._file.length = whole_lines(self.path, data)
-        if not kept and b"\n" in data:
-            raise ConfigError(f"{self.path}: is no list of candidates; take another folder")
+        kept, self._file.length = whole_lines(self.path, self.path.read_bytes())
         try:
             self.lines = {tuple(line["parameters"]): line for line in kept[1:] if line["cost"] is not None}
         except (KeyError, TypeError):

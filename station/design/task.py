@@ -16,7 +16,6 @@ from core.control.inverse import inverse
 from core.errors import CtrError
 from core.model.solution import Solution
 from core.model.statics import Statics
-from core.robot.limits import At, TubeOrder
 from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.design.measures import dexterity, stiffness
@@ -124,7 +123,6 @@ class _Walker:
         self.points, self.forces = np.array(task.points), np.array(task.forces)
         self._lower, self._upper, self._speed = self.limits.packed[:3]
         # Only what the tubes themselves demand: a task's points lie where they lie.
-        self._order = next((limit for limit in self.limits.others if isinstance(limit, TubeOrder)), None)
 
     def starts(self) -> Iterator[Solution]:
         """Poses at the first point, or as near as it goes, each another one."""
@@ -150,10 +148,8 @@ class _Walker:
                     break
                 lower = np.maximum(self._lower - at.joints, -LONGEST * self._speed).clip(max=0.0)
                 upper = np.minimum(self._upper - at.joints, LONGEST * self._speed).clip(min=0.0)
-                rows, room = None, np.zeros(0)
-                if self._order is not None:
-                    rows, _ = self._order.rows(At(at.joints, at.jacobian[:3], at.tip, wrench[:3]))
-                    room = (self._order.bound - rows @ at.joints).clip(min=0.0)
+                rows, bound = self.limits.order
+                room = (bound - rows @ at.joints).clip(min=0.0)
                 found = inverse(at.jacobian[:3], way * min(1.0, STRIDE / away), self._speed, lower, upper, rows, room)
                 reasons = ", ".join(self.limits.active(at.joints, found.at_bound, found.at_row))
                 if np.abs(found.velocity / self._speed).max() < 1e-7:

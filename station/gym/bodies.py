@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from core.compiled import compiled
-from core.robot.limits import TubeOrder
 from core.robot.robot import Array, Indices, Robot, Section, Tube
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
@@ -48,7 +47,7 @@ class Bodies:
         limits = file.limits()
         self.lower, self.upper, speed = limits.packed[:3]
         self.stride: Array = setting.period * speed
-        self._order = next((limit for limit in limits.others if isinstance(limit, TubeOrder)), None)
+        self._order = limits.order
         self.slides = np.array([joint.motion == "translation" for joint in self.robot.joints])
         self._slides = self.slides.astype(np.int64)
         self._bounds: Array = np.array([self.lower, self.upper, self.stride])
@@ -80,7 +79,7 @@ class Bodies:
         upper = np.where(self.slides, self.upper, np.minimum(self.upper, np.pi))
         for _ in range(MOST_DRAWS):
             joints = random.uniform(lower, upper)
-            if self.robot.stands(joints) and (self._order is None or bool((self._room(joints[None]) >= 0.0).all())):
+            if self.robot.stands(joints) and bool((self._room(joints[None]) >= 0.0).all()):
                 return joints
         raise ConfigError(f"robot '{self.robot.name}': its tubes stand hardly anywhere in the travel of its joints")
 
@@ -95,7 +94,7 @@ class Bodies:
     def move(self, actions: Array) -> None:
         """Move all robots on by actions (k, n) for a period; one that would have no shape stays where it was."""
         to = _moved(self.joints, actions, self._bounds)
-        if self._order is not None:
+        if self._order[1].size:
             to = self._in_order(to)
         tips, lost = self.shapes.follow(to, self.wrenches)
         if lost:
@@ -119,9 +118,8 @@ class Bodies:
 
     def _room(self, joints: Array) -> Array:
         """What is left between the tubes (k, m) [m]."""
-        order = self._order
-        assert order is not None  # noqa: S101 - asked by whoever calls
-        return order.bound - RESERVE - joints @ order.matrix.T
+        matrix, bound = self._order
+        return bound - RESERVE - joints @ matrix.T
 
     def _in_order(self, to: Array) -> Array:
         """The translations stop, all of them, where tubes would get in each other's way."""

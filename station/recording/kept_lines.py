@@ -15,7 +15,7 @@ from station.recording.label import RecordingError
 
 
 class KeptLines:
-    """Such a file, locked until it is closed; `read` tells how long its whole lines are."""
+    """Such a file, locked until it is closed; whoever has read it says by `length` where its `whole_lines` end."""
 
     def __init__(self, path: Path, busy: str) -> None:
         """Open it, new if it is not there; `busy` says what another process that has it does.
@@ -60,7 +60,7 @@ def whole_lines(path: Path, data: bytes) -> tuple[list[Any], int]:
     """What the whole lines of a file's content say, and their length [bytes].
 
     Raises:
-        RecordingError: one before the last is no JSON.
+        RecordingError: one before the last, or the only one, is no JSON.
     """
     *lines, _ = data.split(b"\n")
     found: list[Any] = []
@@ -68,7 +68,7 @@ def whole_lines(path: Path, data: bytes) -> tuple[list[Any], int]:
         try:
             found.append(json.loads(line))
         except ValueError:
-            if number == len(lines):  # a computer that lost its power may leave anything there
+            if number == len(lines) > 1:  # a computer that lost its power may leave anything there
                 break
             raise RecordingError(f"{path}, line {number}: no JSON; repair it, or take another folder") from None
     return found, sum(len(line) + 1 for line in lines[: len(found)])

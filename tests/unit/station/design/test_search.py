@@ -102,6 +102,6 @@ def test_two_do_not_search_in_one_folder(study, tmp_path):
 
 def test_a_file_that_is_no_list_is_not_written_over(study, tmp_path):
     (tmp_path / "candidates.jsonl").write_text("notes\n")
-    with pytest.raises(ConfigError, match="is no list of candidates"):
+    with pytest.raises(RecordingError, match="line 1: no JSON"):
         Candidates(tmp_path, study)
     assert (tmp_path / "candidates.jsonl").read_text() == "notes\n"
