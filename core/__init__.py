@@ -1,1 +1,1 @@
-"""The mathematics of ctr-station."""
+"""Physics and control of ctr-station: no clock, thread, file or socket."""

@@ -1,10 +1,10 @@
-"""One way to compile: Numba with a cache on disk, typed like the function it compiles.
+"""Decorators that compile functions with Numba, cache the machine code on disk and keep the type annotations.
 
-The cache knows the sources of what a function names: one that calls a function or is given a type of another file is
-compiled anew when that file has changed.
+The cached code of a function depends on the sources of everything that the function names. A function that calls a
+function or uses a type of another file is recompiled when that file has changed.
 
-`error_model="numpy"` drops division checks inside loops. The fast-math flags let the compiler
-fuse and reorder but keep NaN and infinity meaningful, because the loop checks for them.
+`error_model="numpy"` drops division checks inside loops. The fast-math flags let the compiler fuse and reorder
+operations. The chosen flags keep NaN and infinity meaningful, because the control loop checks for them.
 """
 
 import hashlib
@@ -30,11 +30,12 @@ _OPTIONS: dict[str, Any] = {
     "fastmath": {"contract", "reassoc", "nsz", "arcp"},
 }
 
-#: The modules that each compiled function is made of.
+#: Names of the modules that each compiled function depends on; their sources are part of the cache key.
 _SOURCES: dict[Any, frozenset[str]] = {}
 
-#: `replaced(numbers, index, value)`: the tuple with one number changed. Compiled code only. Tuples of
-#: known length live in registers; an array would be memory that a loop over columns cannot prove its own.
+#: `replaced(numbers, index, value)` returns the tuple with one number changed. It works in compiled code only. Compiled
+#: code uses tuples of known length because they are kept in registers. An array would be memory that might alias
+#: another array, and the compiler could then not vectorise the loop.
 replaced = cast(Callable[[tuple[float, ...], int, float], tuple[float, ...]], cast(Any, numba_tuple).tuple_setitem)
 
 
@@ -44,32 +45,35 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """The same for a piece of a loop's body, so that the loop around it is still vectorised."""
+    """Compile a part of a loop's body and inline it, so that the surrounding loop is still vectorised."""
     return _compiled(function, forceinline=True)
 
 
 def unlocked(function: Callable[P, R]) -> Callable[P, R]:
-    """The same for a function that runs without Python's lock, so that threads call it side by side."""
+    """Compile a function that releases Python's lock (GIL), so that threads can call it concurrently."""
     return _compiled(function, nogil=True)
 
 
 def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     made = cast(Any, numba).njit(**options, **_OPTIONS)(function)
-    sources, values = _goes_into(function)
+    sources, values = _dependencies(function)
     _SOURCES[made] = sources
     digest = hashlib.sha256("".join((*map(_content, sorted(sources)), *values)).encode()).hexdigest()[:16]
-    # Numba keeps machine code until the function's own file changes, and would go on with that of a function which
-    # calls one, or is given a type, of another file that has changed: with numbers at their old places, for instance.
-    kept = made._cache
-    kept._cache_file = IndexDataCacheFile(kept.cache_path, f"{kept._impl.filename_base}-{digest}", digest)
+    # Numba reuses machine code until the function's own file changes. It would also reuse the code after a called
+    # function or a used type in another file has changed, for instance with array indices that are no longer valid. The
+    # digest in the file name prevents that.
+    disk_cache = made._cache
+    disk_cache._cache_file = IndexDataCacheFile(
+        disk_cache.cache_path, f"{disk_cache._impl.filename_base}-{digest}", digest
+    )
     return made
 
 
-def _goes_into(function: Callable[..., Any]) -> tuple[frozenset[str], list[str]]:
-    """The modules of all the code that a function is compiled from, and the constants that it names."""
-    code, here = function.__code__, function.__globals__
+def _dependencies(function: Callable[..., Any]) -> tuple[frozenset[str], list[str]]:
+    """Return the modules of all code that a function is compiled from, and the constants that it names."""
+    code, names = function.__code__, function.__globals__
     sources, values = {function.__module__}, list[str]()
-    named: list[Any] = [*map(here.get, code.co_names), *function.__annotations__.values()]
+    named: list[Any] = [*map(names.get, code.co_names), *function.__annotations__.values()]
     for one in named:
         if isinstance(one, Dispatcher):
             sources |= _SOURCES.get(one, frozenset())
@@ -82,12 +86,12 @@ def _goes_into(function: Callable[..., Any]) -> tuple[frozenset[str], list[str]]
 
 @cache
 def _content(module: str) -> str:
-    """Digest of its source."""
+    """Return the digest of the source code of a module."""
     return hashlib.sha256(inspect.getsource(sys.modules[module]).encode()).hexdigest()
 
 
 @compiled
 def copy(numbers: NDArray[np.floating[Any]], out: NDArray[np.float64]) -> None:
-    """`out[:] = numbers` for vectors in compiled code: the compiler takes two seconds for numpy's, for its message."""
+    """Copy a vector: `out[:] = numbers`, in a loop because compiling numpy's assignment takes two seconds."""
     for i in range(numbers.shape[0]):
         out[i] = numbers[i]

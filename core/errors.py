@@ -1,34 +1,42 @@
-"""What can go wrong, as types. Every message names the thing, the value, the bound and the unit."""
+"""Exception types of the project. Every error message names the subject, the value, the bound and the unit."""
 
 from typing import Self
 
 
 class CtrError(Exception):
-    """Base of every error this project raises on purpose; its text is one line for a person."""
+    """Base of every error that this project raises intentionally; its text is one human-readable line."""
 
-    time: float | None = None  #: of a motion at which it goes wrong, where it is about one [s]
+    time: float | None = None  #: time in the motion at which the error occurs [s]; None: the error concerns no motion
 
     def at(self, time: float) -> Self:
-        """The same, with the time of the motion that it is about [s]."""
+        """Return this error after setting the time [s] of the motion at which it occurs."""
         self.time = time
         return self
 
 
 class DescriptionError(CtrError):
-    """A robot, trajectory or controller that cannot be, refused by the name of the wrong value."""
+    """The description of a robot, trajectory or controller is invalid; the text names the wrong value."""
 
 
 class PoseError(CtrError):
-    """Joint positions at which this robot cannot stand."""
+    """The joint positions are invalid for this robot."""
 
 
 class NoSolution(CtrError):
-    """The loaded model has no solution that the solver could reach; never returned as a wrong answer."""
+    """The solver found no shape of the robot under this load; it never returns a wrong shape instead."""
 
 
 class NotFinite(CtrError):
-    """A NaN or an infinity where a number is required."""
+    """A value is NaN or infinite where a finite number is required."""
+
+
+class ContractError(CtrError):
+    """Custom code (a loop, limit, load or driver) raised, or returned a value that violates its interface."""
+
+
+class Cancelled(Exception):
+    """A computation was cancelled because its result is no longer required."""
 
 
 class Unreachable(CtrError):
-    """A motion that the robot cannot follow; the text says from when on and which limit is in the way."""
+    """The robot cannot follow a motion; the text states the time and the limit that prevents it."""

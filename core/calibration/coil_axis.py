@@ -1,9 +1,9 @@
-"""Where the coil's axis points in the frame of the innermost tube's tip, from poses where the robot rested.
+"""Direction of the tracker coil's axis in the frame of the innermost tube's tip, from poses of the robot at rest.
 
-The frames are fitted to places alone and known before: of every pose the axis that was seen, carried into the frame
-that the model has at the tip there, is the same axis again, so that their mean is the answer. A model that bends
-too much does so in the tip's frame nearly alike at all poses, where nothing can tell it from a coil that sits
-askew; how far the single poses are from their mean shows how good the model is.
+The tip frames are known beforehand from a fit to positions alone. At every pose the measured axis is transformed into
+the model's tip frame. There the axis should always be the same, so the result is the mean over the poses. A model that
+bends too much causes nearly the same error in the tip frame at all poses. This error cannot be distinguished from a
+misaligned coil. The deviation of single poses from their mean shows how good the model is.
 """
 
 import math
@@ -13,38 +13,38 @@ import numpy as np
 
 from core.robot.robot import Array
 
-#: A coil further askew sits otherwise than it should [rad].
-MOST = math.radians(45.0)
-LOOK = "the coil sits the wrong way round, or the joints are not where they are said to be"
-#: Single poses further apart than this [rad] say more about the model than about the coil.
-APART = math.radians(2.0)
-DOUBTFUL = "the model does not bend as the robot does"
+#: Largest plausible angle between the coil's axis and the tip's axis [rad]; beyond it the mounting is wrong.
+MAX_MISALIGNMENT_RAD = math.radians(45.0)
+COIL_HINT = "the coil is mounted backwards, or the reported joint positions are wrong"
+#: Largest accepted spread of the axis over single poses [rad]; beyond it the model's error dominates.
+MAX_SPREAD_RAD = math.radians(2.0)
+MODEL_HINT = "the model does not bend like the robot"
 
 
 class CoilAxis(NamedTuple):
-    """The coil's axis as it was found."""
+    """The estimated axis of the coil."""
 
     direction: Array  #: (3,) unit vector in the frame of the innermost tube's tip
-    spread: float  #: of single poses about it, root mean square about each of two axes across [rad]
-    refused: str = ""  #: why it is not to be used; empty when it is
+    spread: float  #: root mean square deviation of single poses about each of two perpendicular axes [rad]
+    refused: str = ""  #: reason why the result must not be used; empty if the result may be used
 
     @property
-    def askew(self) -> float:
-        """Angle between it and the tip's own axis [rad]."""
+    def misalignment(self) -> float:
+        """Angle between the coil's axis and the tip's axis [rad]."""
         return math.atan2(math.hypot(self.direction[0], self.direction[1]), self.direction[2])
 
 
-def coil_axis(turns: Array, seen: Array) -> CoilAxis:
-    """The axis from the tip's frames (m, 3, 3) and the coil's axes (m, 3) at as many poses, robot's frame."""
-    there = np.einsum("mji,mj->mi", turns, seen)
+def coil_axis(turns: Array, measured: Array) -> CoilAxis:
+    """Estimate the coil axis from tip frames (m, 3, 3) and measured coil axes (m, 3) of m poses, robot's frame."""
+    there = np.einsum("mji,mj->mi", turns, measured)
     there /= np.linalg.norm(there, axis=1, keepdims=True)
     mean = there.mean(axis=0)
     direction = mean / float(np.linalg.norm(mean))
     across = there - (there @ direction)[:, None] * direction
     spread = math.sqrt(float(np.sum(across**2)) / (2.0 * max(len(there) - 1, 1)))
     found = CoilAxis(direction, spread)
-    if found.askew > MOST:
-        return found._replace(refused=f"more than {math.degrees(MOST):.0f} deg: {LOOK}")
-    if spread > APART:
-        return found._replace(refused=f"single poses say so within {math.degrees(spread):.1f} deg only: {DOUBTFUL}")
+    if found.misalignment > MAX_MISALIGNMENT_RAD:
+        return found._replace(refused=f"more than {math.degrees(MAX_MISALIGNMENT_RAD):.0f} deg: {COIL_HINT}")
+    if spread > MAX_SPREAD_RAD:
+        return found._replace(refused=f"single poses deviate by {math.degrees(spread):.1f} deg: {MODEL_HINT}")
     return found

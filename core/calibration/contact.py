@@ -1,14 +1,15 @@
-"""Where on the shaft a load acts, from the base moment that a tip load would not need.
+"""Location of a load on the shaft, from the difference between the base moment and that of a tip load.
 
-A force F at the place r(s) of the shaft gives the sum of the base sensors the moment M = r(s) x F. Along the
-shaft, bent by that force at that place, the mismatch
+A force F at the point r(s) of the shaft causes the moment M = r(s) x F in the sum of the base sensors. The search
+evaluates the mismatch along the shaft, bent by that force at that point:
 
     c(s) = M - r(s) x F,    chi2(s) = c^T S^-1 c,    S = S_M + [r x] S_F [r x]^T + [F x] S_r [F x]^T
 
-is looked at; its least value is the contact, and where it stays below the least value plus 3.84 the contact may
-be with 95 % confidence. A force along the shaft, or one whose line passes the shaft twice, leaves a long interval or
-several: the geometry does not tell, and the answer says so. At the tip chi2 tells whether the assumption of a tip load
-holds: three components of noise exceed `TIP_LOAD` once in a thousand.
+where S_M, S_F and S_r are the covariances of moment, force and shaft position. The contact is at the minimum of chi2.
+The 95 % confidence region is where chi2 is below this minimum plus 3.84. A force along the shaft, or one whose line
+crosses the shaft twice, gives a long interval or several intervals. The location is then ambiguous, and the result
+reports the ambiguity. chi2 at the tip tests the assumption of a tip load: three components of noise exceed
+`CHI_SQUARE_999_THREE_DOF` once in a thousand.
 """
 
 from collections.abc import Sequence
@@ -17,114 +18,116 @@ from typing import NamedTuple
 import numpy as np
 
 from core.calibration.measurements import Noise
-from core.calibration.rigid import cross_matrix
-from core.control.force_fusion import Fused
+from core.calibration.rigid_transform import cross_matrix
+from core.control.force_fusion import FusedLoad
 from core.errors import CtrError
 from core.model.solution import Solution, pure_force
 from core.model.statics import Statics
 from core.robot.robot import Array
 
-#: Quantile of chi square for one unknown, 95 %.
-INTERVAL = 3.841
-#: Of chi square with three degrees of freedom, 99.9 %.
-TIP_LOAD = 16.266
-#: Below this a force is too small to say where it acts [N].
-LEAST_FORCE = 0.05
-#: An interval longer than this does not locate a contact [m].
-LOCATED = 0.040
-#: Between two places that are tried first [m]; afterwards the least value is closed in on.
-GRID = 0.005
-#: How well the model knows where the shaft is: standard deviation of each component [m].
-SHAPE = 0.3e-3
+#: 95 % quantile of chi square with one degree of freedom, the bound of the contact's confidence intervals.
+CHI_SQUARE_95_ONE_DOF = 3.841
+#: 99.9 % quantile of chi square with three degrees of freedom.
+CHI_SQUARE_999_THREE_DOF = 16.266
+#: Smallest force whose contact can be located [N].
+MIN_FORCE_N = 0.05
+#: Largest total length of the confidence intervals of a located contact [m].
+MAX_INTERVAL_M = 0.040
+#: Spacing of the first search grid along the shaft [m]; golden sections then refine the minimum of chi square.
+GRID_SPACING_M = 0.005
+#: Standard deviation of each component of the model's shaft position [m].
+SHAPE_STD_M = 0.3e-3
 
 
 class TipLoad(NamedTuple):
-    """Whether the load acts at the tip."""
+    """Test result of the assumption that the load acts at the tip."""
 
-    closure: float  #: |M - r_tip x F| [N m]
-    statistic: float  #: chi square of it, three degrees of freedom
-    holds: bool  #: False: the load acts elsewhere, or there is more than one
-
-
-class Contact(NamedTuple):
-    """Where a load acts on the shaft."""
-
-    place: float  #: arc length from the plate [m]
-    point: Array  #: (3,) world frame [m]
-    intervals: tuple[tuple[float, float], ...]  #: where it may be, 95 % [m]
-    statistic: float  #: chi square at the best place; large when no single force explains the moment
-    located: bool  #: all the intervals together are short
-    note: str  #: why not, for a person; empty when it is
+    closure: float  #: size of the moment mismatch |M - r_tip x F| [N m]
+    statistic: float  #: chi square of the closure, three degrees of freedom
+    accepted: bool  #: False: the load acts elsewhere, or there is more than one load
 
 
-def tip_load(load: Fused, tip: Array, noise: Noise) -> TipLoad:
+class ContactLocation(NamedTuple):
+    """Estimated location of a load on the shaft, with its uncertainty."""
+
+    arc_length: float  #: distance of the contact from the plate along the shaft [m]
+    point: Array  #: (3,) position of the contact, world frame [m]
+    intervals: tuple[tuple[float, float], ...]  #: 95 % confidence intervals of the arc length [m]
+    statistic: float  #: chi square at `arc_length`; large when no single force explains the moment
+    located: bool  #: whether the total length of the intervals is at most `MAX_INTERVAL_M`
+    note: str  #: human-readable reason if the contact is not located; else empty
+
+
+def evaluate_tip_load(load: FusedLoad, tip: Array, noise: Noise) -> TipLoad:
     """Test the assumption that the load acts at the tip (3,) [m]."""
     closure = load.moment - np.cross(tip, load.force)
     statistic = float(closure @ np.linalg.solve(_covariance(tip, load.force, noise), closure))
-    return TipLoad(float(np.linalg.norm(closure)), statistic, statistic <= TIP_LOAD)
+    return TipLoad(float(np.linalg.norm(closure)), statistic, statistic <= CHI_SQUARE_999_THREE_DOF)
 
 
-def locate(statics: Statics, joints: Array, load: Fused, noise: Noise) -> Contact | None:
-    """Find the place where one force explains force and moment; None when the force is below `LEAST_FORCE`.
+def locate_contact(statics: Statics, joints: Array, load: FusedLoad, noise: Noise) -> ContactLocation | None:
+    """Find the location at which one force explains force and moment; None for a force below `MIN_FORCE_N`.
 
     Args:
-        statics: the model, its base moments about the world's origin.
-        joints: (n,) [rad or m].
-        load: fused, world frame.
-        noise: of the fused load.
+        statics: model of the robot; base moments are about the world's origin.
+        joints: joint positions (n,) [rad or m].
+        load: sum of the base wrenches, world frame.
+        noise: standard deviations of this sum.
 
     Raises:
         CtrError: the model has no shape under this force anywhere on the shaft.
 
     """
-    if float(np.linalg.norm(load.force)) < LEAST_FORCE:
+    if float(np.linalg.norm(load.force)) < MIN_FORCE_N:
         return None
     robot = statics.robot
     length = float(robot.tube_poses(joints)[1][0]) + robot.tubes[0].length
-    places = np.linspace(0.0, length, max(8, round(length / GRID)) + 1)
+    grid = np.linspace(0.0, length, max(8, round(length / GRID_SPACING_M)) + 1)
     search = _Search(statics, joints, load, noise)
-    values = np.array([search.chi2(place) for place in places])
+    values = np.array([search.chi2(s) for s in grid])
     best = int(np.argmin(values))
-    place = search.refine(places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)])
-    least = search.chi2(place)
-    intervals = search.intervals(places, values, place, least)
+    s = search.refine(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
+    least = search.chi2(s)
+    intervals = search.intervals(grid, values, s, least)
     total = sum(end - start for start, end in intervals)
     note = ""
-    if total > LOCATED:
-        note = f"the force acts along the shaft, or its line passes the shaft more than once: {spans(intervals)}"
-    return Contact(place, search.point(place), intervals, least, total <= LOCATED, note)
+    if total > MAX_INTERVAL_M:
+        note = (
+            f"the force acts along the shaft, or its line crosses the shaft more than once: {contact_spans(intervals)}"
+        )
+    return ContactLocation(s, search.point(s), intervals, least, total <= MAX_INTERVAL_M, note)
 
 
-def spans(intervals: Sequence[tuple[float, float]]) -> str:
-    """Places (start, end) [m] along the shaft for a reader."""
+def contact_spans(intervals: Sequence[tuple[float, float]]) -> str:
+    """Return human-readable text for intervals (start, end) [m] along the shaft."""
     return " or ".join(f"{1e3 * start:.0f} ... {1e3 * end:.0f} mm" for start, end in intervals)
 
 
 class _Search:
-    """Chi square along the shaft; every place is solved with the force there."""
+    """Chi square of a contact along the shaft; the model is solved with the force at each evaluated arc length."""
 
-    def __init__(self, statics: Statics, joints: Array, load: Fused, noise: Noise) -> None:
+    def __init__(self, statics: Statics, joints: Array, load: FusedLoad, noise: Noise) -> None:
         self._statics, self._joints, self._load, self._noise = statics, joints, load, noise
         self._wrench = pure_force(load.force)
         self._near: Solution | None = None
 
-    def point(self, place: float) -> Array:
-        """The loaded shaft (3,) at arc length `place` [m]."""
+    def point(self, s: float) -> Array:
+        """Return the position (3,) [m] of the loaded shaft at arc length `s` [m], with the force there."""
         try:
-            self._near = self._statics.solve(self._joints, self._wrench, self._near, place)
+            self._near = self._statics.solve(self._joints, self._wrench, self._near, s)
         except CtrError:
-            self._near = self._statics.solve(self._joints, self._wrench, None, place)
+            self._near = self._statics.solve(self._joints, self._wrench, None, s)
         path = self._statics.shape(self._near)
-        return _on_curve(path, place)
+        return _on_curve(path, s)
 
-    def chi2(self, place: float) -> float:
-        """Mismatch of the moment with the force at `place` [m]."""
-        point = self.point(place)
+    def chi2(self, s: float) -> float:
+        """Return chi square of the moment's mismatch with the force at arc length `s` [m]."""
+        point = self.point(s)
         closure = self._load.moment - np.cross(point, self._load.force)
         return float(closure @ np.linalg.solve(_covariance(point, self._load.force, self._noise), closure))
 
     def refine(self, start: float, end: float) -> float:
-        """Least value between two places, to 0.05 mm, by golden sections."""
+        """Return the arc length of the minimum between two arc lengths, to 0.05 mm, by golden sections."""
         golden = 0.6180339887498949
         low, high = end - golden * (end - start), start + golden * (end - start)
         at_low, at_high = self.chi2(low), self.chi2(high)
@@ -139,11 +142,11 @@ class _Search:
                 at_high = self.chi2(high)
         return 0.5 * (start + end)
 
-    def intervals(self, places: Array, values: Array, place: float, least: float) -> tuple[tuple[float, float], ...]:
-        """Where chi square is below its least value + `INTERVAL`."""
-        level = least + INTERVAL
-        order = np.argsort(np.append(places, place))
-        where, height = np.append(places, place)[order], np.append(values, least)[order]
+    def intervals(self, grid: Array, values: Array, s: float, least: float) -> tuple[tuple[float, float], ...]:
+        """Return the arc length intervals in which chi square is below its minimum + `CHI_SQUARE_95_ONE_DOF`."""
+        level = least + CHI_SQUARE_95_ONE_DOF
+        order = np.argsort(np.append(grid, s))
+        where, height = np.append(grid, s)[order], np.append(values, least)[order]
         inside = height <= level
         found: list[tuple[float, float]] = []
         k = 0
@@ -161,7 +164,7 @@ class _Search:
         return tuple(found)
 
     def _crossing(self, outside: float, inside: float, level: float) -> float:
-        """Between a place above the level and one below it, to 0.1 mm."""
+        """Return the arc length at which chi square crosses `level`, between two points, to 0.1 mm."""
         while abs(outside - inside) > 1e-4:
             middle = 0.5 * (outside + inside)
             if self.chi2(middle) <= level:
@@ -171,15 +174,15 @@ class _Search:
         return inside
 
 
-def _on_curve(path: Array, place: float) -> Array:
-    """Position (3,) at an arc length, between the cross-sections of `Statics.shape`, with their directions."""
-    after = int(np.clip(np.searchsorted(path[:, 0], place), 1, len(path) - 1))
+def _on_curve(path: Array, s: float) -> Array:
+    """Return the position (3,) at arc length `s`, interpolated between the cross-sections of `Statics.shape`."""
+    after = int(np.clip(np.searchsorted(path[:, 0], s), 1, len(path) - 1))
     a, b = path[after - 1], path[after]
     length = float(b[0] - a[0])
     if length < 1e-12:
         return b[10:13].copy()
-    t = (place - float(a[0])) / length
-    # cubic through both ends with their tangents: the error over a sub-link is below a micrometre
+    t = (s - float(a[0])) / length
+    # Interpolate by the cubic through both ends with their tangents: its error over a sub-link is below a micrometre.
     start, end = a[10:13], b[10:13]
     return (
         (1.0 + 2.0 * t) * (1.0 - t) ** 2 * start + t * (1.0 - t) ** 2 * length * a[3:10:3]
@@ -188,6 +191,6 @@ def _on_curve(path: Array, place: float) -> Array:
 
 
 def _covariance(point: Array, force: Array, noise: Noise) -> Array:
-    """Of M - r x F (3, 3) [N^2 m^2]."""
+    """Return the covariance (3, 3) of the moment mismatch M - r x F [N^2 m^2]."""
     lever, pull = cross_matrix(point), cross_matrix(force)
-    return noise.moment**2 * np.eye(3) + noise.force**2 * lever @ lever.T + SHAPE**2 * pull @ pull.T
+    return noise.moment**2 * np.eye(3) + noise.force**2 * lever @ lever.T + SHAPE_STD_M**2 * pull @ pull.T

@@ -1,8 +1,8 @@
-"""Least squares with an account of what the data say: intervals, and combinations that they cannot tell apart.
+"""Least-squares fit with confidence intervals and a list of parameter combinations that the data do not determine.
 
-Every parameter has a size in which it is judged: how far it may be off before it matters. What a
-person knows beforehand (a tube's length to a millimetre) is a prior of one more row; the account is made
-from the data alone, in those sizes, so that a number that only the prior holds is never sold as measured.
+Every parameter has a tolerance (`size`): the largest error that does not matter. Prior knowledge (a tube's length to a
+millimetre) adds one row per parameter. Observability uses the data alone, in units of the tolerances. A value that only
+the prior determines is therefore never reported as measured.
 """
 
 import math
@@ -16,68 +16,68 @@ import numpy as np
 from core.errors import CtrError, NoSolution, PoseError
 from core.robot.robot import Array
 
-#: A combination is told by the data when they leave less than this part of its size open.
-TOLD = 0.5
-#: Two-sided 95 % of a normal distribution.
-INTERVAL = 1.959964
+#: The data determine a parameter combination if its standard deviation is below this fraction of its tolerance.
+MAX_OPEN_SHARE = 0.5
+#: Two-sided 95 % quantile of the normal distribution, for confidence intervals.
+NORMAL_QUANTILE_95 = 1.959964
 
 
-class Unobservable(CtrError):
-    """The data cannot determine what was asked for; the text says what is missing."""
+class UnobservableCombination(CtrError):
+    """The data cannot determine the requested parameters; the text states what is missing."""
 
 
 class Parameter(NamedTuple):
-    """One unknown, as a deviation from where the fit starts."""
+    """One unknown of a fit, as a deviation from its start value."""
 
     name: str
     unit: str
-    size: float  #: how far it may be off before it matters, in its unit
-    prior: float = math.inf  #: standard deviation known beforehand, about 0; inf: nothing is known
+    size: float  #: tolerance: largest error that does not matter, in `unit`
+    prior: float = math.inf  #: standard deviation of the prior about 0; inf: no prior
     bounds: tuple[float, float] = (-math.inf, math.inf)
 
 
 class Combination(NamedTuple):
-    """A direction in the space of the parameters that the data leave open."""
+    """A direction in the space of the parameters that the data do not determine."""
 
-    parts: tuple[tuple[str, float], ...]  #: parameters and their shares, in sizes, largest first
-    open: float  #: standard deviation that the data alone leave it, in sizes; inf when they say nothing
-    held: bool  #: whether priors hold it
+    parts: tuple[tuple[str, float], ...]  #: parameters and their shares, in tolerances, largest first
+    open: float  #: standard deviation from the data alone, in tolerances; inf: not observable
+    fixed_by_prior: bool  #: whether priors determine the combination
 
     def __str__(self) -> str:
-        """For a person."""
+        """Return human-readable text."""
         shares = " ".join(f"{share:+.2f} {name}" for name, share in self.parts)
-        return f"{shares} ({'held by what is known beforehand' if self.held else 'undetermined'})"
+        return f"{shares} ({'determined by the prior' if self.fixed_by_prior else 'undetermined'})"
 
 
-class Problem(Protocol):
-    """What is fitted; every residual in units of its own standard deviation."""
+class FitProblem(Protocol):
+    """A least-squares problem; every residual is in units of its standard deviation."""
 
     def residuals(self, values: Array) -> Array:
-        """(m,) at parameters (p,)."""
+        """Return the residuals (m,) at parameters (p,)."""
         ...
 
     def jacobian(self, values: Array) -> Array:
-        """(m, p)."""
+        """Return the derivative of the residuals by the parameters (m, p)."""
         ...
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The outcome of a least-squares fit."""
+    """Result of a least-squares fit."""
 
     parameters: tuple[Parameter, ...]
-    values: Array  #: (p,)
-    residuals: Array  #: (m,) of the data, in standard deviations
-    jacobian: Array  #: (m, p) at the solution
+    values: Array  #: (p,) fitted values of the parameters
+    residuals: Array  #: (m,) residuals of the data, in standard deviations
+    jacobian: Array  #: (m, p) derivative of the residuals by the parameters at the solution
 
     @cached_property
     def variance_factor(self) -> float:
-        """Chi square over degrees of freedom: 1 when the residuals are what the noise says."""
+        """Chi square over degrees of freedom: 1 when the residuals match the noise."""
         return float(self.residuals @ self.residuals) / max(self.residuals.size - self.values.size, 1)
 
     @cached_property
     def covariance(self) -> Array:
-        """(p, p), priors included; larger by the variance factor where the residuals are more than noise."""
+        """Covariance of the parameters (p, p) with priors; residuals above the noise increase it."""
         size = np.array([p.size for p in self.parameters])
         scaled = self.jacobian * size
         prior = np.diag([(p.size / p.prior) ** 2 for p in self.parameters])
@@ -87,32 +87,32 @@ class Fit:
 
     @property
     def errors(self) -> Array:
-        """Standard deviations (p,)."""
+        """Standard deviations of the parameters (p,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @cached_property
     def weak(self) -> tuple[Combination, ...]:
-        """What the data cannot tell, weakest first."""
+        """Parameter combinations that the data do not determine, weakest first."""
         return weak_combinations(self.jacobian / math.sqrt(max(self.variance_factor, 1.0)), self.parameters)
 
     def value(self, name: str) -> float:
-        """A parameter's value by name."""
+        """Return a parameter's value by name."""
         return float(self.values[[p.name for p in self.parameters].index(name)])
 
     def interval(self, name: str) -> float:
-        """Half the 95 % confidence interval of a parameter."""
-        return INTERVAL * float(self.errors[[p.name for p in self.parameters].index(name)])
+        """Return half the 95 % confidence interval of a parameter."""
+        return NORMAL_QUANTILE_95 * float(self.errors[[p.name for p in self.parameters].index(name)])
 
 
 def weak_combinations(jacobian: Array, parameters: Sequence[Parameter]) -> tuple[Combination, ...]:
-    """Combinations that data with this Jacobian (m, p) cannot tell, by its singular values in sizes; weakest first."""
+    """Return combinations that data with this Jacobian (m, p) do not determine, weakest first (by singular values)."""
     sizes = np.array([p.size for p in parameters])
     padded = np.vstack((jacobian * sizes, np.zeros((max(0, sizes.size - jacobian.shape[0]), sizes.size))))
     _, singular, vt = np.linalg.svd(padded, full_matrices=False)
     found: list[Combination] = []
     for value, direction in zip(singular[::-1], vt[::-1], strict=True):
         open_ = 1.0 / value if value > 1e-12 else math.inf
-        if open_ <= TOLD:
+        if open_ <= MAX_OPEN_SHARE:
             break
         order: list[int] = np.argsort(-np.abs(direction)).tolist()
         parts = tuple((parameters[k].name, float(direction[k])) for k in order if abs(direction[k]) > 0.2)
@@ -122,13 +122,13 @@ def weak_combinations(jacobian: Array, parameters: Sequence[Parameter]) -> tuple
     return tuple(found)
 
 
-def fit(problem: Problem, parameters: Sequence[Parameter], start: Array | None = None) -> Fit:
+def fit(problem: FitProblem, parameters: Sequence[Parameter], start: Array | None = None) -> Fit:
     """Minimise the squared residuals and priors from `start` (p,), zeros when left out.
 
-    A step to where the model has no shape is a step too far: it is shortened.
+    A step to parameters at which the model has no shape is shortened.
 
     Raises:
-        PoseError, NoSolution: the model has no shape where the fit starts, or just beside where it is.
+        PoseError, NoSolution: the model has no shape at the start, or for parameters near the current values.
 
     """
     from scipy.optimize import least_squares  # pyright: ignore  - slow to import
@@ -137,21 +137,21 @@ def fit(problem: Problem, parameters: Sequence[Parameter], start: Array | None =
     weight = np.array([1.0 / p.prior for p in parameters])[has_prior]
     rows = np.diag([1.0 / p.prior for p in parameters])[has_prior]
     lower, upper = np.array([p.bounds for p in parameters]).T
-    begin: Array = np.clip(np.zeros(len(parameters)) if start is None else start, lower, upper)
-    size = problem.residuals(begin).size
+    initial: Array = np.clip(np.zeros(len(parameters)) if start is None else start, lower, upper)
+    size = problem.residuals(initial).size
 
     def residuals(values: Array) -> Array:
         try:
-            seen = problem.residuals(values)
+            errors = problem.residuals(values)
         except (NoSolution, PoseError):
-            seen = np.full(size, math.inf)  # which the search takes for a step that is too long
-        return np.concatenate((seen, weight * values[has_prior]))
+            errors = np.full(size, math.inf)  # least_squares then shortens the step
+        return np.concatenate((errors, weight * values[has_prior]))
 
     def jacobian(values: Array) -> Array:
         return np.vstack((problem.jacobian(values), rows))
 
     found: Any = cast(Any, least_squares)(
-        residuals, begin, jacobian,
+        residuals, initial, jacobian,
         bounds=(lower, upper), x_scale=[p.size for p in parameters],
         xtol=1e-9, ftol=1e-10, gtol=1e-10, max_nfev=60,
     )  # fmt: skip

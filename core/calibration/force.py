@@ -1,14 +1,16 @@
-"""Base force sensors: offset, drift, mounting angles and the weight that hangs on them, from a set of poses.
+"""Calibration of the base force sensors from a set of poses: offset, drift, mounting angles and weight of mounted
+parts.
 
-Sensor i, mounted a little askew (R_i), with the weight W_i of what is fixed to it at c_i, reads
+Sensor i is slightly misaligned (R_i) and carries parts of weight W_i with centre of gravity c_i. Its reading is y_i:
 
     (1 - S_i) (y_i - b_i - d_i (t - t_0)) = R_i^T (w_i + g_i),    g_i = (W_i Rz(alpha)^T e, c_i x W_i Rz(alpha)^T e),
 
-w_i being what the tube exerts on it, S_i (6, 6) its errors of gain and cross-talk and e the direction of gravity.
-What the tubes do to each other is in every w_i and unknown, so one sensor alone cannot be calibrated on a robot; in
-the sum over the sensors it cancels, and the sum must be the load: nothing, or a known weight W e at the tip r with
-the moment r x W e, or an unknown force F of which only the moment equation M = r x F is known. What the sum does not
-see (how an axial offset is shared out between the sensors, say) does not matter to the load, and the account says so.
+where b_i and d_i are the sensor's offset and drift, w_i the wrench of the tube, S_i (6, 6) the gain and cross-talk
+errors, and e the direction of gravity. Every w_i contains unknown wrenches between the tubes, so a single sensor cannot
+be calibrated on a robot. These wrenches cancel in the sum over the sensors. The sum must equal the load, which is one
+of three: nothing; a known weight W e at the tip r with the moment r x W e; an unknown force F, for which only the
+moment equation M = r x F is used. Parameter combinations that do not change the sum (for example axial offsets of
+opposite sign) do not affect the load. `Fit.weak` lists these combinations.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,52 +20,53 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.calibration.fit import Fit, Parameter, Unobservable, fit
+from core.calibration.fit import Fit, Parameter, UnobservableCombination, fit
 from core.calibration.measurements import Measurement, Noise
-from core.calibration.rigid import rotation_of
+from core.calibration.rigid_transform import rotation_from_vector
 from core.compiled import compiled
-from core.control.force_fusion import Fused, fuse_at, fused_at
+from core.control.force_fusion import FusedLoad, fuse_at, fused_at
 from core.control.sensors import Sensors, exerted
 from core.robot.robot import Array, Layout, Robot, tube_poses
 
-#: What is known beforehand, one standard deviation, and how far each may be off before it matters.
-OFFSET, OFFSET_SIZE = (2.0, 30e-3), (5e-3, 0.2e-3)  # [N], [N m]
-DRIFT, DRIFT_SIZE = (10e-3 / 60.0, 1e-3 / 60.0), (5e-3 / 60.0, 0.2e-3 / 60.0)  # [N/s], [N m/s]
-MOUNTING, MOUNTING_SIZE = 0.05, 0.01  # [rad]
-WEIGHT, WEIGHT_SIZE = 0.5, 5e-3  # [N]
-FIRST_MOMENT, FIRST_MOMENT_SIZE = 20e-3, 0.2e-3  # weight times its distance [N m]
-#: Gain and cross-talk: parts of an axis's range by another's, as a maker's accuracy is told (ATI: 1 %).
-SKEW, SKEW_SIZE = 0.006, 2e-3
-RANGES = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)  # of the axes, a Nano43 SI-18-0.25 [N, N m]
-#: Of a load that nobody has weighed [N].
-TYPICAL_FORCE = 0.5
-#: Fewer cannot tell an offset that turns with its sensor from a weight that does not.
-LEAST_MEASUREMENTS = 8
+#: Priors (one standard deviation) and tolerances (largest error that does not matter) of each parameter.
+OFFSET_PRIOR, OFFSET_TOLERANCE = (2.0, 30e-3), (5e-3, 0.2e-3)  # [N], [N m]
+DRIFT_PRIOR, DRIFT_TOLERANCE = (10e-3 / 60.0, 1e-3 / 60.0), (5e-3 / 60.0, 0.2e-3 / 60.0)  # [N/s], [N m/s]
+MOUNTING_PRIOR_RAD, MOUNTING_TOLERANCE_RAD = 0.05, 0.01  # [rad]
+WEIGHT_PRIOR_N, WEIGHT_TOLERANCE_N = 0.5, 5e-3  # [N]
+FIRST_MOMENT_PRIOR_NM, FIRST_MOMENT_TOLERANCE_NM = 20e-3, 0.2e-3  # weight times its distance [N m]
+#: Prior and tolerance of gain and cross-talk: error of an axis as a fraction of its range, with another axis at full
+#: range. Manufacturers specify accuracy in this form (ATI: 1 %).
+GAIN_PRIOR, GAIN_TOLERANCE = 0.006, 2e-3
+AXIS_RANGES = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)  # ranges of the axes of a Nano43 SI-18-0.25 [N, N m]
+#: Assumed size of an unknown load, for the weight of its measurement [N].
+TYPICAL_FORCE_N = 0.5
+#: Smallest number of measurements that can separate a sensor's offset, which turns with the sensor, from a weight.
+MIN_MEASUREMENTS = 8
 
 
 class SensorCalibration(NamedTuple):
-    """Sensors as they were found to be."""
+    """Estimated parameters of the sensors."""
 
     sensors: Sensors
-    offset: Array  #: (q, 6) at `time` [N, N m]
-    drift: Array  #: (q, 6) [N/s, N m/s]
-    time: float  #: [s]
+    offset: Array  #: (q, 6) offset of the readings at `time` [N, N m]
+    drift: Array  #: (q, 6) rate of the offset [N/s, N m/s]
+    time: float  #: time at which the offset is valid [s]
     fit: Fit
 
-    def load(self, robot: Robot, measurement: Measurement) -> Fused:
-        """Load of the whole robot at a measurement, world frame."""
+    def load(self, robot: Robot, measurement: Measurement) -> FusedLoad:
+        """Return the load of the whole robot at a measurement, world frame."""
         readings = measurement.wrenches - self.offset - (measurement.time - self.time) * self.drift
         alpha, _ = robot.tube_poses(measurement.joints)
         return fuse_at(robot, measurement.joints, self.sensors.exerted(readings, alpha))
 
 
 class WeightCheck(NamedTuple):
-    """A known weight as it was measured."""
+    """Comparison of the measured force with a known weight."""
 
-    force: Array  #: (3,) mean [N]
-    magnitude: float  #: of it [N]
-    error: float  #: magnitude - known [N]
-    angle: float  #: between it and gravity [rad]
+    force: Array  #: (3,) mean measured force [N]
+    magnitude: float  #: size of the mean force [N]
+    error: float  #: size of the mean force minus the known weight [N]
+    angle: float  #: angle between the mean force and gravity [rad]
 
 
 def calibrate_sensors(
@@ -77,28 +80,29 @@ def calibrate_sensors(
     """Fit the sensors to measurements with the tip at `tips` (m, 3), world frame [m].
 
     Args:
-        robot: for the poses of the tubes.
-        measurements: untared; some without load, and best some under a known weight.
-        tips: as measured.
-        noise: of the fused loads.
+        robot: description of the robot, from which the tubes' poses follow.
+        measurements: untared measurements; some without load, preferably some under a known weight.
+        tips: measured tip positions.
+        noise: standard deviations of the summed loads.
         tip_error: standard deviation of each component of `tips` [m].
-        gravity: its direction (3,), world frame; +x when left out.
+        gravity: direction of gravity (3,), world frame; +x by default.
 
     Raises:
-        Unobservable: too few measurements without load, or all at the same rotations.
+        UnobservableCombination: there are too few measurements without load, or all have the same rotations.
 
     """
     free = [measurement for measurement in measurements if measurement.weight == 0.0]
-    if len(free) < LEAST_MEASUREMENTS:
-        raise Unobservable(
-            f"{len(free)} measurements without load; the sensors' offsets need at least {LEAST_MEASUREMENTS}"
+    if len(free) < MIN_MEASUREMENTS:
+        raise UnobservableCombination(
+            f"{len(free)} measurements without load; the sensors' offsets need at least {MIN_MEASUREMENTS}"
         )
     for j, joint in enumerate(robot.joints):
         turned = float(np.ptp([measurement.joints[j] for measurement in free]))
         if joint.motion == "rotation" and turned < 1.0:
-            raise Unobservable(
-                f"an offset that turns with the sensor of tube '{robot.tubes[joint.tube].name}' cannot be told from a"
-                f" weight: turn {joint.name} by more than 60 deg without load (it turned {np.degrees(turned):.1f} deg)"
+            raise UnobservableCombination(
+                f"an offset that turns with the sensor of tube '{robot.tubes[joint.tube].name}' cannot be separated"
+                f" from a weight: turn {joint.name} by more than 60 deg without load"
+                f" (it turned {np.degrees(turned):.1f} deg)"
             )
     down = np.array([1.0, 0.0, 0.0]) if gravity is None else gravity / np.linalg.norm(gravity)
     problem = _Sum(robot, measurements, tips, tip_error, noise, down)
@@ -107,7 +111,7 @@ def calibrate_sensors(
 
 
 def check_weight(loads: Array, known: float, gravity: Array) -> WeightCheck:
-    """Measured forces (m, 3) against a known weight [N] that hangs along `gravity` (3,)."""
+    """Compare measured forces (m, 3) with a known weight [N] that acts along `gravity` (3,)."""
     force = loads.mean(axis=0)
     magnitude = float(np.linalg.norm(force))
     cosine = float(force @ gravity) / (magnitude * float(np.linalg.norm(gravity)))
@@ -116,7 +120,7 @@ def check_weight(loads: Array, known: float, gravity: Array) -> WeightCheck:
 
 @dataclass(frozen=True)
 class _Sum:
-    """The fit's problem: the sum of all sensors is the load."""
+    """Fit problem of the sensor calibration: the sum of all sensors must equal the load."""
 
     robot: Robot
     measurements: Sequence[Measurement]
@@ -129,39 +133,47 @@ class _Sum:
     def parameters(self) -> tuple[Parameter, ...]:
         found: list[Parameter] = []
         for tube in self.robot.tubes:
-            for what, sizes, priors, per in (("offset", OFFSET_SIZE, OFFSET, ""), ("drift", DRIFT_SIZE, DRIFT, "/s")):
+            for what, sizes, priors, per in (
+                ("offset", OFFSET_TOLERANCE, OFFSET_PRIOR, ""),
+                ("drift", DRIFT_TOLERANCE, DRIFT_PRIOR, "/s"),
+            ):
                 for name, unit, size, prior in zip(("force", "moment"), ("N", "N m"), sizes, priors, strict=True):
                     found += [Parameter(f"{tube.name} {name} {what} {a}", unit + per, size, prior) for a in "xyz"]
-            found += [Parameter(f"{tube.name} mounting {a}", "rad", MOUNTING_SIZE, MOUNTING) for a in "xyz"]
-            found.append(Parameter(f"{tube.name} weight", "N", WEIGHT_SIZE, WEIGHT))
-            found += [Parameter(f"{tube.name} first moment {a}", "N m", FIRST_MOMENT_SIZE, FIRST_MOMENT) for a in "xyz"]
             found += [
-                Parameter(f"{tube.name} {to} of {by}", per, SKEW_SIZE * scale, SKEW * scale)
+                Parameter(f"{tube.name} mounting {a}", "rad", MOUNTING_TOLERANCE_RAD, MOUNTING_PRIOR_RAD) for a in "xyz"
+            ]
+            found.append(Parameter(f"{tube.name} weight", "N", WEIGHT_TOLERANCE_N, WEIGHT_PRIOR_N))
+            found += [
+                Parameter(f"{tube.name} first moment {a}", "N m", FIRST_MOMENT_TOLERANCE_NM, FIRST_MOMENT_PRIOR_NM)
+                for a in "xyz"
+            ]
+            found += [
+                Parameter(f"{tube.name} {to} of {by}", per, GAIN_TOLERANCE * scale, GAIN_PRIOR * scale)
                 for to, by, per, scale in _axes()
             ]
         return tuple(found)
 
     @cached_property
     def middle(self) -> float:
-        """Time from which the drift counts [s]."""
+        """Reference time of the drift [s]."""
         return float(np.mean([measurement.time for measurement in self.measurements]))
 
     def unpacked(self, values: Array) -> tuple[Sensors, Array, Array]:
-        """Sensors, offset (q, 6) and drift (q, 6)."""
+        """Return sensors, offset (q, 6) and drift (q, 6) for parameters (p,)."""
         rows = values.reshape(len(self.robot.tubes), -1)
-        mounting = np.array([rotation_of(row[12:15]) for row in rows])
+        mounting = np.array([rotation_from_vector(row[12:15]) for row in rows])
         gravity = self.robot.base.rotation.T @ self.down
         skew = rows[:, 19:].reshape(-1, 6, 6)
         sensors = Sensors(mounting, rows[:, 15].copy(), rows[:, 16:19].copy(), gravity, skew)
         return sensors, rows[:, :6], rows[:, 6:12]
 
     def residuals(self, values: Array) -> Array:
-        """(6 m,): force and moment of every measurement; of an unknown force only the moment equation."""
+        """Return residuals (6 m,): force and moment of every measurement; only the moment for an unknown force."""
         sensors, offset, drift = self.unpacked(values)
         since, joints, readings = self._measured
-        left = readings - offset - since[:, None, None] * drift
+        corrected = readings - offset - since[:, None, None] * drift
         loads = _loads(
-            self.robot.layout, joints, left, sensors.matrix, sensors.weight, sensors.first_moment, sensors.gravity
+            self.robot.layout, joints, corrected, sensors.matrix, sensors.weight, sensors.first_moment, sensors.gravity
         )
         forces, moments = loads[:, :3], loads[:, 3:]
         expected, known, force_noise, moment_noise = self._expected
@@ -174,7 +186,10 @@ class _Sum:
         return np.concatenate((((forces - acting) / force_noise).ravel(), (closure / moment_noise).ravel()))
 
     def jacobian(self, values: Array) -> Array:
-        """Central differences: the residuals are linear in all but the mounting angles."""
+        """Return the residuals' derivatives by central differences.
+
+        The differences are accurate because the residuals are linear in all parameters but the mounting angles.
+        """
         columns: list[Array] = []
         for k, parameter in enumerate(self.parameters):
             half = np.zeros_like(values)
@@ -184,7 +199,7 @@ class _Sum:
 
     @cached_property
     def _measured(self) -> tuple[Array, Array, Array]:
-        """Times from the middle (m,), joints (m, n), readings (m, q, 6)."""
+        """Times relative to `middle` (m,), joints (m, n) and readings (m, q, 6) of all measurements."""
         return (
             np.array([measurement.time for measurement in self.measurements]) - self.middle,
             np.array([measurement.joints for measurement in self.measurements]),
@@ -193,34 +208,34 @@ class _Sum:
 
     @cached_property
     def _expected(self) -> tuple[Array, Array, float, Array]:
-        """Forces (m, 3), whether they are known (m, 1), standard deviations of forces and of moments (m, 1).
+        """Expected forces (m, 3), whether they are known (m, 1), standard deviations of forces and of moments (m, 1).
 
-        The place of the tip is not known exactly, nor is an unknown force: both add to the moment's.
+        The tip's position and an unknown force have errors; both add to the moment's standard deviation.
         """
         known = np.array([[measurement.weight is not None] for measurement in self.measurements])
         weights = np.array(
             [0.0 if measurement.weight is None else measurement.weight for measurement in self.measurements]
         )
         lever = np.linalg.norm(self.tips, axis=1) * self.noise.force
-        pull = np.where(known[:, 0], weights, TYPICAL_FORCE)
+        pull = np.where(known[:, 0], weights, TYPICAL_FORCE_N)
         noise = np.sqrt(self.noise.moment**2 + (self.tip_error * pull) ** 2 + np.where(known[:, 0], 0.0, lever) ** 2)
         return weights[:, None] * self.down, known, self.noise.force, noise[:, None]
 
 
 def _axes() -> Iterator[tuple[str, str, str, float]]:
-    """Of each axis and each it may read in error: names, unit of one by the other, and the ratio of their ranges."""
+    """Yield for each pair of axes: both names, the unit of their cross-talk and the ratio of their ranges."""
     names = [f"{kind}{axis}" for kind in "FM" for axis in "xyz"]
     units = ["N"] * 3 + ["N m"] * 3
-    for to, unit, most in zip(names, units, RANGES, strict=True):
-        for by, per, whole in zip(names, units, RANGES, strict=True):
-            yield to, by, f"{unit}/({per})", most / whole
+    for to, unit, range_ in zip(names, units, AXIS_RANGES, strict=True):
+        for by, per, whole in zip(names, units, AXIS_RANGES, strict=True):
+            yield to, by, f"{unit}/({per})", range_ / whole
 
 
 @compiled
 def _loads(
     layout: Layout, joints: Array, readings: Array, matrix: Array, weight: Array, first_moment: Array, gravity: Array
 ) -> Array:
-    """Force and moment (m, 6) of the whole robot, world frame, of readings (m, q, 6) without offset."""
+    """Return force and moment (m, 6) of the whole robot, world frame, from readings (m, q, 6) without offset."""
     result = np.empty((joints.shape[0], 6))
     for k in range(joints.shape[0]):
         alpha, _, _ = tube_poses(layout, joints[k])

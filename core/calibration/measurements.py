@@ -1,4 +1,4 @@
-"""What is measured at a pose where the robot rests: averages, and how far they can be trusted."""
+"""Measurements of the robot at rest at one pose: averages of the devices' data, and their standard deviations."""
 
 from typing import NamedTuple
 
@@ -9,35 +9,36 @@ from core.robot.robot import Array, Robot
 
 
 class Measurement(NamedTuple):
-    """One pose at rest, as the devices saw it; nothing here comes from a model."""
+    """Averages of the devices' data at one pose at rest; no value comes from a model."""
 
-    time: float  #: of the middle of the averages [s]
-    joints: Array  #: (n,) as the stages count them [rad or m]
-    coil: Array  #: (3,) in the tracker's frame [m]
-    wrenches: Array  #: (q, 6) in the sensors' axes, untared [N, N m]
-    weight: float | None  #: known to hang at the tip, 0 for nothing; None: an unknown load [N]
-    came: Array | None = None  #: (n,) -1, 0, 1: which way each joint moved last; a drive with play is behind
+    time: float  #: time of the middle of the averaged data [s]
+    joints: Array  #: (n,) positions that the stages report [rad or m]
+    coil: Array  #: (3,) position of the coil in the tracker's frame [m]
+    wrenches: Array  #: (q, 6) untared readings of the base sensors in their axes [N, N m]
+    weight: float | None  #: known weight at the tip, 0 for no load; None: an unknown load [N]
+    came: Array | None = None  #: (n,) -1, 0, 1: direction of each joint's last motion; it determines the backlash
     axes: Array | None = None  #: (1, 3) or (3, 3) directions of the coil, tracker's frame: its axis, or x, y, z
+    path: Array | None = None  #: (p, n) joints of the previous poses and this one, oldest first [rad or m]
 
 
 class Noise(NamedTuple):
     """Standard deviations of a measurement's averages."""
 
-    coil: float = 0.02e-3  #: each axis of the position [m]
-    axes: float = 2e-3  #: each component of a direction [rad]
-    force: float = 2e-3  #: each component of the fused load [N]
-    moment: float = 0.1e-3  #: [N m]
+    coil: float = 0.02e-3  #: standard deviation of each axis of the coil's position [m]
+    axes: float = 2e-3  #: standard deviation of each component of a coil direction [rad]
+    force: float = 2e-3  #: standard deviation of each component of the summed force [N]
+    moment: float = 0.1e-3  #: standard deviation of each component of the summed moment [N m]
 
     def scaled(self, factor: float) -> "Noise":
-        """As much more of all of it."""
+        """Return all standard deviations times `factor`."""
         return Noise(*(factor * each for each in self))
 
 
 def stacked(measurements: list[Measurement]) -> tuple[Array, Array]:
-    """Joints (m, n) and coil positions (m, 3)."""
+    """Return the joints (m, n) and coil positions (m, 3) of measurements as arrays."""
     return np.array([v.joints for v in measurements]), np.array([v.coil for v in measurements])
 
 
 def fused_forces(robot: Robot, measurements: list[Measurement]) -> Array:
-    """Load at the tip (m, 3) of tared measurements, world frame [N]."""
+    """Return the load at the tip (m, 3) of tared measurements, world frame [N]."""
     return np.array([fuse_at(robot, v.joints, v.wrenches).force for v in measurements])

@@ -1,15 +1,18 @@
-"""Numbers of a robot that its data sheet may have wrong, and the robot with them changed.
+"""Calibrated parameters of a robot's tubes, and the robot with changed parameters.
 
-The zero angle of a tube is the direction in which it is curved when its stage reads zero, so it is
-written as the direction of the precurvature: (kappa cos d, kappa sin d). The zero of the outermost tube that turns
-stays as it is, by convention: it says where x of the robot's frame points, and with it what the rotation of the
-tracker's frame about z is counted from. In the same way the straight length of the outermost tube stays as it
-is: were all tubes straight for a millimetre more, everything would stand a millimetre further along z, as if
-the tracker had moved. A zero error of a translation shifts the curved part like the straight length does, to which
-it is added.
+The zero angle d of a tube is the direction of its curve when its stage reads zero. It is expressed as the direction of
+the precurvature: (kappa cos d, kappa sin d). By convention, the zero angle of the outermost rotating tube is fixed.
+This tube defines the x axis of the robot's frame, to which the tracker's rotation about z refers. The straight length
+of the outermost tube is fixed for a similar reason. If all tubes were straight for a millimetre more, every point would
+be a millimetre further along z, as if the tracker had moved. A zero error of a translation has the same effect as an
+error of the straight length, and is part of it.
 
-An outer tube ends, for the shape, where the inner ones leave it: with clearance some millimetres before its edge. The
-length of its last section is that, and not what a ruler says.
+For the shape, an outer tube ends where the inner tubes lose contact with it: with clearance, some millimetres before
+its edge. The fitted length of its last section is this effective length, not the length measured with a ruler.
+
+`torsional_stiffness` makes GJ independent of EI and Poisson's ratio. `curve_start` moves the border between the
+straight part and the curve and keeps the tube's total length. It is for tubes whose ends are flush in some pose, which
+then stay flush.
 """
 
 import math
@@ -21,14 +24,20 @@ from core.calibration.fit import Parameter
 from core.errors import DescriptionError
 from core.robot.robot import Array, Robot, Section, Tube
 
-Kind = Literal["bending_stiffness", "curvature", "poisson_ratio", "straight_length", "zero_angle", "end"]
+Kind = Literal[
+    "bending_stiffness", "curvature", "poisson_ratio", "torsional_stiffness", "straight_length", "curve_start",
+    "zero_angle", "end",
+]  # fmt: skip
 
-#: Unit and what is known beforehand, one standard deviation: drawn tubes and hand-set zeros.
-EXPECTED: dict[Kind, tuple[str, float]] = {
-    "bending_stiffness": ("", 0.10),  # part of the described one
-    "curvature": ("", 0.10),  # part of the described one
+#: Unit and standard deviation of the prior for each kind of quantity, for tubes made to a drawing and zeros set by
+#: hand.
+QUANTITY_PRIORS: dict[Kind, tuple[str, float]] = {
+    "bending_stiffness": ("", 0.10),  # fraction of the described value
+    "curvature": ("", 0.10),  # fraction of the described value
     "poisson_ratio": ("", 0.05),
+    "torsional_stiffness": ("", 0.25),  # fraction of the described value
     "straight_length": ("m", 0.2e-3),
+    "curve_start": ("m", 1e-3),  # heat-set tubes: the curve starts within a millimetre of the drawing
     "zero_angle": ("rad", math.radians(5.0)),
     "end": ("m", 5e-3),
 }
@@ -36,20 +45,22 @@ EXPECTED: dict[Kind, tuple[str, float]] = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of one tube."""
+    """A calibrated parameter of one tube."""
 
     tube: int  #: 0 = innermost
     kind: Kind
 
     def parameter(self, robot: Robot) -> Parameter:
-        """Its place in a fit, as a deviation from `robot`."""
+        """Return the fit parameter of this quantity: its deviation from the value of `robot`."""
         tube = robot.tubes[self.tube]
-        unit, expected = EXPECTED[self.kind]
+        unit, expected = QUANTITY_PRIORS[self.kind]
         bounds = (-math.inf, math.inf)
         if self.kind == "poisson_ratio":
             bounds = (-0.999 - tube.poisson_ratio, 0.5 - 1e-9 - tube.poisson_ratio)
         elif self.kind == "straight_length":
             bounds = (-0.99 * tube.sections[0].length, math.inf)
+        elif self.kind == "curve_start":
+            bounds = (-0.99 * tube.sections[0].length, 0.99 * tube.sections[1].length)
         elif self.kind == "end":
             bounds = (-0.9 * tube.sections[-1].length, math.inf)
         elif self.kind != "zero_angle":
@@ -58,7 +69,10 @@ class Quantity:
 
 
 def quantities(robot: Robot) -> tuple[Quantity, ...]:
-    """What can be wrong about a robot's tubes: EI, curvature, nu, straight length, zero angle, an outer one's end."""
+    """Return the tube parameters of a robot that can be calibrated.
+
+    They are stiffness EI, curvature, Poisson's ratio, straight length, zero angle, and effective end of an outer tube.
+    """
     turned = [joint.tube for joint in robot.joints if joint.motion == "rotation"]
     last = len(robot.tubes) - 1
     reference = max(turned, default=last)
@@ -79,20 +93,21 @@ def quantities(robot: Robot) -> tuple[Quantity, ...]:
     return tuple(found)
 
 
-def changed(robot: Robot, what: Sequence[Quantity], by: Array) -> Robot:
-    """The robot with each quantity changed by its part of `by` (p,).
+def with_changes(robot: Robot, what: Sequence[Quantity], by: Array) -> Robot:
+    """Return the robot with each quantity changed by its element of `by` (p,).
 
     Raises:
-        DescriptionError: there can be no such robot.
+        DescriptionError: the changed robot is invalid.
 
     """
     tubes = list(robot.tubes)
     for quantity, amount in zip(what, by, strict=False):
-        tubes[quantity.tube] = _changed(tubes[quantity.tube], quantity.kind, float(amount))
+        described = robot.tubes[quantity.tube]
+        tubes[quantity.tube] = _changed(tubes[quantity.tube], quantity.kind, float(amount), described)
     return replace(robot, tubes=tuple(tubes))
 
 
-def _changed(tube: Tube, kind: Kind, by: float) -> Tube:
+def _changed(tube: Tube, kind: Kind, by: float, described: Tube) -> Tube:
     first = tube.sections[0]
     if kind == "bending_stiffness":
         torsion = tube.torsional_stiffness
@@ -105,6 +120,14 @@ def _changed(tube: Tube, kind: Kind, by: float) -> Tube:
         return replace(tube, sections=tuple(_turned(section, 1.0 + by, 0.0) for section in tube.sections))
     if kind == "poisson_ratio":
         return replace(tube, poisson_ratio=tube.poisson_ratio + by)
+    if kind == "torsional_stiffness":
+        # The change is a fraction of the robot file's torsional stiffness GJ, independent of the fitted EI.
+        torsion = described.bending_stiffness / described.stiffness_ratio
+        return replace(tube, torsional_stiffness=(1.0 + by) * torsion)
+    if kind == "curve_start":
+        curve = tube.sections[1]
+        start = (replace(first, length=first.length + by), replace(curve, length=curve.length - by))
+        return replace(tube, sections=(*start, *tube.sections[2:]))
     if kind == "straight_length":
         if math.hypot(*first.curvature) > 0.0:
             raise DescriptionError(f"tube '{tube.name}' has no straight part at its proximal end")

@@ -1,12 +1,12 @@
-"""Tracker to robot, and coil to tip: from poses where the robot rested (`Measurement`).
+"""Registration of the tracker to the robot and of the coil to the tip, from poses at rest (`Measurement`).
 
-Start: the closed form of Kabsch between the coil's places and the model's tips. Then least squares over rotation,
-translation, the coil's place in the tip's frame and, when it tells directions, its tilt. The model's tubes are taken
-as they are: with tubes that differ from their description the residuals are millimetres and the
-covariance says so; `tubes` then fits both together.
+The fit starts from Kabsch's closed form between coil positions and the model's tips. A least-squares fit then finds
+rotation, translation, the coil's position in the tip's frame and, if the coil measures directions, its tilt. The tubes
+keep the robot file's values. If the real tubes differ, the residuals are millimetres and the covariance grows
+accordingly; the module `tubes` then fits frames and tubes together.
 
-The rotation about z is counted from the zero angle of the outermost tube that turns: a zero error of that stage and a
-turn of the whole tracker about z are one and the same to every measurement.
+The rotation about z is relative to the zero angle of the outermost rotating tube. A zero error of that stage and a
+rotation of the whole tracker about z have the same effect on every measurement.
 """
 
 import math
@@ -15,35 +15,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.calibration.fit import Fit, Unobservable, fit, weak_combinations
+from core.calibration.fit import Fit, UnobservableCombination, fit, weak_combinations
 from core.calibration.measurements import Measurement, Noise
-from core.calibration.prediction import Frames, Prediction, predicted
-from core.calibration.rigid import kabsch
+from core.calibration.prediction import Frames, Prediction, predict
+from core.calibration.rigid_transform import kabsch
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
 
-#: Every so many-th measurement is held out of the check's fit.
-HOLD_OUT = 4
-#: Fewer cannot be checked against each other.
-LEAST_MEASUREMENTS = 6
-#: The motion must be enough to determine the frames even if the model is no better than this [m]: what small moves
-#: and small noise seem to tell, the model's own error would spoil.
-MODEL_ERROR = 0.3e-3
-#: What is named must be enough: as if it told this part of what it does.
-SPARE = 0.7
-#: Turns and slides that are tried, one joint at a time, to say which motion is missing.
-AMOUNTS = {"rad": tuple(math.radians(a) for a in (10, 20, 30, 45, 60, 90, 120, 180)), "m": (0.005, 0.010, 0.020, 0.040)}
+#: Every measurement whose number is a multiple of this is held out: the fit excludes it, and it checks the result.
+HOLD_OUT_EVERY = 4
+#: Smallest number of measurements for a registration with held-out checks.
+MIN_MEASUREMENTS = 6
+#: Assumed error of the model [m]. The motion must determine the frames in spite of it; otherwise small moves with small
+#: noise would appear sufficient.
+MODEL_ERROR_M = 0.3e-3
+#: Factor on the expected information of a suggested motion; it is below 1 so that the motion is sufficient in practice.
+INFORMATION_RESERVE = 0.7
+#: Amplitudes of single-joint motions that are tested to find the missing motion, by unit of the joint [rad, m].
+MOTION_AMPLITUDES = {
+    "rad": tuple(math.radians(a) for a in (10, 20, 30, 45, 60, 90, 120, 180)),
+    "m": (0.005, 0.010, 0.020, 0.040),
+}
 
 
 class Registration(NamedTuple):
-    """The frames, and how good they are."""
+    """Result of a registration: the estimated frames and their errors."""
 
     frames: Frames
     fit: Fit
-    errors: Array  #: (m,) distance of each coil from where the model puts it [m]
-    held_out: Array  #: (k,) the same for measurements that the fit had not seen [m]
-    middle: Array  #: (3,) about which the rotation was turned [m]
+    errors: Array  #: (m,) distance of each coil from the model's prediction [m]
+    held_out: Array  #: (k,) distance of each held-out coil from the model's prediction [m]
+    middle: Array  #: (3,) centre of the fitted rotation [m]
 
     @property
     def rms(self) -> float:
@@ -51,9 +54,9 @@ class Registration(NamedTuple):
         return float(np.sqrt(np.mean(self.errors**2)))
 
     def error_at(self, points: Array) -> Array:
-        """Standard deviation (m,) with which points (m, 3) of the robot's frame are registered [m].
+        """Return the standard deviation (m,) [m] of the registration at points (m, 3) of the robot's frame.
 
-        The covariance of rotation and translation, carried to the place where it is asked for.
+        The covariance of rotation and translation is propagated to the points.
         """
         names = [p.name for p in self.fit.parameters]
         first = names.index("frame rotation x")
@@ -66,8 +69,8 @@ class Registration(NamedTuple):
 
 
 def closed_form(robot: Robot, measurements: Sequence[Measurement], forces: Array) -> Frames:
-    """Frames with the coil at the tip."""
-    tips = predicted(robot, measurements, forces).complete().tip
+    """Return the frames from Kabsch's closed form, with the assumption that the coil is at the tip."""
+    tips = predict(robot, measurements, forces).complete().tip
     return Frames(kabsch(np.array([measurement.coil for measurement in measurements]), tips), np.zeros(3), np.zeros(3))
 
 
@@ -77,91 +80,95 @@ def register(
     """Fit the frames to measurements under known tip forces (m, 3) [N].
 
     Raises:
-        Unobservable: too few measurements, or the robot has not moved enough to tell; with the missing motion.
+        UnobservableCombination: too few measurements, or too little motion; the text names the missing motion.
         CtrError: the model has no shape at a measurement.
 
     """
-    if len(measurements) < LEAST_MEASUREMENTS:
-        raise Unobservable(
-            f"{len(measurements)} measurements; a registration that can be checked needs at least {LEAST_MEASUREMENTS}"
+    if len(measurements) < MIN_MEASUREMENTS:
+        raise UnobservableCombination(
+            f"{len(measurements)} measurements; a registration that can be checked needs at least {MIN_MEASUREMENTS}"
         )
     start = closed_form(robot, measurements, forces)
     problem = Prediction(robot, (), measurements, forces, noise, start)
     found = fit(problem, problem.parameters)
-    rows = found.jacobian * min(noise.coil / MODEL_ERROR, 1.0)
-    if open_ := [c for c in weak_combinations(rows, problem.parameters) if not c.held]:
-        raise Unobservable(f"the visited poses cannot tell {open_[0]}: {missing_motion(problem, found, limits)}")
-    held = held_out_errors(robot, measurements, forces, noise, start)
+    rows = found.jacobian * min(noise.coil / MODEL_ERROR_M, 1.0)
+    if open_ := [c for c in weak_combinations(rows, problem.parameters) if not c.fixed_by_prior]:
+        raise UnobservableCombination(
+            f"the visited poses do not determine {open_[0]}: {missing_motion(problem, found, limits)}"
+        )
+    held_out = held_out_errors(robot, measurements, forces, noise, start)
     errors = np.linalg.norm(problem.errors(found.values), axis=1)
-    return Registration(problem.frames(found.values), found, errors, held, problem.middle)
+    return Registration(problem.frames(found.values), found, errors, held_out, problem.middle)
 
 
 def held_out_errors(
     robot: Robot, measurements: Sequence[Measurement], forces: Array, noise: Noise, start: Frames
 ) -> Array:
-    """Distances [m] at every `HOLD_OUT`-th measurement after a fit to the others."""
-    out = np.arange(len(measurements)) % HOLD_OUT == HOLD_OUT - 1
-    kept = Prediction(
+    """Return the distances [m] at every `HOLD_OUT_EVERY`-th measurement after a fit to the others."""
+    out = np.arange(len(measurements)) % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
+    used = Prediction(
         robot, (), [v for v, o in zip(measurements, out, strict=True) if not o], forces[~out], noise, start
     )
-    found = fit(kept, kept.parameters)
+    found = fit(used, used.parameters)
     rest = Prediction(
         robot,
         (),
         [v for v, o in zip(measurements, out, strict=True) if o],
         forces[out],
         noise,
-        kept.frames(found.values),
+        used.frames(found.values),
     )
     return np.linalg.norm(rest.errors(np.zeros(len(rest.parameters))), axis=1)
 
 
 def missing_motion(problem: Prediction, found: Fit, limits: Limits | None) -> str:
-    """Which joint has to move, and by how much, for every frame to be determined."""
+    """Return a text that states which joint has to move, and by how much, to determine every frame."""
     joints, frames = (
         np.array([measurement.joints for measurement in problem.measurements]),
         problem.frames(found.values),
     )
-    assumed = problem.noise._replace(coil=max(problem.noise.coil, MODEL_ERROR))
+    assumed = problem.noise._replace(coil=max(problem.noise.coil, MODEL_ERROR_M))
     moved: list[float] = np.ptp(joints, axis=0).tolist()
     best = (math.inf, "")
     for k, joint in enumerate(problem.robot.joints):
-        for amount in AMOUNTS[joint.unit]:
-            # The same poses again, with this joint moved one way or the other.
+        for amount in MOTION_AMPLITUDES[joint.unit]:
+            # Simulate the same poses again, with this joint moved alternately in both directions.
             extra = joints.copy()
             extra[:, k] += amount * np.where(np.arange(len(extra)) % 2 == 0, 1.0, -1.0)
             if limits is not None:
                 extra = np.clip(extra, [j.lower for j in limits.joints], [j.upper for j in limits.joints])
-            if not all(problem.robot.stands(pose) for pose in extra):
+            if not all(problem.robot.is_valid_pose(pose) for pose in extra):
                 continue
             added = [Measurement(0.0, e, np.zeros(3), np.zeros((len(problem.robot.tubes), 6)), 0.0) for e in extra]
-            measurements = [*problem.measurements, *_seen(problem, added, frames)]
+            measurements = [*problem.measurements, *_tracked(problem, added, frames)]
             forces = np.vstack((problem.forces, np.zeros((len(extra), 3))))
             more = Prediction(problem.robot, (), measurements, forces, assumed, frames)
-            weak = weak_combinations(SPARE * more.jacobian(np.zeros(len(more.parameters))), more.parameters)
-            left = max((c.open for c in weak if not c.held), default=0.0)
+            weak = weak_combinations(
+                INFORMATION_RESERVE * more.jacobian(np.zeros(len(more.parameters))), more.parameters
+            )
+            left = max((c.open for c in weak if not c.fixed_by_prior), default=0.0)
             text = _moved(joint.name, joint.unit, amount, moved[k])
             if left == 0.0:
                 return text
             best = min(best, (left, text))
-    return f"{best[1]}, and then the other joints"
+    return f"{best[1]}, then the other joints"
 
 
 def _moved(name: str, unit: str, amount: float, so_far: float) -> str:
     if unit == "rad":
         by, turned = math.degrees(amount), math.degrees(so_far)
-        return f"turn {name} by {by:.0f} deg either way (it turned {turned:.1f} deg so far)"
-    return f"slide {name} by {1e3 * amount:g} mm either way (it slid {1e3 * so_far:.1f} mm so far)"
+        return f"turn {name} by {by:.0f} deg in both directions (it turned {turned:.1f} deg so far)"
+    return f"slide {name} by {1e3 * amount:g} mm in both directions (it slid {1e3 * so_far:.1f} mm so far)"
 
 
-def _seen(problem: Prediction, measurements: Sequence[Measurement], frames: Frames) -> list[Measurement]:
-    """Measurements with what the tracker would see there."""
+def _tracked(problem: Prediction, measurements: Sequence[Measurement], frames: Frames) -> list[Measurement]:
+    """Return the measurements with the tracker data that the model predicts."""
     model, back = Statics(problem.robot, integrator="fourth_order"), frames.registration.inverse()
-    seen: list[Measurement] = []
+    simulated: list[Measurement] = []
     for measurement in measurements:
         pose = model.solve(measurement.joints, np.zeros(6))
         axes = None
         if problem.measurements[0].axes is not None:
             axes = pose.rotation.T[-problem.measurements[0].axes.shape[0] :] @ back.rotation.T
-        seen.append(measurement._replace(coil=back.apply(pose.tip + pose.rotation @ frames.coil), axes=axes))
-    return seen
+        simulated.append(measurement._replace(coil=back.apply(pose.tip + pose.rotation @ frames.coil), axes=axes))
+    return simulated

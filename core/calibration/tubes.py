@@ -1,8 +1,8 @@
-"""The tubes as they are: EI, curvature, nu, straight lengths and zero angles, together with the frames.
+"""Calibration of the tubes (stiffness, curvature, Poisson's ratio, straight lengths, zero angles) with the frames.
 
-Least squares over all measurements, unloaded and loaded, on the tracker's positions (`prediction`). Without load the
-shape depends on stiffness only through ratios: measurements under a known or measured load set its scale. Which
-combinations the data leave to what was known beforehand is part of the answer (`fit.weak`).
+The calibration is a least-squares fit to the tracker's positions (`prediction`) over all measurements, unloaded and
+loaded. Without load the shape depends only on ratios of stiffness. Measurements under a known or measured load set the
+scale of the stiffness. The result lists the parameter combinations that only priors determine (`Fit.weak`).
 """
 
 import math
@@ -12,40 +12,40 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.calibration.fit import Fit, Unobservable, fit
+from core.calibration.fit import Fit, UnobservableCombination, fit
 from core.calibration.measurements import Measurement, Noise
 from core.calibration.prediction import Frames, Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
 from core.robot.robot import Array, Robot
 
-#: A frame that is left open by more than this is not calibrated, in the sizes of its parameters: 2 mm, 1 deg.
-LOST = 2.0
-#: Chi square over degrees of freedom from which a model that is not quite right shows.
-ROUGH = 2.0
-#: How well a caliper says that the coil is at the tip, one standard deviation of each axis [m]. A good model finds it
-#: better; a rough one puts it millimetres along the tube in place of something else, and the tip with it.
-COIL_KNOWN = 0.3e-3
-#: Fewer loaded measurements than this cannot set the scale of the stiffness.
-LEAST_LOADED = 4
+#: Largest accepted uncertainty of a frame, in tolerances of its parameters: 2 mm, 1 deg.
+MAX_OPEN_FRAME = 2.0
+#: Reduced chi square of the fit above which the model itself is considered inaccurate.
+MAX_REDUCED_CHI_SQUARE = 2.0
+#: Prior of the coil's offset from the tip, measured with a caliper: standard deviation of each axis [m]. A good model
+#: finds it more accurately. An inaccurate model would compensate other errors by millimetres of offset along the tube.
+COIL_OFFSET_STD_M = 0.3e-3
+#: Smallest number of loaded measurements that determines the scale of the stiffness.
+MIN_LOADED_MEASUREMENTS = 4
 
 
 class TubeCalibration(NamedTuple):
-    """The robot as it was found to be."""
+    """Result of a tube calibration: the calibrated robot and the fit."""
 
     robot: Robot
     frames: Frames
     what: tuple[Quantity, ...]
     fit: Fit
-    errors: Array  #: (m,) distance of each coil from where the fitted model puts it [m]
-    rough: bool = False  #: the model alone left more than noise
+    errors: Array  #: (m,) distance of each coil from the fitted model's prediction [m]
+    rough: bool = False  #: whether the residuals of the first fit exceeded the noise
 
 
-class HeldOut(NamedTuple):
-    """Distances at measurements that no fit has seen (k,) [m]."""
+class HeldOutErrors(NamedTuple):
+    """Distances (k,) [m] at held-out measurements."""
 
-    before: Array  #: the described tubes with the best frames for them
-    after: Array
+    before: Array  #: distances with the robot file's tubes and the best frames for them
+    after: Array  #: distances with the calibrated tubes
 
 
 def calibrate_tubes(
@@ -58,51 +58,52 @@ def calibrate_tubes(
 ) -> TubeCalibration:
     """Fit tubes and frames to measurements under tip forces (m, 3) [N].
 
-    `sags` (m, 3) are the forces in place of the tubes' own weight; they count where the model alone leaves
-    more than noise.
+    `sags` (m, 3) are the tip forces equivalent to the tubes' own weight. They are used where the residuals exceed the
+    noise.
 
     Raises:
-        Unobservable: too few measurements or loads, or a frame is left open.
+        UnobservableCombination: there are too few measurements or loads, or a frame is not determined.
         CtrError: the model has no shape at a measurement.
 
     """
     what = quantities(robot) if what is None else what
     loaded = int(np.count_nonzero(np.linalg.norm(forces, axis=1) > 0.05))
-    if loaded < LEAST_LOADED and any(q.kind == "bending_stiffness" for q in what):
-        raise Unobservable(
-            f"{loaded} measurements under more than 0.05 N; without load only ratios of stiffness show:"
-            f" hang a weight and measurement at least {LEAST_LOADED} poses"
+    if loaded < MIN_LOADED_MEASUREMENTS and any(q.kind == "bending_stiffness" for q in what):
+        raise UnobservableCombination(
+            f"{loaded} measurements under more than 0.05 N; without load the poses determine only ratios of"
+            f" stiffness: hang a weight and measure at least {MIN_LOADED_MEASUREMENTS} poses"
         )
     if 3 * len(measurements) < len(what) + 9:
-        raise Unobservable(
-            f"{len(measurements)} measurements for {len(what) + 9} unknowns; measurement at least {len(what) + 9}"
+        raise UnobservableCombination(
+            f"{len(measurements)} measurements for {len(what) + 9} unknowns; measure at least {len(what) + 9} poses"
         )
     problem = Prediction(robot, what, measurements, forces, noise, closed_form(robot, measurements, forces))
     found = fit(problem, problem.parameters)
-    rough = found.variance_factor > ROUGH
+    rough = found.variance_factor > MAX_REDUCED_CHI_SQUARE
     if rough:
-        # What no tube of this model can tell (friction, clearance, a bent field) is as good as noise: what is known
-        # beforehand weighs against that.
-        problem = replace(problem, noise=noise.scaled(math.sqrt(found.variance_factor)), coil=COIL_KNOWN)
+        # Effects outside the model (friction, clearance, a distorted field) count as noise, so priors get more weight.
+        problem = replace(problem, noise=noise.scaled(math.sqrt(found.variance_factor)), coil=COIL_OFFSET_STD_M)
         if sags is not None:
             problem = replace(problem, forces=forces + sags)
         found = fit(problem, problem.parameters, found.values)
-    open_ = [combination for combination in found.weak if not combination.held and combination.open > LOST]
+    open_ = [c for c in found.weak if not c.fixed_by_prior and c.open > MAX_OPEN_FRAME]
     if open_:
-        raise Unobservable(f"the visited poses cannot tell {open_[0]}; measurement more of the travel of every joint")
+        raise UnobservableCombination(
+            f"the visited poses do not determine {open_[0]}; measure more of the travel of every joint"
+        )
     errors = np.linalg.norm(problem.errors(found.values), axis=1)
     return TubeCalibration(problem.tubes(found.values), problem.frames(found.values), what, found, errors, rough)
 
 
-def held_out(
-    described: Robot, calibration: TubeCalibration, seen: tuple[Sequence[Measurement], Array],
-    unseen: tuple[Sequence[Measurement], Array], noise: Noise,
-) -> HeldOut:  # fmt: skip
-    """What the calibration is worth where it was not made: measurements and their forces (k, 3) [N]."""
-    measurements, forces = seen
+def held_out_errors(
+    described: Robot, calibration: TubeCalibration, fitted: tuple[Sequence[Measurement], Array],
+    held_out: tuple[Sequence[Measurement], Array], noise: Noise,
+) -> HeldOutErrors:  # fmt: skip
+    """Return the errors at held-out measurements; both sets are measurements and their forces (k, 3) [N]."""
+    measurements, forces = fitted
     plain = Prediction(described, (), measurements, forces, noise, closed_form(described, measurements, forces))
     frames = plain.frames(fit(plain, plain.parameters).values)
-    before = Prediction(described, (), *unseen, noise, frames)
+    before = Prediction(described, (), *held_out, noise, frames)
     after = replace(before, robot=calibration.robot, start=calibration.frames)
     zero = np.zeros(len(before.parameters))
-    return HeldOut(*(np.linalg.norm(each.errors(zero), axis=1) for each in (before, after)))
+    return HeldOutErrors(*(np.linalg.norm(each.errors(zero), axis=1) for each in (before, after)))

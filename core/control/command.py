@@ -1,6 +1,7 @@
-"""estimate -> joint velocities, in one compiled call: outer loop, inner loop, inverse inside the limits.
+"""Second half of a tick: compute the joint velocities from the estimate, in one compiled call.
 
-Loops of one's own, in Python, take the place of the first two; the inverse and the limits are the same for all.
+The steps are the outer loop, the inner loop, and the inverse of the Jacobian inside the limits. Custom loops in Python
+can replace the first two. The inverse and the limits are the same for all strategies.
 """
 
 from typing import NamedTuple
@@ -8,86 +9,96 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled, copy
-from core.control.controllers import Strategy, VelocityTask, View, inner_law, outer_law
-from core.control.estimation import Estimate, known_of
-from core.control.inverse import HUNTING, NO_ROOM, inverse_at, inverse_law, no_rows, no_spare
-from core.control.pointing import NOT_ASKED, PLACE, Aim, with_direction
+from core.control.controllers import LoopInputs, Strategy, VelocityTask, inner_law, outer_law
+from core.control.estimation import Estimate, estimate_fields
+from core.control.tip_direction import NO_DIRECTION_TASK, POSITION_ONLY, TaskSelection, with_direction
 from core.control.trajectories import Setpoint
+from core.control.velocity_ik import (
+    ADAPTIVE_DAMPING_M_S,
+    NO_BOUNDS,
+    NullSpace,
+    inverse_at,
+    inverse_law,
+    no_rows,
+    zero_velocity,
+)
 from core.errors import NotFinite
-from core.model.solution import parts
+from core.model.solution import fields
 from core.robot.limits import Limits, velocity_bounds
 from core.robot.robot import Array
 
 
-class Commanded(NamedTuple):
-    """Joint velocities, what was asked for, and how they were limited."""
+class CommandResult(NamedTuple):
+    """Joint velocities, the requested tip velocity, and the active limits."""
 
-    velocity: Array  #: (n,) [rad/s or m/s]
-    u_int: Array  #: (3,) what the outer loop asked for [m/s]
-    sigma: Array  #: (min(3, n),) the smallest singular values of the rows in use, joints in units of top speed [m/s]
-    at_bound: Array  #: (n,) -1, 0, 1: joint held at its lower bound, free, at its upper
-    at_row: Array  #: (m,) 1 where a limit beyond single joints is active
-
-
-#: The tip's drift is the observer's.
-OBSERVED = np.zeros(0)
+    velocity: Array  #: (n,) commanded joint velocities [rad/s or m/s]
+    u_int: Array  #: (3,) tip velocity requested by the outer loop [m/s]
+    sigma: Array  #: (min(3, n),) smallest singular values of the task's Jacobian, joints in units of top speed [m/s]
+    at_bound: Array  #: (n,) -1: joint velocity at its lower bound; 0: free; 1: at its upper bound
+    at_row: Array  #: (m,) 1 where a limit of several joints together is active
 
 
-class Looks(NamedTuple):
-    """What the loops look at."""
+#: Empty array as default of the argument `drift`: the loops use the drift that the tip observer estimates.
+OBSERVER_DRIFT = np.zeros(0)
 
-    lead: float  #: the outer loop aims at the setpoint of so much later [s]
-    observes: bool  #: it looks at the observed tip, that much later; else at the latest tracker frame
-    exact_rate: bool  #: Type I takes the deflection's rate from C, J and the filtered force
+
+class FeedbackOptions(NamedTuple):
+    """Measurements and estimates that the loops use as feedback."""
+
+    lead_time: float  #: time by which the outer loop predicts the setpoint [s]
+    observes: bool  #: True: feedback is the observed tip, predicted by `lead_time`; False: the latest tracker frame
+    exact_rate: bool  #: True: the inner loop Type I computes the deflection's rate from C, J and the filtered force
 
 
 def command(
-    strategy: Strategy, looks: Looks, limits: Limits,
-    joints: Array, now: Estimate, force: Array, setpoint: Setpoint, tip: Array, origin: Array, drift: Array = OBSERVED,
-    aim: Aim = PLACE, pointing: Array = NOT_ASKED, spare: Array | None = None,
-) -> Commanded:  # fmt: skip
-    """Joint velocities for a setpoint.
+    strategy: Strategy, feedback: FeedbackOptions, limits: Limits,
+    joints: Array, now: Estimate, force: Array, setpoint: Setpoint, tip: Array, origin: Array,
+    drift: Array = OBSERVER_DRIFT,
+    aim: TaskSelection = POSITION_ONLY, pointing: Array = NO_DIRECTION_TASK, null_space: NullSpace | None = None,
+) -> CommandResult:  # fmt: skip
+    """Return the joint velocities that move the tip toward a setpoint.
 
     Args:
-        strategy: outer and inner loop.
-        looks: what they look at.
-        limits: of the joints, and beyond single joints.
-        joints: (n,) [rad or m].
-        now: the estimate of this tick.
-        force: (3,) on the tip as measured [N].
-        setpoint: from `origin`.
-        tip: (3,) the latest tracker frame [m].
-        origin: (3,) [m].
-        drift: (3,) tip velocity beyond J q' + C w' [m/s], or `OBSERVED`.
-        aim: what of the tip is controlled; loops of one's own control the place.
-        pointing: (6, 3) what `pointing.told` says of the direction, where that is asked for.
-        spare: (n,) what joints that are left over should do [rad/s or m/s]; nothing when left out.
+        strategy: outer and inner loop of the controller.
+        feedback: measurements and estimates that the loops use.
+        limits: limits of single joints and of several joints together.
+        joints: measured joint positions (n,) [rad or m].
+        now: estimate of this tick.
+        force: estimated force on the tip (3,) [N].
+        setpoint: desired tip, relative to `origin`.
+        tip: tip position (3,) in the latest tracker frame [m].
+        origin: position (3,) from which setpoints are measured [m].
+        drift: tip velocity (3,) that neither joints nor load explain [m/s], or `OBSERVER_DRIFT`.
+        aim: controlled coordinates of the tip; custom loops control the position only.
+        pointing: (6, 3) direction task from `pack_direction_task`, if the direction is controlled.
+        null_space: objective for joint motions that do not move the tip; by default there are no such motions.
 
     Raises:
-        NotFinite: what is asked for, or the Jacobian, is not.
+        NotFinite: the requested tip velocity or the Jacobian is not finite.
+        ContractError: a custom loop or limit raised, or returned a value that violates its interface.
 
     """
-    rows, room = no_rows(joints.size), NO_ROOM
-    if limits.others:
-        rows, room = limits.rows(_Now(joints, now, force))
-    if strategy.laws is None:
-        u_int, task = _own_loops(strategy, looks, now, setpoint, tip, origin, drift)
-        jacobian, velocity = (np.ascontiguousarray(side, dtype=np.float64) for side in task)
-        found = inverse_at(limits, joints, jacobian, velocity, rows, room)
-        return Commanded(found.velocity, u_int, found.sigma, found.at_bound, found.at_row)
     n = joints.size
-    found = Commanded(np.empty(n), np.empty(3), np.empty(min(3, n)), np.empty(n), np.empty(room.size))
+    rows, room = no_rows(n), NO_BOUNDS
+    if limits.others:
+        rows, room = limits.rows(_CurrentConfiguration(joints, now, force))
+    if strategy.laws is None:
+        u_int, task = _custom_loops(strategy, feedback, now, setpoint, tip, origin, drift)
+        found = inverse_at(limits, joints, *task, rows, room)
+        return CommandResult(found.velocity, u_int, found.sigma, found.at_bound, found.at_row)
+    null_space = NullSpace(zero_velocity(n), no_rows(n)) if null_space is None else null_space
+    found = CommandResult(np.empty(n), np.empty(3), np.empty(min(3, n)), np.empty(n), np.empty(room.size))
     if not _command(
-        *strategy.laws, *looks, limits.packed, joints, now.loaded.numbers, now.unloaded.numbers, now.numbers,
-        setpoint.position, setpoint.velocity, tip, origin, drift, aim.place, aim.lever, pointing, rows, room,
-        no_spare(n) if spare is None else spare, aim.floor, HUNTING, *found,
+        *strategy.laws, *feedback, limits.packed, joints, now.loaded.numbers, now.unloaded.numbers, now.numbers,
+        setpoint.position, setpoint.velocity, tip, origin, drift, aim.position, aim.lever, pointing, rows, room,
+        *null_space, aim.floor, ADAPTIVE_DAMPING_M_S, *found,
     ):  # fmt: skip
-        raise NotFinite(f"wanted tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
+        raise NotFinite(f"requested tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
     return found
 
 
-class _Now:
-    """The situation of a tick: the tube order, which most robots have alone, needs the joints alone."""
+class _CurrentConfiguration:
+    """State of the robot in one tick, for limits; it computes Jacobian and tip only when a limit reads them."""
 
     __slots__ = ("_now", "force", "joints")
 
@@ -96,66 +107,76 @@ class _Now:
 
     @property
     def jacobian(self) -> Array:
-        """(3, n)."""
+        """Jacobian (3, n) of the loaded tip's position [m/rad or m/m]."""
         return self._now.loaded.jacobian[:3]
 
     @property
     def tip(self) -> Array:
-        """(3,)."""
+        """Observed tip position (3,) [m]."""
         return self._now.observed.tip
 
 
-def _own_loops(
-    strategy: Strategy, looks: Looks, now: Estimate, setpoint: Setpoint, tip: Array, origin: Array, drift: Array
+def _custom_loops(
+    strategy: Strategy,
+    feedback: FeedbackOptions,
+    now: Estimate,
+    setpoint: Setpoint,
+    tip: Array,
+    origin: Array,
+    drift: Array,
 ) -> tuple[Array, VelocityTask]:
-    """U_int (3,) and the equation for the joints."""
+    """Call custom loops; return the requested tip velocity U_int (3,) and the equation for the joints.
+
+    The loops receive copies of all arrays, so that they may overwrite them.
+    """
     known = now.known
-    aim = Setpoint(_aim(looks.lead, setpoint.position, setpoint.velocity), setpoint.velocity)
-    u_int = strategy.outer.tip_velocity(aim, (known.tip_ahead if looks.observes else tip) - origin)
-    rate = known.deflection_rate_exact if looks.exact_rate else known.deflection_rate
+    aim = Setpoint(_setpoint_ahead(feedback.lead_time, setpoint.position, setpoint.velocity), setpoint.velocity.copy())
+    u_int = strategy.tip_velocity(aim, (known.tip_ahead if feedback.observes else tip) - origin)
+    rate = known.deflection_rate_exact if feedback.exact_rate else known.deflection_rate
     drift = known.drift if drift.size == 0 else drift
-    return u_int, strategy.inner(u_int, View(now.loaded, now.unloaded, rate, known.load_rate, drift))
+    view = LoopInputs(now.loaded.copy(), now.unloaded.copy(), rate.copy(), known.load_rate.copy(), drift.copy())
+    return u_int, strategy.velocity_task(u_int.copy(), view)
 
 
 @compiled
-def _aim(lead: float, wanted: Array, velocity: Array) -> Array:
-    """Where the setpoint will be when a command of now takes effect (3,) [m]."""
+def _setpoint_ahead(lead_time: float, desired: Array, velocity: Array) -> Array:
+    """Return the setpoint's position (3,) at the time when a command sent now takes effect [m]."""
     aim = np.empty(3)
     for i in range(3):
-        aim[i] = wanted[i] + lead * velocity[i]
+        aim[i] = desired[i] + lead_time * velocity[i]
     return aim
 
 
 @compiled
 def _command(
-    k1: float, k2: float, feedforward: float, number: int, lead: float, observes: bool, exact_rate: bool,
+    k1: float, k2: float, feedforward: float, number: int, lead_time: float, observes: bool, exact_rate: bool,
     limits: Array, joints: Array, loaded: Array, unloaded: Array, estimate: Array,
-    wanted: Array, velocity: Array, tip: Array, origin: Array, drift: Array,
-    place: float, lever: float, pointing: Array, rows: Array, room: Array, spare: Array,
-    least_floor: float, hunting: float,
+    desired: Array, velocity: Array, tip: Array, origin: Array, drift: Array,
+    weight: float, lever: float, pointing: Array, rows: Array, room: Array, null_space: Array, resisted: Array,
+    min_floor: float, adaptive: float,
     command: Array, u_int: Array, sigma: Array, at_bound: Array, at_row: Array,
 ) -> bool:  # fmt: skip
-    """`command` of the project's own loops, into the last five; False when what was wanted is not finite."""
-    now, here = known_of(estimate), np.empty(3)
+    """Compute `command` with built-in loops into the last five arguments; return False if an input is not finite."""
+    now, here = estimate_fields(estimate), np.empty(3)
     for i in range(3):
         here[i] = (now.tip_ahead[i] if observes else tip[i]) - origin[i]
-    copy(outer_law(k1, k2, feedforward, _aim(lead, wanted, velocity), velocity, here), u_int)
+    copy(outer_law(k1, k2, feedforward, _setpoint_ahead(lead_time, desired, velocity), velocity, here), u_int)
     rate = now.deflection_rate_exact if exact_rate else now.deflection_rate
-    with_load, free = parts(loaded), parts(unloaded)
-    jacobian, asked = inner_law(
+    with_load, free = fields(loaded), fields(unloaded)
+    jacobian, velocity_task = inner_law(
         number, u_int, with_load.jacobian, free.jacobian, rate, now.load_rate, now.drift if drift.size == 0 else drift
     )
-    jacobian, asked = with_direction(
-        place, lever, number, k1, feedforward, lead,
-        jacobian, asked, with_load.jacobian, free.jacobian, with_load.rotation, pointing,
+    jacobian, velocity_task = with_direction(
+        weight, lever, number, k1, feedforward, lead_time,
+        jacobian, velocity_task, with_load.jacobian, free.jacobian, with_load.rotation, pointing,
     )  # fmt: skip
     lower, upper = velocity_bounds(joints, limits)
-    found, values, held, active, finite = inverse_law(
-        jacobian, asked, limits[2], lower, upper, rows, room, spare, least_floor, hunting
+    found, values, bounded, active, finite = inverse_law(
+        jacobian, velocity_task, limits[2], lower, upper, rows, room, null_space, resisted, min_floor, adaptive
     )
     copy(found, command)
     for i in range(sigma.shape[0]):
         sigma[i] = values[max(0, values.shape[0] - sigma.shape[0] + i)]
-    copy(held, at_bound)
+    copy(bounded, at_bound)
     copy(active, at_row)
     return finite

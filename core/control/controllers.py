@@ -1,5 +1,7 @@
-"""The paper's control strategies (section III): an outer loop that asks for a tip velocity and an
-inner loop that turns it into what the joints must solve.
+"""The paper's control strategies (section III): each combines an outer loop and an inner loop.
+
+The outer loop requests a tip velocity U. The inner loop turns U into an equation for the joint velocities q'. Here J is
+the Jacobian by the joints q, C the compliance, w the load on the tip, and X the tip position.
 
 | strategy | outer | inner |
 |---|---|---|
@@ -10,80 +12,85 @@ inner loop that turns it into what the joints must solve.
 
 | inner loop | equation |
 |---|---|
-| `type_1` | J(q, 0) q' = U - d(Delta_total)/dt, eq. (24); Delta_2 holds q' itself: a delayed fixed point |
-| `type_1_exact` | J(q, w) q' = U - C w', the same without the fixed point |
-| `type_2` | J(q, w) q' = U - (X' - J(q, w) q'), eq. (29), X' being the tip's velocity as observed or by frames |
+| `type_1` | J(q, 0) q' = U - d(Delta_total)/dt, eq. (24); the deflection's rate contains q' of earlier ticks |
+| `type_1_exact` | J(q, w) q' = U - C w': the same equation solved for q' |
+| `type_2` | J(q, w) q' = U - (X' - J(q, w) q'), eq. (29); X' is the tip's velocity from observer or tracker frames |
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from core.compiled import compiled
+from core.contract import name_of, numbers, pair, result_of
 from core.control.trajectories import Setpoint
-from core.errors import DescriptionError
+from core.errors import ContractError, DescriptionError
 from core.model.statics import Solution
 from core.robot.robot import Array
 
 
-class View(NamedTuple):
-    """What an inner loop may look at."""
+class LoopInputs(NamedTuple):
+    """The model's solutions and the estimates that an inner loop may use."""
 
-    loaded: Solution  #: F(q, w) and its derivatives
-    unloaded: Solution  #: F(q, 0) and its derivatives
-    deflection_rate: Array  #: (3,) rate of Delta_total, by filter or by C and J [m/s]
-    load_rate: Array  #: (3,) C(q, w) w', the tip's velocity by the load alone [m/s]
-    drift: Array  #: (3,) tip velocity beyond J q' + C w', as observed or as frames show it: X' - J q' - C w' [m/s]
+    loaded: Solution  #: tip of the model under the measured load, F(q, w), and its derivatives
+    unloaded: Solution  #: tip of the model without load, F(q, 0), and its derivatives
+    deflection_rate: Array  #: (3,) rate of the deflection under load, from a filter or from C and J [m/s]
+    load_rate: Array  #: (3,) C(q, w) w', the tip velocity that the load alone causes [m/s]
+    drift: Array  #: (3,) tip velocity X' - J q' - C w' that neither joints nor load explain [m/s]
 
 
 class VelocityTask(NamedTuple):
-    """The joints should satisfy jacobian @ joint_velocity = velocity."""
+    """Equation that the joint velocities should satisfy: jacobian @ joint_velocity = velocity."""
 
-    jacobian: Array  #: (3, n) [m/rad or m/m]
-    velocity: Array  #: (3,) [m/s]
+    jacobian: Array  #: (3, n) left side of the equation [m/rad or m/m]
+    velocity: Array  #: (3,) right side of the equation, a tip velocity [m/s]
 
 
 class OuterLoop(Protocol):
-    """Asks the inner loop for a tip velocity U_int."""
+    """Outer loop: requests a tip velocity U_int from the inner loop."""
 
     def tip_velocity(self, setpoint: Setpoint, tip: Array) -> Array:
-        """U_int (3,) [m/s] from the setpoint and the measured tip (3,), both from the start tip [m]."""
+        """Return the requested tip velocity U_int (3,) [m/s].
+
+        The setpoint and the measured tip (3,) are relative to the tip at the start of the motion [m].
+        """
         ...
 
 
 class InnerLoop(Protocol):
-    """Turns U_int (3,) [m/s] into a velocity equation for the joints."""
+    """Inner loop: turns U_int (3,) [m/s] into a velocity equation for the joints."""
 
-    def __call__(self, u_int: Array, view: View, /) -> VelocityTask:
-        """The equation the joints must solve."""
+    def __call__(self, u_int: Array, view: LoopInputs, /) -> VelocityTask:
+        """Return the equation that the joints must solve."""
         ...
 
 
 @dataclass(frozen=True)
 class VelocityMode:
-    """No feedback: U_int is the trajectory's velocity."""
+    """Outer loop without feedback: it requests the trajectory's velocity."""
 
-    law = (0.0, 0.0, 1.0)  #: K1, K2 and the weight of the desired velocity, for `outer_law`
+    law = (0.0, 0.0, 1.0)  #: gains K1 and K2, and weight of the desired velocity, for `outer_law`
 
     def tip_velocity(self, setpoint: Setpoint, tip: Array) -> Array:  # noqa: ARG002 - open loop
-        """Desired velocity, whatever the tracker says."""
+        """Return the desired velocity, independent of the measured tip."""
         return setpoint.velocity
 
 
 @dataclass(frozen=True)
 class PositionMode:
-    """Eq. (30), U_int = -K1 X + K2 X_des, optionally with the desired velocity fed forward.
+    """Outer loop with position feedback, eq. (30): U_int = -K1 X + K2 X_des, optionally with feed-forward of velocity.
 
-    Without feed-forward the tip lags as eq. (31) says, by |w / (k + jw)| of a motion at w.
+    Without feed-forward and with K1 = K2 = k, the tip lags behind a sinusoidal motion. At the angular frequency w the
+    error is |w / (k + jw)| of the amplitude, eq. (31).
     """
 
-    k1: float  #: [1/s]
-    k2: float  #: [1/s]
-    feedforward: bool = False
+    k1: float  #: gain of the measured tip position [1/s]
+    k2: float  #: gain of the desired tip position [1/s]
+    feedforward: bool = False  #: whether the desired velocity is added to U_int
 
     def __post_init__(self) -> None:
         for name, gain in (("K1", self.k1), ("K2", self.k2)):
@@ -92,30 +99,30 @@ class PositionMode:
 
     @property
     def law(self) -> tuple[float, float, float]:
-        """K1, K2 and the weight of the desired velocity, for `outer_law`."""
+        """Gains K1 and K2, and weight of the desired velocity, for `outer_law`."""
         return self.k1, self.k2, float(self.feedforward)
 
     def tip_velocity(self, setpoint: Setpoint, tip: Array) -> Array:
-        """Eq. (30)."""
+        """Return U_int of eq. (30)."""
         return outer_law(*self.law, setpoint.position, setpoint.velocity, tip)
 
 
 @compiled
-def outer_law(k1: float, k2: float, feedforward: float, wanted: Array, velocity: Array, tip: Array) -> Array:
-    """Eq. (30) with the desired velocity weighted: U_int (3,) [m/s]."""
+def outer_law(k1: float, k2: float, feedforward: float, desired: Array, velocity: Array, tip: Array) -> Array:
+    """Return the requested tip velocity U_int (3,) of eq. (30), with the desired velocity weighted by `feedforward`."""
     u_int = np.empty(3)
     for i in range(3):
-        u_int[i] = k2 * wanted[i] - k1 * tip[i] + feedforward * velocity[i]
+        u_int[i] = k2 * desired[i] - k1 * tip[i] + feedforward * velocity[i]
     return u_int
 
 
 class InnerLaw(NamedTuple):
-    """One of the project's inner loops: an `InnerLoop` that compiled code knows by its number."""
+    """Built-in inner loop: an `InnerLoop` that compiled code selects by its number."""
 
     number: int
 
-    def __call__(self, u_int: Array, view: View, /) -> VelocityTask:
-        """The equation the joints must solve."""
+    def __call__(self, u_int: Array, view: LoopInputs, /) -> VelocityTask:
+        """Return the equation that the joints must solve."""
         return VelocityTask(
             *inner_law(
                 self.number, u_int, view.loaded.jacobian, view.unloaded.jacobian,
@@ -131,7 +138,7 @@ UNLOADED, LOADED, TYPE_1, TYPE_1_EXACT, TYPE_2 = range(5)
 def inner_law(
     number: int, u_int: Array, loaded: Array, unloaded: Array, deflection_rate: Array, load_rate: Array, drift: Array
 ) -> tuple[Array, Array]:
-    """Left and right side of the inner loops' equations; `loaded` and `unloaded` are Jacobians (6, n)."""
+    """Return both sides of the equation of the inner loop `number`; `loaded` and `unloaded` are Jacobians (6, n)."""
     n = loaded.shape[1]
     jacobian, velocity = np.empty((3, n)), np.empty(3)
     for i in range(3):
@@ -149,15 +156,16 @@ def inner_law(
     return jacobian, velocity
 
 
-#: J(q, 0) q' = U_int: the load is ignored.
+#: Inner loop J(q, 0) q' = U_int, which ignores the load.
 unloaded = InnerLaw(UNLOADED)
-#: J(q, w) q' = U_int: the load changes the Jacobian, its own motion of the tip is ignored.
+#: Inner loop J(q, w) q' = U_int, which uses the loaded Jacobian but ignores the tip motion that the load causes.
 loaded = InnerLaw(LOADED)
-#: Eq. (24), J(q, 0) q' = U_int - d(Delta_total)/dt.
+#: Inner loop of eq. (24), J(q, 0) q' = U_int - d(Delta_total)/dt.
 type_1 = InnerLaw(TYPE_1)
-#: J(q, w) q' = U_int - C w': eq. (21) solved for q', equal to (24) with an exact Delta_total.
+#: Inner loop J(q, w) q' = U_int - C w': eq. (21) solved for q', equal to eq. (24) with an exact Delta_total.
 type_1_exact = InnerLaw(TYPE_1_EXACT)
-#: Eq. (29), J(q, w) q' = U_int - (X' - J(q, w) q'): whatever moves the tip besides the joints.
+#: Inner loop of eq. (29), J(q, w) q' = U_int - (X' - J(q, w) q'). It compensates every motion of the tip that the
+#: joints do not cause.
 type_2 = InnerLaw(TYPE_2)
 
 #: Inner loops of strategies (c) and (d) by name.
@@ -166,20 +174,67 @@ INNER_LOOPS: dict[str, InnerLoop] = {"type_1": type_1, "type_1_exact": type_1_ex
 
 @dataclass(frozen=True)
 class Strategy:
-    """An outer loop on an inner loop."""
+    """A control strategy: an outer loop and the inner loop that it commands."""
 
     outer: OuterLoop
     inner: InnerLoop
 
     @cached_property
     def laws(self) -> tuple[float, float, float, int] | None:
-        """What `core.control.command` is told of the project's own loops; None for loops of one's own."""
-        if isinstance(self.outer, VelocityMode | PositionMode) and isinstance(self.inner, InnerLaw):
-            return (*self.outer.law, self.inner.number)
+        """Gains of the outer loop and number of the inner loop, for compiled code; None for custom loops."""
+        outer: Any = self.outer
+        inner: Any = self.inner
+        if (type(outer) is VelocityMode or type(outer) is PositionMode) and type(inner) is InnerLaw:
+            return (*outer.law, inner.number)
         return None
 
+    @property
+    def names(self) -> tuple[str, str]:
+        """Names of outer and inner loop, for messages."""
+        inner = self.inner
+        known = next((name for name, loop in INNER_LOOPS.items() if loop is inner), name_of(inner))
+        return f"outer loop '{name_of(self.outer)}'", f"inner loop '{known}'"
 
-#: Strategies by name; each takes the gains of the outer loop and the inner loop and uses what it has.
+    def tip_velocity(self, setpoint: Setpoint, tip: Array) -> Array:
+        """Return the tip velocity U_int (3,) [m/s] that the outer loop requests.
+
+        Raises:
+            ContractError: the outer loop raised, or returned something other than three finite numbers.
+
+        """
+        who = self.names[0]
+        return numbers(who, "U_int", result_of(who, self.outer.tip_velocity, setpoint, tip), (3,), "m/s")
+
+    def velocity_task(self, u_int: Array, view: LoopInputs) -> VelocityTask:
+        """Return the inner loop's equation for the joints.
+
+        Raises:
+            ContractError: the inner loop raised, or returned something other than finite numbers (3, n) and (3,).
+
+        """
+        who = self.names[1]
+        returned = result_of(who, self.inner, u_int, view)
+        jacobian, velocity = pair(who, returned, "VelocityTask(jacobian, velocity)")
+        return VelocityTask(
+            numbers(who, "the Jacobian", jacobian, (3, view.loaded.joints.size), "m/rad or m/m"),
+            numbers(who, "the velocity", velocity, (3,), "m/s"),
+        )
+
+    def check(self, at: Solution) -> None:
+        """Call custom loops once before anything moves, with a robot at rest on its setpoint in the pose `at`.
+
+        Raises:
+            ContractError: a custom loop raised, or returned a value that violates its interface.
+
+        """
+        if self.laws is None:
+            rest = np.zeros((6, 3))
+            u_int = self.tip_velocity(Setpoint(rest[0], rest[1]), rest[2])
+            self.velocity_task(u_int, LoopInputs(at.copy(), at.copy(), *rest[3:]))
+
+
+#: Functions that make the strategy of each name from the outer loop's gains and an inner loop. A strategy ignores the
+#: arguments that it does not need.
 STRATEGIES: dict[str, Callable[[PositionMode, InnerLoop], Strategy]] = {
     "unloaded_jacobian": lambda _gains, _inner: Strategy(VelocityMode(), unloaded),
     "loaded_jacobian": lambda _gains, _inner: Strategy(VelocityMode(), loaded),
@@ -189,13 +244,17 @@ STRATEGIES: dict[str, Callable[[PositionMode, InnerLoop], Strategy]] = {
 
 
 def strategy(name: str, k1: float = 2.5, k2: float = 2.5, feedforward: bool = False, inner: str = "type_1") -> Strategy:
-    """The strategy of that name.
+    """Return the control strategy with this name.
 
     Raises:
         DescriptionError: unknown strategy or inner loop, or gains outside 0 ... 50 1/s.
+        ContractError: a custom strategy raised, or returned something other than a `Strategy`.
 
     """
     for what, given, known in (("strategy", name, STRATEGIES), ("inner loop", inner, INNER_LOOPS)):
         if given not in known:
             raise DescriptionError(f"{what} '{given}' is unknown; choose one of {', '.join(known)}")
-    return STRATEGIES[name](PositionMode(k1, k2, feedforward), INNER_LOOPS[inner])
+    made = result_of(f"strategy '{name}'", STRATEGIES[name], PositionMode(k1, k2, feedforward), INNER_LOOPS[inner])
+    if not isinstance(made, Strategy):
+        raise ContractError(f"strategy '{name}' returned a {type(made).__name__}; it must return a Strategy")
+    return made

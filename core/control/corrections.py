@@ -1,4 +1,4 @@
-"""What calibration has found out about coil and sensors, taken out of every sample before it is used."""
+"""Corrections from a calibration, applied to every sample: coil position, coil axis, and errors of the base sensors."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,42 +11,46 @@ from core.robot.robot import Array
 
 @dataclass(frozen=True)
 class Corrections:
-    """A coil that is not at the tip or not along it, sensors that are mounted askew or carry a weight."""
+    """Calibrated offset and axis of the tracker coil, and calibrated base sensors."""
 
     sensors: Sensors
-    coil: Array = field(default_factory=lambda: np.zeros(3))  #: (3,) in the frame of the innermost tube's tip [m]
-    axis: Array | None = None  #: (3,) of the coil in that frame, unit vector; None: nobody has looked, it is the tip's
+    #: (3,) position of the coil in the frame of the innermost tube's tip [m]
+    coil: Array = field(default_factory=lambda: np.zeros(3))
+    axis: Array | None = None  #: (3,) coil axis in the tip's frame, unit vector; None: it is parallel to the tip
 
     def tip(self, coil: Array, rotation: Array) -> Array:
-        """The tip (3,) when the coil is measured at `coil` (3,) [m] and the tip's frame is `rotation` (3, 3).
+        """Return the tip (3,) for a coil measured at `coil` (3,) [m]; `rotation` (3, 3) is the tip's frame.
 
-        The frame is the model's: of an offset of a millimetre its error takes micrometres.
+        The tip's frame comes from the model. With a coil offset of a millimetre, its error causes micrometres of error.
         """
         return coil - rotation @ self.coil
 
     def direction(self, axis: Array, rotation: Array) -> Array:
-        """Where the tip points (3,) when the coil's axis is measured as `axis` (3,), the tip's frame being `rotation`.
+        """Return the tip's direction (3,) for a measured coil axis `axis` (3,); `rotation` is the tip's frame.
 
-        The shortest turn in the tip's frame that lays the coil's axis along z. The frame is the model's: of an axis
-        askew by 3 degrees its error by one degree takes 0.05 degrees.
+        The correction is the shortest rotation in the tip's frame that turns the coil's axis to z. The tip's frame
+        comes from the model. With an axis misaligned by 3 degrees, a frame error of one degree causes 0.05 degrees.
         """
         return axis if self.axis is None else rotation @ (self._straighten @ (rotation.T @ axis))
 
     def coil_axis(self, direction: Array, rotation: Array) -> Array:
-        """The other way round: the axis (3,) that was measured when `direction` has made this of it."""
+        """Return the coil axis (3,) measured when the tip points along `direction`: the inverse of that method."""
         return direction if self.axis is None else rotation @ (self._straighten.T @ (rotation.T @ direction))
 
     @cached_property
     def _straighten(self) -> Array:
-        """Rotation (3, 3) that carries the coil's axis onto z the short way."""
+        """Shortest rotation (3, 3) that turns the coil's axis to the z axis of the tip's frame."""
         x, y, z = np.array([0.0, 0.0, 1.0]) if self.axis is None else self.axis
         part = 1.0 / (1.0 + z)
         return np.array([[1.0 - part * x * x, -part * x * y, -x], [-part * x * y, 1.0 - part * y * y, -y], [x, y, z]])
 
     def wrenches(self, tared: Array, alpha: Array) -> Array:
-        """What the tubes exert (q, 6) of tared readings (q, 6) at rotations alpha (q,) [N, N m]."""
+        """Return the tubes' wrenches (q, 6) [N, N m] from tared readings (q, 6) at rotations alpha (q,)."""
         return self.sensors.exerted(tared, alpha)
 
     def offset(self, readings: Array, alpha: Array) -> Array:
-        """The tare (q, 6) of readings (q, 6) without load: what hangs on the sensors stays in."""
+        """Return the tare (q, 6) from readings (q, 6) without load.
+
+        The tare excludes the weight of parts that hang on the sensors, because its direction rotates with the tubes.
+        """
         return readings - self.sensors.hanging(alpha)

@@ -1,9 +1,10 @@
-"""How fast the load bends the tip: the rate of Delta_total, eqs. (22) and (25).
+"""Rate of the deflection under load, d(Delta_total)/dt, eqs. (22) and (25).
 
-Delta_total = F(q, w) - F(q, 0) is differentiated by a Kalman filter with a constant-velocity
-model for each axis. Its gain settles within the first second and depends on nothing measured, so
-it is computed once with filterpy; a tick then costs two multiplications an axis. The same filter
-on the fused force gives w' for the exact rate, C(q, w) w' + (J(q, w) - J(q, 0)) q'.
+The deflection is Delta_total = F(q, w) - F(q, 0): the model's tip for joints q and load w, minus the tip without load.
+A Kalman filter with a constant-velocity model for each axis differentiates it. The filter's gain settles within the
+first second and does not depend on measurements. It is therefore computed once with filterpy; a tick then costs two
+multiplications per axis. The same filter on the measured force gives w' for the exact rate,
+C(q, w) w' + (J(q, w) - J(q, 0)) q'.
 """
 
 import math
@@ -18,23 +19,23 @@ from core.errors import DescriptionError, NotFinite
 from core.robot.robot import Array
 
 
-class Rate(NamedTuple):
-    """A filtered quantity and its rate of change."""
+class FilteredRate(NamedTuple):
+    """A filtered deflection and its rate of change; the same filter also serves the force, in N and N/s."""
 
-    value: Array  #: (3,) [m]
-    rate: Array  #: (3,) [m/s]
+    value: Array  #: (3,) filtered deflection [m]
+    rate: Array  #: (3,) its rate of change [m/s]
 
 
 @dataclass(frozen=True)
 class RateFilter:
-    """Steady-state Kalman filter for value and rate.
+    """Steady-state Kalman filter for a quantity and its rate of change.
 
-    A larger `bandwidth` follows a quicker load and passes more of the force sensors' noise.
+    A filter with larger `bandwidth` follows a quicker load and passes more of the force sensors' noise.
     """
 
-    period: float  #: [s]
-    bandwidth: float = 1.0  #: [Hz]; sets the ratio of process to measurement noise
-    gain: tuple[float, float] = field(init=False)  #: for value [1] and rate [1/s]
+    period: float  #: time between two measurements [s]
+    bandwidth: float = 1.0  #: bandwidth of the filter [Hz]; it sets the ratio of process to measurement noise
+    gain: tuple[float, float] = field(init=False)  #: Kalman gains for value [1] and rate [1/s]
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.period) and self.period > 0.0):
@@ -44,20 +45,20 @@ class RateFilter:
             raise DescriptionError(f"filter bandwidth {self.bandwidth:g} Hz is outside 0 ... {nyquist:g} Hz")
         object.__setattr__(self, "gain", _steady_gain(self.period, self.bandwidth))
 
-    def start(self, measured: Array) -> Rate:
-        """At rest at the measured value (3,)."""
-        return Rate(_finite(measured).copy(), np.zeros(3))
+    def start(self, measured: Array) -> FilteredRate:
+        """Return the filter's state for a constant quantity with the measured value (3,)."""
+        return FilteredRate(_finite(measured).copy(), np.zeros(3))
 
-    def update(self, last: Rate, measured: Array | None) -> Rate:
-        """One period on; `None` for a missing measurement lets the estimate coast.
+    def update(self, last: FilteredRate, measured: Array | None) -> FilteredRate:
+        """Return the filter's state one period later; without a measurement (`None`) it is extrapolated.
 
         Raises:
-            NotFinite: a NaN would stay in the filter for ever.
+            NotFinite: the measurement is not finite; a NaN would stay in the filter forever.
 
         """
         if measured is None:
-            return Rate(last.value + self.period * last.rate, last.rate)
-        new = Rate(np.empty(3), np.empty(3))
+            return FilteredRate(last.value + self.period * last.rate, last.rate)
+        new = FilteredRate(np.empty(3), np.empty(3))
         filtered(*last, _finite(measured), *new, self.period, *self.gain)
         return new
 
@@ -67,7 +68,7 @@ def filtered(
     value: Array, rate: Array, measured: Array, new_value: Array, new_rate: Array,
     period: float, k_value: float, k_rate: float,
 ) -> None:  # fmt: skip
-    """`RateFilter.update`, from one pair of value and rate (3,) into the other."""
+    """Compute `RateFilter.update` in compiled code; write the result to `new_value` and `new_rate` (3,)."""
     for k in range(3):
         ahead = value[k] + period * rate[k]
         surprise = measured[k] - ahead
@@ -75,16 +76,29 @@ def filtered(
         new_rate[k] = rate[k] + k_rate * surprise
 
 
+@compiled
+def gains(period: float, bandwidth: float) -> tuple[float, float]:
+    """Return the gains for value [1] and rate [1/s] of a filter with this bandwidth [Hz], in closed form.
+
+    The poles are those of the steady Kalman filter in continuous time, s = w (-1 +- i) / sqrt 2 with w = 2 pi
+    bandwidth.
+    """
+    angle = math.sqrt(2.0) * math.pi * bandwidth * period
+    radius = math.exp(-angle)
+    value = 1.0 - radius * radius
+    return value, (2.0 - value - 2.0 * radius * math.cos(angle)) / period
+
+
 @cache
 def _steady_gain(period: float, bandwidth: float) -> tuple[float, float]:
-    """Kalman gain for value [1] and rate [1/s], from filterpy's recursion run until it stands."""
+    """Return the Kalman gains for value [1] and rate [1/s] by running filterpy's recursion until it converges."""
     from filterpy.common import Q_continuous_white_noise  # pyright: ignore
     from filterpy.kalman import KalmanFilter  # pyright: ignore
 
     kalman = cast(Any, KalmanFilter)(dim_x=2, dim_z=1)
     kalman.F = np.array([[1.0, period], [0.0, 1.0]])
     kalman.H = np.array([[1.0, 0.0]])
-    # Continuous white acceleration of density w^4 R T gives a filter of bandwidth w.
+    # White acceleration of density w^4 R T gives a filter of bandwidth w, with noise variance R = 1 and period T.
     density = (2.0 * math.pi * bandwidth) ** 4 * period
     kalman.Q = cast(Any, Q_continuous_white_noise)(dim=2, dt=period, spectral_density=density)
     kalman.P = np.diag([1.0, density / period])

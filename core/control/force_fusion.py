@@ -1,7 +1,8 @@
-"""Tip force from the wrenches at the tubes' bases (section V-A of the paper).
+"""Total load on the robot from the wrenches at the tubes' bases (section V-A of the paper).
 
-Each base sensor sees its own tube's share of the load plus whatever the tubes do to each other
-(friction, contact). Added up in one frame the internal part cancels and the load remains.
+Each base sensor measures its tube's share of the load plus the forces between the tubes (friction, contact). In the
+sum over all sensors, in one frame, the forces between the tubes cancel and the load remains. `tip_force` estimates the
+force at the tip from this sum.
 """
 
 from typing import NamedTuple
@@ -12,35 +13,38 @@ from core.compiled import compiled
 from core.robot.robot import Array, Layout, Robot, tube_poses
 
 
-class Fused(NamedTuple):
-    """Load of the whole robot."""
+class FusedLoad(NamedTuple):
+    """Total force and moment on the robot."""
 
-    force: Array  #: (3,) [N]
-    moment: Array  #: (3,) about the plate's origin [N m]
+    force: Array  #: (3,) total force [N]
+    moment: Array  #: (3,) total moment about the plate's origin [N m]
 
 
-def fuse(wrenches: Array, alpha: Array, beta: Array) -> Fused:
-    """Add up the base wrenches in the plate's frame, at its origin.
+def fuse(wrenches: Array, alpha: Array, beta: Array) -> FusedLoad:
+    """Return the sum of the base wrenches in the plate's frame, at its origin.
 
     Args:
-        wrenches: force and moment (q, 6) that each tube exerts on its sensor, in the sensor's own
+        wrenches: force and moment (q, 6) that each tube exerts on its sensor, in the sensor's
             axes [N, N m]. Sensor i sits at (0, 0, beta_i) and turns with tube i.
         alpha: rotation of each tube (q,) [rad].
         beta: proximal end of each tube (q,) [m].
 
     """
     total = _fuse(wrenches, alpha, beta)
-    return Fused(total[:3], total[3:])
+    return FusedLoad(total[:3], total[3:])
 
 
-def fuse_at(robot: Robot, joints: Array, wrenches: Array) -> Fused:
-    """`fuse` for joints (n,) [rad or m], turned into the world frame."""
+def fuse_at(robot: Robot, joints: Array, wrenches: Array) -> FusedLoad:
+    """Return the sum of the base wrenches at joints (n,) [rad or m], rotated into the world frame."""
     total = fused_at(robot.layout, joints, wrenches)
-    return Fused(total[:3], total[3:])
+    return FusedLoad(total[:3], total[3:])
 
 
-def closure(load: Fused, tip: Array) -> float:
-    """|moment - tip x force| [N m]: zero for a point force at the tip (3,) [m], large elsewhere."""
+def closure(load: FusedLoad, tip: Array) -> float:
+    """Return the moment mismatch |moment - tip x force| [N m].
+
+    It is zero for a point force at the tip (3,) [m], and large for other loads.
+    """
     return float(np.linalg.norm(load.moment - np.cross(tip, load.force)))
 
 
@@ -61,7 +65,7 @@ def _fuse(wrenches: Array, alpha: Array, beta: Array) -> Array:
 
 @compiled
 def fused_at(layout: Layout, joints: Array, wrenches: Array) -> Array:
-    """`fuse_at`: force and moment (6,)."""
+    """Return force and moment (6,) of `fuse_at`, in compiled code."""
     alpha, beta, _ = tube_poses(layout, joints)
     plate = _fuse(wrenches, alpha, beta)
     world = np.zeros(6)

@@ -1,15 +1,16 @@
-"""Where the tip is between tracker frames and during drop-outs: the model corrected by the tracker.
+"""Tip observer: it estimates the tip's position between tracker frames and during drop-outs of the tracker.
 
-The model says at 500 Hz where the tip is, but not exactly; the tracker says it at 40 Hz, late and
-noisy. What the model lacks, its bias, changes slowly with pose and load:
+The model F(q, w) gives the tip X at 500 Hz for joints q and load w, with a model error. The tracker gives the tip at
+40 Hz, delayed and noisy. The difference, the bias b of the model, changes slowly with pose and load:
 
     X = F(q, w) + b,    b'' = white noise,
 
-a Kalman filter of b and b' with one covariance for the three axes. A frame is compared with the
-model's tip *of its own time*, kept in a short history, and corrects the present bias through
-H = [1, -age]. Without frames the covariance grows: that is the uncertainty shown. A frame further
-off than the gate is taken for a jump and left out. Frames in a row that are off by the same, though,
-are no jump: something has moved the tip that the model does not know of, and the bias begins anew.
+A Kalman filter estimates b and its rate b', with one covariance for the three axes. A tracker frame is compared with
+the model's tip *at the time of the frame's measurement*, from a short history. The frame corrects the present bias
+through the measurement matrix H = [1, -age]. Without frames the covariance grows; it is the displayed uncertainty. A
+frame whose innovation (measured minus expected tip) exceeds the gate is rejected as an outlier. Several rejected frames
+in a row that agree with each other are no outliers: a cause outside the model has moved the tip, and the bias is
+initialised again.
 """
 
 import math
@@ -23,33 +24,33 @@ from core.compiled import compiled
 from core.errors import DescriptionError, NotFinite
 from core.robot.robot import Array
 
-#: Standard deviation of the drift before anything is known of it [m/s].
-FIRST_DRIFT = 1e-3
-#: As many frames in a row that were left out, and that agree with each other, are believed.
-BELIEVED = 8
+#: Initial standard deviation of the drift, the rate of the model's bias [m/s].
+FIRST_DRIFT_STD_M_S = 1e-3
+#: Number of rejected frames in a row that agree with each other, after which they are accepted.
+REACQUIRE_FRAMES = 8
 
 
-class Observed(NamedTuple):
-    """What the observer knows at one tick."""
+class ObserverState(NamedTuple):
+    """State of the observer at one tick."""
 
-    bias: Array  #: (3,) tracker minus model [m]
+    bias: Array  #: (3,) tracker's tip minus model's tip [m]
     drift: Array  #: (3,) rate of the bias [m/s]
-    covariance: Array  #: (3,) equal for all axes: of the bias, of both, of the drift [m^2, m^2/s, m^2/s^2]
-    tips: Array  #: (ticks, 3) the model's tips, the newest at `place` [m]
-    place: int
-    used: bool  #: a frame of this tick passed the gate
-    refused: Array  #: (3,) by how much the latest frame that was left out surprised [m]
-    in_a_row: int  #: so many frames in a row were left out
+    covariance: Array  #: (3,) variance of bias, covariance of both, variance of drift [m^2, m^2/s, m^2/s^2]
+    tips: Array  #: (ticks, 3) the model's tips of the last ticks, the newest at index `newest` [m]
+    newest: int  #: index of the newest tip in `tips`
+    used: bool  #: whether a tracker frame arrived in this tick and passed the gate
+    refused: Array  #: (3,) innovation (measured minus expected tip) of the latest rejected frame [m]
+    in_a_row: int  #: number of frames rejected in a row
 
     @property
     def model_tip(self) -> Array:
-        """(3,) the model's tip now, load filtered [m]."""
-        return self.tips[self.place]
+        """(3,) tip of the model in this tick, under the smoothed load [m]."""
+        return self.tips[self.newest]
 
     @property
     def tip(self) -> Array:
-        """(3,) the best estimate of the tip now [m]."""
-        return self.tips[self.place] + self.bias
+        """(3,) best estimate of the tip in this tick: model plus bias [m]."""
+        return self.tips[self.newest] + self.bias
 
     @property
     def uncertainty(self) -> float:
@@ -59,13 +60,13 @@ class Observed(NamedTuple):
 
 @dataclass(frozen=True)
 class Observer:
-    """Corrects the model's tip by the tracker's frames."""
+    """Kalman filter that corrects the model's tip with the tracker's frames."""
 
-    period: float  #: between ticks [s]
+    period: float  #: time between two ticks [s]
     noise: float = 1e-4  #: standard deviation of the tracker in each axis [m]
-    bandwidth: float = 2.0  #: of the bias at 40 frames/s [Hz]; sets how far it is thought to wander
-    gate: float = 8.0  #: standard deviations of a frame's surprise beyond which it is left out
-    longest_age: float = 0.128  #: of a frame that can still be used [s]
+    bandwidth: float = 2.0  #: bandwidth of the bias estimate at 40 frames/s [Hz]; sets the bias' assumed random walk
+    gate: float = 8.0  #: innovation beyond which a frame is rejected [standard deviations]
+    longest_age: float = 0.128  #: largest age of a tracker frame that can still be used [s]
 
     def __post_init__(self) -> None:
         for name, value, unit in (
@@ -77,52 +78,58 @@ class Observer:
 
     @cached_property
     def wander(self) -> float:
-        """Density of the bias' white acceleration [m^2/s^3]: w^4 R T gives a filter of bandwidth w."""
+        """Density of the bias' white acceleration [m^2/s^3].
+
+        The value w^4 R T gives a filter of bandwidth w, for noise variance R and time T between frames.
+        """
         return (2.0 * math.pi * self.bandwidth) ** 4 * self.noise**2 * 0.025
 
-    def start(self, model_tip: Array, tip: Array) -> Observed:
-        """With one frame `tip` (3,) of a robot at rest whose model is at `model_tip` (3,) [m]."""
-        tips = np.tile(model_tip, (max(2, math.ceil(self.longest_age / self.period)), 1))
-        covariance = np.array((self.noise**2, 0.0, FIRST_DRIFT**2))
-        return Observed(_finite(tip) - model_tip, np.zeros(3), covariance, tips, 0, True, np.zeros(3), 0)
+    def start(self, model_tip: Array, tip: Array) -> ObserverState:
+        """Return the observer's state after one tracker frame `tip` (3,) [m] of a robot at rest.
 
-    def update(self, last: Observed, model_tip: Array, tip: Array | None, age: float = 0.0) -> Observed:
-        """One tick on.
+        `model_tip` (3,) is the model's tip at the same time [m].
+        """
+        tips = np.tile(model_tip, (max(2, math.ceil(self.longest_age / self.period)), 1))
+        covariance = np.array((self.noise**2, 0.0, FIRST_DRIFT_STD_M_S**2))
+        return ObserverState(_finite(tip) - model_tip, np.zeros(3), covariance, tips, 0, True, np.zeros(3), 0)
+
+    def update(self, last: ObserverState, model_tip: Array, tip: Array | None, age: float = 0.0) -> ObserverState:
+        """Return the observer's state one tick later.
 
         Args:
-            last: of the tick before.
-            model_tip: (3,) the model's tip now [m].
-            tip: (3,) a frame that has just arrived [m], or None.
+            last: state of the previous tick.
+            model_tip: the model's tip (3,) in this tick [m].
+            tip: tip (3,) in a new tracker frame [m]; None if no frame arrived.
             age: time since that frame was measured [s].
 
         Raises:
-            NotFinite: a NaN would stay in the filter for ever.
+            NotFinite: the tracker frame is not finite; a NaN would stay in the filter forever.
 
         """
         if tip is not None:
             _finite(tip)
         bias, drift, covariance, tips, refused = (part.copy() for part in (*last[:4], last.refused))
-        place, used, in_a_row = observe(
-            bias, drift, covariance, tips, refused, last.place, last.in_a_row, model_tip,
+        newest, used, in_a_row = observe(
+            bias, drift, covariance, tips, refused, last.newest, last.in_a_row, model_tip,
             last.bias if tip is None else tip, -1.0 if tip is None else age,
             self.period, self.noise**2, self.wander, self.gate,
         )  # fmt: skip
-        return Observed(bias, drift, covariance, tips, place, used, refused, in_a_row)
+        return ObserverState(bias, drift, covariance, tips, newest, used, refused, in_a_row)
 
 
 @compiled
 def observe(
-    bias: Array, drift: Array, covariance: Array, tips: Array, refused: Array, place: int, in_a_row: int,
+    bias: Array, drift: Array, covariance: Array, tips: Array, refused: Array, newest: int, in_a_row: int,
     model_tip: Array, tip: Array, age: float, period: float, noise: float, wander: float, gate: float,
 ) -> tuple[int, bool, int]:  # fmt: skip
-    """`Observer.update` in place; an `age` below 0 says that there is no frame.
+    """Compute `Observer.update` in place; an `age` below 0 means that there is no tracker frame.
 
-    New place, whether the frame was used, and how many in a row were not.
+    Returns the index of the newest tip, whether the frame was used, and the number of frames rejected in a row.
     """
     ticks = tips.shape[0]
-    place = (place + 1) % ticks
+    newest = (newest + 1) % ticks
     for k in range(3):
-        tips[place, k] = model_tip[k]
+        tips[newest, k] = model_tip[k]
         bias[k] += period * drift[k]
     p, c, v = covariance[0], covariance[1], covariance[2]
     p += period * (2.0 * c + period * v) + wander * period**3 / 3.0
@@ -131,39 +138,39 @@ def observe(
     back = age / period
     used = 0.0 <= back < ticks - 1
     if used:
-        # The model's tip when the frame was measured, between two ticks.
+        # Interpolate the model's tip at the time when the frame was measured, which lies between two ticks.
         whole = int(back)
         part = back - whole
-        later, earlier = (place - whole) % ticks, (place - whole - 1) % ticks
+        later, earlier = (newest - whole) % ticks, (newest - whole - 1) % ticks
         pc, cv = p - age * c, c - age * v  # P H^T with H = [1, -age]
         expected = pc - age * cv + noise
-        surprise = np.empty(3)
+        innovation = np.empty(3)
         for k in range(3):
             then = (1.0 - part) * tips[later, k] + part * tips[earlier, k]
-            surprise[k] = tip[k] - then - (bias[k] - age * drift[k])
-            used = used and abs(surprise[k]) <= gate * np.sqrt(expected)
+            innovation[k] = tip[k] - then - (bias[k] - age * drift[k])
+            used = used and abs(innovation[k]) <= gate * np.sqrt(expected)
         if not used:
             alike = in_a_row > 0
             for k in range(3):
-                alike = alike and abs(surprise[k] - refused[k]) <= gate * np.sqrt(2.0 * noise)
-                refused[k] = surprise[k]
+                alike = alike and abs(innovation[k] - refused[k]) <= gate * np.sqrt(2.0 * noise)
+                refused[k] = innovation[k]
             in_a_row = in_a_row + 1 if alike else 1
-            if in_a_row >= BELIEVED:
-                used, far = True, 0.0
+            if in_a_row >= REACQUIRE_FRAMES:
+                used, squared = True, 0.0
                 for k in range(3):
-                    far += surprise[k] * surprise[k]
-                p, c, v = far, 0.0, FIRST_DRIFT**2
+                    squared += innovation[k] * innovation[k]
+                p, c, v = squared, 0.0, FIRST_DRIFT_STD_M_S**2
                 pc, cv = p, -age * v
                 expected = pc - age * cv + noise
         if used:
             in_a_row = 0
             gain_bias, gain_drift = pc / expected, cv / expected
             for k in range(3):
-                bias[k] += gain_bias * surprise[k]
-                drift[k] += gain_drift * surprise[k]
+                bias[k] += gain_bias * innovation[k]
+                drift[k] += gain_drift * innovation[k]
             p, c, v = p - gain_bias * pc, c - gain_bias * cv, v - gain_drift * cv
     covariance[0], covariance[1], covariance[2] = p, c, v
-    return place, used, in_a_row
+    return newest, used, in_a_row
 
 
 def _finite(tip: Array) -> Array:

@@ -1,13 +1,13 @@
-"""Where a target that breathes is now and will be in a moment, from tracker frames that come late and rarely.
+"""Prediction of a target that moves with breathing and heartbeat, from delayed and rare tracker frames.
 
-Its place is taken as a constant and a few waves on each axis,
+The target's position is modelled on each axis as a constant c and a few waves s_k with quadrature components q_k,
 
     x(t) = c + sum_k s_k(t),    s_k' = k w q_k,    q_k' = -k w s_k,
 
-k = 1, 2, ... of each rhythm, whose rate w [rad/s] is the same for all axes and is found like the rest: an extended
-Kalman filter of c, s, q and w. Everything may drift: the process noise says how quickly. A rate is found only from
-one that is near, so several filters begin at several rates, and the one that has been surprised least speaks.
-The waves carry the estimate to any time after the newest frame for a few sines.
+where k = 1, 2, ... counts the harmonics of each rhythm, and the rhythm's rate w [rad/s] is the same for all axes. An
+extended Kalman filter estimates c, s, q and w; the process noise sets how fast each may drift. The estimate of a rate
+converges only from a nearby initial value. Therefore several filters start at several rates, and the filter with the
+highest likelihood is used. The waves extrapolate the estimate to any later time at the cost of a few sines.
 """
 
 import itertools
@@ -22,74 +22,74 @@ from core.compiled import compiled
 from core.errors import DescriptionError, NotFinite
 from core.robot.robot import Array
 
-#: As many frames in a row that nobody expected are believed: the target has been moved.
-BELIEVED = 8
-#: How long a surprise is remembered when filters are compared [s].
-MEMORY = 4.0
-#: What a multiple that is larger than its first wave adds to a filter's surprise at every frame: of two that fit
-#: equally, one at half the rate, the quicker one speaks.
-UNLIKELY = 0.05
+#: Number of outlier frames in a row after which the filter restarts at their position, because the target has moved.
+REACQUIRE_FRAMES = 8
+#: Time constant with which old frames lose weight in the likelihoods that compare the filters [s].
+LIKELIHOOD_MEMORY_S = 4.0
+#: Cost per frame for each harmonic that is larger than its fundamental. A filter at half the true rate fits equally
+#: well; this cost makes the predictor use the filter at the true rate.
+HARMONIC_PENALTY = 0.05
 
 
-class Place(NamedTuple):
-    """Where a target is at one moment."""
+class TargetState(NamedTuple):
+    """Position and velocity of a target at one time."""
 
-    position: Array  #: (3,) [m]
-    velocity: Array  #: (3,) [m/s]
+    position: Array  #: (3,) position of the target [m]
+    velocity: Array  #: (3,) velocity of the target [m/s]
 
 
-class Known(NamedTuple):
-    """What is known of a target after its newest frame."""
+class PredictorState(NamedTuple):
+    """State of a predictor after its newest frame."""
 
-    time: float  #: of that frame [s]
-    states: Array  #: (filters, n) centre (3,) [m], then s and q (3,) of each wave [m], then rates [rad/s]
+    time: float  #: time of the newest frame [s]
+    states: Array  #: (filters, n) constant (3,) [m], then s and q (3,) of each wave [m], then rates [rad/s]
     covariances: Array  #: (filters, n, n) of the states
-    surprises: Array  #: (filters, 2) minus the logarithm of the frames' likelihood; frames in a row beyond the gate
+    costs: Array  #: (filters, 2) negative log likelihood of the frames; number of outlier frames in a row
 
 
 class Predictor(Protocol):
-    """From frames to the target's place at any later time."""
+    """Predicts the target's position at a later time from tracker frames."""
 
-    def start(self, position: Array, time: float) -> Known:
-        """With a first frame `position` (3,) [m] that was measured at `time` [s]."""
+    def start(self, position: Array, time: float) -> PredictorState:
+        """Return the predictor's state after a first frame `position` (3,) [m], measured at `time` [s]."""
         ...
 
-    def update(self, last: Known, position: Array, time: float) -> Known:
-        """With another frame, later than the last one."""
+    def update(self, last: PredictorState, position: Array, time: float) -> PredictorState:
+        """Return the predictor's state after another frame, which is later than the last one."""
         ...
 
-    def at(self, known: Known, time: float) -> Place:
-        """At `time` [s]."""
+    def at(self, known: PredictorState, time: float) -> TargetState:
+        """Return the predicted position and velocity of the target at `time` [s]."""
         ...
 
 
 @dataclass(frozen=True)
 class NewestFrame:
-    """No prediction: the target is where the newest frame saw it, and stands."""
+    """Predictor that assumes that the target rests at its position in the newest frame."""
 
-    def start(self, position: Array, time: float) -> Known:
-        """With a first frame."""
-        return Known(time, _finite(position)[None].copy(), np.zeros((1, 3, 3)), np.zeros((1, 2)))
+    def start(self, position: Array, time: float) -> PredictorState:
+        """Return the state after a first frame."""
+        return PredictorState(time, _finite(position)[None].copy(), np.zeros((1, 3, 3)), np.zeros((1, 2)))
 
-    def update(self, last: Known, position: Array, time: float) -> Known:
-        """With another frame."""
-        _later(last, time)
+    def update(self, last: PredictorState, position: Array, time: float) -> PredictorState:
+        """Return the state after another frame."""
+        _time_since_frame(last, time)
         return self.start(position, time)
 
-    def at(self, known: Known, time: float) -> Place:  # noqa: ARG002 - wherever it goes meanwhile
-        """Where it was seen last."""
-        return Place(known.states[0], np.zeros(3))
+    def at(self, known: PredictorState, time: float) -> TargetState:  # noqa: ARG002 - independent of time
+        """Return the position in the newest frame, with zero velocity."""
+        return TargetState(known.states[0], np.zeros(3))
 
 
 class Rhythm(NamedTuple):
-    """Waves with one rate: where the search for it begins, and where it may end."""
+    """A rhythm of the target, such as breathing: initial values and bounds for the search of its rate."""
 
-    rates: tuple[float, ...]  #: [Hz]
-    spread: float  #: standard deviation about each of them [Hz]
-    lowest: float  #: [Hz]
-    highest: float  #: [Hz]
-    waves: int  #: the first one and its multiples
-    size: float  #: standard deviation of the first wave before anything is known; of the k-th over k^2 [m]
+    rates: tuple[float, ...]  #: initial values of the rate, one filter each [Hz]
+    spread: float  #: initial standard deviation of the rate about each initial value [Hz]
+    lowest: float  #: lower bound of the rate [Hz]
+    highest: float  #: upper bound of the rate [Hz]
+    waves: int  #: number of waves: the fundamental and its harmonics
+    size: float  #: initial standard deviation of the fundamental [m]; that of the k-th harmonic is divided by k^2
 
 
 BREATHING = Rhythm((0.15, 0.25, 0.4), 0.03, 0.08, 0.65, 2, 5e-3)
@@ -98,15 +98,15 @@ HEARTBEAT = Rhythm((1.0, 1.5), 0.15, 0.8, 3.0, 1, 1e-3)
 
 @dataclass(frozen=True)
 class Waves:
-    """Predicts by a constant and the waves of some rhythms."""
+    """Predictor that models the target as a constant position plus the waves of some rhythms."""
 
     rhythms: tuple[Rhythm, ...] = (BREATHING, HEARTBEAT)
-    noise: float = 1e-4  #: standard deviation of a frame in each axis [m]
-    centre_drift: float = 2e-4  #: random walk of the constant [m/s^0.5]
-    wave_drift: float = 0.03  #: of every wave, as a part of its size [1/s^0.5]
-    floor: float = 2e-5  #: the same of a wave that is not there [m/s^0.5]
-    rate_drift: float = 0.006  #: of every rhythm [Hz/s^0.5]
-    gate: float = 8.0  #: standard deviations beyond which a frame surprises
+    noise: float = 1e-4  #: standard deviation of a tracker frame in each axis [m]
+    centre_drift: float = 2e-4  #: random walk of the constant position [m/s^0.5]
+    wave_drift: float = 0.03  #: random walk of every wave, as a fraction of the wave's size [1/s^0.5]
+    floor: float = 2e-5  #: random walk of a wave of size 0 [m/s^0.5]
+    rate_drift: float = 0.006  #: random walk of every rhythm's rate [Hz/s^0.5]
+    gate: float = 8.0  #: measured minus expected position beyond which a frame is an outlier [standard deviations]
 
     def __post_init__(self) -> None:
         for name in ("noise", "centre_drift", "wave_drift", "floor", "rate_drift", "gate"):
@@ -117,18 +117,18 @@ class Waves:
             if wrong or not rhythm.rates or rhythm.waves < 1:
                 raise DescriptionError(
                     f"waves: a rhythm of {rhythm.waves} waves from {rhythm.rates} Hz, inside {rhythm.lowest:g} ..."
-                    f" {rhythm.highest:g} Hz: give at least one wave, and rates inside of bounds above 0 Hz"
+                    f" {rhythm.highest:g} Hz: give at least one wave, and rates within bounds above 0 Hz"
                 )
 
     @cached_property
     def _waves(self) -> Array:
-        """Rhythm and multiple of each wave (waves, 2)."""
+        """Index of the rhythm and number of the harmonic for each wave (waves, 2)."""
         listed = [(of, k + 1) for of, rhythm in enumerate(self.rhythms) for k in range(rhythm.waves)]
         return np.array(listed, dtype=np.float64).reshape(-1, 2)
 
     @cached_property
     def _first(self) -> tuple[Array, Array]:
-        """Rates (filters, rhythms) [rad/s] and variances of each state before anything is known but the place."""
+        """Initial rates of each filter (filters, rhythms) [rad/s], and initial variance of each state variable."""
         turn = 2.0 * math.pi
         rates = np.array(list(itertools.product(*(rhythm.rates for rhythm in self.rhythms))))
         spreads = np.array([(turn * rhythm.spread) ** 2 for rhythm in self.rhythms])
@@ -137,7 +137,7 @@ class Waves:
 
     @cached_property
     def _settings(self) -> tuple[Array, Array, Array]:
-        """Waves; process noise of each part of the state in a second; bounds of the rates (rhythms, 2) [rad/s]."""
+        """List of waves; process noise per second of each state variable; bounds of the rates (rhythms, 2) [rad/s]."""
         turn = 2.0 * math.pi
         drifts = np.concatenate(
             (
@@ -148,59 +148,59 @@ class Waves:
         bounds = turn * np.array([(rhythm.lowest, rhythm.highest) for rhythm in self.rhythms]).reshape(-1, 2)
         return self._waves, drifts, bounds
 
-    def start(self, position: Array, time: float) -> Known:
-        """With a first frame."""
+    def start(self, position: Array, time: float) -> PredictorState:
+        """Return the state after a first frame."""
         rates, variances = self._first
         still = np.concatenate((_finite(position), np.zeros(6 * len(self._waves))))
         states = np.concatenate((np.tile(still, (len(rates), 1)), rates), axis=1)
-        return Known(time, states, np.tile(np.diag(variances), (len(rates), 1, 1)), np.zeros((len(rates), 2)))
+        return PredictorState(time, states, np.tile(np.diag(variances), (len(rates), 1, 1)), np.zeros((len(rates), 2)))
 
-    def update(self, last: Known, position: Array, time: float) -> Known:
-        """With another frame.
+    def update(self, last: PredictorState, position: Array, time: float) -> PredictorState:
+        """Return the predictor's state after another frame.
 
         Raises:
-            NotFinite: a NaN would stay in the filter for ever.
+            NotFinite: the frame is not finite; a NaN would stay in the filter forever.
             DescriptionError: the frame is not later than the last one.
         """
-        now = Known(time, last.states.copy(), last.covariances.copy(), last.surprises.copy())
+        now = PredictorState(time, last.states.copy(), last.covariances.copy(), last.costs.copy())
         _update(
-            *now[1:], *self._settings, *self._first, _finite(position), _later(last, time),
+            *now[1:], *self._settings, *self._first, _finite(position), _time_since_frame(last, time),
             self.noise**2, self.wave_drift**2, self.gate,
         )  # fmt: skip
         return now
 
-    def at(self, known: Known, time: float) -> Place:
-        """The waves carried on to `time` [s]."""
-        place = Place(np.empty(3), np.empty(3))
-        _carried(known.states, known.surprises, self._waves, time - known.time, *place)
-        return place
+    def at(self, known: PredictorState, time: float) -> TargetState:
+        """Return the target's position and velocity at `time` [s], extrapolated by the waves."""
+        target = TargetState(np.empty(3), np.empty(3))
+        _predicted(known.states, known.costs, self._waves, time - known.time, *target)
+        return target
 
-    def rates(self, known: Known) -> Array:
-        """The rate of each rhythm (rhythms,) [Hz]."""
-        best = known.states[known.surprises[:, 0].argmin()]
+    def rates(self, known: PredictorState) -> Array:
+        """Return the estimated rate of each rhythm (rhythms,) [Hz]."""
+        best = known.states[known.costs[:, 0].argmin()]
         return best[3 + 6 * len(self._waves) :] / (2.0 * math.pi)
 
 
 @compiled
 def _update(
-    states: Array, covariances: Array, surprises: Array, waves: Array, drifts: Array, bounds: Array,
-    rates: Array, variances: Array, position: Array, span: float, noise: float, along: float, gate: float,
+    states: Array, covariances: Array, costs: Array, waves: Array, drifts: Array, bounds: Array,
+    rates: Array, variances: Array, position: Array, span: float, noise: float, wave_noise: float, gate: float,
 ) -> None:  # fmt: skip
-    """A frame `span` [s] after the last one, for every filter, in place."""
-    forgotten = math.exp(-span / MEMORY)
+    """Update the state of every filter in place with a frame that was measured `span` [s] after the last one."""
+    decay = math.exp(-span / LIKELIHOOD_MEMORY_S)
     for each in range(states.shape[0]):
-        _advance(states[each], covariances[each], waves, drifts, along, span)
-        surprise, in_a_row = _correct(
+        _advance(states[each], covariances[each], waves, drifts, wave_noise, span)
+        cost, in_a_row = _correct(
             states[each], covariances[each], waves.shape[0], bounds, rates[each], variances,
-            position, noise, gate, surprises[each, 1],
+            position, noise, gate, costs[each, 1],
         )  # fmt: skip
-        surprises[each, 0] = forgotten * surprises[each, 0] + surprise + _unlikely(states[each], waves)
-        surprises[each, 1] = in_a_row
+        costs[each, 0] = decay * costs[each, 0] + cost + _harmonic_penalty(states[each], waves)
+        costs[each, 1] = in_a_row
 
 
 @compiled
-def _advance(state: Array, covariance: Array, waves: Array, drifts: Array, along: float, span: float) -> None:
-    """State and covariance `span` [s] on, in place."""
+def _advance(state: Array, covariance: Array, waves: Array, drifts: Array, wave_noise: float, span: float) -> None:
+    """Advance a filter's state and covariance in place by `span` [s]."""
     n, count = state.shape[0], waves.shape[0]
     rates = 3 + 6 * count
     for j in range(n):
@@ -213,7 +213,7 @@ def _advance(state: Array, covariance: Array, waves: Array, drifts: Array, along
             s, q = 3 + 6 * k + i, 6 + 6 * k + i
             state[s], state[q] = cos * state[s] + sin * state[q], cos * state[q] - sin * state[s]
             size += state[s] * state[s] + state[q] * state[q]
-            # F P F^T, two rows and two columns at a time; the rate's own do not change.
+            # Covariance F P F^T with transition matrix F, two rows and columns at a time; the rate's do not change.
             to_s, to_q = turn * state[q], -turn * state[s]
             for j in range(n):
                 a, b, w = covariance[s, j], covariance[q, j], covariance[rate, j]
@@ -222,7 +222,7 @@ def _advance(state: Array, covariance: Array, waves: Array, drifts: Array, along
                 a, b, w = covariance[j, s], covariance[j, q], covariance[j, rate]
                 covariance[j, s], covariance[j, q] = cos * a + sin * b + to_s * w, cos * b - sin * a + to_q * w
         for j in range(3 + 6 * k, 9 + 6 * k):
-            covariance[j, j] += span * along * size / 3.0
+            covariance[j, j] += span * wave_noise * size / 3.0
 
 
 @compiled
@@ -230,14 +230,17 @@ def _correct(
     state: Array, covariance: Array, waves: int, bounds: Array, rates: Array, variances: Array,
     position: Array, noise: float, gate: float, in_a_row: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """State and covariance with a frame, in place: how much it surprised, and how many in a row beyond the gate."""
-    n, seen, surprise, off = state.shape[0], np.empty(state.shape[0]), 0.0, False
+    """Correct a filter's state and covariance in place with one frame.
+
+    Return the frame's negative log likelihood and the number of outliers in a row.
+    """
+    n, cross, cost, off = state.shape[0], np.empty(state.shape[0]), 0.0, False
     for i in range(3):
-        expected, variance = _seen(state, covariance, waves, i, seen)
+        expected, variance = _expected_measurement(state, covariance, waves, i, cross)
         off = off or (position[i] - expected) ** 2 > gate**2 * (variance + noise)
     in_a_row = in_a_row + 1.0 if off else 0.0
-    if in_a_row >= BELIEVED:
-        # What is known is a beginning, and no more.
+    if in_a_row >= REACQUIRE_FRAMES:
+        # Restart the filter from the initial covariance and rates, at the target's present position.
         for j in range(n):
             for k in range(n):
                 covariance[j, k] = 0.0
@@ -245,29 +248,29 @@ def _correct(
         for of in range(rates.shape[0]):
             state[3 + 6 * waves + of] = rates[of]
         for i in range(3):
-            expected, variance = _seen(state, covariance, waves, i, seen)
+            expected, variance = _expected_measurement(state, covariance, waves, i, cross)
             state[i] += position[i] - expected
         in_a_row = 0.0
     for i in range(3):
-        expected, variance = _seen(state, covariance, waves, i, seen)
+        expected, variance = _expected_measurement(state, covariance, waves, i, cross)
         variance += noise
         miss = position[i] - expected
-        surprise += 0.5 * (miss * miss / variance + math.log(variance / noise))
+        cost += 0.5 * (miss * miss / variance + math.log(variance / noise))
         if in_a_row > 0.0:
-            continue  # it is left out
+            continue  # an outlier does not correct the state
         for j in range(n):
-            state[j] += seen[j] * miss / variance
+            state[j] += cross[j] * miss / variance
             for k in range(n):
-                covariance[j, k] -= seen[j] * seen[k] / variance
+                covariance[j, k] -= cross[j] * cross[k] / variance
     for of in range(rates.shape[0]):
         at = 3 + 6 * waves + of
         state[at] = min(max(state[at], bounds[of, 0]), bounds[of, 1])
-    return surprise, in_a_row
+    return cost, in_a_row
 
 
 @compiled
-def _unlikely(state: Array, waves: Array) -> float:
-    """What is added to a filter's surprise for its waves' sizes."""
+def _harmonic_penalty(state: Array, waves: Array) -> float:
+    """Return the additional cost of a filter whose harmonics are larger than their fundamental."""
     added, first = 0.0, 0.0
     for k in range(waves.shape[0]):
         size = 0.0
@@ -276,33 +279,36 @@ def _unlikely(state: Array, waves: Array) -> float:
         if waves[k, 1] == 1.0:
             first = size
         elif size > first:
-            added += UNLIKELY
+            added += HARMONIC_PENALTY
     return added
 
 
 @compiled
-def _seen(state: Array, covariance: Array, waves: int, axis: int, seen: Array) -> tuple[float, float]:
-    """What a frame is expected to tell of an axis and its variance; their covariance with the state into `seen`."""
+def _expected_measurement(state: Array, covariance: Array, waves: int, axis: int, cross: Array) -> tuple[float, float]:
+    """Return the expected position on one axis and its variance; write its covariance with the state to `cross`."""
     expected, n = state[axis], state.shape[0]
     for j in range(n):
-        seen[j] = covariance[j, axis]
+        cross[j] = covariance[j, axis]
     for k in range(waves):
         s = 3 + 6 * k + axis
         expected += state[s]
         for j in range(n):
-            seen[j] += covariance[j, s]
-    variance = seen[axis]
+            cross[j] += covariance[j, s]
+    variance = cross[axis]
     for k in range(waves):
-        variance += seen[3 + 6 * k + axis]
+        variance += cross[3 + 6 * k + axis]
     return expected, variance
 
 
 @compiled
-def _carried(states: Array, surprises: Array, waves: Array, span: float, position: Array, velocity: Array) -> None:
-    """Position and velocity `span` [s] after the states, by the filter that has been surprised least."""
+def _predicted(states: Array, costs: Array, waves: Array, span: float, position: Array, velocity: Array) -> None:
+    """Predict the target `span` [s] after the newest frame, with the filter of the highest likelihood.
+
+    Write the result to `position` and `velocity`.
+    """
     best, count = 0, waves.shape[0]
     for each in range(1, states.shape[0]):
-        if surprises[each, 0] < surprises[best, 0]:
+        if costs[each, 0] < costs[best, 0]:
             best = each
     state = states[best]
     for i in range(3):
@@ -322,8 +328,8 @@ def _finite(position: Array) -> Array:
     return position
 
 
-def _later(last: Known, time: float) -> float:
-    """The time since the last frame [s]."""
+def _time_since_frame(last: PredictorState, time: float) -> float:
+    """Return the time from the last frame until `time` [s]; refuse a `time` that is not later."""
     if not time > last.time:
         raise DescriptionError(f"target: a frame of {time:.4f} s is not later than the last one of {last.time:.4f} s")
     return time - last.time

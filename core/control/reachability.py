@@ -1,116 +1,191 @@
-"""Can the robot follow this motion? Walked on the model before anything moves.
+"""Reachability check: a test on the model, before anything moves, whether the robot can follow a motion.
 
-From the start pose the joints take small steps of the same limit-aware inverse that the controller
-uses, at the same speed limits, and nothing else: no noise, no delay. Where the tip falls behind its
-path by more than a tolerance, the motion cannot be followed, and the limits active there say why.
+From the start pose, the simulated joints take small steps with the controller's inverse, inside the same limits,
+without noise and delay. If the tip falls behind its path by more than a tolerance, the robot cannot follow the motion.
+The limits that are active at that time are reported as the reason.
 """
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from core.control.inverse import SIGMA_FLOOR, inverse
-from core.control.pointing import PLACE, Aim, rows_of, turn
+from core.control.tip_direction import POSITION_ONLY, TaskSelection, shortest_rotation, task_rows
 from core.control.trajectories import Directions, Trajectory
-from core.errors import CtrError, Unreachable
+from core.control.velocity_ik import SIGMA_FLOOR_M_S, inverse
+from core.errors import Cancelled, CtrError, Unreachable
 from core.model.statics import Solution, Statics
-from core.robot.limits import At, Limits
+from core.robot.limits import Configuration, Limits
 from core.robot.robot import Array
 
-#: How far the tip may fall behind [m].
-TOLERANCE = 5e-4
-#: Between two steps of the walk, and how many there are at most [s].
-STEP, MOST_STEPS = 0.02, 10_000
-#: Singular values below this are named, though the damping sets in later [m/s].
-NEAR_SINGULAR = 4.0 * SIGMA_FLOOR
-#: Time to get to a path that does not begin at the start tip [s].
-WAY_THERE = 20.0
+#: Largest distance by which the simulated tip may fall behind its path [m].
+MAX_LAG_M = 5e-4
+#: Time between two steps of the reachability check [s], and largest number of its steps.
+CHECK_INTERVAL_S, MAX_STEPS = 0.02, 10_000
+#: Singular values of the Jacobian below this are reported as a reason, although the damping sets in lower [m/s].
+NEAR_SINGULAR_M_S = 4.0 * SIGMA_FLOOR_M_S
+#: Time that the tip has to reach the path after a jump [s].
+APPROACH_TIME_S = 20.0
+
+
+def situation(at: Solution) -> Configuration:
+    """Return the quantities of a solved pose from which limits are evaluated."""
+    return Configuration(at.joints, at.jacobian[:3], at.tip, at.wrench[:3])
+
+
+@dataclass(frozen=True)
+class _Unloaded:
+    """Limit context of a pose without load; the model solves the pose only when a limit reads the tip."""
+
+    statics: Statics
+    joints: Array
+
+    @cached_property
+    def _at(self) -> Configuration:
+        return situation(self.statics.solve(self.joints, np.zeros(6)))
+
+    @property
+    def jacobian(self) -> Array:
+        """Jacobian (3, n) of the tip's position [m/rad or m/m]."""
+        return self._at.jacobian
+
+    @property
+    def tip(self) -> Array:
+        """Position of the tip (3,) [m]."""
+        return self._at.tip
+
+    @property
+    def force(self) -> Array:
+        """Zero force (3,) [N]: the pose is unloaded."""
+        return np.zeros(3)
+
+
+def check_pose(statics: Statics, limits: Limits, joints: Array) -> None:
+    """Reject joint positions (n,) [rad or m] that violate a limit of travel, tubes or workspace without load.
+
+    Raises:
+        PoseError: a limit is violated; the text has the limit, the value and the bound.
+        CtrError: the model has no shape at these joint positions.
+
+    """
+    limits.check(joints)
+    statics.robot.check_pose(joints)
+    limits.check_all(_Unloaded(statics, joints))
 
 
 def check_reach(
     statics: Statics, limits: Limits, joints: Array, trajectory: Trajectory, duration: float,
-    force: Callable[[float], Array] | None = None, aim: Aim = PLACE, directions: Directions | None = None,
+    force: Callable[[float], Array] | None = None, aim: TaskSelection = POSITION_ONLY,
+    directions: Directions | None = None,
+    cancelled: Callable[[], bool] = lambda: False,
 ) -> None:  # fmt: skip
-    """Refuse a motion that the robot cannot follow.
+    """Reject a motion that the robot cannot follow.
 
     Args:
-        statics: the controller's model.
-        limits: those of its joints and others.
+        statics: model of the controller.
+        limits: limits of single joints and of several joints together.
         joints: start pose (n,) [rad or m].
-        trajectory: offsets from the start tip.
-        duration: of the motion [s]; what repeats itself is walked once.
-        force: (3,) at the tip [N] by the time since the start [s], also what hangs there before it, at
-            negative times; none when left out.
-        aim: what of the tip is controlled. An angle counts as the way at its lever.
-        directions: in which the tip points; none keeps that of the start.
+        trajectory: desired offsets from the start tip.
+        duration: duration of the motion [s]; a periodic motion is checked for one period.
+        force: function that returns the tip force (3,) [N] at a time since the start [s]; times before the start are
+            negative; None: no force.
+        aim: controlled coordinates of the tip. An angle counts as the distance at its lever.
+        directions: desired directions of the tip; None keeps the direction of the start.
+        cancelled: function that returns whether the result is no longer required; called at every step.
 
     Raises:
-        Unreachable: the first time at which the tip is off its path, by how much, and the limit.
-        CtrError: the start pose itself cannot be.
+        Cancelled: `cancelled` returned true.
+        Unreachable: the tip leaves its path; the text has the first time, the distance, and the limit.
+        CtrError: the start pose itself is invalid.
 
     """
     limits.check(joints)
     walk = _Walk(statics, limits, joints, force, aim)
+    limits.check_all(situation(walk.at))
     start, heading = walk.at.tip, walk.at.rotation[:, 2]
     repeats = duration if force is not None else min(duration, trajectory.period)
-    step = min(STEP, trajectory.period / 40.0) if trajectory.period > 0.0 else STEP
+    step = min(CHECK_INTERVAL_S, trajectory.period / 40.0) if trajectory.period > 0.0 else CHECK_INTERVAL_S
     before = np.zeros(3)
-    for number in range(min(math.ceil(repeats / step), MOST_STEPS) + 1):
-        time, (place, velocity, *_) = number * step, trajectory.setpoint(number * step)
+    for number in range(math.ceil(min(repeats / step, MAX_STEPS)) + 1):
+        if cancelled():
+            raise Cancelled
+        time, (offset, velocity, *_) = number * step, trajectory.setpoint(number * step)
         pointing = heading if directions is None else directions.at(time)[0]
-        away = walk.step(start + place, time, step, pointing)
-        if float(np.linalg.norm(place - before - step * velocity)) > TOLERANCE:
-            # A jump is not followed but gone to; what counts is that it can be reached.
-            for _ in range(round(WAY_THERE / step)):
-                away = walk.step(start + place, time, step, pointing) if away > 0.1 * TOLERANCE else away
-        before = place
-        if away > TOLERANCE:
+        away = walk.step(start + offset, time, step, pointing)
+        if float(np.linalg.norm(offset - before - step * velocity)) > MAX_LAG_M:
+            # No robot can follow a jump of the path; the jump is accepted if the tip can reach its end.
+            for _ in range(round(APPROACH_TIME_S / step)):
+                if cancelled():
+                    raise Cancelled
+                away = walk.step(start + offset, time, step, pointing) if away > 0.1 * MAX_LAG_M else away
+        before = offset
+        if away > MAX_LAG_M:
             raise Unreachable(
-                f"cannot be followed: at {time:.4g} s the tip would be {1e3 * away:.2g} mm off"
-                f" (more than {1e3 * TOLERANCE:g} mm) because of {walk.reasons}"
+                f"cannot be followed: at {time:.4g} s the tip would {walk.error} because of {walk.reasons}"
             ).at(time)
 
 
 class _Walk:
-    """A robot without inertia, noise and delay."""
+    """Simulation of the model along a motion, without inertia, noise and delay."""
 
     def __init__(
-        self, statics: Statics, limits: Limits, joints: Array, force: Callable[[float], Array] | None, aim: Aim
+        self,
+        statics: Statics,
+        limits: Limits,
+        joints: Array,
+        force: Callable[[float], Array] | None,
+        aim: TaskSelection,
     ) -> None:
         self._statics, self._limits, self._force, self._aim = statics, limits, force, aim
         self._reasons: tuple[str, ...] = ()
-        self.at: Solution = statics.solve(joints, self._wrench(-STEP))
+        self._left = np.zeros(aim.rows)  # error after the last step: position [m], then angle times lever [m]
+        self.at: Solution = statics.solve(joints, self._wrench(-CHECK_INTERVAL_S))
 
     def step(self, target: Array, time: float, length: float, pointing: Array) -> float:
-        """Go for `length` [s] toward a tip (3,) [m] that points there (3,); how far it then is from it [m]."""
+        """Move for `length` [s] toward a target (3,) [m] and direction (3,); return the distance that remains [m]."""
         at, limits = self.at, self._limits
         lower, upper = limits.velocity_bounds(at.joints)
         rows, room = None, np.zeros(0)
         if limits.others:
-            rows, room = limits.rows(At(at.joints, at.jacobian[:3], at.tip, at.wrench[:3]))
+            rows, room = limits.rows(situation(at))
         wrench = self._wrench(time)
-        # What the load will do in this step belongs to what the joints have to make up for.
+        # The joints must also compensate the motion that the load causes in this step.
         moved = at.compliance[:, :3] @ (wrench[:3] - at.wrench[:3])
-        wanted = rows_of(self._aim, (self._miss(target, pointing) - moved)[:, None] / length, at.rotation)[:, 0]
-        jacobian = rows_of(self._aim, at.jacobian, at.rotation)
-        found = inverse(jacobian, wanted, limits.speed, lower, upper, rows, room)
+        desired = task_rows(self._aim, (self._miss(target, pointing) - moved)[:, None] / length, at.rotation)[:, 0]
+        jacobian = task_rows(self._aim, at.jacobian, at.rotation)
+        found = inverse(jacobian, desired, limits.speed, lower, upper, rows, room)
         self._reasons = limits.active(at.joints, found.at_bound, found.at_row)
-        if found.sigma[-1] < NEAR_SINGULAR:
+        if found.sigma[-1] < NEAR_SINGULAR_M_S:
             self._reasons = (f"a singular pose (sigma {1e3 * found.sigma[-1]:.2g} mm/s)", *self._reasons)
         try:
             self.at = self._statics.solve(at.joints + length * found.velocity, wrench, at)
         except CtrError as error:
             raise Unreachable(f"at {time:.4g} s: {error}").at(time) from None
-        return float(np.linalg.norm(rows_of(self._aim, self._miss(target, pointing)[:, None], self.at.rotation)))
+        self._left = task_rows(self._aim, self._miss(target, pointing)[:, None], self.at.rotation)[:, 0]
+        return float(np.linalg.norm(self._left))
 
     def _miss(self, target: Array, pointing: Array) -> Array:
-        """(6,) way [m] and turn [rad] from the tip to where it should be."""
-        return np.concatenate((target - self.at.tip, turn(self.at.rotation[:, 2], pointing)))
+        """Return the displacement [m] and rotation [rad] (6,) from the tip to the target."""
+        return np.concatenate((target - self.at.tip, shortest_rotation(self.at.rotation[:, 2], pointing)))
+
+    @property
+    def error(self) -> str:
+        """Text: how far the tip is from its path after the last step, in the controlled coordinates."""
+        aim, split = self._aim, 3 if self._aim.position > 0.0 else 0
+        position, angle = float(np.linalg.norm(self._left[:split])), float(np.linalg.norm(self._left[split:]))
+        parts: list[str] = []
+        if split and (not aim.lever or position >= MAX_LAG_M or position >= angle):
+            parts.append(f"be {1e3 * position:.2g} mm off (more than {1e3 * MAX_LAG_M:g} mm)")
+        if aim.lever and (not split or angle >= MAX_LAG_M or angle > position):
+            deviation, largest = (math.degrees(part / aim.lever) for part in (angle, MAX_LAG_M))
+            parts.append(f"point {deviation:.2g} deg off (more than {largest:.2g} deg)")
+        return " and ".join(parts)
 
     @property
     def reasons(self) -> str:
-        """What was in the way of the last step."""
+        """Text: the limits that were active in the last step."""
         return ", ".join(self._reasons) or "more than the joints can do at once"
 
     def _wrench(self, time: float) -> Array:

@@ -1,6 +1,7 @@
-"""What stands between a base sensor's reading and the wrench that its tube exerts: gain, mounting, hanging weight.
+"""Calibrated base sensors: conversion between a sensor's reading and the wrench of its tube.
 
-The offset is not here: it is tared before every run.
+The conversion contains the sensor's gain, its mounting, and the weight of parts that hang on it. It excludes the
+sensor's offset, which is tared before every run.
 """
 
 from dataclasses import dataclass, field
@@ -14,18 +15,20 @@ from core.robot.robot import Array
 
 @dataclass(frozen=True)
 class Sensors:
-    """How far off the base sensors are, how they are mounted, and what they carry beside the tubes."""
+    """Gain errors and mounting of the base sensors, and the weight of other parts than the tubes that hang on them."""
 
-    mounting: Array  #: (q, 3, 3) sensor's axes -> the tube's
-    weight: Array  #: (q,) [N]
-    first_moment: Array  #: (q, 3) weight times its place in the tube's axes [N m]
-    gravity: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))  #: (3,) direction, plate's frame
-    #: (q, 6, 6) what has to be taken from a reading for each part of it: errors of gain and cross-talk; None: nothing.
+    mounting: Array  #: (q, 3, 3) rotation from each sensor's axes to its tube's axes
+    weight: Array  #: (q,) weight that hangs on each sensor [N]
+    first_moment: Array  #: (q, 3) hanging weight times the position of its centre in the tube's axes [N m]
+    #: (3,) direction of gravity in the plate's frame, unit vector
+    gravity: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
+    #: (q, 6, 6) errors of gain and cross-talk: this matrix times the reading is subtracted from the reading; None:
+    #: zero.
     skew: Array | None = None
 
     @cached_property
     def matrix(self) -> Array:
-        """(q, 6, 6): a reading without offset -> the wrench in the tube's axes, hanging weight included."""
+        """Matrices (q, 6, 6) from a reading without offset to the wrench in the tube's axes, with hanging weight."""
         turn = np.zeros((len(self.weight), 6, 6))
         turn[:, :3, :3] = turn[:, 3:, 3:] = self.mounting
         if self.skew is None:
@@ -34,15 +37,15 @@ class Sensors:
 
     @classmethod
     def ideal(cls, tubes: int) -> "Sensors":
-        """Mounted straight, carrying nothing."""
+        """Return sensors with exact gain and mounting, without hanging weight."""
         return cls(np.tile(np.eye(3), (tubes, 1, 1)), np.zeros(tubes), np.zeros((tubes, 3)))
 
     def exerted(self, wrenches: Array, alpha: Array) -> Array:
-        """What the tubes exert (q, 6), in their axes, of readings (q, 6) without offset at rotations alpha (q,)."""
+        """Return the wrenches (q, 6) in the tubes' axes from readings (q, 6) without offset at rotations alpha (q,)."""
         return exerted(wrenches, alpha, self.matrix, self.weight, self.first_moment, self.gravity)
 
     def hanging(self, alpha: Array) -> Array:
-        """What the sensors read (q, 6) of the weight that hangs on them alone, at rotations alpha (q,)."""
+        """Return the readings (q, 6) that the hanging weight alone causes at rotations alpha (q,)."""
         nothing = np.zeros((alpha.size, 6))
         weight = -exerted(nothing, alpha, self.matrix, self.weight, self.first_moment, self.gravity)
         return np.asarray(np.linalg.solve(self.matrix, weight[:, :, None])[:, :, 0], dtype=np.float64)
@@ -50,7 +53,7 @@ class Sensors:
 
 @compiled
 def exerted(wrenches: Array, alpha: Array, matrix: Array, weight: Array, first_moment: Array, gravity: Array) -> Array:
-    """`Sensors.exerted` for compiled code: readings (q, 6), rotations (q,), then the sensors' numbers."""
+    """Compute `Sensors.exerted` in compiled code: readings (q, 6), rotations (q,), then the sensors' parameters."""
     result = np.zeros_like(wrenches)
     for i in range(alpha.shape[0]):
         cos, sin = np.cos(alpha[i]), np.sin(alpha[i])

@@ -1,9 +1,9 @@
-"""One tick of the controller, 2 ms at 500 Hz, as a pure function: sample -> estimate -> command.
+"""One tick of the controller, 2 ms at 500 Hz, as a pure function from a sample to an estimate and a command.
 
-    fuse the base wrenches -> solve the loaded and the unloaded model -> estimate deflection, load,
+    sum the base wrenches -> solve the model with and without load -> estimate deflection, load,
     joints and tip -> outer loop -> inner loop -> inverse inside the limits -> check finite
 
-No clock, no device, no thread: everything that changes goes in as `ControllerState` and comes out anew.
+The tick uses no clock, device or thread. Its changing state enters as a `ControllerState` and leaves as a new one.
 """
 
 import math
@@ -13,18 +13,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.control.command import OBSERVED, Commanded, Looks, command
+from core.control.command import OBSERVER_DRIFT, CommandResult, FeedbackOptions, command
 from core.control.controllers import Strategy
 from core.control.corrections import Corrections
-from core.control.differentiated import AT_REST, Differentiated, differentiate
 from core.control.estimation import Estimate, Estimator
-from core.control.force_fusion import Fused, fuse_at
-from core.control.inverse import NO_ROOM
+from core.control.force_fusion import FusedLoad, fuse_at
+from core.control.null_space import Kinks, NullSpaceObjective, StabilityGradient, kinks_of
 from core.control.perception import perceive
-from core.control.pointing import NOT_ASKED, PLACE, Aim, Pointed, look, told
-from core.control.pointing import start as begin_to_point
-from core.control.spare import Slope, Spare
+from core.control.tip_direction import (
+    NO_DIRECTION_TASK,
+    POSITION_ONLY,
+    DirectionEstimate,
+    TaskSelection,
+    pack_direction_task,
+    start_direction,
+    update_direction,
+)
+from core.control.tip_force import FORCE
+from core.control.tracker_velocity import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.trajectories import JointMotion, Setpoint
+from core.control.velocity_ik import NO_BOUNDS
 from core.errors import DescriptionError, NotFinite
 from core.model.solution import pure_force
 from core.model.statics import Statics
@@ -33,77 +41,77 @@ from core.robot.robot import Array
 
 
 class Sample(NamedTuple):
-    """What the devices say at one tick."""
+    """Readings of the devices at one tick."""
 
-    joints: Array  #: (n,) measured [rad or m]
-    sent: Array  #: (n,) velocities that went out to the stages last [rad/s or m/s]
+    joints: Array  #: (n,) measured joint positions [rad or m]
+    sent: Array  #: (n,) joint velocities sent to the stages last [rad/s or m/s]
     wrenches: Array  #: (q, 6) tared base wrenches, each in its sensor's axes [N, N m]
-    tip: Array | None  #: (3,) a new tracker frame [m]; None when none arrived since the last tick
-    tip_age: float = 0.0  #: time since that frame was measured [s]
-    direction: Array | None = None  #: (3,) of the tip, of the same frame; None: not told
+    tip: Array | None  #: (3,) tip in a new tracker frame [m]; None when no frame arrived since the last tick
+    tip_age: float = 0.0  #: time since that tracker frame was measured [s]
+    direction: Array | None = None  #: (3,) direction of the tip in the same frame; None: not measured
 
 
 class ControllerState(NamedTuple):
-    """All that one tick leaves to the next."""
+    """State of the controller that one tick passes to the next."""
 
     estimate: Estimate
-    tip: Array  #: (3,) latest measured tip [m]
-    origin: Array  #: (3,) tip at the start, where setpoints count from [m]
-    seen: Differentiated = AT_REST  #: what frames show, where the controller looks at them so
-    pointed: Pointed | None = None  #: what is known of the tip's direction, where that is controlled
-    slope: Slope | None = None  #: of the margin of stability, where joints that are left over look after it
+    tip: Array  #: (3,) latest measured tip position [m]
+    origin: Array  #: (3,) tip at the start of the motion, to which setpoints are relative [m]
+    tracked: TrackerVelocity = NO_FRAMES  #: tip velocity from tracker frames, if the controller differentiates them
+    direction: DirectionEstimate | None = None  #: estimate of the tip's direction, if it is controlled or calibrated
+    slope: StabilityGradient | None = None  #: gradient of the stability margin, for redundant joints
 
 
 class Tick(NamedTuple):
-    """Result of one tick: the command and everything worth plotting."""
+    """Result of one tick: the command, the new state, and the quantities that telemetry records."""
 
-    command: Array  #: (n,) joint velocities [rad/s or m/s]
-    load: Fused
-    u_int: Array  #: (3,) what the outer loop asked for [m/s]
+    command: Array  #: (n,) commanded joint velocities [rad/s or m/s]
+    load: FusedLoad
+    u_int: Array  #: (3,) tip velocity requested by the outer loop [m/s]
     setpoint: Setpoint
     sigma: Array  #: singular values of the Jacobian in use, joints in units of top speed [m/s]
-    at_bound: Array  #: (n,) -1, 0, 1: joint held at its lower bound, free, at its upper
-    at_row: Array  #: (m,) 1 where a limit beyond single joints is active
+    at_bound: Array  #: (n,) -1: joint velocity at its lower bound; 0: free; 1: at its upper bound
+    at_row: Array  #: (m,) 1 where a limit of several joints together is active
     memory: ControllerState
 
     @property
     def delta(self) -> Array:
-        """(3,) mismatch of the tip's velocity, eq. (27): observed - U_int [m/s]."""
+        """(3,) observed tip velocity minus the requested tip velocity U_int, eq. (27) [m/s]."""
         return self.memory.estimate.known.velocity_observed - self.u_int
 
 
 @dataclass(frozen=True)
 class Controller:
-    """What stays the same from tick to tick."""
+    """Configuration of the controller; it does not change between ticks."""
 
     statics: Statics
     strategy: Strategy
     limits: Limits
     estimator: Estimator
-    #: The outer loop looks at the observed tip of the moment when its command takes effect; without,
-    #: at the latest tracker frame as it is (the paper).
+    #: True: the outer loop uses the observed tip, predicted for the time when its command takes effect. False: it uses
+    #: the latest tracker frame, as in the paper.
     observes: bool = False
-    #: Type I takes the deflection's rate from C, J and the filtered force; without, from the
-    #: filtered numerical derivative (the paper).
+    #: True: the inner loop Type I takes the deflection's rate from C, J and the filtered force. False: it uses the
+    #: filtered numerical derivative, as in the paper.
     exact_rate: bool = False
-    #: Type II takes the tip's velocity from the tracker's frames, differentiated (the paper); without,
-    #: from the observer.
+    #: True: the inner loop Type II takes the tip's velocity from differentiated tracker frames, as in the paper. False:
+    #: it uses the tip observer.
     differentiates: bool = False
-    #: From a calibration; without, the coil is at the tip and the sensors stand as their tubes.
+    #: Corrections from a calibration; None: the coil is at the tip and the sensors are aligned with their tubes.
     corrections: Corrections | None = None
-    #: What of the tip is controlled.
-    aim: Aim = PLACE
-    #: What joints that are left over do; without, nothing.
-    spare: Spare | None = None
-    #: The direction is looked at although it is not controlled: for a calibration.
+    #: Coordinates of the tip that are controlled: position, direction or both.
+    aim: TaskSelection = POSITION_ONLY
+    #: Objective that moves redundant joints; None: joint motions that do not move the tip have zero velocity.
+    null_space: NullSpaceObjective | None = None
+    #: True: the tip's direction is estimated although it is not controlled; a calibration needs it.
     watches: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.limits.joints)
         if self.aim.lever > 0.0 and self.strategy.laws is None:
-            raise DescriptionError("loops of one's own control the tip's place: its direction is not theirs to ask for")
+            raise DescriptionError("custom loops control position only; use a built-in strategy to control direction")
         if self.aim.lever > 0.0 and self.aim.rows > n:
-            raise DescriptionError(f"task: {self.aim.rows} numbers are asked of the tip, and there are {n} joints")
+            raise DescriptionError(f"task: {self.aim.rows} coordinates of the tip need as many joints; there are {n}")
 
     @property
     def period(self) -> float:
@@ -111,32 +119,54 @@ class Controller:
         return self.estimator.filter.period
 
     @cached_property
-    def looks(self) -> Looks:
-        """What the loops look at."""
-        return Looks(self.estimator.actuation.lead if self.observes else 0.0, self.observes, self.exact_rate)
+    def feedback(self) -> FeedbackOptions:
+        """Measurements and estimates that the loops use as feedback."""
+        lead_time = self.estimator.actuation.lead_time if self.observes else 0.0
+        return FeedbackOptions(lead_time, self.observes, self.exact_rate)
+
+    @cached_property
+    def kinks(self) -> Kinks:
+        """Kinks (joint positions where the Jacobian jumps) that the null-space objective resists.
+
+        With a single redundant joint there are none: it would have to move at top speed to keep the others from
+        crossing.
+        """
+        kinks = kinks_of(self.statics.robot)
+        return kinks if len(self.limits.joints) >= self.aim.rows + 2 else Kinks(kinks.rows[:0], kinks.offsets[:0])
+
+    def check_loops(self, joints: Array) -> None:
+        """Call custom loops once in the unloaded pose `joints` (n,), before anything moves.
+
+        Raises:
+            ContractError: a custom loop raised, or returned a value that violates its interface.
+            CtrError: the model has no shape in this pose.
+
+        """
+        if self.strategy.laws is None:
+            self.strategy.check(self.statics.solve(joints, _NO_LOAD))
 
     def tare(self, readings: Array, joints: Array) -> Array:
-        """Zero of the base sensors (q, 6) from readings (q, 6) without load at joints (n,)."""
+        """Return the tare (q, 6) of the base sensors from readings (q, 6) without load at joints (n,)."""
         if self.corrections is None:
             return readings
         return self.corrections.offset(readings, self.statics.robot.tube_poses(joints)[0])
 
     def tip(self, measured: Array, memory: "ControllerState") -> Array:
-        """The tip (3,) of a tracker frame (3,) [m]."""
+        """Return the tip's position (3,) from the measured coil position (3,) in a tracker frame [m]."""
         if self.corrections is None:
             return measured
         return self.corrections.tip(measured, memory.estimate.loaded.rotation)
 
 
-def begin(controller: Controller, sample: Sample) -> ControllerState:
-    """State before the first tick; the first sample must carry a tracker frame.
+def start_controller(controller: Controller, sample: Sample) -> ControllerState:
+    """Return the controller's state before the first tick; the sample must contain a tracker frame.
 
     Raises:
         PoseError, NoSolution, NotFinite: the model cannot start from this sample.
 
     """
     if sample.tip is None or not np.isfinite(sample.tip).all():
-        raise NotFinite(f"measured tip {sample.tip} m: a finite tracker frame is needed to begin")
+        raise NotFinite(f"measured tip {sample.tip} m: a finite tracker frame is needed to start")
     unloaded = controller.statics.solve(sample.joints, _NO_LOAD)
     right = _corrected(controller, sample, unloaded.rotation)
     load = fuse_at(controller.statics.robot, right.joints, right.wrenches)
@@ -146,32 +176,35 @@ def begin(controller: Controller, sample: Sample) -> ControllerState:
 
 
 def set_origin(controller: Controller, memory: ControllerState, origin: Array) -> ControllerState:
-    """Start a motion here, at rest and just tared: setpoints count from `origin` (3,) [m], eq. (22) from zero.
+    """Start a motion at rest after a tare: setpoints are then relative to `origin` (3,) [m].
 
-    The tare has moved the zero of the force, so the estimates begin anew without load.
+    The tare has changed the zero of the force, so the estimates restart without load, and the deflection's parts of
+    eq. (22) start at zero.
     """
-    free, pointed = memory.estimate.unloaded, memory.pointed
-    if pointed is not None:
-        seen = pointed.seen
-        pointed = begin_to_point(controller.estimator, free.rotation[:, 2], pointed.observed)._replace(seen=seen)
+    free, direction = memory.estimate.unloaded, memory.direction
+    if direction is not None:
+        started = start_direction(controller.estimator, free.rotation[:, 2], direction.observed)
+        direction = started._replace(measured_once=direction.measured_once)
     estimate = controller.estimator.start(free, free, np.zeros(3), origin)
-    return memory._replace(estimate=estimate, origin=origin, pointed=pointed)
+    return memory._replace(estimate=estimate, origin=origin, direction=direction)
 
 
-def from_here(memory: ControllerState) -> ControllerState:
-    """Setpoints count from where the tip is, and "keep it" is where it points now."""
-    pointed = memory.pointed
-    if pointed is not None:
-        pointed = pointed._replace(origin=pointed.observed)
-    return memory._replace(origin=memory.estimate.observed.tip, pointed=pointed)
+def restart_setpoints_here(memory: ControllerState) -> ControllerState:
+    """Use the present tip as origin of setpoints, and its present direction as the direction to keep."""
+    direction = memory.direction
+    if direction is not None:
+        direction = direction._replace(origin=direction.observed)
+    return memory._replace(origin=memory.estimate.observed.tip, direction=direction)
 
 
 def step(controller: Controller, memory: ControllerState, sample: Sample, order: Setpoint | JointMotion | None) -> Tick:
-    """One period: follow a setpoint, move joints as told, or (None) stand still; the estimates always go on.
+    """Compute one tick: update the estimates, and compute the joint velocities for `order`.
+
+    An order is a setpoint to follow, a joint motion to execute, or None to stay still.
 
     Raises:
-        PoseError, NoSolution: the model cannot follow the measured pose and load.
-        NotFinite: a measurement or the command is not finite; nothing of this tick may be sent.
+        PoseError, NoSolution: the model has no shape at the measured pose and load.
+        NotFinite: a measurement or the command is not finite; no command of this tick may be sent.
 
     """
     limits, last = controller.limits, memory.estimate
@@ -181,62 +214,67 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         controller.statics, controller.estimator, last,
         sample.joints, sample.wrenches, sample.sent, sample.tip, sample.tip_age,
     )  # fmt: skip
-    tip, seen, drift = memory.tip if sample.tip is None else sample.tip, memory.seen, OBSERVED
+    tip, tracked, drift = memory.tip if sample.tip is None else sample.tip, memory.tracked, OBSERVER_DRIFT
     if controller.differentiates:
         known = now.known
         by_joints = known.velocity_observed - known.load_rate - known.drift
-        seen = differentiate(seen, by_joints, memory.tip, sample.tip, sample.tip_age, controller.period)
-        drift = seen.velocity - known.load_rate
-    pointed = None
+        tracked = differentiate(tracked, by_joints, memory.tip, sample.tip, sample.tip_age, controller.period)
+        drift = tracked.velocity - known.load_rate
+    direction = None
     if controller.aim.lever > 0.0 or controller.watches:
-        pointed = _pointing(controller, memory.pointed, now, load.force, sample)
+        direction = _direction_estimate(controller, memory.direction, now, sample)
     slope = memory.slope
     if isinstance(order, Setpoint):
-        asked, spare = NOT_ASKED, None
-        if pointed is not None and controller.aim.lever > 0.0:
-            asked = told(pointed, order.direction, order.turning, controller.observes)
-        if controller.spare is not None:
-            slope = controller.spare.tried(controller.statics, limits, now.loaded, slope)
-            spare = controller.spare.velocity(limits, sample.joints, now.loaded.stability, slope)
+        requested, null_space = NO_DIRECTION_TASK, None
+        if direction is not None and controller.aim.lever > 0.0:
+            requested = pack_direction_task(direction, order.direction, order.turning, controller.observes)
+        if controller.null_space is not None:
+            slope = controller.null_space.updated_gradient(controller.statics, limits, now.loaded, slope)
+            null_space = controller.null_space.objective(
+                limits, controller.kinks, sample.joints, now.loaded.stability, slope
+            )
         found = command(
-            controller.strategy, controller.looks, limits,
-            sample.joints, now, load.force, order, tip, memory.origin, drift,
-            controller.aim, asked, spare,
+            controller.strategy, controller.feedback, limits,
+            sample.joints, now, now.known.load[FORCE], order, tip, memory.origin, drift,
+            controller.aim, requested, null_space,
         )  # fmt: skip
     else:
-        # Nothing is asked of the tip: it is where it should be.
+        # Without a tip setpoint, report the present tip as setpoint.
         velocity = np.zeros(sample.joints.size) if order is None else order.velocity
-        found, order = _as_told(limits, sample.joints, velocity), Setpoint(tip - memory.origin, np.zeros(3))
-    finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # an older one has been looked at
+        found, order = _joint_motion(limits, sample.joints, velocity), Setpoint(tip - memory.origin, np.zeros(3))
+    finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # an older frame was checked in its own tick
     if not (finite and all(map(math.isfinite, found.velocity.tolist()))):
         raise NotFinite(
             f"joint velocities {found.velocity.tolist()} at measured tip {tip.tolist()} m are not finite"
         )  # fmt: skip
     return Tick(
         found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
-        ControllerState(now, tip, memory.origin, seen, pointed, slope),
+        ControllerState(now, tip, memory.origin, tracked, direction, slope),
     )  # fmt: skip
 
 
-def _pointing(controller: Controller, last: Pointed | None, now: Estimate, force: Array, sample: Sample) -> Pointed:
-    """What is known of the tip's direction, from the first frame on."""
+def _direction_estimate(
+    controller: Controller, last: DirectionEstimate | None, now: Estimate, sample: Sample
+) -> DirectionEstimate:
+    """Return the estimate of the tip's direction in this tick; the first call starts the estimate."""
     if last is None:
         axis = now.loaded.rotation[:, 2]
         direction = axis if sample.direction is None else sample.direction
-        pointed = begin_to_point(controller.estimator, axis, direction)
-        return pointed._replace(seen=sample.direction is not None)
-    return look(controller.estimator, last, now, force, sample.direction, sample.tip_age)
+        direction = start_direction(controller.estimator, axis, direction)
+        return direction._replace(measured_once=sample.direction is not None)
+    return update_direction(controller.estimator, last, now, now.known.load[FORCE], sample.direction, sample.tip_age)
 
 
-def _as_told(limits: Limits, joints: Array, asked: Array) -> Commanded:
-    """Joints at (n,) that move as asked (n,) [rad/s or m/s], as far as they can stop inside their travel."""
+def _joint_motion(limits: Limits, joints: Array, requested: Array) -> CommandResult:
+    """Return the requested joint velocity (n,), limited so that joints at `joints` (n,) can stop in their travel."""
     lower, upper = limits.velocity_bounds(joints)
-    velocity = np.minimum(np.maximum(asked, lower), upper)
-    return Commanded(velocity, np.zeros(3), np.zeros(min(3, asked.size)), np.sign(asked - velocity), NO_ROOM)
+    velocity = np.minimum(np.maximum(requested, lower), upper)
+    at_bound = np.sign(requested - velocity)
+    return CommandResult(velocity, np.zeros(3), np.zeros(min(3, requested.size)), at_bound, NO_BOUNDS)
 
 
 def _corrected(controller: Controller, sample: Sample, rotation: Array) -> Sample:
-    """The sample as calibrated devices would have given it; `rotation` (3, 3) is the tip's frame of just now."""
+    """Return the sample with the calibration's corrections; `rotation` (3, 3) is the latest frame of the tip."""
     corrections = controller.corrections
     if corrections is None:
         return sample

@@ -1,7 +1,7 @@
-"""Where the tip should be: offsets from the tip at the start, and their velocity.
+"""Trajectories of the tip: desired offset from the tip at the start of the motion, and its velocity.
 
-Every motion starts at offset zero, where the tip is. A motion with a `period` repeats itself; what is
-true of one period is true for ever.
+Every motion starts at offset zero, at the present tip. A motion with a `period` repeats itself, so checking one period
+of it is enough.
 """
 
 import bisect
@@ -16,20 +16,20 @@ import numpy as np
 from core.errors import DescriptionError
 from core.robot.robot import Array
 
-STILL = np.zeros(3)
+ZERO_VELOCITY = np.zeros(3)
 
 
 class Setpoint(NamedTuple):
     """Desired tip relative to the tip at the start, world frame."""
 
-    position: Array  #: (3,) [m]
-    velocity: Array  #: (3,) [m/s]
-    direction: Array | None = None  #: (3,) in which the tip points, unit vector; None keeps that of the start
-    turning: Array = STILL  #: (3,) its angular velocity [rad/s]
+    position: Array  #: (3,) desired offset from the start tip [m]
+    velocity: Array  #: (3,) desired velocity of the tip [m/s]
+    direction: Array | None = None  #: (3,) desired direction of the tip, unit vector; None keeps the start direction
+    turning: Array = ZERO_VELOCITY  #: (3,) angular velocity of the desired direction [rad/s]
 
 
 class JointMotion(NamedTuple):
-    """Joint velocities asked for directly: approach, jog, a sweep of one joint."""
+    """Directly commanded joint velocities, for example for an approach, a jog, or a sweep of one joint."""
 
     velocity: Array  #: (n,) [rad/s or m/s]
 
@@ -39,55 +39,62 @@ class Trajectory(Protocol):
 
     @property
     def period(self) -> float:
-        """Time after which it repeats itself or stands still for good [s]."""
+        """Time after which the motion repeats itself or stays at rest [s]."""
         ...
 
     def setpoint(self, time: float) -> Setpoint:
-        """Desired offset and velocity at `time` [s] from the start."""
+        """Return the desired offset and velocity at `time` [s] from the start."""
         ...
 
 
-#: Between two waypoints [s].
-CLOSEST = 1e-3
+#: Shortest time between two waypoints [s].
+MIN_WAYPOINT_INTERVAL_S = 1e-3
+#: Latest time [s] and largest offset [m] of a waypoint. No robot needs a day or 10 m, and far larger numbers overflow
+#: the spline's coefficients.
+MAX_TIME_S, MAX_OFFSET_M = 86_400.0, 10.0
 
 
 @dataclass(frozen=True)
 class Directions:
-    """Where the tip points over time: from one direction to the next about one axis, at rest at each of them."""
+    """Direction of the tip over time: it rotates from one direction to the next about one axis and rests at each."""
 
-    times: tuple[float, ...]  #: rising [s]
-    directions: tuple[tuple[float, float, float], ...]  #: of any length but zero, none opposite to the one before
+    times: tuple[float, ...]  #: increasing times at which the tip has each direction [s]
+    directions: tuple[tuple[float, float, float], ...]  #: vectors of any length but zero; successive ones not opposite
 
     def __post_init__(self) -> None:
         if not self.times or len(self.times) != len(self.directions):
             raise DescriptionError(
                 f"directions: {len(self.times)} times and {len(self.directions)} directions; give one each"
             )
+        for time in self.times:
+            if not abs(time) <= MAX_TIME_S:
+                raise DescriptionError(f"directions: time {time:g} s is outside +-{MAX_TIME_S:g} s")
         for before, after in zip(self.times, self.times[1:], strict=False):
-            if not after - before >= CLOSEST:
+            if not after - before >= MIN_WAYPOINT_INTERVAL_S:
                 raise DescriptionError(
-                    f"directions: {after:g} s does not come {1e3 * CLOSEST:g} ms or more after {before:g} s"
+                    f"directions: {after:g} s does not come {1e3 * MIN_WAYPOINT_INTERVAL_S:g} ms or more after"
+                    f" {before:g} s"
                 )
         for first, second in itertools.pairwise(self._units):
             if float(first @ second) < -0.999:
-                raise DescriptionError("directions: two that follow are opposite; say by which way to turn")
+                raise DescriptionError("directions: two consecutive ones are opposite; add a direction between them")
 
     @cached_property
     def _units(self) -> list[Array]:
         return [_unit("directions", direction) for direction in self.directions]
 
     def at(self, time: float) -> tuple[Array, Array]:
-        """Direction (3,) and its angular velocity (3,) [rad/s] at `time` [s]."""
+        """Return the direction (3,) and its angular velocity (3,) [rad/s] at `time` [s]."""
         after = bisect.bisect_right(self.times, time)
         if after == 0 or after == len(self.times):
-            return self._units[max(0, after - 1)], STILL
+            return self._units[max(0, after - 1)], ZERO_VELOCITY
         first, second = self._units[after - 1 : after + 1]
         length = self.times[after] - self.times[after - 1]
         axis, part = _cross(first, second), math.pi * (time - self.times[after - 1]) / length
         sin = float(np.linalg.norm(axis))
         whole = math.atan2(sin, float(first @ second))
         if whole < 1e-9:
-            return first, STILL
+            return first, ZERO_VELOCITY
         axis /= sin
         angle, rate = whole * 0.5 * (1.0 - math.cos(part)), whole * 0.5 * math.pi / length * math.sin(part)
         return first * math.cos(angle) + _cross(axis, first) * math.sin(angle), axis * rate
@@ -95,24 +102,24 @@ class Directions:
 
 @dataclass(frozen=True)
 class Hold:
-    """Stay at the start tip (regulation)."""
+    """Trajectory that stays at the start tip (regulation)."""
 
     @property
     def period(self) -> float:
-        """0: the tip never moves, so nothing repeats [s]."""
+        """Period 0 [s], because the tip never moves."""
         return 0.0
 
     def setpoint(self, time: float) -> Setpoint:  # noqa: ARG002 - the same at any time
-        """Zero at any time."""
+        """Return offset zero at any time."""
         return Setpoint(np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
 class Step:
-    """From the start tip to another place at once; back again, and so on, when a time to stay is given."""
+    """Trajectory that jumps from the start tip to another position; with a finite `stay` it jumps back and forth."""
 
-    offset: tuple[float, float, float]  #: [m]
-    stay: float = math.inf  #: at either place [s]
+    offset: tuple[float, float, float]  #: offset of the other position from the start tip [m]
+    stay: float = math.inf  #: time that the setpoint stays at either position [s]
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(part) for part in self.offset):
@@ -122,22 +129,22 @@ class Step:
 
     @property
     def period(self) -> float:
-        """It stands at once, and where it stands is all that matters."""
+        """Period 0 [s], because the setpoint is at rest except for single jumps."""
         return 0.0
 
     def setpoint(self, time: float) -> Setpoint:
-        """Either place; the velocity is zero but for single moments."""
+        """Return the start tip or the other position, depending on `time` [s]; the velocity is zero."""
         there = math.isinf(self.stay) or int(time / self.stay) % 2 == 0
         return Setpoint(np.array(self.offset) if there else np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
 class Sinusoid:
-    """Back and forth along a line through the start tip."""
+    """Trajectory that oscillates along a line through the start tip."""
 
-    direction: tuple[float, float, float]  #: any length but zero
-    amplitude: float  #: [m]
-    frequency: float  #: [Hz]
+    direction: tuple[float, float, float]  #: direction of the line, a vector of any length but zero
+    amplitude: float  #: largest distance from the start tip [m]
+    frequency: float  #: number of oscillations per second [Hz]
 
     def __post_init__(self) -> None:
         _positive("sinusoid", self.amplitude, "amplitude", "m")
@@ -146,7 +153,7 @@ class Sinusoid:
 
     @property
     def period(self) -> float:
-        """Of one oscillation [s]."""
+        """Duration of one oscillation [s]."""
         return 1.0 / self.frequency
 
     @cached_property
@@ -154,7 +161,7 @@ class Sinusoid:
         return _unit("sinusoid", self.direction)
 
     def setpoint(self, time: float) -> Setpoint:
-        """Amplitude * sin(2 pi f t) along the direction."""
+        """Return amplitude * sin(2 pi f t) along the direction."""
         axis, rate = self._axis, 2.0 * math.pi * self.frequency
         return Setpoint(
             axis * (self.amplitude * math.sin(rate * time)), axis * (self.amplitude * rate * math.cos(rate * time))
@@ -163,11 +170,11 @@ class Sinusoid:
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle through the start tip, in the plane of two directions, at constant speed."""
+    """Trajectory along a circle through the start tip, at constant speed."""
 
-    radius: float  #: [m]
-    period: float  #: [s]
-    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: axis of the circle
+    radius: float  #: radius of the circle [m]
+    period: float  #: time of one turn [s]
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: direction of the circle's axis
 
     def __post_init__(self) -> None:
         _positive("circle", self.radius, "radius", "m")
@@ -179,7 +186,7 @@ class Circle:
         return _plane(_unit("circle", self.normal))
 
     def setpoint(self, time: float) -> Setpoint:
-        """Starts at offset zero; the centre lies `radius` away, square to the normal."""
+        """Return a point of the circle; the circle starts at offset zero, and its centre is one `radius` away."""
         first, second = self._plane
         rate = 2.0 * math.pi / self.period
         cos, sin = math.cos(rate * time), math.sin(rate * time)
@@ -191,13 +198,13 @@ class Circle:
 
 @dataclass(frozen=True)
 class Helix:
-    """Turns about an axis while it advances along it, at constant speed, to the end of its last turn."""
+    """Trajectory along a helix: turns about an axis while advancing along it, at constant speed, then rest."""
 
-    radius: float  #: [m]
-    pitch: float  #: advance in one turn, either way [m]
+    radius: float  #: radius of the helix [m]
+    pitch: float  #: advance along the axis in one turn, of either sign [m]
     turn: float  #: time for one turn [s]
-    turns: float
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    turns: float  #: number of turns
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: direction of the helix's axis
 
     def __post_init__(self) -> None:
         _positive("helix", self.radius, "radius", "m")
@@ -209,7 +216,7 @@ class Helix:
 
     @property
     def period(self) -> float:
-        """Until it stands still [s]."""
+        """Time until it is at rest [s]."""
         return self.turns * self.turn
 
     @cached_property
@@ -221,7 +228,7 @@ class Helix:
         return Circle(self.radius, self.turn, self.axis)
 
     def setpoint(self, time: float) -> Setpoint:
-        """Starts at offset zero, as the circle does."""
+        """Return a point of the helix; the helix starts at offset zero, like the circle."""
         if time >= self.period:
             return Setpoint(self._at(self.period).position, np.zeros(3))
         return self._at(time)
@@ -233,50 +240,56 @@ class Helix:
 
 @dataclass(frozen=True)
 class Waypoints:
-    """Through given places at given times, smoothly: a cubic spline from rest at the start tip to rest at the last.
+    """Trajectory along a cubic spline through waypoints, from rest at the start tip to rest at the last waypoint.
 
-    The way from the start tip to the first place is the approach; the first time says how long it takes.
+    The path from the start tip to the first waypoint is the approach; the first time is its duration.
     """
 
-    times: tuple[float, ...]  #: rising, the first above 0 unless its place is the start tip [s]
-    places: tuple[tuple[float, float, float], ...]  #: offsets from the start tip [m]
-    max_speed: float = 0.02  #: of the tip [m/s]
-    max_acceleration: float = 0.1  #: [m/s^2]
+    times: tuple[float, ...]  #: increasing times of the waypoints; the first is above 0 unless it is the start tip [s]
+    places: tuple[tuple[float, float, float], ...]  #: offsets of the waypoints from the start tip [m]
+    max_speed: float = 0.02  #: largest accepted speed of the tip [m/s]
+    max_acceleration: float = 0.1  #: largest accepted acceleration of the tip [m/s^2]
 
     def __post_init__(self) -> None:
         _positive("waypoints", self.max_speed, "max_speed", "m/s")
         _positive("waypoints", self.max_acceleration, "max_acceleration", "m/s^2")
         if not self.times or len(self.times) != len(self.places):
             raise DescriptionError(f"waypoints: {len(self.times)} times and {len(self.places)} places; give one each")
-        for number, (time, place) in enumerate(zip(self.times, self.places, strict=True), 1):
-            if not (math.isfinite(time) and len(place) == 3 and all(math.isfinite(part) for part in place)):
+        for number, (time, point) in enumerate(zip(self.times, self.places, strict=True), 1):
+            if not (math.isfinite(time) and len(point) == 3 and all(math.isfinite(part) for part in point)):
                 raise DescriptionError(
-                    f"waypoints: number {number} at {time} s, {place} m: finite numbers are needed"
+                    f"waypoints: number {number} at {time} s, {point} m: finite numbers are needed"
+                ).at(time)
+            if time > MAX_TIME_S or max(map(abs, point)) > MAX_OFFSET_M:
+                raise DescriptionError(
+                    f"waypoints: number {number} at {time:g} s, {point} m, is outside 0 ... {MAX_TIME_S:g} s or"
+                    f" +-{MAX_OFFSET_M:g} m"
                 ).at(time)
         if self.times[0] < 0.0 or (self.times[0] == 0.0 and any(self.places[0])):
             raise DescriptionError(
                 f"waypoints: the first, {self.places[0]} m from the start tip, at {self.times[0]:g} s;"
-                " give it a time above 0 s for the way there"
+                " give it a time above 0 s to get there"
             ).at(self.times[0])
         for before, after in zip(self.times, self.times[1:], strict=False):
             if not after > before:
                 raise DescriptionError(f"waypoints: time {after:g} s does not come after {before:g} s").at(after)
         for before, after in zip((0.0, *self.times), self.times, strict=False):
-            # Nearer ones overflow the spline's coefficients, and nothing compares with what is no number.
-            if 0.0 < after - before < CLOSEST:
+            # Shorter intervals overflow the spline's coefficients; comparisons with the resulting NaN are always false.
+            if 0.0 < after - before < MIN_WAYPOINT_INTERVAL_S:
                 raise DescriptionError(
-                    f"waypoints: {after:g} s is less than {1e3 * CLOSEST:g} ms after {before:g} s; give it more time"
+                    f"waypoints: {after:g} s is less than {1e3 * MIN_WAYPOINT_INTERVAL_S:g} ms after {before:g} s;"
+                    f" give it more time"
                 ).at(after)
         self._check_limits()
 
     @property
     def period(self) -> float:
-        """Until it stands still [s]."""
+        """Time until it is at rest [s]."""
         return self.times[-1]
 
     @cached_property
     def _spline(self) -> tuple[list[float], Array]:
-        """Knots and coefficients (pieces, 4, 3): position of powers 3, 2, 1, 0 of the time since the knot."""
+        """Knot times, and coefficients (pieces, 4, 3) of the powers 3, 2, 1, 0 of the time since each piece's knot."""
         from scipy.interpolate import CubicSpline  # pyright: ignore  - slow to import
 
         times, places = list(self.times), np.array(self.places, dtype=np.float64)
@@ -289,9 +302,9 @@ class Waypoints:
 
     def _check_limits(self) -> None:
         knots, pieces = self._spline
-        # What is wrong on the way to a place is told of that place.
+        # A violation between two waypoints is reported for the second one.
         for start, end, (c3, c2, c1, _) in zip(knots, knots[1:], pieces, strict=False):
-            # Acceleration is largest at an end of a piece; speed is looked at finely.
+            # The acceleration is largest at an end of a spline piece; the speed is sampled finely.
             for time in (0.0, end - start):
                 acceleration = float(np.linalg.norm(6.0 * c3 * time + 2.0 * c2))
                 if acceleration > self.max_acceleration * (1.0 + 1e-9):
@@ -308,7 +321,7 @@ class Waypoints:
                 ).at(end)
 
     def setpoint(self, time: float) -> Setpoint:
-        """On the spline; at the last place after the last time."""
+        """Return a point of the spline; after the last time, return the last waypoint."""
         knots, pieces = self._spline
         if time >= knots[-1]:
             return Setpoint(np.array(self.places[-1], dtype=np.float64), np.zeros(3))
@@ -328,15 +341,21 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _plane(normal: Array) -> tuple[Array, Array]:
-    """Two directions square to the normal and to each other; the axis least along the normal gives the first."""
+    """Return two unit vectors perpendicular to `normal` and to each other.
+
+    The first is computed from the coordinate axis that is most nearly perpendicular to `normal`.
+    """
     first = _cross(np.eye(3)[int(np.argmin(np.abs(normal)))], normal)
     first /= np.linalg.norm(first)
     return first, _cross(normal, first)
 
 
-def turned(direction: Array, way: Array) -> Array:
-    """A direction (3,) after a small turn (3,), axis times angle [rad]; plain: no motion waits for a compiler."""
-    there = direction + _cross(way, direction)
+def rotated(direction: Array, rotation: Array) -> Array:
+    """Return a direction (3,) after a small rotation (3,), axis times angle [rad].
+
+    The function is not compiled, so that its first call takes no compilation time.
+    """
+    there = direction + _cross(rotation, direction)
     return there / math.sqrt(float(there @ there))
 
 

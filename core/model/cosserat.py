@@ -1,13 +1,13 @@
-"""The exact rod in another formulation: what the fast model is measured against.
+"""The exact rod model, the reference for the fast model.
 
 Geometrically exact Cosserat rods (Rucker, Jones, Webster 2010) in the frame of the innermost
 tube: a quaternion for the orientation, moment and force in the moving frame,
 
     m' = -u x m - e_z x n,   n = R^T F,   m_z = sum_i GJ_i u_iz,   psi_i' = u_iz - u_1z,
 
-integrated by classical Runge-Kutta steps far finer than the truncation error matters, and shot
-at the tip by Newton. It shares neither variables, frames, integrator nor derivatives with
-`propagation`, only the description of the robot. The virtual lab's plant runs on it, too.
+integrated by classical Runge-Kutta steps with negligible truncation error. Newton shooting satisfies the conditions at
+the tip. The exact rod shares neither variables, frames, integrator nor derivatives with `propagation`, only the
+description of the robot. The virtual lab also uses it to simulate the real robot.
 """
 
 import math
@@ -24,21 +24,21 @@ from core.robot.robot import Array, Indices, Layout, Robot, positive
 class Rod(NamedTuple):
     """An exactly solved robot; world frame."""
 
-    tip: Array  #: (3,) [m]
+    tip: Array  #: (3,) position of the tip [m]
     rotation: Array  #: (3, 3) frame of the innermost tube at the tip
-    torsion: Array  #: (q,) u_iz(0) [1/m]
-    unknowns: Array  #: (q + 2,) m_x, m_y [N m] and u_iz [1/m] at the plate; the next warm start
+    torsion: Array  #: (q,) torsion u_iz of each tube at the plate [1/m]
+    unknowns: Array  #: (q + 2,) m_x, m_y [N m] and u_iz [1/m] at the plate, from which a warm start begins
     chord: Array  #: (q + 2, q + 2) inverse of the end conditions' derivative, for the next Newton
     iterations: int
 
 
 @dataclass(frozen=True)
 class ExactRod:
-    """Exact solver of one robot."""
+    """Solver of the exact rod for one robot."""
 
     robot: Robot
-    step: float = 0.002  #: longest Runge-Kutta step [m]; 2 mm leaves less than 1e-9 m
-    tolerance: float = 1e-9  #: of the end conditions [1/m and N m]
+    step: float = 0.002  #: longest Runge-Kutta step [m]; the error at 2 mm is below 1e-9 m
+    tolerance: float = 1e-9  #: largest violation of the end conditions [1/m and N m]
 
     def __post_init__(self) -> None:
         positive("step", self.step, "m")
@@ -49,7 +49,7 @@ class ExactRod:
         The force acts at arc length `contact` from the plate [m]; None is the tip.
 
         Raises:
-            PoseError: the tubes cannot stand so, or `contact` lies beyond them.
+            PoseError: the pose is invalid, or `contact` is beyond the tubes.
             NotFinite: the wrench is not finite.
             NoSolution: no solution was reached, not even with the load applied in 64 steps.
 
@@ -61,7 +61,7 @@ class ExactRod:
     def solve_tubes(
         self, alpha: Array, beta: Array, wrench: Array, near: Rod | None = None, contact: float = math.inf
     ) -> Rod:
-        """The same for the tubes' rotations (q,) [rad] and proximal ends (q,) [m]."""
+        """Solve for the tubes' rotations (q,) [rad] and proximal ends (q,) [m]."""
         if wrench.shape != (6,) or not np.isfinite(wrench).all():
             raise NotFinite(f"tip wrench {wrench.tolist()} [N, N m] must be six finite numbers")
         size = len(self.robot.tubes) + 2
@@ -82,12 +82,12 @@ class ExactRod:
         raise NoSolution(f"the exact rod found no shape under {wrench[:3].tolist()} N, {wrench[3:].tolist()} N m")
 
     def stability(self, joints: Array, wrench: Array, rod: Rod, contact: float | None = None) -> float:
-        """Determinant of the end conditions by the unknowns at a solution, by central differences.
+        """Return the determinant of the end conditions by the unknowns at a solution, by central differences.
 
-        The same number as `Solution.stability`: 1 for straight tubes without load, 0 where the shape folds.
+        The number is the same as `Solution.stability`: 1 for straight tubes without load, 0 where the tubes snap.
         """
         alpha, beta = self.robot.tube_poses(joints)
-        place = self.robot.check_contact(joints, contact)
+        position = self.robot.check_contact(joints, contact)
         size = len(self.robot.tubes) + 2
         columns: list[Array] = []
         for k in range(size):
@@ -95,7 +95,7 @@ class ExactRod:
             half = 1e-4 * np.eye(size)[k] * (self.robot.layout.stiffness[0, 0] if k < 2 else 1.0)
             for row, unknowns in zip(ends, (rod.unknowns + half, rod.unknowns - half), strict=True):
                 _integrate(
-                    self.robot.layout, alpha, beta, to_plate(self.robot.layout, wrench), place, unknowns, self.step,
+                    self.robot.layout, alpha, beta, to_plate(self.robot.layout, wrench), position, unknowns, self.step,
                     np.empty(9 + 2 * (size - 2)), row,
                 )  # fmt: skip
             columns.append((ends[0] - ends[1]) / (2.0 * half[k]))
@@ -114,7 +114,7 @@ class ExactRod:
 
 @compiled
 def to_plate(layout: Layout, wrench: Array) -> Array:
-    """Force and moment (6,) in the axes of the plate: the rod is solved there."""
+    """Return force and moment (6,) in the axes of the plate, in which the rod is solved."""
     result = np.zeros(6)
     for i in range(3):
         for k in range(3):
@@ -125,7 +125,7 @@ def to_plate(layout: Layout, wrench: Array) -> Array:
 
 @compiled
 def to_world(layout: Layout, y: Array) -> tuple[Array, Array]:
-    """Tip (3,) and frame (3, 3) in the world."""
+    """Return tip (3,) and frame (3, 3) in the world."""
     own, tip, rotation = np.empty((3, 3)), np.empty(3), np.zeros((3, 3))
     _rotation(y, own)
     for i in range(3):
@@ -139,7 +139,7 @@ def to_world(layout: Layout, y: Array) -> tuple[Array, Array]:
 
 @compiled
 def _rotation(y: Array, out: Array) -> None:
-    """Rotation matrix of the quaternion y[:4] (w, x, y, z), normalised on the way."""
+    """Write the rotation matrix of the quaternion y[:4] (w, x, y, z), of any length but zero, to `out`."""
     w, a, b, c = y[0], y[1], y[2], y[3]
     scale = 2.0 / (w * w + a * a + b * b + c * c)
     out[0, 0], out[0, 1], out[0, 2] = 1.0 - scale * (b * b + c * c), scale * (a * b - w * c), scale * (a * c + w * b)
@@ -152,10 +152,10 @@ def slope(
     y: Array, out: Array, turn: Array, bend: Array, twist: Array, ratio: Array, curvature: Array, softness: float,
     force: Array,
 ) -> None:  # fmt: skip
-    """Y = quaternion (4), r (3), m_x, m_y, u_iz (q), psi_i (q); an absent tube has ratio 0.
+    """Write the derivative of y = quaternion (4), r (3), m_x, m_y, u_iz (q), psi_i (q) along the arc length.
 
-    `bend` is EI and `twist` GJ of the tubes present (q,), `softness` one over the sum of the former;
-    `turn` (q, 2) is memory for cosine and sine of psi_i. That of the innermost tube is 0.
+    `bend` is EI and `twist` GJ of the tubes present (q,), `softness` one over the sum of the former. An absent tube has
+    ratio 0. `turn` (q, 2) is memory for cosine and sine of psi_i; psi of the innermost tube is 0.
     """
     q = bend.shape[0]
     w, a, b, c = y[0], y[1], y[2], y[3]
@@ -192,13 +192,13 @@ def slope(
 
 
 @compiled
-def begin(layout: Layout, alpha: Array, beta: Array, unknowns: Array, y: Array, section: Indices) -> float:
-    """The state `y` at the plate, and the section in which each tube passes it; the innermost tube's angle there."""
+def start_state(layout: Layout, alpha: Array, beta: Array, unknowns: Array, y: Array, section: Indices) -> float:
+    """Set the state `y` and each tube's section at the plate; return the innermost tube's angle there."""
     q = layout.counts.shape[0]
     theta = float(alpha[0] - beta[0] * unknowns[2])
     y[:] = 0.0
     y[0], y[3] = np.cos(0.5 * theta), np.sin(0.5 * theta)
-    # The unknown moment is in the plate's axes, so that a turn of the innermost tube leaves it alone.
+    # The unknown moment is in the plate's axes, so a rotation of the innermost tube does not change it.
     y[7] = np.cos(theta) * unknowns[0] + np.sin(theta) * unknowns[1]
     y[8] = np.cos(theta) * unknowns[1] - np.sin(theta) * unknowns[0]
     section[:] = 0
@@ -213,14 +213,14 @@ def begin(layout: Layout, alpha: Array, beta: Array, unknowns: Array, y: Array, 
 @compiled
 def present(layout: Layout, beta: Array, section: Indices, bend: Array, twist: Array, ratio: Array, curvature: Array,
     ) -> tuple[float, int, float]:  # fmt: skip
-    """Stiffness and curvature of the tubes that are there; where and of which tube the next section ends; sum of EI."""
+    """Set stiffness and curvature of the tubes present; return the next section end, its tube and the sum of EI."""
     end, end_tube, total = np.inf, -1, 0.0
     for i in range(bend.shape[0]):
         bend[i] = twist[i] = ratio[i] = 0.0
         if section[i] < layout.counts[i]:
-            place = beta[i] + layout.ends[i, section[i]]
-            if place < end:
-                end, end_tube = place, i
+            section_end = beta[i] + layout.ends[i, section[i]]
+            if section_end < end:
+                end, end_tube = section_end, i
             bend[i], ratio[i] = layout.stiffness[i, 0], layout.stiffness[i, 1]
             twist[i] = bend[i] / ratio[i]
             curvature[i, 0] = layout.curvatures[i, section[i], 0]
@@ -234,13 +234,13 @@ def _integrate(
     layout: Layout, alpha: Array, beta: Array, wrench: Array, contact: float, unknowns: Array, step: float,
     y: Array, ends: Array,
 ) -> None:  # fmt: skip
-    """From the plate to the tip, in the plate's axes; `ends` (q + 2) receives what must vanish."""
-    force = wrench.copy()  # of which only the first three count: the force still to come
+    """Integrate from the plate to the tip, in the plate's axes; `ends` (q + 2) receives the end conditions."""
+    force = wrench.copy()  # only the first three are used: the force beyond the current cross-section
     q = layout.counts.shape[0]
     section, memory = np.zeros(q, np.int64), np.zeros((3, q))
     bend, twist, ratio = memory[0], memory[1], memory[2]
     curvature, turn = np.zeros((q, 2)), np.empty((q, 2))
-    begin(layout, alpha, beta, unknowns, y, section)
+    start_state(layout, alpha, beta, unknowns, y, section)
     stages = np.empty((5, y.size))
     k1, k2, k3, k4, at = stages[0], stages[1], stages[2], stages[3], stages[4]
     start = 0.0
@@ -288,11 +288,11 @@ def shoot(
     layout: Layout, alpha: Array, beta: Array, world_wrench: Array, contact: float, guess: Array, chord: Array,
     step: float, tolerance: float,
 ) -> tuple[Array, Array, Array, Array, int, float]:  # fmt: skip
-    """Chord Newton: the derivative (by differences: it only steers) is renewed when progress is slow.
+    """Solve by chord Newton; the derivative (by differences) is recomputed when convergence is slow.
 
-    Answers with unknowns, chord, tip, frame, integrations and what the end conditions lack at that tip; more than
-    `tolerance` means failure. The unknowns have taken one more step of the chord, so that guesses made from several
-    of them are not spoilt by what was tolerated.
+    Returns unknowns, chord, tip, frame, number of integrations and the residual of the end conditions at that tip. A
+    residual above `tolerance` means failure. The returned unknowns include one more chord step, so guesses that combine
+    several solutions do not contain the tolerated error.
     """
     q = layout.counts.shape[0]
     size = q + 2
@@ -302,9 +302,9 @@ def shoot(
     _integrate(layout, alpha, beta, wrench, contact, unknowns, step, y, ends)
     residual = largest(ends)
     iterations = 1
-    fresh = not inverse.any()
+    recompute = not inverse.any()
     while residual > tolerance and iterations < 60:
-        if fresh:
+        if recompute:
             matrix = np.empty((size, size))
             for k in range(size):
                 copy(unknowns, trial)
@@ -325,18 +325,18 @@ def shoot(
             _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved)
             iterations += 1
             after = largest(moved)
-            if after < residual or (not fresh) or fraction < 1e-3:
+            if after < residual or (not recompute) or fraction < 1e-3:
                 break
             fraction *= 0.5
         if after < residual:
-            fresh = after > 0.1 * residual
+            recompute = after > 0.1 * residual
             copy(trial, unknowns)
             copy(moved, ends)
             residual = after
-        elif fresh:
+        elif recompute:
             break
         else:
-            fresh = True
+            recompute = True
     times(inverse, ends, correction)
     for i in range(size):
         unknowns[i] -= correction[i]
@@ -345,7 +345,7 @@ def shoot(
 
 @compiled
 def _determinant(matrix: Array) -> float:
-    """By elimination, which spoils the matrix; NaN where the matrix holds one."""
+    """Return the determinant by elimination, which overwrites the matrix; NaN if the matrix contains one."""
     size, determinant = matrix.shape[0], 1.0
     for k in range(size):
         pivot = k
@@ -366,7 +366,7 @@ def _determinant(matrix: Array) -> float:
 
 @compiled
 def largest(values: Array) -> float:
-    """The largest magnitude; NaN where there is one."""
+    """Return the largest magnitude; NaN if any value is NaN."""
     largest = 0.0
     for i in range(values.size):
         if not abs(values[i]) <= largest:
@@ -378,7 +378,7 @@ def largest(values: Array) -> float:
 
 @compiled
 def times(matrix: Array, vector: Array, out: Array) -> None:
-    """Product of matrix and vector; for so few numbers a library's product takes longer than this."""
+    """Compute matrix times vector; for so few numbers this is faster than a library call."""
     for i in range(out.size):
         out[i] = 0.0
         for k in range(vector.size):

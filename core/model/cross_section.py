@@ -1,14 +1,13 @@
-"""What bends one cross-section: eqs. (6), (13) and (14), their rates along s, and their derivatives.
+"""Bending of one cross-section: eqs. (6), (13) and (14), their rates along s, and their derivatives.
 
-The cross-section is carried by a frame R that does not twist (a Bishop frame) and every tube by
-its angle theta_i in it, instead of the paper's Euler angles. The equations are the same,
+A frame R that does not twist (a Bishop frame) describes the cross-section, and an angle theta_i in this frame describes
+each tube. The frame and the angles replace the paper's Euler angles. The equations are the same,
 
     R' = R [kappa x],      kappa = (sum_i EI_i v_i + (R^T M)_xy) / sum_i EI_i        (14)
     theta_i' = u_iz,       u_iz' = (EI_i / GJ_i) (kappa x v_i)_z                  (6), (9)
     r' = R e_z,            M = M(0) - r x F                                 (10)-(12), (13)
 
-with v_i the precurvature of tube i turned by theta_i, but no orientation is singular and no tube
-is special.
+with v_i the precurvature of tube i rotated by theta_i. No orientation is singular and no tube is special.
 """
 
 from typing import NamedTuple
@@ -23,31 +22,31 @@ Numbers = tuple[float, ...]
 
 
 class Bend(NamedTuple):
-    """A cross-section and how it bends; vectors in the world frame unless it says otherwise."""
+    """A cross-section and its bending; vectors are in the world frame unless stated otherwise."""
 
-    r: Matrix  #: R
-    x: float  #: position from the plate [m]
+    r: Matrix  #: rotation matrix R of the cross-section's frame
+    x: float  #: x, y and z: position from the plate [m]
     y: float
     z: float
-    fx: float  #: force [N]
+    fx: float  #: fx, fy and fz: force [N]
     fy: float
     fz: float
-    mx: float  #: moment [N m]
+    mx: float  #: mx, my and mz: moment [N m]
     my: float
     mz: float
     axial: float  #: moment about the tangent [N m]
-    flexibility: float  #: 1 / sum EI
-    kx: float  #: kappa in R [1/m]
+    flexibility: float  #: one over the sum of all bending stiffnesses EI [1/(N m^2)]
+    kx: float  #: kx and ky: curvature kappa in the frame R [1/m]
     ky: float
-    k1x: float  #: kappa' in R [1/m^2]
+    k1x: float  #: k1x and k1y: rate of the curvature along the tubes, in the frame R [1/m^2]
     k1y: float
-    share: Numbers  #: EI_i / sum EI; 0 for an absent tube
-    ratio: Numbers  #: EI_i / GJ_i; 0 for an absent tube
-    vx: Numbers  #: turned precurvature [1/m]
+    share: Numbers  #: share of each tube in the bending stiffness, EI_i / sum EI; 0 for an absent tube
+    ratio: Numbers  #: bending over torsional stiffness of each tube, EI_i / GJ_i; 0 for an absent tube
+    vx: Numbers  #: vx and vy: rotated precurvature of each tube [1/m]
     vy: Numbers
-    uz: Numbers  #: [1/m]; 0 for an absent tube
-    uz1: Numbers  #: u_iz' [1/m^2]
-    uz2: Numbers  #: u_iz'' [1/m^3]
+    uz: Numbers  #: torsion u_iz of each tube [1/m]; 0 for an absent tube
+    uz1: Numbers  #: first derivative of the torsion along the tube [1/m^2]
+    uz2: Numbers  #: second derivative of the torsion along the tube [1/m^3]
 
 
 class BendRate(NamedTuple):
@@ -70,10 +69,10 @@ def bend(
     theta: Numbers,
     twist: Numbers,
 ) -> Bend:  # fmt: skip
-    """How a cross-section bends.
+    """Return the bending of a cross-section.
 
     Args:
-        link: of each tube share, ratio, precurvature x and y, and 1 / sum EI (q, 5).
+        link: share, ratio, precurvature x and y, and 1 / sum EI for each tube (q, 5).
         load: force and moment at the plate (6,) [N, N m].
         r: R.
         x, y, z: position from the plate [m].
@@ -121,7 +120,7 @@ def bend_rate(
     turn: Numbers,
     twist: Numbers,
 ) -> BendRate:  # fmt: skip
-    """Derivative of `bend`.
+    """Return the derivative of `bend`.
 
     Args:
         at: the cross-section.
@@ -131,7 +130,7 @@ def bend_rate(
         turn, twist: change of theta_i [rad] and u_iz [1/m].
 
     """
-    # change of the moment seen from the turning frame, and of the force
+    # change of the moment in the rotating frame, and of the force
     a1 = m1 - (d2 * at.fz - d3 * at.fy) - (at.y * f3 - at.z * f2) - (n2 * at.mz - n3 * at.my)
     a2 = m2 - (d3 * at.fx - d1 * at.fz) - (at.z * f1 - at.x * f3) - (n3 * at.mx - n1 * at.mz)
     a3 = m3 - (d1 * at.fy - d2 * at.fx) - (at.x * f2 - at.y * f1) - (n1 * at.my - n2 * at.mx)

@@ -1,8 +1,8 @@
 """The paper's own variables, eqs. (6)-(16) with Euler angles, for comparison only.
 
-R = Rx(theta_1) Ry(theta_2) Rz(theta_i3), theta_1 and theta_2 shared by all tubes. Where the tangent
-comes to +-x, cos(theta_2) = 0 and the angles end; the model in use (`cross_section`) has no such
-place. One pass from the base unknowns of a solution: the two forms agree to the order of the scheme.
+R = Rx(theta_1) Ry(theta_2) Rz(theta_i3), with theta_1 and theta_2 common to all tubes. The angles are singular where
+the tangent points along +-x: cos(theta_2) = 0. The model in use (`cross_section`) has no singularity. One pass starts
+from the base unknowns of a solution; the two forms agree to the order of the scheme.
 """
 
 import numpy as np
@@ -12,15 +12,15 @@ from core.errors import NoSolution
 from core.model.solution import Solution
 from core.robot.robot import Array, Layout, Robot
 
-#: Least cos(theta_2) at which the angles are used.
-LEAST_COSINE = 0.02
+#: Smallest cos(theta_2) at which the angles are used.
+MIN_COSINE = 0.02
 
 
 def euler_tip(robot: Robot, solution: Solution, sublink: float) -> Array:
-    """Tip (3,) [m] by the paper's form from the base unknowns of a solution under a tip load.
+    """Return the tip (3,) [m] in the paper's variables from the base unknowns of a solution under a tip load.
 
     Raises:
-        NoSolution: the tangent comes to +-x of the plate, where the angles are singular.
+        NoSolution: the tangent points along +-x of the plate, where the angles are singular.
 
     """
     base = robot.base.rotation
@@ -29,9 +29,9 @@ def euler_tip(robot: Robot, solution: Solution, sublink: float) -> Array:
     force, moment = base.T @ solution.wrench[:3], base.T @ solution.unknowns[q:]
     position = np.zeros(3)
     cosine = _pass(robot.layout, alpha, beta, force, moment, solution.unknowns[:q].copy(), sublink, position)
-    if not cosine > LEAST_COSINE:
+    if not cosine > MIN_COSINE:
         raise NoSolution(
-            f"cos(theta_2) {cosine:.3g} is below {LEAST_COSINE:g}: the paper's Euler angles are singular"
+            f"cos(theta_2) {cosine:.3g} is below {MIN_COSINE:g}: the paper's Euler angles are singular"
             " where the tangent points along x"
         )
     return base @ position + robot.base.position
@@ -41,7 +41,7 @@ def euler_tip(robot: Robot, solution: Solution, sublink: float) -> Array:
 def _pass(
     layout: Layout, alpha: Array, beta: Array, force: Array, moment: Array, twist: Array, sublink: float, r: Array
 ) -> float:
-    """Integrate to the tip `r`; the answer is the least cos(theta_2) on the way."""
+    """Integrate to the tip `r` and return the smallest cos(theta_2) along the tubes."""
     q = layout.counts.shape[0]
     theta_1, theta_2 = 0.0, 0.0
     theta = alpha - beta * twist  # theta_i3
@@ -55,9 +55,9 @@ def _pass(
         end, end_tube, total = np.inf, -1, 0.0
         for i in range(q):
             if section[i] < layout.counts[i]:
-                place = beta[i] + layout.ends[i, section[i]]
-                if place < end:
-                    end, end_tube = place, i
+                section_end = beta[i] + layout.ends[i, section[i]]
+                if section_end < end:
+                    end, end_tube = section_end, i
                 total += layout.stiffness[i, 0]
         if end_tube < 0:
             return least
@@ -132,7 +132,7 @@ def _pass(
 def _to_frame(
     x: float, y: float, z: float, s1: float, c1: float, s2: float, c2: float, s3: float, c3: float
 ) -> tuple[float, float, float]:
-    """(Rx Ry Rz)^T (x, y, z)."""
+    """Return (Rx Ry Rz)^T (x, y, z)."""
     y, z = c1 * y + s1 * z, c1 * z - s1 * y
     x, z = c2 * x - s2 * z, s2 * x + c2 * z
     return c3 * x + s3 * y, c3 * y - s3 * x, z

@@ -4,7 +4,7 @@ With y' = f and y'' = g known at a cross-section, two of them give fourth order 
 
     y(h/2) = y + h/2 f + h^2/8 g,        y(h) = y + h f + h^2 (g / 6 + g(h/2) / 3).
 
-On the rotation this is Magnus' series: the same quadrature for the integral of kappa, and the
+For the rotation this is the Magnus series: the same quadrature for the integral of kappa, and the
 commutator h^3/12 (kappa x kappa') of the middle. The derivative columns are those of the scheme.
 """
 
@@ -25,7 +25,7 @@ def fourth_order(
     tubes: tuple[float, ...],
     columns: tuple[float, ...],
 ) -> None:
-    """One sub-link on; arguments as in `propagation.Scheme`."""
+    """Integrate one sub-link in place; `state` and `rates` as in `propagation.propagate`."""
     q, width = len(tubes), len(columns)
     half, eighth, sixth, third, twelfth = 0.5 * h, h * h / 8.0, h * h / 6.0, h * h / 3.0, h * h * h / 12.0
     theta, twist = tubes, tubes
@@ -121,7 +121,7 @@ def fourth_order(
             rates[col] = n1 + g.m11 * px + g.m12 * py + g.m13 * pz
             rates[width + col] = n2 + g.m21 * px + g.m22 * py + g.m23 * pz
             rates[2 * width + col] = n3 + g.m31 * px + g.m32 * py + g.m33 * pz
-            # r + sum: turning the whole step by n, the middle's part by o, and what changes along R and Rm
+            # r + sum: the whole step rotated by n, the middle's part by o, and the changes along R and Rm
             qx, qy = sixth * d.ky + dh * h / 3.0 * at.ky, -sixth * d.kx - dh * h / 3.0 * at.kx
             vx, vy = third * e.ky + dh * h / 1.5 * mid.ky, -third * e.kx - dh * h / 1.5 * mid.kx
             tx, ty, tz = sx - third * wx, sy - third * wy, sz - third * wz

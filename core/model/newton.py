@@ -1,35 +1,36 @@
-"""Newton on the base unknowns: predict, pass, correct, and stop as soon as the rest is known to be small.
+"""Newton's method for the base unknowns: predict, integrate, correct, and stop when the remaining error must be small.
 
-A pass gives the end conditions and their derivatives. The step they ask for says how far the
-solution is, and Newton's error falls with the square of that: once the step is below `CLOSE` the
-next violation would be below the tolerance, so the last step is applied to tip, frame and
-unknowns to first order and no further pass is spent on seeing it. A warm start is predicted by
-the sensitivities and, along a steady motion, by the cubic through the last two solutions and
-their slopes; then one pass is enough.
+A pass along the tubes gives the end conditions and their derivatives. The Newton step is the distance to the solution,
+and the error after the step is proportional to its square. Once the step is below `WARM_STEP_RAD`, the next violation
+of the end conditions would be below the tolerance. The last step is then applied to tip, frame and unknowns to first
+order, without another pass. A warm start is predicted with the sensitivities and, along a steady motion, with the cubic
+through the last two solutions and their slopes. One pass is then enough.
 """
 
 import numpy as np
 
 from core.compiled import compiled, copy
 from core.model.propagation import FIXED_ROWS, FRAME_ROWS, Scheme, propagate
-from core.model.solution import CONTACT, JOINTS, PASSES, RESIDUAL, STABILITY, TUBES, Parts, parts
+from core.model.solution import CONTACT_POSITION, JOINT_COUNT, PASSES, RESIDUAL, STABILITY, TUBE_COUNT, Parts, fields
 from core.robot.robot import Array, tube_poses, unpack
 
-#: A pose counts as solved when the end conditions hold to this, in 1/m and N m.
-TOLERANCE = 1e-9
-#: Passes before a solve gives up; a warm start takes one or two.
+#: Largest violation of the end conditions of a solved pose [1/m and N m].
+RESIDUAL_TOLERANCE = 1e-9
+#: Largest number of passes along the tubes in a solve; a warm start takes one or two.
 MAX_PASSES = 40
-#: Last Newton step of a warm start, applied to first order [rad over the whole length].
-CLOSE = 1e-6
-#: The same of a cold start, which is in no hurry: J and C then belong to the very tip.
-CLOSEST = 1e-8
-#: The same in the control loop, where a force sample's noise moves the tip by a millimetre: what the first
-#: order leaves of the tip is below 0.1 um, of J and C 0.1 %, and half of the passes are saved [rad].
-CLOSE_ENOUGH = 3e-3
-#: What a Newton step leaves of the end conditions over its square [1/m or N m]; measured, with reserve.
-LEFT = 100.0
-#: A careful warm start refuses a first step longer than this: it may end on another branch [rad].
-FAR = 0.5
+#: Largest final Newton step of a warm start, applied to first order [rad over the whole length].
+WARM_STEP_RAD = 1e-6
+#: Largest final Newton step of a cold start [rad]. Time matters less there, and J and C are evaluated at the tip
+#: itself.
+COLD_STEP_RAD = 1e-8
+#: Largest final Newton step in the control loop [rad], where a force sample's noise moves the tip by a millimetre. The
+#: first-order error is below 0.1 um of the tip and 0.1 % of J and C, and half of the passes are saved.
+CONTROL_STEP_RAD = 3e-3
+#: Upper bound of the violation of the end conditions after a Newton step, divided by the step's square [1/m or N m]; it
+#: was measured and has a reserve.
+NEWTON_REMAINDER = 100.0
+#: Largest first Newton step of a careful warm start [rad]: a longer step may lead to another shape of the robot.
+MAX_FIRST_STEP_RAD = 0.5
 
 
 @compiled
@@ -47,40 +48,40 @@ def newton(
     columns: tuple[float, ...],
     numbers: Array,
 ) -> bool:
-    """Solve; False when there is no solution.
+    """Solve the model with Newton's method and write the solution to `numbers`; return False if there is no solution.
 
     Args:
         packed: the robot, `Robot.packed`.
         order, sublink: see `propagation.Scheme`.
         joints, wrench, contact: the pose (n,) and the load (6,).
-        near: numbers of a solution nearby. A step that does not help is halved.
-        careful: 1 for a warm start: refuses a long way and a change of the margin's sign, to keep the branch.
-        close: last Newton step that is applied to first order [rad over the whole length].
+        near: numbers of a nearby solution. A step that does not reduce the residual is halved.
+        careful: 1 for a warm start: refuses a long first step and a change of the margin's sign, to keep the branch.
+        close: largest final Newton step, applied to first order [rad over the whole length].
         tubes, columns: see `propagate`.
-        numbers: those of the `Solution`, to be written.
+        numbers: out, those of the `Solution`.
 
     """
     layout = unpack(packed)
     q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
     size, last = q + 3, q + n + 9
-    numbers[TUBES], numbers[JOINTS], numbers[PASSES] = q, n, -1.0
-    found, before = parts(numbers), parts(near)
-    alpha, beta, stands = tube_poses(layout, joints)
+    numbers[TUBE_COUNT], numbers[JOINT_COUNT], numbers[PASSES] = q, n, -1.0
+    found, before = fields(numbers), fields(near)
+    alpha, beta, valid = tube_poses(layout, joints)
     length = beta[0] + layout.ends[0, layout.counts[0] - 1]
-    if not stands or joints.shape[0] != n or not (contact == np.inf or 0.0 <= contact <= length):
+    if not valid or joints.shape[0] != n or not (contact == np.inf or 0.0 <= contact <= length):
         return False
     scheme = Scheme(order, sublink)
     state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * width)
     table = np.zeros((size + 6, width + 8))
     unknowns, step = np.empty(size), np.zeros(size)
     trial = found.unknowns
-    _predict(before, near[CONTACT] == contact, joints, wrench, layout.stiffness[0, 0], trial, found.move)
+    _predict(before, near[CONTACT_POSITION] == contact, joints, wrench, layout.stiffness[0, 0], trial, found.move)
     twist = layout.stiffness[0, 1] / layout.stiffness[0, 0]  # 1 / GJ of the tube that carries the tip
     best, fraction = np.inf, 1.0
     for iterations in range(1, MAX_PASSES + 1):
         propagate(layout, scheme, alpha, beta, wrench, contact, trial, tubes, columns, state, rates, table[:0])
         residual = _end_conditions(rates, wrench, state, twist, tubes, columns, n, table)
-        if not np.isfinite(residual) or (residual > best and residual > TOLERANCE):
+        if not np.isfinite(residual) or (residual > best and residual > RESIDUAL_TOLERANCE):
             fraction *= 0.5
             if fraction < 1e-4:
                 return False
@@ -91,24 +92,24 @@ def newton(
         determinant = eliminate(table, tubes, columns)
         if determinant == 0.0:
             return False
-        way = 0.0
+        distance = 0.0
         for i in range(size):
             step[i] = table[i, last]
-            way = max(way, abs(step[i]) * (length if i < q else length / layout.stiffness[0, 0]))
-        if careful and iterations == 1 and not way < FAR:
+            distance = max(distance, abs(step[i]) * (length if i < q else length / layout.stiffness[0, 0]))
+        if careful and iterations == 1 and not distance < MAX_FIRST_STEP_RAD:
             return False
         for i in range(size):
             unknowns[i] = trial[i]
             trial[i] -= step[i]
-        if way < close:
+        if distance < close:
             if careful and determinant * near[STABILITY] < 0.0:
                 return False
             _finish(layout.base, state, table, q, n, found)
-            _bend_of_the_way(before, near[PASSES] > 0.0 and near[CONTACT] == contact, found)
+            _path_curvature(before, near[PASSES] > 0.0 and near[CONTACT_POSITION] == contact, found)
             copy(joints, found.joints)
             copy(wrench, found.wrench)
-            numbers[CONTACT], numbers[STABILITY] = contact, determinant
-            numbers[RESIDUAL], numbers[PASSES] = min(residual, LEFT * way * way), iterations
+            numbers[CONTACT_POSITION], numbers[STABILITY] = contact, determinant
+            numbers[RESIDUAL], numbers[PASSES] = min(residual, NEWTON_REMAINDER * distance * distance), iterations
             return True
     return False
 
@@ -117,7 +118,7 @@ def newton(
 def _predict(
     near: Parts, same_contact: bool, joints: Array, wrench: Array, stiffness: float, trial: Array, move: Array
 ) -> None:
-    """Unknowns at the new pose and load (`trial`), and the way there (`move`)."""
+    """Predict the unknowns at the new pose and load (`trial`); `move` receives the change of pose and load."""
     n, size = joints.shape[0], trial.shape[0]
     for j in range(n):
         move[j] = joints[j] - near.joints[j]
@@ -135,7 +136,7 @@ def _predict(
         square += scale * scale * now * now
         before += scale * scale * last * last
         along += scale * scale * now * last
-    # Only a move along the last one can go on with its cubic.
+    # The cubic of the previous change of pose and load is valid only for a change in the same direction.
     if along * along > 0.99 * square * before and before > 0.0 and same_contact:
         t = along / before
         if abs(t) < 3.0:
@@ -144,10 +145,10 @@ def _predict(
 
 
 @compiled
-def _bend_of_the_way(near: Parts, known: bool, found: Parts) -> None:
-    """Second and third order of the unknowns along the last move, from its ends and their slopes.
+def _path_curvature(near: Parts, known: bool, found: Parts) -> None:
+    """Compute second and third order of the unknowns along the last move, from its ends and their slopes.
 
-    `known`: there is a slope at its beginning.
+    `known`: the slope at the start of the move is known.
     """
     for i in range(found.unknowns.shape[0]):
         here, there = 0.0, 0.0
@@ -173,9 +174,9 @@ def _end_conditions(
     n: int,
     table: Array,
 ) -> float:
-    """Derivatives of the end conditions, below them those of the tip, by unknowns, joints, force and tip moment.
+    """Fill the derivatives of the end conditions, then of the tip, by unknowns, joints, force and tip moment.
 
-    The column behind them is what must vanish: u_iz at each tube's end and M at the tip.
+    The last column contains the end conditions: u_iz at each tube's end and M at the tip, which must vanish.
 
     Returns:
         The largest violation [1/m or N m].
@@ -223,13 +224,13 @@ def _end_conditions(
     residual = 0.0
     for i in range(size):
         violation = abs(table[i, size + n + 6])
-        residual = residual if violation <= residual else violation  # a NaN comes through
+        residual = residual if violation <= residual else violation  # propagates a NaN
     return residual
 
 
 @compiled
 def _finish(base: Array, state: Array, table: Array, q: int, n: int, found: Parts) -> None:
-    """Tip and frame with the last step applied, J, C and the sensitivity."""
+    """Write tip and frame after the last step, J, C and the sensitivity."""
     size = q + 3
     last = size + n + 6
     for i in range(size):
@@ -246,7 +247,7 @@ def _finish(base: Array, state: Array, table: Array, q: int, n: int, found: Part
         found.tip[i] = state[9 + i] + table[size + i, last] + base[9 + i]
     square = n1 * n1 + n2 * n2 + n3 * n3
     for k in range(3):
-        # the innermost tube's axes, turned by a rotation too small for its cube to matter
+        # the innermost tube's axes after a rotation whose third order is negligible
         if k == 0:
             a, b, c = cos * state[0] + sin * state[1], cos * state[3] + sin * state[4], cos * state[6] + sin * state[7]
         elif k == 1:
@@ -262,9 +263,9 @@ def _finish(base: Array, state: Array, table: Array, q: int, n: int, found: Part
 
 @compiled
 def eliminate(table: Array, tubes: tuple[float, ...], columns: tuple[float, ...]) -> float:
-    """Gauss-Jordan with row pivoting in the first q + 3 rows and columns; the rows below take part.
+    """Eliminate the first q + 3 rows and columns by Gauss-Jordan with row pivoting, also in the rows below.
 
-    [A B; C D] becomes [1 A^-1 B; 0 D - C A^-1 B]. Answers the determinant of A; 0 when singular.
+    [A B; C D] becomes [1 A^-1 B; 0 D - C A^-1 B]. Returns the determinant of A; 0 when singular.
     """
     size, rows, count = len(tubes) + 3, len(tubes) + 9, len(columns) + 8
     determinant = 1.0

@@ -1,11 +1,11 @@
 """One pass along the tubes: the loaded model, eqs. (6)-(16), and its derivatives, eqs. (17)-(19).
 
-The tubes are cut into links wherever a section of one of them ends, and every link into sub-links
-of one length; the last of each takes the remainder. A sub-link is one step of an integrator:
-`second_order` is the paper's, `fourth_order` the one for long steps.
+The end of every tube section starts a new link. Links consist of sub-links of one length; the last one of each link
+takes the remainder. A sub-link is one step of an integrator: `second_order` is the paper's, `fourth_order` is for long
+steps.
 
-Derivatives travel with the state as columns: of the base unknowns (u_iz(0), M(0)), of the joints
-and of the force. Only the last sub-link of a link changes its length with a joint (H in (19)).
+Derivatives are integrated with the state, as columns: by the base unknowns (u_iz(0), M(0)), the joints and the force.
+Only the last sub-link of a link changes its length with a joint (H in (19)).
 """
 
 from typing import NamedTuple
@@ -15,19 +15,20 @@ import numpy as np
 from core.compiled import compiled
 from core.model.fourth_order import fourth_order
 from core.model.second_order import second_order
-from core.robot.robot import FLUSH, Array, Layout
+from core.robot.robot import FLUSH_TOLERANCE_M, Array, Layout
 
-#: Rows of a derivative column before the tubes': rotation (3) and position (3), world frame.
+#: Rows of a derivative column before those of the tubes: rotation (3) and position (3), world frame.
 FRAME_ROWS = 6
-#: Rows behind the tubes' that do not change along a link: force (3), moment at the plate (3), dh.
+#: Rows of a derivative column after those of the tubes, constant along a link: force (3), moment at the plate (3), and
+#: dh, the change of the last sub-link's length.
 FIXED_ROWS = 7
 
-#: Integrators by name, as the compiled code counts them.
+#: Order of the integrators by name.
 INTEGRATORS = {"paper": 2, "fourth_order": 4}
 
 
 class Scheme(NamedTuple):
-    """How the tubes are cut and integrated."""
+    """Discretisation of the tubes: order of the integrator and length of its steps."""
 
     order: int  #: 2 or 4, see `INTEGRATORS`
     sublink: float  #: length of a sub-link [m]; the last of each link takes the remainder
@@ -48,11 +49,11 @@ def propagate(
     rates: Array,
     path: Array,
 ) -> int:
-    """Integrate from the plate to the tip.
+    """Integrate the model from the plate to the tip, with its derivatives.
 
     Args:
         layout: the robot.
-        scheme: how to cut it.
+        scheme: discretisation.
         alpha, beta: rotation [rad] and proximal end [m] of each tube (q,).
         force: (3,), world frame [N].
         contact: arc length from the plate at which the force acts [m]; inf for the tip.
@@ -60,7 +61,7 @@ def propagate(
         tubes, columns: tuples whose lengths, q and the number of derivative columns (0 for none,
             else padded to a multiple of 8), are constants to the compiler.
         state: out (18 + 2q): R by rows, r from the plate [m], theta_i [rad], u_iz [1/m] at the end
-            of each tube; then what is left of the force and of M about the plate at the tip.
+            of each tube; then the remaining force and M about the plate at the tip.
         rates: out (rows x columns, flat): derivatives of rotation (3, world), r (3), theta_i,
             u_iz, force, M by unknowns (q + 3), joints (n), force (3).
         path: out (m, 16 + 2q): arc length, R, r, theta_i, u_iz, M at every sub-link, as far as m reaches.
@@ -80,8 +81,8 @@ def propagate(
         state[9 + k], load[k], load[3 + k] = 0.0, force[k], unknowns[q + k]
     for i in range(q):
         state[12 + q + i] = unknowns[i]
-        state[12 + i] = alpha[i] - beta[i] * unknowns[i]  # the hidden part twists too
-        # Sections that lie wholly behind the plate are passed before the start.
+        state[12 + i] = alpha[i] - beta[i] * unknowns[i]  # the tube's part behind the plate twists, too
+        # Skip sections that are entirely behind the plate.
         while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
             section[i] += 1
     if width > 0:
@@ -98,18 +99,18 @@ def propagate(
             rates[fixed + (3 + k) * width + q + k] = 1.0
 
     start = 0.0
-    start_tube = -1  # the tube whose beta moves the start of this link; none moves the plate
+    start_tube = -1  # tube whose beta moves the start of this link; -1: the plate, which does not move
     passed = 0
     while True:
-        # The next place where a section ends, or the force acts, closes this link.
+        # This link ends at the next section end or at the force.
         end, end_tube, total = np.inf, -1, 0.0
         for i in range(q):
             if section[i] < layout.counts[i]:
-                place = beta[i] + layout.ends[i, section[i]]
-                # Of ends that are flush the outermost comes first, so that the innermost tube has the tip: its
-                # slide moves that, as it does once the tube has come out.
-                if place < end + FLUSH:
-                    end, end_tube = place, i
+                section_end = beta[i] + layout.ends[i, section[i]]
+                # Among flush ends the outermost comes first, so the innermost tube carries the tip: its translation
+                # moves the tip, as it does when the tube is extended.
+                if section_end < end + FLUSH_TOLERANCE_M:
+                    end, end_tube = section_end, i
                 total += layout.stiffness[i, 0]
         if end_tube < 0:
             break
@@ -168,7 +169,7 @@ def repeat(
     columns: tuple[float, ...],
     times: int,
 ) -> None:
-    """Pass along the tubes many times, for a stopwatch."""
+    """Integrate along the tubes many times, for benchmarks."""
     q = len(tubes)
     state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * len(columns))
     path = np.empty((0, 0))
@@ -178,7 +179,7 @@ def repeat(
 
 @compiled
 def _leave_force(load: Array, state: Array, rates: Array, fixed: int, width: int) -> None:
-    """Beyond its contact the force is gone; what it left of the moment goes on."""
+    """Remove the force beyond the point where it acts, and keep the moment that it causes."""
     for k in range(3):
         j, m = (k + 1) % 3, (k + 2) % 3
         load[3 + k] -= state[9 + j] * load[m] - state[9 + m] * load[j]

@@ -1,16 +1,16 @@
-"""A stable shape by letting go: the elastic energy of a chain, made as small as it will go from a shape nearby.
+"""Relaxation to a stable shape: minimise the elastic energy of an element chain, starting from a nearby shape.
 
-Where Newton on the base unknowns has nothing to hold on to (a shape that has just lost its stability, a fold, long
-tubes whose ends hang on the last digit of their base torsion), the energy still falls toward a shape. It has a smallest
-value for every pose and every force, so that there is always one to be found. The tubes are cut into elements that
-bend by k_e (2) about axes that do not twist, and tube i turns to theta_i at their ends:
+Newton's method for the base unknowns fails where tubes snap, after a loss of stability, and for long tubes whose ends
+depend on the last digit of their base torsion. The elastic energy still falls toward a shape there. The energy has a
+minimum for every pose and every force, so a stable shape always exists. The tubes are cut into elements that bend by
+k_e (2) about axes that do not twist. Tube i has the rotation theta_i at the elements' ends. The energy E is
 
     E = sum_e h (1/2 sum_i EI_i |k_e|^2 - k_e . sum_i EI_i w_i(theta_i)) + sum 1/2 GJ_i (d theta_i)^2 / h
         + sum_i 1/2 GJ_i (theta_i(0) - alpha_i)^2 / -beta_i - F . r(k).
 
-Steps are Newton's, with as much stiffness added as makes them go down where the energy is a saddle; each is
-shortened until the energy falls. What is left of the ends' conditions is of second order in the elements' length: good
-enough for Newton on the base unknowns to begin from.
+The minimisation takes Newton steps. Near a saddle of the energy, stiffness is added until the step descends; each step
+is shortened until the energy falls. The violation of the end conditions is of second order in the elements' length.
+This is accurate enough as a start for Newton's method.
 """
 
 from itertools import pairwise
@@ -21,30 +21,30 @@ import numpy as np
 from core.model.second_variation import precurvature
 from core.robot.robot import Array, Indices, Robot
 
-#: Steps before it is given up, and the most a step turns or bends anything [rad].
-STEPS, LONGEST = 50, 0.6
-#: It has come to rest when the next step is below this [rad].
-REST = 1e-4
-#: A push off a shape that is balanced but not stable [rad].
-PUSH = 1e-2
+#: Largest number of steps of the minimisation, and largest rotation or bend in one step [rad].
+MAX_STEPS, MAX_STEP_RAD = 50, 0.6
+#: Step size at which the minimisation has converged [rad].
+REST_STEP_RAD = 1e-4
+#: Size of the perturbation that moves the tubes away from an unstable equilibrium [rad].
+PERTURBATION_RAD = 1e-2
 
 
-class Chain(NamedTuple):
-    """A robot at a pose and under a force, in the plate's axes, cut into m elements."""
+class ElementChain(NamedTuple):
+    """A robot at a pose and under a force as m elements, in the plate's axes."""
 
     ends: Array  #: (m + 1,) arc lengths [m]
-    bend: Array  #: (m, q) EI, 0 where a tube is absent [N m^2]
-    twist: Array  #: (m, q) GJ
+    bend: Array  #: (m, q) bending stiffness EI of the tubes, 0 where a tube is absent [N m^2]
+    twist: Array  #: (m, q) torsional stiffness GJ of the tubes [N m^2]
     free: Array  #: (m, q, 2) precurvature in the tubes' axes [1/m]
     alpha: Array  #: (q,) rotations at the proximal ends [rad]
-    hidden: Array  #: (q,) length behind the plate [m]
-    force: Array  #: (3,) [N]
-    pulled: int  #: elements before the force's contact
+    hidden: Array  #: (q,) length of each tube behind the plate [m]
+    force: Array  #: (3,) force on the robot [N]
+    pulled: int  #: number of elements before the force's contact
     last: Indices  #: (q,) the node at which each tube ends
 
 
-def cut(robot: Robot, joints: Array, force: Array, contact: float, longest: float) -> Chain:
-    """Elements of at most `longest` [m] that end where a section ends, and where the force acts."""
+def cut(robot: Robot, joints: Array, force: Array, contact: float, longest: float) -> ElementChain:
+    """Return a chain of elements of at most `longest` [m]; section ends and the force are at element ends."""
     alpha, beta = robot.tube_poses(joints)
     ends = np.concatenate([beta[i] + robot.layout.ends[i, :count] for i, count in enumerate(robot.layout.counts)])
     tips = beta + np.array([tube.length for tube in robot.tubes])
@@ -58,45 +58,45 @@ def cut(robot: Robot, joints: Array, force: Array, contact: float, longest: floa
     nodes = np.concatenate((marks[:1], *parts))
     bend, free = precurvature(robot, beta, 0.5 * (nodes[1:] + nodes[:-1]))
     base = robot.layout.base[:9].reshape(3, 3)
-    return Chain(
+    return ElementChain(
         nodes, bend, bend / robot.layout.stiffness[:, 1], free, alpha, -beta, base.T @ force,
         int(np.argmin(np.abs(nodes - reach))), np.count_nonzero(bend, axis=0),
     )  # fmt: skip
 
 
-def relax(chain: Chain, theta: Array, moment: Array) -> tuple[Array, Array] | None:
-    """Down to rest from a shape.
+def relax(chain: ElementChain, theta: Array, moment: Array) -> tuple[Array, Array] | None:
+    """Minimise the elastic energy, starting from a given shape.
 
     Args:
-        chain: what is let go.
+        chain: the robot.
         theta: rotations of the tubes at the nodes (m + 1, q) [rad].
-        moment: that bends the elements (m, 2), in axes that do not twist [N m].
+        moment: bending moment of the elements (m, 2), in axes that do not twist [N m].
 
     Returns:
-        Curvature (m, 2) [1/m] and theta (m + 1, q) at the bottom; None when there was no rest.
+        Curvature (m, 2) [1/m] and theta (m + 1, q) at the minimum; None without convergence.
 
     """
     h = np.diff(chain.ends)
     moved = _moved(chain)
     k = (np.einsum("mi,mik->mk", chain.bend, _turned(chain, theta)) + moment) / chain.bend.sum(axis=1)[:, None]
-    # Bending is counted in radians of an element, as twist is: steps have one unit.
+    # Bending is measured in radians per element, like twist, so that all steps have the same unit.
     at = np.concatenate(((k * h[:, None]).ravel(), theta.ravel()[moved]))
     energy, slope, curve = _energy(chain, at, theta, moved)
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         step, firm = _down(slope, curve)
-        if np.abs(step).max() < REST:
+        if np.abs(step).max() < REST_STEP_RAD:
             weakest = step if firm else np.linalg.eigh(curve)[1][:, 0]
-            step = weakest * (PUSH / np.abs(weakest).max(initial=1e-300))
-            # What costs nothing, as a straight tube that is bent to one side or another, is no way down.
+            step = weakest * (PERTURBATION_RAD / np.abs(weakest).max(initial=1e-300))
+            # A neutral direction (a straight tube bends to any side alike) is not a descent direction.
             if firm or not _energy(chain, at + step, theta, moved)[0] < energy - 1e-9 * abs(energy):
                 theta = theta.copy()
                 theta.ravel()[moved] = at[2 * h.size :]
                 return at[: 2 * h.size].reshape(-1, 2) / h[:, None], theta
-        step *= min(1.0, LONGEST / float(np.abs(step).max()))
+        step *= min(1.0, MAX_STEP_RAD / float(np.abs(step).max()))
         fraction = 1.0
         while True:
             trial = _energy(chain, at + fraction * step, theta, moved)
-            # Close to rest the energy's last digits decide nothing any more.
+            # Near the minimum, differences in the energy's last digits are rounding.
             if trial[0] <= energy + 1e-13 * abs(energy):
                 break
             fraction *= 0.5
@@ -108,7 +108,7 @@ def relax(chain: Chain, theta: Array, moment: Array) -> tuple[Array, Array] | No
 
 
 def _down(slope: Array, curve: Array) -> tuple[Array, bool]:
-    """Newton's step, and whether the energy curves upward in every direction; else so much is added that it does."""
+    """Return Newton's step and whether the energy is convex; if not, stiffness is added until it is."""
     from scipy.linalg import LinAlgError, cho_factor, cho_solve  # pyright: ignore  - slow to import
 
     added = 0.0
@@ -120,51 +120,51 @@ def _down(slope: Array, curve: Array) -> tuple[Array, bool]:
             added = max(4.0 * added, 1e-7 * float(np.abs(curve).max()))
 
 
-def base_unknowns(robot: Robot, chain: Chain, k: Array, theta: Array) -> Array:
-    """u_iz(0) [1/m] and M(0) about the plate [N m], world frame (q + 3), of a relaxed shape: Newton's next start."""
+def base_unknowns(robot: Robot, chain: ElementChain, k: Array, theta: Array) -> Array:
+    """Return u_iz(0) [1/m] and M(0) about the plate [N m], world frame (q + 3), of a relaxed shape: Newton's start."""
     h = np.diff(chain.ends)
-    # The torsion at the plate carries what all of the tube's bending twists it by.
+    # The torsion at the plate is the sum of the torques from bending along the tube.
     twisted = chain.bend * h[:, None] * np.einsum("mk,mik->mi", k, _sideways(chain, theta))
-    places, _, _ = _curve(k * h[:, None], h)
+    positions, _, _ = _curve(k * h[:, None], h)
     base = robot.layout.base[:9].reshape(3, 3)
-    return np.concatenate((twisted.sum(axis=0) / chain.twist[0], base @ _cross(places[chain.pulled], chain.force)))
+    return np.concatenate((twisted.sum(axis=0) / chain.twist[0], base @ _cross(positions[chain.pulled], chain.force)))
 
 
-def _moved(chain: Chain) -> Indices:
-    """Places in theta of what moves: all but what is clamped at the plate and what lies beyond a tube's end."""
+def _moved(chain: ElementChain) -> Indices:
+    """Return the indices of the free values in theta: all but those clamped at the plate or beyond a tube's end."""
     node = np.arange(chain.ends.size)[:, None]
     free = (node <= chain.last) & ((node > 0) | (chain.hidden > 0.0))
     return np.flatnonzero(free.ravel())
 
 
-def _turned(chain: Chain, theta: Array) -> Array:
-    """w_i (m, q, 2) in the elements."""
+def _turned(chain: ElementChain, theta: Array) -> Array:
+    """Return the rotated precurvatures w_i (m, q, 2) in the elements."""
     middle = 0.5 * (theta[1:] + theta[:-1])
     cos, sin = np.cos(middle), np.sin(middle)
     x, y = chain.free[..., 0], chain.free[..., 1]
     return np.stack((cos * x - sin * y, sin * x + cos * y), axis=-1)
 
 
-def _sideways(chain: Chain, theta: Array) -> Array:
-    """Rate of w_i by theta_i (m, q, 2)."""
+def _sideways(chain: ElementChain, theta: Array) -> Array:
+    """Return the derivative of w_i by theta_i (m, q, 2)."""
     w = _turned(chain, theta)
     return np.stack((-w[..., 1], w[..., 0]), axis=-1)
 
 
 def _curve(bent: Array, h: Array) -> tuple[Array, Array, Array]:
-    """Places of the nodes (m + 1, 3), frames at them (m + 1, 3, 3), of elements bent by (m, 2) [rad]."""
-    places, frames, middles = np.zeros((h.size + 1, 3)), np.empty((h.size + 1, 3, 3)), np.empty((h.size, 3))
+    """Return positions (m + 1, 3) and frames (m + 1, 3, 3) of the nodes, and the chords, for bends (m, 2) [rad]."""
+    positions, frames, middles = np.zeros((h.size + 1, 3)), np.empty((h.size + 1, 3, 3)), np.empty((h.size, 3))
     frames[0] = np.eye(3)
     whole, half = _rotations(bent), _rotations(0.5 * bent)
     for e in range(h.size):
         middles[e] = frames[e] @ half[e][:, 2] * h[e]
-        places[e + 1] = places[e] + middles[e]
+        positions[e + 1] = positions[e] + middles[e]
         frames[e + 1] = frames[e] @ whole[e]
-    return places, frames, middles
+    return positions, frames, middles
 
 
 def _rotations(bent: Array) -> Array:
-    """Rotations by vectors (x, y, 0) [rad]: (m, 3, 3)."""
+    """Return the rotations (m, 3, 3) by vectors (x, y, 0) [rad]."""
     cross, size = _crosses(bent)
     first = np.sinc(size / np.pi)
     second = 0.5 * np.sinc(0.5 * size / np.pi) ** 2
@@ -172,7 +172,7 @@ def _rotations(bent: Array) -> Array:
 
 
 def _spins(bent: Array) -> Array:
-    """Rotation that a change of a rotation vector makes, in the axes before it: (m, 3, 2)."""
+    """Return the rotation per change of a rotation vector, in the axes before it (m, 3, 2)."""
     cross, size = _crosses(bent)
     second = 0.5 * np.sinc(0.5 * size / np.pi) ** 2
     third = np.where(size < 1e-3, 1.0 / 6.0, (1.0 - np.sinc(size / np.pi)) / np.maximum(size, 1e-3) ** 2)
@@ -187,8 +187,8 @@ def _crosses(bent: Array) -> tuple[Array, Array]:
     return cross, np.hypot(bent[:, 0], bent[:, 1])
 
 
-def _energy(chain: Chain, at: Array, rest: Array, moved: Indices) -> tuple[float, Array, Array]:
-    """Energy, its slope and its curvature by the bends (2 m) and what moves of theta."""
+def _energy(chain: ElementChain, at: Array, rest: Array, moved: Indices) -> tuple[float, Array, Array]:
+    """Return the energy, its gradient and its Hessian by the bends (2 m) and the free values of theta."""
     h = np.diff(chain.ends)
     m, q = chain.bend.shape
     theta = rest.copy()
@@ -223,12 +223,12 @@ def _energy(chain: Chain, at: Array, rest: Array, moved: Indices) -> tuple[float
         for nodes in (node[1:], node[:-1]):
             curve[2 * element + axis, nodes] += both
             curve[nodes, 2 * element + axis] += both
-    held = chain.hidden > 0.0
-    away = theta[0, held] - chain.alpha[held]
-    spring = chain.twist[0, held] / chain.hidden[held]
+    elastic = chain.hidden > 0.0
+    away = theta[0, elastic] - chain.alpha[elastic]
+    spring = chain.twist[0, elastic] / chain.hidden[elastic]
     energy += float((0.5 * spring * away * away).sum())
-    slope[node[0, held]] += spring * away
-    curve[node[0, held], node[0, held]] += spring
+    slope[node[0, elastic]] += spring * away
+    curve[node[0, elastic], node[0, elastic]] += spring
     if chain.force.any():
         lost, arms, forms = _work(chain.force, bent[: chain.pulled], h[: chain.pulled])
         n = 2 * chain.pulled
@@ -240,11 +240,11 @@ def _energy(chain: Chain, at: Array, rest: Array, moved: Indices) -> tuple[float
 
 
 def _work(force: Array, bent: Array, h: Array) -> tuple[float, Array, Array]:
-    """F . r at the end of the elements, its slope (2 m) and curvature by their bends."""
-    places, frames, middles = _curve(bent, h)
+    """Return F . r at the end of the elements, its gradient (2 m) and its Hessian by their bends."""
+    positions, frames, middles = _curve(bent, h)
     turns = (frames[:-1] @ _spins(bent)).transpose(0, 2, 1)
     halves = (frames[:-1] @ (0.5 * _spins(0.5 * bent))).transpose(0, 2, 1)
-    arms = (places[-1] - places[1:])[:, None, :]
+    arms = (positions[-1] - positions[1:])[:, None, :]
     levers = _cross(turns, arms) + _cross(halves, middles[:, None, :])
     m = h.size
     turns, lever = turns.reshape(2 * m, 3), levers.reshape(2 * m, 3)
@@ -253,9 +253,9 @@ def _work(force: Array, bent: Array, h: Array) -> tuple[float, Array, Array]:
     order = np.repeat(np.arange(m, dtype=np.int64), 2)
     upper = np.where(order[:, None] < order[None, :], form, 0.0)
     within = np.where(order[:, None] == order[None, :], 0.5 * (form + form.T), 0.0)
-    return float(force @ places[-1]), lever @ force, upper + upper.T + within
+    return float(force @ positions[-1]), lever @ force, upper + upper.T + within
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Their product; numpy's is typed for complex numbers, too."""
+    """Return the cross product as floats; numpy's type also includes complex numbers."""
     return np.asarray(np.cross(a, b), dtype=np.float64)

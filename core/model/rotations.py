@@ -1,4 +1,4 @@
-"""Turning a frame by a rotation vector, without trigonometry where the vector is short."""
+"""Rotation matrices of rotation vectors, without trigonometric functions for short vectors."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from core.robot.robot import Array
 
 @compiled
 def series(pp: float) -> tuple[float, float, float]:
-    """sin(p)/p, (1 - cos(p))/p^2, (p - sin(p))/p^3 as functions of p^2.
+    """Return sin(p)/p, (1 - cos(p))/p^2, (p - sin(p))/p^3 as functions of p^2.
 
     Taylor series up to p = 0.5 (error below 1e-17), closed form beyond.
     """
@@ -38,7 +38,10 @@ class Matrix(NamedTuple):
 
 @inlined
 def exponential(px: float, py: float, pz: float) -> tuple[Matrix, Matrix]:
-    """E = exp[p x] and T, its left Jacobian: E(p + dp) = [1 + T dp x] E(p)."""
+    """Return the rotation matrix E = exp[p x] of a rotation vector p, and its left Jacobian T.
+
+    T gives the change of the rotation: E(p + dp) = [1 + T dp x] E(p).
+    """
     xx, yy, zz = px * px, py * py, pz * pz
     a, b, c = series(xx + yy + zz)
     xy, xz, yz = px * py, px * pz, py * pz
@@ -58,7 +61,7 @@ def exponential(px: float, py: float, pz: float) -> tuple[Matrix, Matrix]:
 
 @inlined
 def product(a: Matrix, b: Matrix) -> Matrix:
-    """A B."""
+    """Return the matrix product A B."""
     return Matrix(
         a.m11 * b.m11 + a.m12 * b.m21 + a.m13 * b.m31,
         a.m11 * b.m12 + a.m12 * b.m22 + a.m13 * b.m32,
@@ -74,7 +77,7 @@ def product(a: Matrix, b: Matrix) -> Matrix:
 
 @inlined
 def load_matrix(numbers: Array) -> Matrix:
-    """The first nine numbers, by rows."""
+    """Return the matrix that the first nine numbers of an array contain by rows."""
     return Matrix(
         numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
     )

@@ -1,7 +1,7 @@
 """The paper's sub-link: the closed form (15)-(16), second order, and its derivative, eqs. (17)-(19).
 
-Every rate is a line along the sub-link, so that what it integrates to is a parabola. The rotation
-is applied as a rotation, so that R stays one.
+Every rate is linear along the sub-link, so its integral is a parabola. The orientation is updated with a rotation
+matrix, so R stays a rotation.
 """
 
 from core.compiled import compiled, replaced
@@ -21,7 +21,7 @@ def second_order(
     tubes: tuple[float, ...],
     columns: tuple[float, ...],
 ) -> None:
-    """One sub-link on; arguments as in `propagation.Scheme`."""
+    """Integrate one sub-link in place; `state` and `rates` as in `propagation.propagate`."""
     q, width = len(tubes), len(columns)
     hh = 0.5 * h * h
     theta, twist = tubes, tubes

@@ -1,8 +1,8 @@
-"""How the elastic energy changes to second order about a shape: whether a robot stays there.
+"""Second variation of the elastic energy about a shape: whether the shape is stable.
 
-A shape is stable when every small change of it costs energy. The determinant of the end conditions changes sign once
-for every direction that stops costing, and so cannot tell two of them from none; here all are counted, along the whole
-length at once (the Morse index; by Jacobi's condition it is the number of conjugate points between tip and plate).
+A shape is stable when every small change increases its energy. The determinant of the end conditions changes sign once
+for every direction that becomes negative, so two such directions look like none. This module counts all of them, along
+the whole length at once (the Morse index; by Jacobi's condition the number of conjugate points between tip and plate).
 
 A change is a rotation a d1 + b d2 of the cross-sections, common to all tubes because they share one curve, and a twist
 psi_i of each tube about the tangent. With the frame (d1, d2, t) of `propagation`, which does not twist, and in it
@@ -12,35 +12,35 @@ k the curvature, w_i the precurvature of tube i, M the moment, n the force, and 
              + sum GJ_i (psi_i' + c)^2 + c (M_y a - M_x b) - M_z (a b' - b a') + n_t (a^2 + b^2)  ds
           + sum GJ_i psi_i(0)^2 / -beta_i,        a = b = 0 at the plate.
 
-The last sum is the twist of what lies behind the plate. Linear elements between the cross-sections of a pass make a
-banded matrix of it. A moment at the tip has no potential; of what it adds only the symmetric part counts, so that
-no negative direction then still means stable, but one need not mean that the robot leaves.
+The last sum is the twist behind the plate. Linear elements between the cross-sections of a pass turn the form into a
+banded matrix. A moment at the tip has no potential; only the symmetric part of its contribution is used. No negative
+direction then still means stable, but a negative one does not necessarily mean unstable.
 """
 
 import numpy as np
 
 from core.robot.robot import Array, Robot
 
-#: What holds a clamped end, over the bending stiffness it holds [1/m].
-CLAMP = 1e9
-#: Energy falls when it does by more than this part of EI / length^2 and the force, times the square of the change: the
-#: elements see no less, and a direction that costs nothing (a straight tube bent to one side, or to another) is none.
-LEVEL = 2e-3
+#: Stiffness that represents a clamped end, divided by the stiffness of the clamped tubes [1/m].
+CLAMP_STIFFNESS = 1e9
+#: Smallest energy drop of a negative direction, as a fraction of (EI / length^2 + force) times the square of the
+#: change. It excludes errors of the elements and neutral directions (a straight tube bends to any side alike).
+MIN_ENERGY_DROP = 2e-3
 
 
-def precurvature(robot: Robot, beta: Array, places: Array) -> tuple[Array, Array]:
-    """EI (m, q) [N m^2] and precurvature (m, q, 2) [1/m] of the tubes at arc lengths (m,) [m]; 0 beyond their ends."""
-    stiffness, curvature = np.zeros((places.size, beta.size)), np.zeros((places.size, beta.size, 2))
+def precurvature(robot: Robot, beta: Array, lengths: Array) -> tuple[Array, Array]:
+    """Return EI (m, q) [N m^2] and precurvature (m, q, 2) [1/m] of the tubes at arc lengths (m,) [m]; 0 beyond ends."""
+    stiffness, curvature = np.zeros((lengths.size, beta.size)), np.zeros((lengths.size, beta.size, 2))
     for i, count in enumerate(robot.layout.counts):
-        section = np.searchsorted(beta[i] + robot.layout.ends[i, :count], places, side="right")
-        there = section < count
-        stiffness[there, i] = robot.layout.stiffness[i, 0]
-        curvature[there, i] = robot.layout.curvatures[i, section[there]]
+        section = np.searchsorted(beta[i] + robot.layout.ends[i, :count], lengths, side="right")
+        present = section < count
+        stiffness[present, i] = robot.layout.stiffness[i, 0]
+        curvature[present, i] = robot.layout.curvatures[i, section[present]]
     return stiffness, curvature
 
 
 def negative_directions(robot: Robot, joints: Array, wrench: Array, contact: float, path: Array) -> int:
-    """In how many independent directions the energy falls: 0 when the shape is stable.
+    """Count the independent directions in which the energy falls: 0 when the shape is stable.
 
     Args:
         robot: the tubes.
@@ -62,7 +62,7 @@ def negative_directions(robot: Robot, joints: Array, wrench: Array, contact: flo
 
 
 def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Array) -> Array:
-    """2 Q by the values at the cross-sections, the upper bands (2 (q + 2), unknowns)."""
+    """Return the matrix of 2 Q in the values at the cross-sections, as upper bands (2 (q + 2), unknowns)."""
     q = len(robot.tubes)
     beta, ratio = robot.tube_poses(joints)[1], robot.layout.stiffness[:, 1]
     path = path[np.append(np.diff(path[:, 0]) > 1e-9, True)]
@@ -83,7 +83,7 @@ def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Ar
     form = np.zeros((h.size, 2 * size, 2 * size))
     a, b, da, db = 0, 1, size, size + 1
     form[:, da, da] = form[:, db, db] = total
-    level = LEVEL * (total / path[-1, 0] ** 2 + np.linalg.norm(wrench[:3]))
+    level = MIN_ENERGY_DROP * (total / path[-1, 0] ** 2 + np.linalg.norm(wrench[:3]))
     form[:, a, a] = pull - k[:, 1] * moment[:, 1] + level
     form[:, b, b] = pull - k[:, 0] * moment[:, 0] + level
     form[:, a, b] = form[:, b, a] = 0.5 * (k[:, 0] * moment[:, 1] + k[:, 1] * moment[:, 0])
@@ -91,7 +91,7 @@ def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Ar
     form[:, b, da] = form[:, da, b] = 0.5 * moment[:, 2]
     for i in range(q):
         psi, dpsi = 2 + i, size + 2 + i
-        form[:, psi, psi] = bend[:, i] * (np.einsum("mk,mk->m", k, w[:, i]) + LEVEL / path[-1, 0] ** 2)
+        form[:, psi, psi] = bend[:, i] * (np.einsum("mk,mk->m", k, w[:, i]) + MIN_ENERGY_DROP / path[-1, 0] ** 2)
         form[:, da, psi] = form[:, psi, da] = bend[:, i] * w[:, i, 1]
         form[:, db, psi] = form[:, psi, db] = -bend[:, i] * w[:, i, 0]
         strain = np.zeros((h.size, 2 * size))
@@ -104,12 +104,12 @@ def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Ar
     blocks = np.zeros((h.size + 1, size, size))
     blocks[:-1] += even - odd - odd.transpose(0, 2, 1)
     blocks[1:] += even + odd + odd.transpose(0, 2, 1)
-    beside = 0.25 * length * values - slopes / length + odd - odd.transpose(0, 2, 1)
+    coupling = 0.25 * length * values - slopes / length + odd - odd.transpose(0, 2, 1)
 
-    blocks[0, a, a] += CLAMP * total[0]
-    blocks[0, b, b] += CLAMP * total[0]
+    blocks[0, a, a] += CLAMP_STIFFNESS * total[0]
+    blocks[0, b, b] += CLAMP_STIFFNESS * total[0]
     for i in range(q):
-        blocks[0, 2 + i, 2 + i] += twist[0, i] * min(CLAMP, 1.0 / max(-beta[i], 1.0 / CLAMP))
+        blocks[0, 2 + i, 2 + i] += twist[0, i] * min(CLAMP_STIFFNESS, 1.0 / max(-beta[i], 1.0 / CLAMP_STIFFNESS))
         absent = np.flatnonzero(bend[:, i] == 0.0) + 1
         blocks[absent, 2 + i, 2 + i] = total[0]
     tip = path[-1, 1:10].reshape(3, 3).T @ wrench[3:]
@@ -121,5 +121,5 @@ def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Ar
         for j in range(size):
             if i <= j:
                 bands[2 * size - 1 + i - j, j::size] = blocks[:, i, j]
-            bands[size - 1 + i - j, size + j :: size] = beside[:, i, j]
+            bands[size - 1 + i - j, size + j :: size] = coupling[:, i, j]
     return bands

@@ -1,7 +1,7 @@
-"""A solved shape: one array of numbers, and names for its parts.
+"""A solved shape of the robot: one array of numbers, and names for its parts.
 
-The solver writes one array instead of a dozen small ones: making those took as long as the model. It begins with a
-few single numbers, at the places named below; behind them lie the `Parts`, in their order.
+The solver writes one array instead of a dozen small ones, whose allocation took as long as the model. The array starts
+with a few scalars at the indices below; the `Parts` follow in their order.
 """
 
 from collections.abc import Mapping
@@ -13,36 +13,36 @@ import numpy as np
 from core.compiled import compiled
 from core.robot.robot import Array
 
-#: Places of the single numbers: how many tubes and joints there are, arc length of the force from the plate [m],
-#: margin of stability, bound of the residual [1/m or N m], and passes along the tubes (-1: not solved).
-TUBES, JOINTS, CONTACT, STABILITY, RESIDUAL, PASSES = range(6)
+#: Indices of the scalars: numbers of tubes and joints, arc length of the force from the plate [m], margin of stability,
+#: bound of the residual [1/m or N m], and passes along the tubes (-1: not solved).
+TUBE_COUNT, JOINT_COUNT, CONTACT_POSITION, STABILITY, RESIDUAL, PASSES = range(6)
 
 
 class Parts(NamedTuple):
     """Views of a solution's numbers for q tubes and n joints. World frame; rows of J and C: position, then rotation."""
 
-    tip: Array  #: (3,) [m]
+    tip: Array  #: (3,) position of the tip [m]
     rotation: Array  #: (3, 3) frame of the innermost tube at the tip
-    jacobian: Array  #: (6, n) by the joints [m or rad per rad or m]
-    compliance: Array  #: (6, 6) by force and tip moment [m or rad per N or N m]
-    unknowns: Array  #: (q + 3,) u_iz(0) [1/m] and M(0) about the plate [N m]
-    sensitivity: Array  #: (q + 3, n + 6) of the unknowns by joints, force and moment
-    joints: Array  #: (n,) the pose solved for [rad or m]
-    wrench: Array  #: (6,) the load solved for [N, N m]
-    move: Array  #: (n + 6,) what joints and wrench have changed by since the solution that this one began from
+    jacobian: Array  #: (6, n) derivative J of the tip by the joints [m or rad per rad or m]
+    compliance: Array  #: (6, 6) derivative C of the tip by force and tip moment [m or rad per N or N m]
+    unknowns: Array  #: (q + 3,) torsion u_iz of each tube at the plate [1/m] and moment about the plate [N m]
+    sensitivity: Array  #: (q + 3, n + 6) derivative of the unknowns by joints, force and moment
+    joints: Array  #: (n,) joint positions for which the model was solved [rad or m]
+    wrench: Array  #: (6,) load for which the model was solved [N, N m]
+    move: Array  #: (n + 6,) change of joints and wrench since the solution that this one started from
     bend: Array  #: (2, q + 3) second and third order of the unknowns along `move`
 
 
-def count(q: int, n: int) -> int:
-    """How many numbers a solution has for q tubes and n joints."""
+def size(q: int, n: int) -> int:
+    """Return the number of values of a solution for q tubes and n joints."""
     size = q + 3
     return 6 + 3 + 9 + 6 * n + 36 + size + size * (n + 6) + n + 6 + (n + 6) + 2 * size
 
 
 @compiled
-def parts(numbers: Array) -> Parts:
-    """What lies where in a solution's numbers."""
-    q, n = int(numbers[TUBES]), int(numbers[JOINTS])
+def fields(numbers: Array) -> Parts:
+    """Return the parts of a solution's numbers as views."""
+    q, n = int(numbers[TUBE_COUNT]), int(numbers[JOINT_COUNT])
     size = q + 3
     tip = 6
     rotation = tip + 3
@@ -69,108 +69,112 @@ def parts(numbers: Array) -> Parts:
 
 
 @cache
-def places(q: int, n: int) -> Mapping[str, tuple[slice, tuple[int, ...]]]:
-    """Where `parts` finds each of them in the numbers of q tubes and n joints, and its shape."""
-    numbers = np.arange(float(count(q, n)))
-    numbers[[TUBES, JOINTS]] = q, n
-    found = parts(numbers)._asdict()
+def layout(q: int, n: int) -> Mapping[str, tuple[slice, tuple[int, ...]]]:
+    """Return slice and shape of each part in the numbers of q tubes and n joints, as `fields` has them."""
+    numbers = np.arange(float(size(q, n)))
+    numbers[[TUBE_COUNT, JOINT_COUNT]] = q, n
+    found = fields(numbers)._asdict()
     return {name: (slice(int(part.flat[0]), int(part.flat[0]) + part.size), part.shape) for name, part in found.items()}
 
 
 class Solution:
-    """The loaded robot at one pose."""
+    """Solution of the model: the loaded robot at one pose."""
 
-    __slots__ = ("_places", "numbers")
+    __slots__ = ("_parts", "numbers")
 
     def __init__(self, numbers: Array) -> None:
         self.numbers = numbers
-        self._places: Mapping[str, tuple[slice, tuple[int, ...]]] | None = None
+        self._parts: Mapping[str, tuple[slice, tuple[int, ...]]] | None = None
+
+    def copy(self) -> "Solution":
+        """Return a copy that shares no memory with this solution."""
+        return Solution(self.numbers.copy())
 
     def _part(self, name: str) -> Array:
-        """One of the `Parts`: most of them are never looked at."""
-        if self._places is None:
-            self._places = places(int(self.numbers[TUBES]), int(self.numbers[JOINTS]))
-        where, shape = self._places[name]
+        """Return one of the `Parts`, computed on demand: most are never read."""
+        if self._parts is None:
+            self._parts = layout(int(self.numbers[TUBE_COUNT]), int(self.numbers[JOINT_COUNT]))
+        where, shape = self._parts[name]
         return self.numbers[where].reshape(shape)
 
     @property
     def tip(self) -> Array:
-        """(3,) [m]."""
+        """Position of the tip (3,) [m]."""
         return self._part("tip")
 
     @property
     def rotation(self) -> Array:
-        """(3, 3) frame of the innermost tube at the tip."""
+        """Frame of the innermost tube at the tip (3, 3)."""
         return self._part("rotation")
 
     @property
     def jacobian(self) -> Array:
-        """(6, n) by the joints [m or rad per rad or m]; rows: position, then rotation."""
+        """Derivative J of the tip by the joints (6, n) [m or rad per rad or m]; rows: position, then rotation."""
         return self._part("jacobian")
 
     @property
     def compliance(self) -> Array:
-        """(6, 6) by force and tip moment [m or rad per N or N m]; rows: position, then rotation."""
+        """Derivative C of the tip by force and tip moment (6, 6) [m or rad per N or N m]; rows: position, rotation."""
         return self._part("compliance")
 
     @property
     def unknowns(self) -> Array:
-        """(q + 3,) u_iz(0) [1/m] and M(0) about the plate [N m]."""
+        """Torsion of each tube at the plate [1/m] and moment about the plate [N m] (q + 3,)."""
         return self._part("unknowns")
 
     @property
     def sensitivity(self) -> Array:
-        """(q + 3, n + 6) of the unknowns by joints, force and moment."""
+        """Derivative of the unknowns by joints, force and moment (q + 3, n + 6)."""
         return self._part("sensitivity")
 
     @property
     def joints(self) -> Array:
-        """(n,) the pose solved for [rad or m]."""
+        """Joint positions for which the model was solved (n,) [rad or m]."""
         return self._part("joints")
 
     @property
     def wrench(self) -> Array:
-        """(6,) the load solved for [N, N m]."""
+        """Load for which the model was solved (6,) [N, N m]."""
         return self._part("wrench")
 
     @property
     def contact(self) -> float:
         """Arc length from the plate at which the force acts [m]; inf for the tip."""
-        return float(self.numbers[CONTACT])
+        return float(self.numbers[CONTACT_POSITION])
 
     @property
     def stability(self) -> float:
-        """Determinant of the end conditions by the base unknowns: 1 for straight tubes without load.
+        """Margin of stability: the determinant of the end conditions by the base unknowns.
 
-        It falls to 0 where the shape folds: there the tubes snap, or the load makes them buckle.
+        The margin is 1 for straight tubes without load. It falls to 0 where the tubes snap or the load buckles them.
         """
         return float(self.numbers[STABILITY])
 
     @property
     def residual(self) -> float:
-        """Bound of the violation of an end condition [1/m or N m]."""
+        """Upper bound of the violation of the end conditions [1/m or N m]."""
         return float(self.numbers[RESIDUAL])
 
     @property
     def iterations(self) -> int:
-        """Passes along the tubes."""
+        """Number of passes along the tubes that the solve took."""
         return int(self.numbers[PASSES])
 
     @property
     def singular_values(self) -> Array:
-        """(min(3, n),) of the position rows of J, largest first [m per rad or m]."""
+        """Singular values (min(3, n),) of the position rows of J, largest first [m per rad or m]."""
         return np.asarray(np.linalg.svd(self.jacobian[:3], compute_uv=False), dtype=np.float64)
 
 
 def at_rest(joints: Array, contact: float, q: int) -> Solution:
-    """Where a cold start begins at joints (n,): no twist, no moment, no load."""
+    """Return the start of a cold solve at joints (n,): no twist, no moment, no load."""
     n = joints.shape[0]
-    rest = Solution(np.zeros(count(q, n)))
-    rest.numbers[[TUBES, JOINTS, CONTACT, PASSES]] = q, n, contact, -1.0
+    rest = Solution(np.zeros(size(q, n)))
+    rest.numbers[[TUBE_COUNT, JOINT_COUNT, CONTACT_POSITION, PASSES]] = q, n, contact, -1.0
     rest.joints[:] = joints
     return rest
 
 
 def pure_force(force: Array) -> Array:
-    """The wrench (6,) of a force (3,) alone [N, N m]."""
+    """Return the wrench (6,) of a force (3,) without moment [N, N m]."""
     return np.concatenate((force, np.zeros(3)))

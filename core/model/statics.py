@@ -1,11 +1,11 @@
-"""The loaded model solved: base unknowns by Newton, then J and C of the solved problem, eq. (20).
+"""Solver of the robot's shape under load: Newton's method, then the derivatives J and C of the tip, eq. (20).
 
-Unknown at the plate are u_iz of every tube and M(0). Known at the far end: u_iz = 0 at each
-tube's own end (the innermost carries the axial part of a tip moment) and M = the tip moment.
-The derivative columns of the pass give the Newton step, and by the implicit function theorem the
-way the unknowns themselves move with joints and load; J and C contain both parts, so that they
-are the derivatives of the *solved* tip. The determinant of the same matrix is the margin of
-elastic stability, see `stability`.
+The unknowns at the plate are the torsion u_iz of every tube and the moment M(0). The end conditions are u_iz = 0 at
+each tube's distal end (the innermost tube carries the axial part of a tip moment) and M = the tip moment. One pass
+along the tubes gives the derivatives for the Newton step. With the implicit function theorem these derivatives also
+give the change of the unknowns with joints and load. J (by the joints) and C (by the load) include this change, so they
+are the derivatives of the *solved* tip. The determinant of the same matrix is the margin of stability,
+`Solution.stability`.
 """
 
 import math
@@ -16,46 +16,59 @@ from typing import Literal
 import numpy as np
 
 from core.errors import DescriptionError, NoSolution, NotFinite
-from core.model.newton import CLOSE, CLOSEST, TOLERANCE, newton
+from core.model.newton import COLD_STEP_RAD, RESIDUAL_TOLERANCE, WARM_STEP_RAD, newton
 from core.model.propagation import FIXED_ROWS, FRAME_ROWS, INTEGRATORS, Scheme, propagate, repeat
 from core.model.relaxation import base_unknowns, cut, relax
 from core.model.second_variation import negative_directions
 from core.model.solution import Solution, at_rest
 from core.robot.robot import Array, Robot, positive
 
-__all__ = ["PAPER_SUBLINK", "SUBLINKS", "TOLERANCE", "Solution", "Statics"]
+__all__ = [
+    "DEFAULT_SUBLINKS_M",
+    "PAPER_SUBLINK_M",
+    "RESIDUAL_TOLERANCE",
+    "Integrator",
+    "Solution",
+    "Statics",
+    "suitable_integrator",
+]
 
-#: The paper's sub-link [m].
-PAPER_SUBLINK = 0.010
-#: Length of a sub-link unless another is asked for, by integrator [m].
-SUBLINKS = {"paper": PAPER_SUBLINK, "fourth_order": 0.030}
-#: Along a branch a step turns no tube by more [rad], and takes no more than this part of a load.
-TURN, LOAD = 0.5, 0.25
-#: Nor may its two ends disagree by more about where the other one is [rad over the whole length].
-BESIDE = 0.25
-#: A step that has become shorter than this part of the way has met the end of its branch.
-SHORTEST = 1e-3
-#: Steps of one way before it is given up: a load that is out of all reach.
-MOST_STEPS = 200
-#: Then the tubes are let go so far beyond it, in parts of the way.
-BEYOND = (1e-3, 2e-2, 0.2)
-#: So often at most on one way.
-SNAPS = 4
-#: Elements that tubes are cut into when they are let go, until Newton goes on from what comes out [m].
-ELEMENTS = (0.02, 0.005)
-#: Between two cross-sections when directions are counted [m].
-SECTION = 0.005
-#: Two ways to a shape have come to the same one when their tips are this close [m].
-SAME = 1e-6
+Integrator = Literal["paper", "fourth_order"]
+
+#: Length of a sub-link in the paper [m].
+PAPER_SUBLINK_M = 0.010
+#: Default length of a sub-link by integrator [m].
+DEFAULT_SUBLINKS_M = {"paper": PAPER_SUBLINK_M, "fourth_order": 0.030}
+#: Largest bend of a sub-link for the paper's integrator [rad]: the relative error of J and C is about a quarter of the
+#: bend squared.
+MAX_SUBLINK_BEND_RAD = 0.08
+#: Largest rotation of a tube [rad], and largest fraction of the load, in one continuation step.
+MAX_TURN_RAD, MAX_LOAD_SHARE = 0.5, 0.25
+#: Largest mismatch between forward and backward prediction of one continuation step [rad over the whole length].
+MAX_PREDICTION_MISMATCH_RAD = 0.25
+#: Smallest continuation step as a fraction of the path; if a smaller step is needed, the tubes snap there.
+MIN_STEP_SHARE = 1e-3
+#: Largest number of steps of one continuation; if more are needed, the load is out of reach.
+MAX_STEPS = 200
+#: Distances beyond a snap at which the relaxation of the tubes starts, as fractions of the path.
+RELEASE_SHARES = (1e-3, 2e-2, 0.2)
+#: Largest number of snaps that one continuation follows.
+MAX_SNAPS = 4
+#: Element lengths for a relaxation [m]; the second is used if Newton fails after the first.
+RELAXATION_ELEMENTS_M = (0.02, 0.005)
+#: Largest distance of cross-sections for counting negative directions [m].
+SECTION_SPACING_M = 0.005
+#: Two solutions are the same shape when their tips are closer than this [m].
+SAME_TIP_M = 1e-6
 
 
 @dataclass(frozen=True)
 class Statics:
-    """The loaded model of one robot, integrated one way."""
+    """Model of one robot's shape under load, with one integrator."""
 
     robot: Robot
-    sublink: float | None = None  #: [m]; None: `SUBLINKS`; the last of each link takes the remainder
-    integrator: Literal["paper", "fourth_order"] = "paper"
+    sublink: float | None = None  #: length of a sub-link [m]; None: the default of the integrator
+    integrator: Integrator = "paper"
 
     def __post_init__(self) -> None:
         if self.integrator not in INTEGRATORS:
@@ -66,30 +79,32 @@ class Statics:
     def solve(
         self, joints: Array, wrench: Array, near: Solution | None = None, contact: float | None = None
     ) -> Solution:
-        """Shape under a load.
+        """Solve the shape under a load.
 
         Args:
             joints: positions (n,) [rad or m], in the order of `robot.joints`.
             wrench: force and moment (6,), world frame [N, N m]; the moment acts at the tip.
-            near: a solution nearby, whose branch is followed; without it the robot is followed
-                from rest, and the shape that it comes to is stable.
+            near: a nearby solution, whose branch is followed. Without it the solve follows the robot from rest and
+                returns a stable shape.
             contact: arc length from the plate at which the force acts [m]; None for the tip.
 
         Raises:
-            PoseError: the tubes cannot stand so, or `contact` lies beyond them.
+            PoseError: the pose is invalid, or `contact` is beyond the tubes.
             NotFinite: the wrench is not finite.
             NoSolution: no solution was reached.
 
         """
-        place = math.inf if contact is None else contact
+        position = math.inf if contact is None else contact
         if near is not None and joints.shape == (len(self.robot.joints),) and wrench.shape == (6,):
             found = Solution(np.empty_like(near.numbers))
-            if newton(*self._fixed, joints, wrench, near.numbers, place, 1, CLOSE, *self._widths, found.numbers):
+            if newton(
+                *self._fixed, joints, wrench, near.numbers, position, 1, WARM_STEP_RAD, *self._widths, found.numbers
+            ):
                 return found
         self._check(joints, wrench, contact)
-        solution = self._follow(near, joints, wrench, place) if near is not None else None
+        solution = self._follow(near, joints, wrench, position) if near is not None else None
         if solution is None:
-            solution = self._cold(joints, wrench, place)
+            solution = self._cold(joints, wrench, position)
         if solution is not None:
             return solution
         raise NoSolution(
@@ -98,9 +113,9 @@ class Statics:
         )
 
     def shape(self, solution: Solution) -> Array:
-        """Cross-sections from the plate to the tip (m, 16 + 2q).
+        """Return cross-sections from the plate to the tip (m, 16 + 2q).
 
-        A row holds arc length [m], the frame by rows (9), position (3) [m], theta_i [rad], u_iz [1/m]
+        A row contains arc length [m], the frame by rows (9), position (3) [m], theta_i [rad], u_iz [1/m]
         and the moment M (3) [N m], vectors in the world frame.
         """
         path, _ = self._pass(solution)
@@ -108,17 +123,17 @@ class Statics:
         return path
 
     def negative_directions(self, solution: Solution) -> int:
-        """In how many independent directions the elastic energy falls: 0 when the shape is stable.
+        """Count the independent directions in which the elastic energy falls: 0 when the shape is stable.
 
-        A cold solve has looked; a warm one follows its branch by the margin's sign. Under a moment at the tip, which
-        has no energy, 0 is stable and more need not be unstable.
+        A cold solve includes this check; a warm one follows its branch by the margin's sign. A moment at the tip has no
+        energy: 0 is then stable, but more are not necessarily unstable.
         """
         return negative_directions(
             self.robot, solution.joints, solution.wrench, solution.contact, self._sections(solution)
         )
 
     def residual(self, solution: Solution) -> float:
-        """Largest violation of an end condition [1/m or N m], evaluated anew."""
+        """Return the largest violation of an end condition [1/m or N m], recomputed."""
         _, state = self._pass(solution)
         q = len(self.robot.tubes)
         twist = self.robot.layout.stiffness[0, 1] / self.robot.layout.stiffness[0, 0]
@@ -127,7 +142,7 @@ class Statics:
         return float(max(np.abs(torsion).max(), np.abs(state[15 + 2 * q :] - solution.wrench[3:]).max()))
 
     def repeat_pass(self, solution: Solution, times: int, with_derivatives: bool) -> None:
-        """Pass along the tubes `times` times: what the arithmetic alone costs."""
+        """Pass along the tubes `times` times, to measure the time of the arithmetic alone."""
         alpha, beta = self.robot.tube_poses(solution.joints)
         tubes, columns = self._widths
         repeat(
@@ -136,7 +151,7 @@ class Statics:
         )  # fmt: skip
 
     def _pass(self, solution: Solution) -> tuple[Array, Array]:
-        """Sections (m, 16 + 2q), from the plate, and the state at the tip."""
+        """Return cross-sections (m, 16 + 2q), relative to the plate, and the state at the tip."""
         q = len(self.robot.tubes)
         alpha, beta = self.robot.tube_poses(solution.joints)
         length = float(beta[0]) + self.robot.tubes[0].length
@@ -149,13 +164,13 @@ class Statics:
         return path[:passed], state
 
     def _sections(self, solution: Solution) -> Array:
-        """Sections (m, 16 + 2q), from the plate, in short steps; in the world's axes."""
+        """Return closely spaced cross-sections (m, 16 + 2q), relative to the plate, in the world's axes."""
         alpha, beta = self.robot.tube_poses(solution.joints)
         tubes, columns = self._widths
         q, length = len(tubes), float(beta[0]) + self.robot.tubes[0].length
-        scheme = Scheme(self._scheme.order, min(self._scheme.sublink, SECTION))
+        scheme = Scheme(self._scheme.order, min(self._scheme.sublink, SECTION_SPACING_M))
         path = np.empty((int(length / scheme.sublink) + 4 + int(self.robot.layout.counts.sum()), 16 + 2 * q))
-        # With columns, although nothing is differentiated: another width would have to be compiled for this alone.
+        # With columns, although no derivative is used: another width would need a separate compilation.
         state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * len(columns))
         passed = propagate(
             self.robot.layout, scheme, alpha, beta, solution.wrench, solution.contact, solution.unknowns,
@@ -164,78 +179,78 @@ class Statics:
         return path[:passed]
 
     def _cold(self, joints: Array, wrench: Array, contact: float) -> Solution | None:
-        """The stable shape that the robot comes to from rest; None when none was reached.
+        """Return the stable shape that the robot reaches from rest; None when no shape is reached.
 
-        Mostly Newton finds the same one at once, and then J and C are those of its own last pass.
+        Mostly Newton finds the same shape directly; J and C are then those of its last pass.
         """
         found = self._from_rest(joints, wrench, contact)
         if found is None:
             return None
         rest = at_rest(joints, contact, len(self.robot.tubes))
         direct = self._newton(joints, wrench, rest, contact, careful=0)
-        if direct is not None and np.linalg.norm(direct.tip - found.tip) < SAME:
+        if direct is not None and np.linalg.norm(direct.tip - found.tip) < SAME_TIP_M:
             found = direct
         if self.negative_directions(found) == 0:
             return found
-        # Both ways may keep to a shape that is balanced and nothing more, such as a straight tube under pressure.
-        fallen = self._let_go(found, joints, wrench, contact)
-        # What a moment at the tip does is no energy's: then a shape may stay although its energy could fall.
-        return found if fallen is None and wrench[3:].any() and found.stability > 0.0 else fallen
+        # Both methods may stay at an unstable equilibrium, such as a straight tube under axial load.
+        relaxed = self._release(found, joints, wrench, contact)
+        # A moment at the tip has no potential: a shape may then be stable although its energy could fall.
+        return found if relaxed is None and wrench[3:].any() and found.stability > 0.0 else relaxed
 
     def _from_rest(self, joints: Array, wrench: Array, contact: float) -> Solution | None:
-        """Tubes aligned with the outermost and no load; then turned, each the shorter way round; then loaded."""
-        aligned, short, nothing = joints.copy(), joints.copy(), np.zeros(6)
+        """Follow the robot from aligned tubes without load; then rotate each in the shorter direction; then load."""
+        aligned, short, no_load = joints.copy(), joints.copy(), np.zeros(6)
         outermost = float(self.robot.tube_poses(joints)[0][-1])
         for j, joint in enumerate(self.robot.joints):
             if joint.motion == "rotation":
                 aligned[j] = outermost
                 short[j] = outermost + math.remainder(joints[j] - outermost, math.tau)
         rest = at_rest(aligned, contact, len(self.robot.tubes))
-        at = self._newton(aligned, nothing, rest, contact, careful=0)
+        at = self._newton(aligned, no_load, rest, contact, careful=0)
         if at is None or self.negative_directions(at) > 0:
-            at = self._let_go(None, aligned, nothing, contact)
-        for load in (nothing, wrench):
+            at = self._release(None, aligned, no_load, contact)
+        for load in (no_load, wrench):
             at = self._follow(at, short, load, contact) if at is not None else None
         if at is not None:
             at.joints[:] = joints  # whole turns change nothing
         return at
 
     def _follow(
-        self, start: Solution, joints: Array, wrench: Array, contact: float, snaps: int = SNAPS
+        self, start: Solution, joints: Array, wrench: Array, contact: float, snaps: int = MAX_SNAPS
     ) -> Solution | None:
-        """From `start` on a straight line to the pose and the load, in steps short enough to stay on the branch.
+        """Follow the branch from `start` on a straight line to the pose and the load, in sufficiently short steps.
 
-        Where the branch ends the tubes snap, `snaps` times at most, and it goes on from where they have come to rest.
+        Where the branch ends the tubes snap, at most `snaps` times; the path continues from their next stable shape.
         """
         moved, loaded = joints - start.joints, wrench - start.wrench
-        longest = 1.0 / max(1.0, np.abs(moved).max(initial=0.0) / TURN, float(loaded.any()) / LOAD)
+        longest = 1.0 / max(1.0, np.abs(moved).max(initial=0.0) / MAX_TURN_RAD, float(loaded.any()) / MAX_LOAD_SHARE)
         at, done, step = start, 0.0, longest
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             if done == 1.0:
                 return at
             to = min(1.0, done + step)
             pose, load = joints - (1.0 - to) * moved, wrench - (1.0 - to) * loaded
             found = self._newton(pose, load, at, contact, careful=1)
-            if found is not None and self._beside(at, found) < BESIDE:
+            if found is not None and self._mismatch(at, found) < MAX_PREDICTION_MISMATCH_RAD:
                 at, done, step = found, to, min(2.0 * step, longest)
-            elif step > SHORTEST:
+            elif step > MIN_STEP_SHARE:
                 step *= 0.25
             else:
                 break
         if snaps == 0:
             return None
-        # Elements fold a little sooner or later than sub-links do: a snap shows a little beyond the end of the branch.
-        for beyond in BEYOND:
+        # Elements fold slightly earlier or later than sub-links: the relaxation starts beyond the end of the branch.
+        for beyond in RELEASE_SHARES:
             to = done + beyond
             pose, load = joints - (1.0 - to) * moved, wrench - (1.0 - to) * loaded
-            if to <= 1.0 or self.robot.stands(pose):
-                found = self._let_go(at, pose, load, contact)
+            if to <= 1.0 or self.robot.is_valid_pose(pose):
+                found = self._release(at, pose, load, contact)
                 if found is not None:
                     return self._follow(found, joints, wrench, contact, snaps - 1)
         return None
 
-    def _beside(self, here: Solution, there: Solution) -> float:
-        """How far the slopes of two solutions miss the other one [rad over the whole length]: far on two branches."""
+    def _mismatch(self, here: Solution, there: Solution) -> float:
+        """Return the prediction mismatch of two solutions [rad over the whole length]: large between two branches."""
         move = np.concatenate((there.joints - here.joints, there.wrench - here.wrench))
         change = there.unknowns - here.unknowns
         q = len(self.robot.tubes)
@@ -244,12 +259,12 @@ class Statics:
         misses[q:] /= self.robot.layout.stiffness[0, 0]
         return length * float(misses.max())
 
-    def _let_go(self, near: Solution | None, joints: Array, wrench: Array, contact: float) -> Solution | None:
-        """The stable shape that the energy falls to from `near`, or from untwisted tubes; None if it was not found."""
+    def _release(self, near: Solution | None, joints: Array, wrench: Array, contact: float) -> Solution | None:
+        """Release the tubes from `near` or untwisted; return the stable shape they reach, None if not found."""
         force = np.append(wrench[:3], np.zeros(3))
-        if np.linalg.norm(force) * ELEMENTS[-1] ** 2 > self.robot.layout.stiffness[0, 0]:
-            return None  # it bends the innermost tube within an element, and a sub-link
-        for longest in ELEMENTS:
+        if np.linalg.norm(force) * RELAXATION_ELEMENTS_M[-1] ** 2 > self.robot.layout.stiffness[0, 0]:
+            return None  # the force bends the innermost tube strongly within one element and one sub-link
+        for longest in RELAXATION_ELEMENTS_M:
             chain = cut(self.robot, joints, wrench[:3], contact, longest)
             theta, moment = np.tile(chain.alpha, (chain.ends.size, 1)), np.zeros((chain.ends.size - 1, 2))
             if near is not None:
@@ -270,7 +285,7 @@ class Statics:
         return None
 
     def _newton(self, joints: Array, wrench: Array, near: Solution, contact: float, careful: int) -> Solution | None:
-        close = CLOSE if careful else CLOSEST
+        close = WARM_STEP_RAD if careful else COLD_STEP_RAD
         found = Solution(np.empty_like(near.numbers))
         arguments = (*self._fixed, joints, wrench, near.numbers, contact, careful, close, *self._widths, found.numbers)
         return found if newton(*arguments) else None
@@ -288,16 +303,16 @@ class Statics:
 
     @cached_property
     def compiled_arguments(self) -> tuple[Array, int, float, tuple[float, ...], tuple[float, ...]]:
-        """What `core.model.newton` is told in every solve: robot, order, sub-link, and its two widths."""
+        """Arguments of `core.model.newton` in every solve: robot, order, sub-link, and the two widths."""
         return (*self._fixed, *self._widths)
 
     @cached_property
     def _scheme(self) -> Scheme:
-        return Scheme(INTEGRATORS[self.integrator], self.sublink or SUBLINKS[self.integrator])
+        return Scheme(INTEGRATORS[self.integrator], self.sublink or DEFAULT_SUBLINKS_M[self.integrator])
 
     @cached_property
     def _fixed(self) -> tuple[Array, int, float]:
-        """What every solve is told."""
+        """Arguments of every solve: robot, order, sub-link."""
         return self.robot.packed, self._scheme.order, self._scheme.sublink
 
     @cached_property
@@ -307,7 +322,17 @@ class Statics:
         return (0.0,) * q, (0.0,) * (-(-(q + 3 + n + 3) // 4) * 4)
 
 
-def _at(path: Array, values: Array, places: Array) -> Array:
-    """Columns of `values`, known at the arc lengths of a path, at other ones."""
-    columns: list[Array] = [np.interp(places, path[:, 0], column) for column in values.T]
+def suitable_integrator(robot: Robot, sublink: float = PAPER_SUBLINK_M) -> Integrator:
+    """Return the paper's integrator, or `fourth_order` where a curve bends a sub-link [m] by more than its bound."""
+    return "paper" if sublink_bend(robot, sublink) <= MAX_SUBLINK_BEND_RAD else "fourth_order"
+
+
+def sublink_bend(robot: Robot, sublink: float = PAPER_SUBLINK_M) -> float:
+    """Return the angle by which the most curved section of all tubes bends a sub-link of this length [rad]."""
+    return sublink * max(math.hypot(*section.curvature) for tube in robot.tubes for section in tube.sections)
+
+
+def _at(path: Array, values: Array, lengths: Array) -> Array:
+    """Return columns of `values`, given at the arc lengths of a path, interpolated at other arc lengths."""
+    columns: list[Array] = [np.interp(lengths, path[:, 0], column) for column in values.T]
     return np.column_stack(columns)

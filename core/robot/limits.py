@@ -1,8 +1,9 @@
-"""What the joints may do: speed, travel and the distance it takes to stop; and limits beyond single joints.
+"""Limits of single joints (speed, travel, stopping distance) and limits of several joints together.
 
-A limit beyond single joints (tube order, workspace, force) allows joint velocities v with
-rows @ v <= room. Its room is what is left divided by `APPROACH`, so that it is closed in on ever more
-slowly and never passed; no limit ever demands a motion.
+A limit of several joints (tube order, workspace, force) allows joint velocities v with G @ v <= h. `Limit.rows`
+returns the matrix G (the rows) and the vector h (the room). h is the remaining distance divided by
+`BRAKING_TIME_CONSTANT_S`, so the robot approaches the limit ever more slowly and never passes it. No limit ever
+requires a motion: zero velocity is always allowed.
 """
 
 import math
@@ -13,41 +14,43 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from core.compiled import compiled
-from core.errors import DescriptionError, PoseError
-from core.robot.robot import Array, Robot
+from core.contract import name_of, numbers, pair, result_of
+from core.errors import ContractError, DescriptionError, PoseError
+from core.robot.robot import FLUSH_TOLERANCE_M, Array, Robot
 
-#: Time constant of closing in on a limit [s]; several times the delay of the stages.
-APPROACH = 0.25
-#: Left between tubes that are in each other's way [m]: stages are told one after the other, and go on meanwhile.
-APART = 5e-4
+#: Time constant with which the robot approaches a limit [s]; it is several times the delay of the stages.
+BRAKING_TIME_CONSTANT_S = 0.25
+#: Smallest distance between tubes that could collide [m]. It is needed because the stages receive commands one at a
+#: time and keep moving between them.
+MIN_TUBE_DISTANCE_M = 5e-4
 
 
-class Situation(Protocol):
-    """Where the robot is when limits are asked what they allow; what none of them asks for is not looked up."""
+class LimitContext(Protocol):
+    """State of the robot for which limits are evaluated; properties that no limit reads are not computed."""
 
     @property
     def joints(self) -> Array:
-        """(n,) [rad or m]."""
+        """Joint positions (n,) [rad or m]."""
         ...
 
     @property
     def jacobian(self) -> Array:
-        """(3, n) of the loaded tip [m/rad or m/m]."""
+        """Jacobian (3, n) of the loaded tip's position [m/rad or m/m]."""
         ...
 
     @property
     def tip(self) -> Array:
-        """(3,) [m]."""
+        """Position of the tip (3,), world frame [m]."""
         ...
 
     @property
     def force(self) -> Array:
-        """(3,) on the tip, world frame [N]."""
+        """Force on the tip (3,), world frame [N]."""
         ...
 
 
-class At(NamedTuple):
-    """A situation whose parts are all known; as `Situation` has them."""
+class Configuration(NamedTuple):
+    """A `LimitContext` whose values are all known."""
 
     joints: Array
     jacobian: Array
@@ -56,32 +59,32 @@ class At(NamedTuple):
 
 
 class Limit(Protocol):
-    """A limit beyond single joints."""
+    """A limit of several joints together, for example the workspace."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each row says when it is active, with value and unit."""
+        """Text of each row for reports while the row is active, with value and unit."""
         ...
 
-    def rows(self, at: Situation) -> tuple[Array, Array]:
-        """Rows (m, n) and room (m,), none below zero: rows @ v <= room."""
+    def rows(self, at: LimitContext) -> tuple[Array, Array]:
+        """Return rows G (m, n) and room h (m,), not negative; joint velocities v must satisfy G @ v <= h."""
         ...
 
-    def check(self, at: Situation) -> None:
-        """Raise PoseError, with value and bound, where the limit does not hold."""
+    def check(self, at: LimitContext) -> None:
+        """Raise PoseError, with value and bound, if the robot's state violates the limit."""
         ...
 
 
 @dataclass(frozen=True)
 class JointLimit:
-    """Limits of one joint, in its own unit (rad or m)."""
+    """Limits of one joint, in the joint's unit (rad or m)."""
 
     name: str
     unit: str
     lower: float
     upper: float
-    speed: float  #: per second
-    acceleration: float  #: per second squared
+    speed: float  #: largest speed, per second
+    acceleration: float  #: largest acceleration, per second squared
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower < self.upper):
@@ -91,13 +94,21 @@ class JointLimit:
                 raise DescriptionError(f"{self.name}: {what} limit {value:g} {self.unit}/{per} must be greater than 0")
 
 
+class ForceBound(NamedTuple):
+    """The largest force on the tip at which a motion continues."""
+
+    newton: float  #: size of the force [N]
+    reason: str  #: text that names what the bound protects
+
+
 @dataclass(frozen=True)
 class Limits:
     """Limits of all joints in the robot's order."""
 
     joints: tuple[JointLimit, ...]
-    reaction: float = 0.075  #: time from a command to its effect, counted as travel still to come [s]
-    others: tuple[Limit, ...] = ()
+    reaction: float = 0.075  #: time from a command to its effect, during which the joint keeps moving [s]
+    others: tuple[Limit, ...] = ()  #: limits of several joints together
+    overload: ForceBound | None = None  #: force above which a motion stops; it does not limit velocities
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.reaction) and self.reaction >= 0.0):
@@ -111,18 +122,18 @@ class Limits:
 
     @cached_property
     def packed(self) -> Array:
-        """(5, n) lower and upper end of travel, speed, acceleration, and the reaction time [SI units]."""
+        """Rows (5, n): lower and upper end of travel, top speed, acceleration, and reaction time [SI units]."""
         last = np.full(len(self.joints), self.reaction)
         return np.stack((*self._arrays, last))
 
     @property
     def speed(self) -> Array:
-        """(n,) [rad/s or m/s]."""
+        """Top speeds of the joints (n,) [rad/s or m/s]."""
         return self._arrays[2]
 
     @cached_property
     def order(self) -> tuple[Array, Array]:
-        """Rows (m, n) and bounds (m,) of the tubes' order [m]; none where the joints' travel sees to it."""
+        """Rows (m, n) and bounds (m,) of the tube order [m]; empty where the joints' travel ensures the order."""
         found = next((limit for limit in self.others if isinstance(limit, TubeOrder)), None)
         return (np.empty((0, len(self.joints))), np.empty(0)) if found is None else (found.matrix, found.bound)
 
@@ -135,19 +146,44 @@ class Limits:
                     f" {limit.lower:.4g} ... {limit.upper:.4g} {limit.unit} (its travel)"
                 )
 
+    def check_all(self, at: LimitContext) -> None:
+        """Check the travel of every joint and every limit of several joints at the robot's state.
+
+        Raises:
+            PoseError: a limit is violated; the text has its name, the value and the bound.
+            ContractError: a custom limit raised another error, or its rows violate the interface `Limit`.
+
+        """
+        self.check(at.joints)
+        for limit in self.others:
+            if type(limit) in _BUILT_IN_LIMITS:
+                limit.check(at)
+                continue
+            try:
+                result_of(f"limit '{name_of(limit)}'", limit.check, at)
+            except ContractError as error:
+                raise error.__cause__ if isinstance(error.__cause__, PoseError) else error from None
+            _rows_of(limit, at)
+
     def velocity_bounds(self, joints: Array) -> tuple[Array, Array]:
-        """Lowest and highest velocity (n,) from which each joint can still stop inside its travel."""
+        """Return the lowest and highest velocity (n,) from which each joint can still stop inside its travel."""
         return velocity_bounds(joints, self.packed)
 
-    def rows(self, at: Situation) -> tuple[Array, Array]:
-        """All limits beyond single joints: rows (m, n) and room (m,)."""
-        parts = [limit.rows(at) for limit in self.others]
+    def rows(self, at: LimitContext) -> tuple[Array, Array]:
+        """Return rows (m, n) and room (m,) of all limits of several joints.
+
+        Raises:
+            ContractError: a custom limit raised, or returned other shapes, a number that is not finite or a room
+                below zero.
+
+        """
+        parts = [limit.rows(at) if type(limit) in _BUILT_IN_LIMITS else _rows_of(limit, at) for limit in self.others]
         if len(parts) == 1:
             return parts[0]
         return np.concatenate([rows for rows, _ in parts]), np.concatenate([room for _, room in parts])
 
     def blocking(self, joints: Array, at_bound: Array, at_row: Array) -> bool:
-        """Whether a limit other than a joint's speed shaped a command; arguments as of `active`."""
+        """Return whether a limit other than a joint's speed changed a command; the arguments are those of `active`."""
         if not at_bound.any() and not at_row.any():
             return False
         lower, upper = self.velocity_bounds(joints)
@@ -155,12 +191,12 @@ class Limits:
         return bool(at_row.any() or (near_end & (at_bound != 0.0)).any())
 
     def active(self, joints: Array, at_bound: Array, at_row: Array) -> tuple[str, ...]:
-        """The limits that shaped a command, in words.
+        """Return the names of the limits that changed a command.
 
         Args:
             joints: (n,) [rad or m].
-            at_bound: (n,) -1, 0 or 1: at the lower bound of its velocity, free, at the upper.
-            at_row: (m,) 1 where a row is active.
+            at_bound: (n,) -1: joint velocity at its lower bound; 0: free; 1: at its upper bound.
+            at_row: (m,) 1 where a limit of several joints is active.
 
         """
         lower, upper = self.velocity_bounds(joints)
@@ -177,7 +213,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class TubeOrder:
-    """Tubes stay in order: no tube starts in front of, or ends inside, the next outer one."""
+    """Limit of the tube order: no tube starts in front of, or ends inside, the next outer tube."""
 
     names: tuple[str, ...]
     matrix: Array  #: (m, n)
@@ -185,21 +221,21 @@ class TubeOrder:
 
     @classmethod
     def of(cls, robot: Robot, joints: tuple[JointLimit, ...]) -> "TubeOrder | None":
-        """The order of a robot's tubes as far as its joints' travel does not see to it already; None when it does."""
+        """Return the order of a robot's tubes; None where the joints' travel already ensures it."""
         slides = {joint.tube: k for k, joint in enumerate(robot.joints) if joint.motion == "translation"}
         names: list[str] = []
         rows: list[Array] = []
         bounds: list[float] = []
 
         def keep(name: str, behind: int, front: int | None, bound: float) -> None:
-            """Proximal end of tube `behind` - that of `front` <= bound."""
-            row, most = np.zeros(len(joints)), 0.0
+            """Add the row: proximal end of tube `behind` minus proximal end of tube `front` <= bound."""
+            row, largest = np.zeros(len(joints)), 0.0
             for tube, sign in ((behind, 1.0), (front, -1.0)):
                 if tube in slides:
                     k = slides[tube]
                     row[k] = sign
-                    most += sign * (joints[k].upper if sign > 0.0 else joints[k].lower)
-            if most > bound:
+                    largest += sign * (joints[k].upper if sign > 0.0 else joints[k].lower)
+            if largest > bound:
                 names.append(name)
                 rows.append(row)
                 bounds.append(bound)
@@ -208,7 +244,7 @@ class TubeOrder:
             outer = i + 1 if i + 1 < len(robot.tubes) else None
             around = "the plate" if outer is None else f"tube '{robot.tubes[outer].name}'"
             keep(f"start of tube '{tube.name}' behind that of {around}", i, outer, 0.0)
-            # end of the outer - end of this one <= 0, the other way round
+            # end of the outer tube - end of this one <= 0
             if outer is None:
                 slide = slides.get(i)
                 if slide is not None and joints[slide].lower < -tube.length:
@@ -222,24 +258,24 @@ class TubeOrder:
                 keep(f"end of tube '{tube.name}' beyond that of {around}", outer, i, longer)
         return cls(tuple(names), np.array(rows), np.array(bounds)) if names else None
 
-    def rows(self, at: Situation) -> tuple[Array, Array]:
-        """Each pair closes in on the other ever more slowly, as far as `APART`."""
-        return self.matrix, _room(self.matrix, self.bound, at.joints)
+    def rows(self, at: LimitContext) -> tuple[Array, Array]:
+        """Return rows that slow down the approach of two tube ends and stop it at `MIN_TUBE_DISTANCE_M`."""
+        return self.matrix, _distances(self.matrix, self.bound, at.joints)
 
-    def check(self, at: Situation) -> None:
-        """Raise PoseError for the first pair out of order."""
+    def check(self, at: LimitContext) -> None:
+        """Raise PoseError for the first pair of tubes that violates the order."""
         over = self.matrix @ at.joints - self.bound
         for name, value in zip(self.names, over, strict=True):
-            if value > 0.0:
-                raise PoseError(f"tube order: {name} does not hold, by {1e3 * value:.3g} mm")
+            if value > FLUSH_TOLERANCE_M:
+                raise PoseError(f"tube order is violated by {1e3 * value:.3g} mm; required: {name}")
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """The tip stays inside a box."""
+    """Limit that keeps the tip inside a box."""
 
-    lower: tuple[float, float, float]  #: world frame [m]
-    upper: tuple[float, float, float]  #: [m]
+    lower: tuple[float, float, float]  #: lower corner of the box, world frame [m]
+    upper: tuple[float, float, float]  #: upper corner of the box, world frame [m]
 
     def __post_init__(self) -> None:
         for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
@@ -248,17 +284,17 @@ class Workspace:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """A face each."""
+        """One text per face of the box."""
         high = [f"workspace {axis} <= {bound:g} m" for axis, bound in zip("xyz", self.upper, strict=True)]
         return (*high, *(f"workspace {axis} >= {bound:g} m" for axis, bound in zip("xyz", self.lower, strict=True)))
 
-    def rows(self, at: Situation) -> tuple[Array, Array]:
-        """No faster toward a face than the way to it over `APPROACH`."""
+    def rows(self, at: LimitContext) -> tuple[Array, Array]:
+        """Return rows that limit the speed toward a face to its distance over `BRAKING_TIME_CONSTANT_S`."""
         room = np.concatenate((self.upper - at.tip, at.tip - self.lower))
-        return np.concatenate((at.jacobian, -at.jacobian)), np.maximum(room, 0.0) / APPROACH
+        return np.concatenate((at.jacobian, -at.jacobian)), np.maximum(room, 0.0) / BRAKING_TIME_CONSTANT_S
 
-    def check(self, at: Situation) -> None:
-        """Raise PoseError for a tip outside."""
+    def check(self, at: LimitContext) -> None:
+        """Raise PoseError for a tip outside the box."""
         for axis, low, value, high in zip("xyz", self.lower, at.tip, self.upper, strict=True):
             if not low <= value <= high:
                 raise PoseError(f"tip {axis} {value:.4g} m is outside {low:g} ... {high:g} m (the workspace)")
@@ -266,51 +302,67 @@ class Workspace:
 
 @dataclass(frozen=True)
 class ForceLimit:
-    """The tip does not push on against a load that is as large as allowed."""
+    """Limit of the tip's speed against a load; at the largest allowed force the tip must not move against the load."""
 
-    most: float  #: [N]
-    speed: float = 0.005  #: against the load while there is none; less in proportion as it grows [m/s]
+    max_force: float  #: largest allowed force on the tip [N]
+    speed: float = 0.005  #: largest speed against a vanishing load; it falls linearly to 0 at `max_force` [m/s]
 
     def __post_init__(self) -> None:
-        for name, value, unit in (("most", self.most, "N"), ("speed", self.speed, "m/s")):
+        for name, value, unit in (("max_force", self.max_force, "N"), ("speed", self.speed, "m/s")):
             if not (math.isfinite(value) and value > 0.0):
                 raise DescriptionError(f"force limit: {name} {value:g} {unit} must be finite and greater than 0")
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The one row."""
-        return (f"force on the tip ({self.most:g} N)",)
+        """Name of the single row of this limit."""
+        return (f"force on the tip ({self.max_force:g} N)",)
 
-    def rows(self, at: Situation) -> tuple[Array, Array]:
-        """-F/|F| . J v <= speed (1 - |F| / most)."""
+    def rows(self, at: LimitContext) -> tuple[Array, Array]:
+        """Return the row -F/|F| . J v <= speed (1 - |F| / max_force) for force F, Jacobian J and joint velocities v."""
         force = float(np.linalg.norm(at.force))
         if force < 1e-9:
             return np.zeros((1, at.joints.shape[0])), np.ones(1)
         against = -(at.force / force) @ at.jacobian
-        return against[None, :], np.array([self.speed * max(0.0, 1.0 - force / self.most)])
+        return against[None, :], np.array([self.speed * max(0.0, 1.0 - force / self.max_force)])
 
-    def check(self, at: Situation) -> None:
-        """Raise PoseError when the load is larger already."""
+    def check(self, at: LimitContext) -> None:
+        """Raise PoseError when the load already exceeds the limit."""
         force = float(np.linalg.norm(at.force))
-        if force > self.most:
-            raise PoseError(f"force on the tip {force:.3g} N is above {self.most:g} N (its limit)")
+        if force > self.max_force:
+            raise PoseError(f"force on the tip {force:.3g} N is above {self.max_force:g} N (its limit)")
+
+
+#: Types of the built-in limits; unlike those of custom limits, their rows need no check at every tick.
+_BUILT_IN_LIMITS = (TubeOrder, Workspace, ForceLimit)
+
+
+def _rows_of(limit: Limit, at: LimitContext) -> tuple[Array, Array]:
+    """Return rows (m, n) and room (m,) of a custom limit with m names, after checking them."""
+    who = f"limit '{name_of(limit)}'"
+    m = len(result_of(who, getattr, limit, "names"))
+    matrix, bound = pair(who, result_of(who, limit.rows, at), "(rows, room)")
+    rows = numbers(who, "rows", matrix, (m, at.joints.size), "per rad or m")
+    room = numbers(who, "room", bound, (m,), "1/s")
+    if (room < 0.0).any():
+        raise ContractError(f"{who}: room is {room.tolist()}; none of it may be below 0")
+    return rows, room
 
 
 @compiled
-def _room(matrix: Array, bound: Array, joints: Array) -> Array:
-    """What is left of matrix @ joints <= bound - `APART`, none below zero, over `APPROACH`."""
+def _distances(matrix: Array, bound: Array, joints: Array) -> Array:
+    """Return the room of each tube order row: remaining distance (at least 0) over `BRAKING_TIME_CONSTANT_S`."""
     room = np.empty(bound.shape[0])
     for i in range(bound.shape[0]):
-        left = bound[i] - APART
+        slack = bound[i] - MIN_TUBE_DISTANCE_M
         for j in range(joints.shape[0]):
-            left -= matrix[i, j] * joints[j]
-        room[i] = max(left, 0.0) / APPROACH
+            slack -= matrix[i, j] * joints[j]
+        room[i] = max(slack, 0.0) / BRAKING_TIME_CONSTANT_S
     return room
 
 
 @compiled
 def velocity_bounds(joints: Array, limits: Array) -> tuple[Array, Array]:
-    """`Limits.velocity_bounds` for `Limits.packed`."""
+    """Return `Limits.velocity_bounds` for limits in the form of `Limits.packed`."""
     lower, upper, speed, acceleration, reaction = limits[0], limits[1], limits[2], limits[3], limits[4, 0]
     lowest, highest = np.empty_like(joints), np.empty_like(joints)
     for i in range(joints.shape[0]):
@@ -322,7 +374,10 @@ def velocity_bounds(joints: Array, limits: Array) -> tuple[Array, Array]:
 
 @compiled
 def _braking(room: float, acceleration: float, lag: float) -> float:
-    """Largest v with v * reaction + v^2 / (2 a) <= room; `lag` is a * reaction."""
-    if not room > 0.0:  # NaN included: min and max would let it pass as full speed
+    """Return the largest speed v from which a joint stops within `room`: v * reaction + v^2 / (2 a) <= room.
+
+    `lag` is the acceleration a times the reaction time.
+    """
+    if not room > 0.0:  # also for NaN: min and max would return full speed
         return 0.0
     return np.sqrt(lag * lag + 2.0 * acceleration * room) - lag

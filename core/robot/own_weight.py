@@ -1,17 +1,18 @@
-"""What the tubes weigh, as the force at the tip that would bend it as far.
+"""The tubes' own weight as an equivalent force at the tip.
 
-A cantilever of length L that carries w(s) along itself sags at its end as under the force
+A cantilever of length L with a distributed weight w(s) sags at its end as under the force
 
     F = integral of w(s) s^2 (3 L - s) / (2 L^3) ds        (3/8 w L for one tube from the plate to the tip).
 
-Curvature, and an inner tube that is softer than the bundle, leave an error of some percent of half a millimetre.
+The formula ignores curvature, and that the inner tube is softer than the bundle. The error is some percent of a sag of
+half a millimetre.
 """
 
 from core.robot.robot import Array, Robot
 
 
 def own_weight(robot: Robot, joints: Array) -> float:
-    """Force at the tip [N], along gravity, in place of the tubes' own weight at `joints` (n,)."""
+    """Return the force at the tip [N], along gravity, equivalent to the tubes' own weight at `joints` (n,)."""
     _, beta = robot.tube_poses(joints)
     ends = [float(start) + tube.length for start, tube in zip(beta, robot.tubes, strict=True)]
     tip = ends[0]

@@ -1,9 +1,8 @@
-"""What a concentric-tube robot is: tubes from the innermost outward, and the joints that move them.
+"""Description of a concentric-tube robot: tubes from the innermost outward, and the joints that move them.
 
-Conventions: world origin at the front plate, +z along the straight tubes, arc length 0 at the
-plate. `beta` of a tube is the position of its proximal end along z (never positive): what lies
-behind the plate is held straight by a rigid guide. A precurvature (1/r, 0) at rotation 0 bends
-the free tube toward -y.
+Conventions: the world's origin is at the front plate, +z points along the straight tubes, and the arc length is 0 at
+the plate. `beta` of a tube is the position of its proximal end along z (never positive). A rigid guide keeps the tubes
+straight behind the plate. A precurvature (1/r, 0) at rotation 0 bends the free tube toward -y.
 """
 
 import math
@@ -22,34 +21,35 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-#: Beyond these nobody builds one, and a slip of the unit would keep the model busy for ever.
-MOST_TUBES, MOST_SECTIONS, LONGEST = 8, 50, 5.0  # LONGEST: of a tube [m]
-#: Ends of tubes that are no further apart are flush: sums of lengths and positions round [m].
-FLUSH = 1e-9
+#: Largest number of tubes, number of sections per tube, and length of a tube [m]. Real robots are smaller; a wrong
+#: length unit would make a solve take hours.
+MAX_TUBES, MAX_SECTIONS, MAX_LENGTH_M = 8, 50, 5.0
+#: Largest distance at which two tube ends count as flush [m]: it covers rounding in sums of lengths and positions.
+FLUSH_TOLERANCE_M = 1e-9
 
 
 @dataclass(frozen=True)
 class Section:
-    """A piece of a tube whose shape when free is a circular arc or straight."""
+    """A part of a tube whose unloaded shape is a circular arc or straight."""
 
-    length: float  #: [m]
-    curvature: tuple[float, float] = (0.0, 0.0)  #: x, y in the tube's frame [1/m]
+    length: float  #: length of the section [m]
+    curvature: tuple[float, float] = (0.0, 0.0)  #: curvature about x and y of the tube's frame [1/m]
 
 
 @dataclass(frozen=True)
 class Tube:
-    """One elastic tube; sections run from its proximal end."""
+    """One elastic tube; its sections are ordered from the proximal end."""
 
     name: str
     sections: tuple[Section, ...]
-    bending_stiffness: float  #: EI [N m^2], equal in both directions
-    poisson_ratio: float = 0.30  #: GJ = EI / (1 + nu)
-    outer_diameter: float = 2e-3  #: [m], for drawing and fit
-    inner_diameter: float = 1e-3  #: [m]
-    torsional_stiffness: float | None = None  #: GJ [N m^2]; None: from poisson_ratio
-    rotation: float = 0.0  #: of a tube that no joint turns [rad]
-    translation: float = 0.0  #: proximal end of a tube that no joint slides [m]
-    weight: float = 0.0  #: of its own, for calibration: the model that controls knows loads only [N/m]
+    bending_stiffness: float  #: bending stiffness EI [N m^2], equal in both directions
+    poisson_ratio: float = 0.30  #: Poisson's ratio nu, which sets the torsional stiffness GJ = EI / (1 + nu)
+    outer_diameter: float = 2e-3  #: outer diameter [m], for drawings and for checking that tubes fit into each other
+    inner_diameter: float = 1e-3  #: inner diameter [m]
+    torsional_stiffness: float | None = None  #: torsional stiffness GJ [N m^2]; None: from poisson_ratio
+    rotation: float = 0.0  #: rotation of a tube without rotation joint [rad]
+    translation: float = 0.0  #: proximal end of a tube without translation joint [m]
+    weight: float = 0.0  #: own weight [N/m], for calibration only: the control model ignores it
 
     def __post_init__(self) -> None:
         positive(f"tube '{self.name}': bending_stiffness", self.bending_stiffness, "N m^2")
@@ -70,11 +70,11 @@ class Tube:
             positive(f"tube '{self.name}': length of section {number}", section.length, "m")
             if not all(math.isfinite(u) for u in section.curvature):
                 raise DescriptionError(f"tube '{self.name}': curvature of section {number} is not finite")
-        if len(self.sections) > MOST_SECTIONS:
-            raise DescriptionError(f"tube '{self.name}' has {len(self.sections)} sections; at most {MOST_SECTIONS}")
-        if self.length > LONGEST:
+        if len(self.sections) > MAX_SECTIONS:
+            raise DescriptionError(f"tube '{self.name}' has {len(self.sections)} sections; at most {MAX_SECTIONS}")
+        if self.length > MAX_LENGTH_M:
             raise DescriptionError(
-                f"tube '{self.name}': length {self.length:g} m is beyond {LONGEST:g} m; lengths are in metres"
+                f"tube '{self.name}': length {self.length:g} m is beyond {MAX_LENGTH_M:g} m; lengths are in metres"
             )
         positive(f"tube '{self.name}': outer_diameter", self.outer_diameter, "m")
         if not 0.0 <= self.inner_diameter < self.outer_diameter:
@@ -92,7 +92,7 @@ class Tube:
 
     @property
     def stiffness_ratio(self) -> float:
-        """EI / GJ."""
+        """Ratio of bending to torsional stiffness, EI / GJ."""
         if self.torsional_stiffness is None:
             return 1.0 + self.poisson_ratio
         return self.bending_stiffness / self.torsional_stiffness
@@ -114,10 +114,10 @@ class Joint:
 
 @dataclass(frozen=True)
 class Base:
-    """Where the front plate stands in the world: x_world = R(rotation_vector) x_plate + position."""
+    """Pose of the front plate in the world: x_world = R(rotation_vector) x_plate + position."""
 
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m]
-    rotation_vector: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: axis times angle [rad]
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: position of the plate's origin [m]
+    rotation_vector: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: rotation of the plate, axis times angle [rad]
 
     def __post_init__(self) -> None:
         for name, vector in (("position", self.position), ("rotation_vector", self.rotation_vector)):
@@ -126,7 +126,7 @@ class Base:
 
     @property
     def rotation(self) -> Array:
-        """R (3, 3), by Rodrigues' formula."""
+        """Rotation matrix of the plate (3, 3), by Rodrigues' formula."""
         x, y, z = self.rotation_vector
         angle = math.sqrt(x * x + y * y + z * z)
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -137,21 +137,21 @@ class Base:
 
 
 class Layout(NamedTuple):
-    """The robot as the compiled code reads it; q tubes, n joints, at most k sections a tube."""
+    """The robot in arrays for compiled code; q tubes, n joints, at most k sections per tube."""
 
     ends: Array  #: (q, k) arc offset of each section's end from the tube's proximal end [m]
-    curvatures: Array  #: (q, k, 2) [1/m]
-    counts: Indices  #: (q,) sections of each tube
-    stiffness: Array  #: (q, 2) EI and EI / GJ
-    joint_tube: Indices  #: (n,)
-    joint_slides: Indices  #: (n,) 1 for a translation
-    rest: Array  #: (q, 2) rotation [rad] and translation [m] of what no joint moves
+    curvatures: Array  #: (q, k, 2) curvature of each section [1/m]
+    counts: Indices  #: (q,) number of sections of each tube
+    stiffness: Array  #: (q, 2) bending stiffness EI [N m^2], and ratio EI / GJ
+    joint_tube: Indices  #: (n,) index of the tube that each joint moves
+    joint_slides: Indices  #: (n,) 1 for a translation, 0 for a rotation
+    rest: Array  #: (q, 2) fixed rotation [rad] and translation [m] of tubes without such a joint
     base: Array  #: (12,) rotation of the plate by rows, then its position [m]
 
 
 @dataclass(frozen=True)
 class Robot:
-    """Tubes from the innermost outward and the joints in the order every vector uses."""
+    """Description of a robot: tubes from the innermost outward, and joints in the order of every joint vector."""
 
     name: str
     tubes: tuple[Tube, ...]
@@ -161,13 +161,15 @@ class Robot:
     def __post_init__(self) -> None:
         if not self.tubes:
             raise DescriptionError(f"robot '{self.name}' has no tubes; it needs at least one")
-        if len(self.tubes) > MOST_TUBES:
-            raise DescriptionError(f"robot '{self.name}' has {len(self.tubes)} tubes; at most {MOST_TUBES} are taken")
+        if len(self.tubes) > MAX_TUBES:
+            raise DescriptionError(
+                f"robot '{self.name}' has {len(self.tubes)} tubes; at most {MAX_TUBES} are supported"
+            )
         for inner, outer in zip(self.tubes, self.tubes[1:], strict=False):
             if inner.outer_diameter > outer.inner_diameter:
                 raise DescriptionError(
                     f"tube '{inner.name}' of {1e3 * inner.outer_diameter:g} mm does not fit into"
-                    f" tube '{outer.name}', which is open for {1e3 * outer.inner_diameter:g} mm"
+                    f" tube '{outer.name}' of {1e3 * outer.inner_diameter:g} mm inner diameter"
                 )
         seen: set[tuple[int, str]] = set()
         for joint in self.joints:
@@ -185,14 +187,14 @@ class Robot:
         self._check_fixed_tubes({tube for tube, motion in seen if motion == "translation"})
 
     def _check_fixed_tubes(self, sliding: set[int]) -> None:
-        """Refuse tubes that no joint slides and that stand in each other's way or inside the guide."""
+        """Refuse tubes without translation joint that collide with each other or end inside the guide."""
         fixed = [tube for i, tube in reversed(list(enumerate(self.tubes))) if i not in sliding]
         bound, around = 0.0, "the plate"
         for tube in fixed:
             end = tube.translation + tube.length
             if not ends_beyond(end, bound):
                 raise DescriptionError(
-                    f"tube '{tube.name}' ends at {1e3 * end:g} mm, not beyond {around} at {1e3 * bound:g} mm"
+                    f"tube '{tube.name}' ends at {1e3 * end:g} mm, but must end beyond {around} at {1e3 * bound:g} mm"
                 )
             bound, around = end, f"the end of tube '{tube.name}'"
         for outer, inner in pairwise(fixed):
@@ -204,12 +206,12 @@ class Robot:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names in the order of every joint vector."""
+        """Names of the joints in the order of every joint vector."""
         return tuple(joint.name for joint in self.joints)
 
     @cached_property
     def layout(self) -> Layout:
-        """Arrays for the compiled functions."""
+        """Description of the robot in arrays for compiled functions."""
         q, k = len(self.tubes), max(len(tube.sections) for tube in self.tubes)
         ends, curvatures = np.zeros((q, k)), np.zeros((q, k, 2))
         for i, tube in enumerate(self.tubes):
@@ -228,27 +230,26 @@ class Robot:
 
     @cached_property
     def packed(self) -> Array:
-        """The layout as one array: a call of a compiled function pays for every array it is given."""
+        """The layout in one array, because every array argument adds time to the call of a compiled function."""
         q, k = self.layout.ends.shape
         sizes = np.array([q, k, len(self.joints)], dtype=np.int64)
         return np.concatenate([np.ascontiguousarray(part).ravel().view(np.float64) for part in (sizes, *self.layout)])
 
     def tube_poses(self, joints: Array) -> tuple[Array, Array]:
-        """Rotation alpha (q,) [rad] and proximal end beta (q,) [m] of every tube at `joints` (n,)."""
+        """Return rotation alpha (q,) [rad] and proximal end beta (q,) [m] of every tube at `joints` (n,)."""
         alpha, beta, _ = tube_poses(self.layout, joints)
         return alpha, beta
 
-    def stands(self, joints: Array) -> bool:
-        """Whether the tubes can stand at `joints` (n,); `check_pose` says why not."""
+    def is_valid_pose(self, joints: Array) -> bool:
+        """Return whether the pose `joints` (n,) is valid; `check_pose` gives the reason if not."""
         return bool(tube_poses(self.layout, joints)[2])
 
     def check_pose(self, joints: Array) -> None:
-        """Refuse joint positions at which the tubes cannot stand.
+        """Refuse invalid joint positions.
 
         Raises:
-            PoseError: not finite, a proximal end in front of the plate or of the next outer
-                tube's, or a tube that ends behind the plate or inside the tube around it;
-                flush with it is far enough.
+            PoseError: a position is not finite; a proximal end is in front of the plate or of the next outer tube's;
+                or a tube ends behind the plate or inside the tube around it. Flush ends are valid.
 
         """
         if joints.shape != (len(self.joints),):
@@ -269,15 +270,15 @@ class Robot:
             end = start + tube.length
             if not ends_beyond(end, bound):
                 raise PoseError(
-                    f"tube '{tube.name}' ends at {1e3 * end:g} mm, not beyond {around} at {1e3 * bound:g} mm"
+                    f"tube '{tube.name}' ends at {1e3 * end:g} mm, but must end beyond {around} at {1e3 * bound:g} mm"
                 )
             bound, around = end, f"the end of tube '{tube.name}'"
 
     def check_contact(self, joints: Array, contact: float | None) -> float:
-        """Arc length of a contact [m], inf for None (the tip).
+        """Return the arc length of a contact from the plate [m]; inf for None (a contact at the tip).
 
         Raises:
-            PoseError: it lies behind the plate or beyond the tip.
+            PoseError: the contact is behind the plate or beyond the tip.
 
         """
         if contact is None:
@@ -290,7 +291,7 @@ class Robot:
 
 @compiled
 def unpack(packed: Array) -> Layout:
-    """Inverse of `Robot.packed`; the arrays are views."""
+    """Return the layout of `Robot.packed`; its arrays are views."""
     sizes = packed[:3].view(np.int64)
     q, k, n = sizes[0], sizes[1], sizes[2]
     a = 3 + q * k
@@ -314,18 +315,18 @@ def unpack(packed: Array) -> Layout:
 
 @compiled
 def ends_beyond(end: float, bound: float) -> bool:
-    """Whether a tube that ends at `end` comes out of what ends at `bound`: the plate, at 0, or a tube [m].
+    """Return whether a tube that ends at `end` extends beyond the plate (`bound` 0) or a tube that ends at `bound` [m].
 
-    It may be flush with a tube, but not with the plate: there would be nothing of it.
+    The tube may be flush with another tube, but not with the plate, where its free length would be zero.
     """
-    return end > bound or (bound > 0.0 and end >= bound - FLUSH)
+    return end > bound or (bound > 0.0 and end >= bound - FLUSH_TOLERANCE_M)
 
 
 @compiled
 def tube_poses(layout: Layout, joints: Array) -> tuple[Array, Array, bool]:
-    """Rotation alpha (q,) [rad] and proximal end beta (q,) [m] of every tube at `joints` (n,).
+    """Return rotation alpha (q,) [rad] and proximal end beta (q,) [m] of every tube, and whether `joints` is valid.
 
-    The third answer is whether the tubes can stand so; `Robot.check_pose` says why not.
+    `Robot.check_pose` gives the reason for an invalid pose.
     """
     q = layout.counts.shape[0]
     alpha, beta = layout.rest[:, 0].copy(), layout.rest[:, 1].copy()
@@ -334,15 +335,15 @@ def tube_poses(layout: Layout, joints: Array) -> tuple[Array, Array, bool]:
             beta[layout.joint_tube[j]] = joints[j]
         else:
             alpha[layout.joint_tube[j]] = joints[j]
-    start, end, stands = 0.0, 0.0, True
+    start, end, valid = 0.0, 0.0, True
     for i in range(q - 1, -1, -1):
-        far = beta[i] + layout.ends[i, layout.counts[i] - 1]
-        stands = stands and beta[i] <= start and ends_beyond(far, end) and np.isfinite(alpha[i])
-        start, end = beta[i], far
-    return alpha, beta, stands
+        distal = beta[i] + layout.ends[i, layout.counts[i] - 1]
+        valid = valid and beta[i] <= start and ends_beyond(distal, end) and np.isfinite(alpha[i])
+        start, end = beta[i], distal
+    return alpha, beta, valid
 
 
 def positive(what: str, value: float, unit: str) -> None:
-    """Refuse by name a value that is not finite and greater than 0."""
+    """Refuse a value that is not finite and greater than 0; the text names `what`."""
     if not (math.isfinite(value) and value > 0.0):
         raise DescriptionError(f"{what} {value:g} {unit} must be finite and greater than 0")

@@ -1,15 +1,15 @@
-"""Elastic stability of a design without load: whether it snaps when its tubes are turned.
+"""Elastic stability of a design without load: whether its tubes snap when they rotate.
 
-Two equal curved lengths L of one pair with (1 + nu) u1 u2 = k^2 behind straight lengths that
-twist like one of length l (Dupont et al. 2010; Ha, Park, Dupont 2016) turn without a snap when
+Consider two tubes with curvatures u1 and u2, equal curved lengths L, and straight lengths that together twist like one
+of length l. With k^2 = (1 + nu) u1 u2, this pair rotates without a snap when (Dupont et al. 2010; Ha, Park, Dupont
+2016)
 
     k L < pi / 2   and   S = l k tan(k L) < 1.
 
-S is the snap number. For any tubes it is 1 - D / D0: the determinant of the end conditions by the
-base torsion, about the worst of the alignments in which every tube is straight in torsion, over
-the same with the twist of everything before the curves meet taken away. For the pair above it
-gives S exactly. The margin under load is `Solution.stability`, the same determinant at the
-loaded shape.
+S is the snap number. For any tubes the snap number is 1 - D / D0. D is the determinant of the end conditions by the
+base torsion, at the worst of the alignments without torsion. D0 is the same determinant without the twist before the
+curves meet. For the pair above the result is exactly S. The margin under load is `Solution.stability`, the same
+determinant at the loaded shape.
 """
 
 import itertools
@@ -20,17 +20,18 @@ import numpy as np
 from core.errors import DescriptionError
 from core.robot.robot import Array, Robot
 
-#: Poses along the travel of each translation that a design is judged at.
-GRID = 9
+#: Number of grid positions along the travel of each translation at which a design is evaluated.
+GRID_POSES = 9
 
 
 def snap_number(robot: Robot, joints: Array) -> float:
-    """Largest S over the alignments of the tubes at the translations of `joints` (n,).
+    """Return the snap number at the translations of `joints` (n,): the largest S over the alignments of the tubes.
 
-    0: the tubes cannot store torsion in each other; below 1: no snap; inf: they snap whatever is before them.
+    The value is 0 if the tubes cannot store torsion, and below 1 if they do not snap. It is infinite if they snap even
+    without straight lengths.
 
     Raises:
-        PoseError: the tubes cannot stand so.
+        PoseError: the pose is invalid.
         DescriptionError: a tube is not curved in one plane.
 
     """
@@ -45,29 +46,29 @@ def snap_number(robot: Robot, joints: Array) -> float:
 
 
 def design_snap_number(robot: Robot, lower: Array, upper: Array) -> float:
-    """Largest snap number within the travel (n,) of the joints, on a grid of the translations.
+    """Return the largest snap number within the travel (n,) of the joints, on a grid of the translations.
 
     Raises:
-        DescriptionError: a tube is not curved in one plane, or no pose in the travel can stand.
+        DescriptionError: a tube is not curved in one plane, or no pose in the travel is valid.
 
     """
     travels: list[Array] = [
-        np.linspace(low, high, GRID) if joint.motion == "translation" else np.zeros(1)
+        np.linspace(low, high, GRID_POSES) if joint.motion == "translation" else np.zeros(1)
         for joint, low, high in zip(robot.joints, lower, upper, strict=True)
     ]
     numbers: list[float] = []
-    for place in itertools.product(*travels):
-        joints = np.array(place, dtype=np.float64)
-        if robot.stands(joints):
+    for pose in itertools.product(*travels):
+        joints = np.array(pose, dtype=np.float64)
+        if robot.is_valid_pose(joints):
             numbers.append(snap_number(robot, joints))
     if not numbers:
-        raise DescriptionError(f"robot '{robot.name}': no pose within the travel of its joints can stand")
+        raise DescriptionError(f"robot '{robot.name}': no pose within the travel of its joints is valid")
     return max(numbers)
 
 
 def _pieces(robot: Robot, beta: Array) -> list[tuple[float, float, Array]]:
-    """Start, end and signed curvature of each tube (q,), NaN where it is absent, from the plate on."""
-    places = {0.0}
+    """Return start, end and signed curvatures of the tubes (q,) for each piece beyond the plate; NaN: tube absent."""
+    borders = {0.0}
     signed: list[list[tuple[float, float]]] = []
     for tube, start in zip(robot.tubes, beta, strict=True):
         axis, end = None, float(start)
@@ -83,14 +84,14 @@ def _pieces(robot: Robot, beta: Array) -> list[tuple[float, float, Array]]:
                 raise DescriptionError(f"tube '{tube.name}' is not curved in one plane; it has no snap number")
             ends.append((end, along))
             if end > 0.0:
-                places.add(end)
+                borders.add(end)
         signed.append(ends)
-    order = sorted(places)
+    order = sorted(borders)
     return [
         (
             start,
             end,
-            np.array([next((along for far, along in ends if far > start + 1e-12), math.nan) for ends in signed]),
+            np.array([next((along for distal, along in ends if distal > start + 1e-12), math.nan) for ends in signed]),
         )
         for start, end in itertools.pairwise(order)
         if end > start + 1e-12
@@ -100,7 +101,7 @@ def _pieces(robot: Robot, beta: Array) -> list[tuple[float, float, Array]]:
 def _determinant(
     robot: Robot, beta: Array, pieces: list[tuple[float, float, Array]], signs: Array, bare: bool
 ) -> float:
-    """Of the torsion at each tube's end by the torsion at its base; `bare` forgets the twist before the curves meet."""
+    """Return the determinant of end torsion by base torsion; `bare` ignores the twist before the curves meet."""
     q = len(robot.tubes)
     turn, twist = np.diag(-beta), np.eye(q)
     met = False

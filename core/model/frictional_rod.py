@@ -1,22 +1,20 @@
-"""The exact rod with what a bench adds: friction and clearance between the tubes, their weight, a share for each base.
+"""The exact rod with effects of a real bench: friction and clearance between the tubes, weight, and base reactions.
 
-Tubes that bend each other hand over their moment by couples: at the end of a tube, and where the
-precurvature of one changes, the bending moment that one carries jumps by dM. The couple's two forces
-dM / d, a length d apart, rub: a friction force of at most
+Tubes that bend each other transfer moments by couples. At the end of a tube, and where the precurvature of one changes,
+its bending moment jumps by dM. The two forces dM / d of the couple, a length d apart, cause friction of at most
 
     T = 2 mu |dM| / d                                   (Lock and Dupont 2011: |tau| <= c |dM|, c = 2 mu r / d)
 
-between neighbours, shared by turning (a torque r T about the tangent) and sliding. It is Dahl's: along
-a path x of the one on the other dT/dx = (T_most e - T |dx|) / x_s, with history over motion and none over time.
-The torque enters the torsion of both tubes as a jump of GJ u_z, so it is found with the shape, not before.
+between neighbours. Its direction combines rotation (a torque r T about the tangent) and sliding. It follows Dahl's law:
+along a relative path x, dT/dx = (T_max e - T |dx|) / x_s. The history depends on motion, not on time. The torque enters
+the torsion of both tubes as a jump of GJ u_z, so it is solved together with the shape.
 
-Clearance (Ha, Fagogenis and Dupont 2019): where a tube ends the inner ones are free to take their own curvature
-over the last d = sqrt(6 g / du) of it, in which tubes that want to bend apart by du cross the gap g;
-they leave it turned by du_bundle d / 2.
+Clearance (Ha, Fagogenis and Dupont 2019): over the last d = sqrt(6 g / du) of a tube, the inner tubes bend freely.
+There tubes whose curvatures differ by du cross the gap g. They leave the tube rotated by du_bundle d / 2.
 
-Each base carries its own tube: the bending moment K_i (u - u_i^) and the torque GJ_i u_iz at the plate, the shear
-t x m_i' that goes with them, and along z what follows from n_i . t + m_i . u_i - W_i, which stays the same along a
-tube that its neighbours push only across, but for its end, its own steps of precurvature, friction and weight.
+Each base carries one tube: the bending moment K_i (u - u_i^) and the torque GJ_i u_iz at the plate, and the shear
+t x m_i'. The force along z follows from n_i . t + m_i . u_i - W_i. This quantity is constant along a tube whose
+neighbours push only across it, except for changes at its end, its steps of precurvature, friction and weight.
 """
 
 from typing import NamedTuple
@@ -24,32 +22,32 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled, copy
-from core.model.cosserat import begin, largest, present, slope, times, to_plate, to_world
-from core.model.friction import rub
+from core.model.cosserat import largest, present, slope, start_state, times, to_plate, to_world
+from core.model.friction import dahl_friction
 from core.robot.robot import Array, Layout
 
 
-class Contact(NamedTuple):
-    """How the tubes touch and what they weigh."""
+class FrictionContact(NamedTuple):
+    """Parameters of the contact between tubes, and their weight."""
 
-    grip: float  #: 2 mu / d: friction force for each newton metre that is handed over [1/m]
-    stick: float  #: x_s, path on which friction turns round [m]
-    gap: float  #: difference of the diameters that face each other [m]
-    radius: Array  #: (q,) at which a tube touches the one around it [m]
+    grip: float  #: 2 mu / d: friction force per transferred moment [1/m]
+    stick: float  #: x_s, path over which friction reverses [m]
+    gap: float  #: difference of the facing diameters [m]
+    radius: Array  #: (q,) contact radius of a tube with the one around it [m]
     weight: Array  #: (q,) [N/m]
     gravity: Array  #: (3,) unit vector, axes of the plate
 
 
 @compiled
 def slots(layout: Layout) -> int:
-    """How many places of friction there may be: for each pair of neighbours the ends of all sections of all tubes."""
+    """Return the number of friction slots: for each pair of neighbours, the ends of all sections of all tubes."""
     q, k = layout.ends.shape
     return max(q - 1, 1) * q * k
 
 
 @compiled
 def _bend(y: Array, curvature: Array, bend: Array, softness: float, u: Array, moments: Array) -> None:
-    """Curvature u (2,) of the bundle and bending moment (q, 2) of each tube that is there, axes of the innermost."""
+    """Write the bundle's curvature u (2,) and each tube's bending moment (q, 2), axes of the innermost tube."""
     q = bend.shape[0]
     u[0], u[1] = y[7], y[8]
     for i in range(q):
@@ -68,7 +66,7 @@ def _bend(y: Array, curvature: Array, bend: Array, softness: float, u: Array, mo
 
 @compiled
 def _tangent(y: Array, along: Array) -> float:
-    """Component of a vector (3,) along the rod, both in the plate's axes."""
+    """Return the component of a vector (3,) along the rod, both in the plate's axes."""
     w, a, b, c = y[0], y[1], y[2], y[3]
     scale = 2.0 / (w * w + a * a + b * b + c * c)
     return (
@@ -80,7 +78,7 @@ def _tangent(y: Array, along: Array) -> float:
 
 @compiled
 def _kink(y: Array, about_x: float, about_y: float, twist: Array, moments: Array) -> None:
-    """Turn the frame by a small rotation about its own axes; every tube's moment stays what it is in the world.
+    """Rotate the frame by a small angle about its own axes; every tube's moment stays constant in the world.
 
     `moments` (q, 2) are the tubes' bending moments before.
     """
@@ -94,7 +92,7 @@ def _kink(y: Array, about_x: float, about_y: float, twist: Array, moments: Array
     y[1] = w * dx + a * half_cos - c * dy
     y[2] = w * dy + b * half_cos + c * dx
     y[3] = c * half_cos + a * dy - b * dx
-    # Components after that: Rodrigues' formula, backwards.
+    # Components in the rotated frame: Rodrigues' formula with the inverse rotation.
     kx, ky, cos, sin = about_x / angle, about_y / angle, np.cos(angle), np.sin(angle)
     mx, my, mz = y[7], y[8], 0.0
     for i in range(twist.shape[0]):
@@ -109,31 +107,32 @@ def _kink(y: Array, about_x: float, about_y: float, twist: Array, moments: Array
 
 @compiled
 def integrate(
-    layout: Layout, rough: Contact, alpha: Array, beta: Array, tip_force: Array, contact: float, unknowns: Array,
+    layout: Layout, rough: FrictionContact, alpha: Array, beta: Array, tip_force: Array, contact: float,
+    unknowns: Array,
     step: float, slid: Array, old: Array, new: Array, y: Array, ends: Array, bases: Array,
 ) -> None:  # fmt: skip
-    """From the plate to the tip, in the plate's axes; `ends` (q + 2) receives what must vanish.
+    """Integrate from the plate to the tip, in the plate's axes; `ends` (q + 2) receives the end conditions.
 
     Args:
-        layout: tubes as they are now.
+        layout: tubes at the current pose.
         rough: friction, clearance, weight.
         alpha: rotations (q,) [rad].
         beta: proximal ends (q,) [m].
         tip_force: (3,) [N].
-        contact: arc length at which it acts, inf for the tip [m].
+        contact: arc length at which `tip_force` acts, inf for the tip [m].
         unknowns: m_x, m_y [N m] and u_iz [1/m] at the plate (q + 2,).
-        step: longest [m].
-        slid: way that each tube has gone along z since the tick before (q,) [m].
-        old: friction at the tick before (slots, 4), as `_rub` has it.
-        new: the same now.
+        step: longest integration step [m].
+        slid: displacement of each tube along z since the previous tick (q,) [m].
+        old: friction at the previous tick (slots, 4), as in `dahl_friction`.
+        new: out, friction now.
         y: (9 + 2 q,) the state at the tip, as in `cosserat`.
         ends: (q + 2,).
-        bases: (q, 6) what each tube exerts at the plate: force [N], and moment about the plate's origin [N m].
+        bases: out (q, 6), load of each tube on its base: force [N], and moment about the plate's origin [N m].
 
     """
     q, most_sections = layout.counts.shape[0], layout.ends.shape[1]
     section, memory = np.empty(q, np.int64), np.zeros((3, q))
-    theta = begin(layout, alpha, beta, unknowns, y, section)
+    theta = start_state(layout, alpha, beta, unknowns, y, section)
     bend, twist, ratio = memory[0], memory[1], memory[2]
     curvature, turn = np.zeros((q, 2)), np.empty((q, 2))
     before, after, u = np.zeros((q, 2)), np.zeros((q, 2)), np.zeros(2)
@@ -183,7 +182,7 @@ def integrate(
         remaining -= (end - start) * heavy
         start = end
         if ending < 0:
-            # The outermost tube that is there takes the force.
+            # The outermost tube present carries the force.
             touched = 0
             for i in range(q):
                 if bend[i] > 0.0:
@@ -193,13 +192,13 @@ def integrate(
             load[:] = 0.0
             end, end_tube, total = present(layout, beta, section, bend, twist, ratio, curvature)
             continue
-        # The end of a section: what each tube bends with before and after.
+        # The end of a section: bending moments of the tubes before and after it.
         part, stiffness = section[ending], total
-        own = curvature[ending].copy()
+        old_curvature = curvature[ending].copy()
         angle = y[9 + q + ending]
         for k in range(3):
             force[k] = load[k] + remaining * rough.gravity[k]
-        kept = _kept(y, force, bend, twist, curvature, total, u, before)
+        invariant = _axial_invariant(y, force, bend, twist, curvature, total, u, before)
         copy(u, bent)
         neighbours = 0
         for i in range(q):
@@ -219,26 +218,26 @@ def integrate(
         _bend(y, curvature, bend, 1.0 / total, u, after)
         step_u[0], step_u[1] = u[0] - bent[0], u[1] - bent[1]
         if finished:
-            # Its edge presses across the tubes inside it; what they have not taken along z it has.
-            pull[ending] += kept
+            # Its edge presses across the tubes inside it; it carries the axial force that they do not.
+            pull[ending] += invariant
         else:
             cos, sin = np.cos(angle), np.sin(angle)
-            dx, dy = curvature[ending, 0] - own[0], curvature[ending, 1] - own[1]
+            dx, dy = curvature[ending, 0] - old_curvature[0], curvature[ending, 1] - old_curvature[1]
             mx, my = 0.5 * (before[ending, 0] + after[ending, 0]), 0.5 * (before[ending, 1] + after[ending, 1])
             pull[ending] -= mx * (cos * dx - sin * dy) + my * (sin * dx + cos * dy)
-        handed_x, handed_y = 0.0, 0.0
+        transferred_x, transferred_y = 0.0, 0.0
         for p in range(neighbours):
-            handed_x += after[p, 0] - before[p, 0]
-            handed_y += after[p, 1] - before[p, 1]
+            transferred_x += after[p, 0] - before[p, 0]
+            transferred_y += after[p, 1] - before[p, 1]
             slot = (p * q + ending) * most_sections + part
-            most = rough.grip * np.sqrt(handed_x * handed_x + handed_y * handed_y)
+            limit = rough.grip * np.sqrt(transferred_x * transferred_x + transferred_y * transferred_y)
             turned = float(y[9 + q + p] - y[9 + q + p + 1])
-            rub(most, rough.stick, rough.radius[p], turned, slid[p] - slid[p + 1], old[slot], new[slot])
+            dahl_friction(limit, rough.stick, rough.radius[p], turned, slid[p] - slid[p + 1], old[slot], new[slot])
             torque, along = rough.radius[p] * new[slot, 0], new[slot, 1]
-            # Of the inner tube on the outer; back on the inner the other way.
+            # The friction is that of the inner tube on the outer; the reaction on the inner has the opposite sign.
             for i, sign in ((p, 1.0), (p + 1, -1.0)):
                 jump = sign * torque * layout.stiffness[i, 1] / layout.stiffness[i, 0]
-                energy = sign * torque * (y[9 + i] + 0.5 * jump)  # taken up by its torsion
+                energy = sign * torque * (y[9 + i] + 0.5 * jump)  # stored in its torsion
                 pull[i] -= energy + sign * along
                 if finished:
                     pull[ending] += energy
@@ -246,14 +245,14 @@ def integrate(
         if finished:
             size = np.sqrt(step_u[0] * step_u[0] + step_u[1] * step_u[1])
             if rough.gap > 0.0 and size > 0.0:
-                # Smooth where nothing is handed over: there a kink has no direction.
+                # Smooth where no moment is transferred: there a kink has no direction.
                 half = 0.5 * np.sqrt(6.0 * rough.gap * ended / (stiffness * np.sqrt(size * size + 1e-4)))
-                # Over that length half of what they hand over has not turned them on yet.
+                # Over that length, on average half of the transferred moment does not twist them yet.
                 for i in range(neighbours + 1):
                     less = (after[i, 0] - before[i, 0]) * bent[1] - (after[i, 1] - before[i, 1]) * bent[0]
                     y[9 + i] += half * less * layout.stiffness[i, 1] / layout.stiffness[i, 0]
                 _kink(y, half * step_u[0], half * step_u[1], twist, after)
-            pull[ending] -= _kept(y, force, bend, twist, curvature, total, u, after)
+            pull[ending] -= _axial_invariant(y, force, bend, twist, curvature, total, u, after)
     for i in range(2):
         ends[i] = y[7 + i]
     for i in range(q):
@@ -262,10 +261,10 @@ def integrate(
 
 
 @compiled
-def _kept(
+def _axial_invariant(
     y: Array, force: Array, bend: Array, twist: Array, curvature: Array, total: float, u: Array, moments: Array
 ) -> float:
-    """What the bundle keeps, n . t + sum of m_i . u_i - W_i [N]; what it bends with goes to `u` and `moments`."""
+    """Return the invariant n . t + sum of m_i . u_i - W_i [N]; `u` and `moments` receive the bending."""
     result = _tangent(y, force)
     _bend(y, curvature, bend, 1.0 / total, u, moments)
     for i in range(bend.shape[0]):
@@ -281,11 +280,11 @@ def _at_plate(
     bases: Array, y: Array, rate: Array, unknowns: Array, theta: float, bend: Array, twist: Array, curvature: Array,
     softness: float, pull: Array,
 ) -> None:  # fmt: skip
-    """Moment and shear of each tube at the plate (q, 6); begins the account of what is along z."""
+    """Write moment and shear of each tube at the plate (q, 6), and start the sum of the axial forces."""
     q = bend.shape[0]
     u, moments = np.zeros(2), np.zeros((q, 2))
     _bend(y, curvature, bend, softness, u, moments)
-    # u' of the bundle: the moment's, and that of the precurvatures which turn with their tubes.
+    # u' of the bundle: the part of the moment, and the part of precurvatures that rotate with their tubes.
     du = np.array((rate[7], rate[8]))
     own = np.zeros((q, 2))
     for i in range(q):
@@ -301,7 +300,7 @@ def _at_plate(
         if bend[i] == 0.0:
             continue
         mx, my, mz = moments[i, 0], moments[i, 1], twist[i] * unknowns[2 + i]
-        # m_i' in the frame of the innermost tube, which turns with u.
+        # m_i' in the frame of the innermost tube, which rotates with u.
         rate_x = bend[i] * (softness * du[0] - own[i, 0]) + u[1] * mz - unknowns[2] * my
         rate_y = bend[i] * (softness * du[1] - own[i, 1]) + unknowns[2] * mx - u[0] * mz
         nx, ny = -rate_y, rate_x
@@ -314,12 +313,12 @@ def _at_plate(
 
 @compiled
 def settle(
-    layout: Layout, rough: Contact, alpha: Array, beta: Array, world_force: Array, contact: float, guess: Array,
+    layout: Layout, rough: FrictionContact, alpha: Array, beta: Array, world_force: Array, contact: float, guess: Array,
     chord: Array, step: float, tolerance: float, slid: Array, old: Array, new: Array, bases: Array,
 ) -> tuple[Array, Array, Array, Array, float]:  # fmt: skip
-    """The shape by Newton with Broyden's updates: friction that begins to slide changes the derivative at once.
+    """Solve the shape by Newton with Broyden's updates: the derivative changes abruptly when friction starts to slide.
 
-    Answers with unknowns for the next guess, chord, tip, frame, and what the end conditions lack; more than
+    Returns unknowns for the next guess, chord, tip, frame and the residual of the end conditions. A residual above
     `tolerance` means failure. `new` and `bases` are those of the shape, in the plate's axes.
     """
     q = layout.counts.shape[0]
@@ -327,19 +326,19 @@ def settle(
     wrench = np.zeros(6)
     copy(world_force, wrench)
     force = to_plate(layout, wrench)
-    y, ends, moved, way = np.empty(9 + 2 * q), np.empty(size), np.empty(size), np.empty(size)
+    y, ends, moved, correction = np.empty(9 + 2 * q), np.empty(size), np.empty(size), np.empty(size)
     change, along = np.empty(size), np.empty(size)
     unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
     integrate(layout, rough, alpha, beta, force, contact, unknowns, step, slid, old, new, y, ends, bases)
     residual = largest(ends)
-    fresh, stale = False, not inverse.any()
-    tries = 0
-    while residual > tolerance and tries < 80:
+    exact, stale = False, not inverse.any()  # whether the derivative is exact at this point, or must be recomputed
+    iterations = 0
+    while residual > tolerance and iterations < 80:
         if stale:
             matrix = np.empty((size, size))
             for k in range(size):
                 copy(unknowns, trial)
-                # So small that on one side of a turn of friction all of it stays there.
+                # So small that all points stay on one side of a reversal of friction.
                 trial[k] += 1e-8
                 integrate(layout, rough, alpha, beta, force, contact, trial, step, slid, old, new, y, moved, bases)
                 for i in range(size):
@@ -350,22 +349,22 @@ def settle(
             renewed = np.linalg.inv(matrix)
             for k in range(size):
                 copy(renewed[k], inverse[k])
-            fresh, stale = True, False
-        times(inverse, ends, way)
+            exact, stale = True, False
+        times(inverse, ends, correction)
         fraction = 1.0
         while True:
             for i in range(size):
-                trial[i] = unknowns[i] - fraction * way[i]
+                trial[i] = unknowns[i] - fraction * correction[i]
             integrate(layout, rough, alpha, beta, force, contact, trial, step, slid, old, new, y, moved, bases)
-            tries += 1
-            reached = largest(moved)
-            if reached < residual or not fresh or fraction < 0.02:
+            iterations += 1
+            new_residual = largest(moved)
+            if new_residual < residual or not exact or fraction < 0.02:
                 break
             fraction *= 0.5
-        if not reached < residual and not fresh:
+        if not new_residual < residual and not exact:
             stale = True
             continue
-        if not reached < np.inf:
+        if not new_residual < np.inf:
             residual = np.inf
             break
         # Broyden: H += (s - H y) (s^T H) / (s^T H y)
@@ -374,24 +373,24 @@ def settle(
         times(inverse, along, change)
         product = 0.0
         for i in range(size):
-            product -= fraction * way[i] * change[i]
+            product -= fraction * correction[i] * change[i]
         if abs(product) > 1e-300:
             for k in range(size):
                 along[k] = 0.0
                 for i in range(size):
-                    along[k] -= fraction * way[i] * inverse[i, k]
+                    along[k] -= fraction * correction[i] * inverse[i, k]
             for i in range(size):
-                scale = (-fraction * way[i] - change[i]) / product
+                scale = (-fraction * correction[i] - change[i]) / product
                 for k in range(size):
                     inverse[i, k] += scale * along[k]
-        stale = reached > 0.3 * residual
-        fresh = False
-        # A short step on from a fresh derivative is taken even uphill: the next derivative is another one.
+        stale = new_residual > 0.3 * residual
+        exact = False
+        # A short step with an exact derivative is accepted even if the residual grows: the next derivative differs.
         copy(trial, unknowns)
         copy(moved, ends)
-        residual = reached
-    times(inverse, ends, way)
+        residual = new_residual
+    times(inverse, ends, correction)
     for i in range(size):
-        unknowns[i] -= way[i]
+        unknowns[i] -= correction[i]
     tip, rotation = to_world(layout, y)
     return unknowns, inverse, tip, rotation, residual

@@ -1,0 +1,103 @@
+"""Classification of a calibration fit's residual: friction, a smooth function of the joints, or neither.
+
+Kernel ridge regression predicts the error of each pose from the other poses, with cross-validation. Its inputs are the
+joints alone, or the joints and each tube's wind-up from the previous motions (`windup`). A part of the error that the
+joints predict is smooth, and a learned correction could remove it. A part that only the motions predict is friction.
+"""
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from core.calibration.windup import Windup, wind_ups
+from core.robot.robot import Array, Robot
+
+Kind = Literal["friction", "smooth", "neither", "unknown"]
+
+#: Smallest fraction of the squared error that a prediction must explain to determine the kind.
+NAMED_PART = 0.1
+#: Smallest number of poses for a classification of the residual.
+MIN_POSES = 15
+#: Largest number of poses in the regression; larger sets are subsampled, since the cost grows with the number's cube.
+MAX_POSES = 400
+FOLDS = 5
+#: Kernel widths that the regression tests, in standard deviations of the inputs, and ridges, as fractions of the
+#: variance.
+WIDTHS = (0.5, 1.0, 2.0, 4.0, 8.0)
+RIDGES = (1e-3, 1e-2, 1e-1, 1.0)
+#: Half lag of the wind-up that represents the direction of the last motion [rad].
+DIRECTION_HALF_LAG_RAD = 0.05
+
+
+class Residual(NamedTuple):
+    """Classified residual; fractions of the squared error are cross-validated, and negative for harmful predictions."""
+
+    kind: Kind
+    last_pose: float  #: correlation of an error with the error of the previous pose; NaN if the order is unknown
+    smooth: float  #: fraction of the squared error that the joints predict
+    motion: float  #: fraction of the squared error that joints and motions predict; NaN if the order is unknown
+    mean: float  #: mean length of the errors [m]
+    learned: float  #: mean length of the errors after subtracting the better of the two predictions [m]
+
+
+def residual(
+    robot: Robot, joints: Array, errors: Array, history: Array | None, windups: tuple[Windup, ...]
+) -> Residual:
+    """Classify errors (m, 3) [m] at joints (m, n), reached along paths (m, p, n) if their order is known.
+
+    Rows of NaN are ignored.
+    """
+    usable = np.flatnonzero(np.isfinite(errors).all(axis=1))
+    order = errors[usable]
+    some = usable[:: -(-len(usable) // MAX_POSES)] if len(usable) else usable
+    joints, errors = joints[some], errors[some]
+    centred = errors - errors.mean(axis=0) if len(some) else errors
+    power, mean = float(np.sum(centred**2)), float(np.linalg.norm(errors, axis=1).mean()) if len(some) else math.nan
+    if len(some) < MIN_POSES or power == 0.0:
+        return Residual("unknown", math.nan, math.nan, math.nan, mean, mean)
+    last_pose = math.nan if history is None else float(np.sum(order[1:] * order[:-1]) / np.sum(order * order))
+    where = np.concatenate((np.cos(joints), np.sin(joints)), axis=1)
+    slides = np.array([joint.motion == "translation" for joint in robot.joints])
+    where[:, np.flatnonzero(slides)] = joints[:, slides]
+    where = where[:, np.ptp(where, axis=0) > 1e-12]
+    predictions = [_predicted(where, centred)]
+    if history is not None and windups:
+        lags = np.full(len(robot.tubes), DIRECTION_HALF_LAG_RAD)
+        wound = wind_ups(robot, history[some], lags)[:, [each.tube for each in windups]] / DIRECTION_HALF_LAG_RAD
+        predictions.append(_predicted(where, centred, wound))
+    parts = [1.0 - float(np.sum((centred - guess) ** 2)) / power for guess in predictions]
+    smooth, motion = parts[0], parts[1] if len(parts) > 1 else math.nan
+    best = predictions[int(np.argmax(parts))] if max(parts) > 0.0 else np.zeros_like(centred)
+    learned = float(np.linalg.norm(errors - errors.mean(axis=0) - best, axis=1).mean())
+    kind: Kind = "neither"
+    if motion - max(smooth, 0.0) > NAMED_PART:
+        kind = "friction"
+    elif smooth > NAMED_PART:
+        kind = "smooth"
+    return Residual(kind, last_pose, smooth, motion, mean, min(learned, mean))
+
+
+def _predicted(where: Array, errors: Array, wound: Array | None = None) -> Array:
+    """Return each error (m, 3) predicted from the others, with the best width and ridge.
+
+    With wind-ups (m, w) the kernel is k(where) (1 + sum of products of wind-ups). An error is then a smooth function of
+    the joints plus wind-ups times other smooth functions.
+    """
+    scaled = (where - where.mean(axis=0)) / where.std(axis=0)
+    apart = np.sum((scaled[:, None] - scaled[None]) ** 2, axis=2) / scaled.shape[1]
+    gain = 1.0 if wound is None else 1.0 + wound @ wound.T
+    fold = np.random.default_rng(0).permutation(len(errors)) % FOLDS
+    best, least = np.zeros_like(errors), math.inf
+    for width in WIDTHS:
+        kernel = np.exp(-0.5 * apart / width**2) * gain
+        for ridge in RIDGES:
+            guess = np.empty_like(errors)
+            for k in range(FOLDS):
+                test = fold == k
+                inner = kernel[np.ix_(~test, ~test)] + ridge * np.eye(int(np.count_nonzero(~test)))
+                guess[test] = kernel[np.ix_(test, ~test)] @ np.linalg.solve(inner, errors[~test])
+            left = float(np.sum((errors - guess) ** 2))
+            if left < least:
+                best, least = guess, left
+    return best

@@ -1,0 +1,76 @@
+"""Rigid transforms between frames, and the best rigid fit between two point clouds."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from core.errors import DescriptionError
+from core.robot.robot import Array
+
+
+class RigidTransform(NamedTuple):
+    """Rigid transform of points: x_there = rotation @ x_here + position."""
+
+    rotation: Array  #: (3, 3) rotation matrix
+    position: Array  #: (3,) translation [m]
+
+    def apply(self, points: Array) -> Array:
+        """Return points (..., 3) [m] in the target frame."""
+        return points @ self.rotation.T + self.position
+
+    def inverse(self) -> "RigidTransform":
+        """Return the inverse transform."""
+        return RigidTransform(self.rotation.T.copy(), -self.rotation.T @ self.position)
+
+    def after(self, first: "RigidTransform") -> "RigidTransform":
+        """Return the composition that applies `first`, then this transform."""
+        return RigidTransform(self.rotation @ first.rotation, self.rotation @ first.position + self.position)
+
+
+def cross_matrix(vector: Array) -> Array:
+    """Return the matrix [v x] (3, 3) with [v x] w = v x w."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def rotation_from_vector(vector: Array) -> Array:
+    """Return the rotation (3, 3) about a vector (3,) by its length [rad] (Rodrigues' formula)."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3) + cross_matrix(vector)
+    turn = cross_matrix(vector / angle)
+    return np.eye(3) + math.sin(angle) * turn + (1.0 - math.cos(angle)) * turn @ turn
+
+
+def vector_from_rotation(rotation: Array) -> Array:
+    """Return the rotation vector (axis times angle, 0 ... pi rad) of a matrix: inverse of `rotation_from_vector`."""
+    skew = 0.5 * np.array([
+        rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1],
+    ])  # fmt: skip
+    sine, cosine = float(np.linalg.norm(skew)), 0.5 * (float(np.trace(rotation)) - 1.0)
+    if sine > 1e-6 or cosine > 0.0:
+        return skew * (math.atan2(sine, cosine) / sine if sine > 1e-12 else 1.0)
+    # For half a turn, the axis is the direction of the longest column of R + 1.
+    columns = rotation + np.eye(3)
+    axis = columns[:, int(np.argmax(np.linalg.norm(columns, axis=0)))]
+    return math.pi * axis / float(np.linalg.norm(axis))
+
+
+def kabsch(here: Array, there: Array) -> RigidTransform:
+    """Return the least-squares rigid transform from points `here` (m, 3) to `there` (m, 3), in closed form.
+
+    The rotation follows from the singular vectors of the clouds' covariance (Arun, Huang, Blostein 1987; Kabsch 1976).
+    A reflection is replaced by a proper rotation.
+
+    Raises:
+        DescriptionError: the point clouds have fewer than three points or different shapes.
+
+    """
+    if here.shape != there.shape or here.ndim != 2 or here.shape[0] < 3:
+        raise DescriptionError(f"point clouds of shapes {here.shape} and {there.shape}; at least (3, 3) of each needed")
+    centre_here, centre_there = here.mean(axis=0), there.mean(axis=0)
+    u, _, vt = np.linalg.svd((here - centre_here).T @ (there - centre_there))
+    mirror = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(vt.T @ u.T)))])
+    rotation = vt.T @ mirror @ u.T
+    return RigidTransform(rotation, centre_there - rotation @ centre_here)

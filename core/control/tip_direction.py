@@ -1,0 +1,282 @@
+"""Direction of the tip: its control task and its estimate.
+
+A control task consists of rows, and each row is one equation for the joint velocities. The tip's position has three
+rows. Its direction has two: the rotations about the two axes perpendicular to the tip, because a rotation about the
+tip's axis does not change the direction. The direction's rows use the same inner loop as the position's rows, with the
+lower rows of the Jacobian J and the compliance C. A lever weights the direction's rows: it converts radians to metres.
+
+The observer treats the direction like a position: as the head of an arrow fixed to the tip. The arrow's length is
+chosen so that the tracker's noise at its head equals the noise of a position.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from core.compiled import compiled, copy
+from core.control.controllers import inner_law
+from core.control.estimation import Estimate, Estimator, estimate_fields
+from core.control.observer import observe
+from core.control.velocity_ik import SIGMA_FLOOR_M_S
+from core.errors import DescriptionError
+from core.model.solution import fields
+from core.robot.robot import Array
+
+#: Length of the arrow whose head represents the tip's direction [m]: an Aurora coil measures its position to 0.1 mm and
+#: its axis to 5 mrad, which is 0.1 mm at this length.
+ARROW_LENGTH_M = 0.02
+#: Default lever: weight of an error of the tip's direction compared with an error of its position [m/rad].
+DEFAULT_LEVER_M = 0.05
+
+#: Value of `SIGMA_FLOOR_M_S` for tasks with a direction [m/s]. A coil's axis is noisier than its position. With less
+#: damping the joints would oscillate at full speed to reach directions that are almost out of reach.
+DIRECTION_SIGMA_FLOOR_M_S = 2e-3
+
+#: Control tasks by name: whether the task controls the tip's position, and whether it controls its direction.
+TASKS = {"position": (True, False), "position_and_direction": (True, True), "direction": (False, True)}
+
+
+@dataclass(frozen=True)
+class TaskSelection:
+    """Weights of position and direction in the control task of the tip; a weight of 0 leaves a coordinate free."""
+
+    position: float = 1.0  #: weight of the position, no unit
+    lever: float = 0.0  #: weight of the direction [m/rad]
+
+    @property
+    def rows(self) -> int:
+        """Number of equations that the task gives for the joint velocities."""
+        return 3 * (self.position > 0.0) + 2 * (self.lever > 0.0)
+
+    @property
+    def floor(self) -> float:
+        """Smallest singular value of the task's Jacobian (a tip speed) below which its inverse is damped [m/s]."""
+        return DIRECTION_SIGMA_FLOOR_M_S if self.lever > 0.0 else SIGMA_FLOOR_M_S
+
+
+#: Control task of the tip's position alone; the direction is free.
+POSITION_ONLY = TaskSelection()
+
+
+def task_selection(task: str, lever: float = DEFAULT_LEVER_M) -> TaskSelection:
+    """Return the weights of the control task with this name.
+
+    Raises:
+        DescriptionError: no task has this name.
+
+    """
+    if task not in TASKS:
+        raise DescriptionError(f"task '{task}' is unknown; choose one of {', '.join(TASKS)}")
+    weight, direction = TASKS[task]
+    return TaskSelection(float(weight), lever if direction else 0.0)
+
+
+class DirectionEstimate(NamedTuple):
+    """Estimate of the tip's direction in one tick, world frame."""
+
+    measured: Array  #: (3,) latest direction from the tracker; the observed direction before the first measurement
+    origin: Array  #: (3,) direction at the start of the motion, which a setpoint without direction keeps
+    numbers: Array  #: (m,) packed direction and filter state, see `_DirectionFields`
+    measured_once: bool = False  #: whether the tracker has measured the direction at least once
+
+    @property
+    def observed(self) -> Array:
+        """(3,) best estimate of the tip's direction in this tick."""
+        return self.numbers[:3]
+
+    @property
+    def ahead(self) -> Array:
+        """(3,) predicted direction of the tip at the time when a command sent now takes effect."""
+        return self.numbers[3:6]
+
+    @property
+    def turnings(self) -> Array:
+        """(3, 3) angular velocities of the tip [rad/s].
+
+        The rows are the rotation C w' caused by the load, the rate of the deflection C w' + (J(q, w) - J(q, 0)) q', and
+        the drift that the model does not explain.
+        """
+        return self.numbers[6:15].reshape(3, 3)
+
+
+class _DirectionFields(NamedTuple):
+    """Named views of the packed array of a `DirectionEstimate`."""
+
+    now: Array  #: (5, 3) rows of `observed`, `ahead` and `turnings`
+    bias: Array  #: (3,) bias of the arrow's head, tracker minus model [m]
+    drift: Array  #: (3,) rate of this bias [m/s]
+    covariance: Array  #: (3,) covariance of bias and drift, as in `observer.ObserverState`
+    refused: Array  #: (3,) innovation (measured minus expected head) of the latest rejected tracker frame [m]
+    counts: Array  #: (2,) index of the newest arrow; number of frames rejected in a row
+    arrows: Array  #: (history, 3) heads of the model's arrow in the last ticks [m]
+
+
+@compiled
+def _direction_fields(numbers: Array) -> _DirectionFields:
+    return _DirectionFields(
+        numbers[:15].reshape(5, 3), numbers[15:18], numbers[18:21], numbers[21:24], numbers[24:27], numbers[27:29],
+        numbers[29:].reshape((numbers.shape[0] - 29) // 3, 3),
+    )  # fmt: skip
+
+
+def start_direction(
+    estimator: Estimator, model: Array, direction: Array, origin: Array | None = None
+) -> DirectionEstimate:
+    """Return the estimate of a tip at rest with `direction` (3,); `model` (3,) is the model's direction."""
+    first = estimator.observer.start(ARROW_LENGTH_M * model, ARROW_LENGTH_M * direction)
+    counts = np.array((first.newest, first.in_a_row), dtype=np.float64)
+    direction = direction.copy()
+    return DirectionEstimate(direction, direction if origin is None else origin, np.concatenate(
+        (direction, direction, np.zeros(9), first.bias, first.drift, first.covariance, first.refused, counts,
+         first.tips.ravel()),
+    ))  # fmt: skip
+
+
+def update_direction(
+    estimator: Estimator, last: DirectionEstimate, estimate: Estimate, force: Array, frame: Array | None, age: float
+) -> DirectionEstimate:
+    """Return the estimate of the tip's direction one tick later.
+
+    Args:
+        estimator: filters of the controller.
+        last: direction estimate of the previous tick.
+        estimate: estimate of this tick.
+        force: force (3,) for which this tick's loaded model was solved [N].
+        frame, age: direction of the tip (3,) in a new tracker frame, and that frame's age [s].
+
+    """
+    numbers, measurement = last.numbers.copy(), (last.origin, -1.0) if frame is None else (frame, age)
+    _update_direction(
+        estimator.settings,
+        estimate.loaded.numbers,
+        estimate.unloaded.numbers,
+        estimate.numbers,
+        force,
+        *measurement,
+        numbers,
+    )
+    return DirectionEstimate(
+        last.measured if frame is None else frame, last.origin, numbers, last.measured_once or frame is not None
+    )
+
+
+@compiled
+def _update_direction(
+    settings: Array, loaded: Array, unloaded: Array, estimate: Array, force: Array, frame: Array, age: float,
+    numbers: Array,
+) -> None:  # fmt: skip
+    """Compute `update_direction` in place: `numbers` enters with the values of the last tick."""
+    now, bias, drift, covariance, refused, counts, arrows = _direction_fields(numbers)
+    period, _, _, _, lead_time, noise, wander, gate = settings
+    with_load, free, known = fields(loaded), fields(unloaded), estimate_fields(estimate)
+    velocity, n = known.sent[-1], with_load.joints.shape[0]
+    axis, smooth, travel = np.empty(3), np.zeros(3), np.zeros(3)
+    for i in range(3):
+        axis[i] = with_load.rotation[i, 2]
+        by_load, extra = 0.0, 0.0
+        for j in range(3):
+            by_load += with_load.compliance[3 + i, j] * known.force_rate[j]
+            smooth[i] += with_load.compliance[3 + i, j] * (known.force_smooth[j] - force[j])
+        for j in range(n):
+            extra += (with_load.jacobian[3 + i, j] - free.jacobian[3 + i, j]) * velocity[j]
+            travel[i] += with_load.jacobian[3 + i, j] * known.ahead[j]
+        travel[i] += lead_time * by_load
+        now[2, i], now[3, i] = by_load, by_load + extra
+    model = ARROW_LENGTH_M * (axis + _cross(smooth, axis))
+    weight, _, in_a_row = observe(
+        bias, drift, covariance, arrows, refused, int(counts[0]), int(counts[1]),
+        model, ARROW_LENGTH_M * frame, age, period, noise, wander, gate,
+    )  # fmt: skip
+    observed = _unit(model + bias)
+    copy(observed, now[0])
+    copy(_unit(model + bias + lead_time * drift + ARROW_LENGTH_M * _cross(travel, axis)), now[1])
+    copy(_cross(observed, drift) / ARROW_LENGTH_M, now[4])
+    counts[0], counts[1] = weight, in_a_row
+
+
+#: Placeholder used when the tip's direction is not controlled.
+NO_DIRECTION_TASK = np.zeros((6, 3))
+
+
+def pack_direction_task(pointed: DirectionEstimate, desired: Array | None, turning: Array, observes: bool) -> Array:
+    """Return the direction task as an array (6, 3), the argument `packed` of `with_direction`.
+
+    Args:
+        pointed: direction estimate of this tick.
+        desired: desired direction (3,); None keeps the direction of the start.
+        turning: angular velocity (3,) of the desired direction [rad/s].
+        observes: True: use the direction predicted for the time when the command takes effect; False: the latest frame.
+
+    """
+    numbers = np.empty((6, 3))
+    numbers[0], numbers[1] = pointed.origin if desired is None else desired, turning
+    numbers[2] = pointed.ahead if observes else pointed.measured
+    numbers[3:] = pointed.turnings
+    return numbers
+
+
+@compiled
+def with_direction(
+    weight: float, lever: float, number: int, gain: float, feedforward: float, lead_time: float,
+    jacobian: Array, velocity: Array, loaded: Array, unloaded: Array, rotation: Array, packed: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return both sides of the task's equation: weighted rows of the position, then rows of the direction.
+
+    `packed` comes from `pack_direction_task`.
+    """
+    if lever == 0.0:
+        return jacobian, velocity
+    desired, turning, here = packed[0], packed[1], packed[2]
+    aimed = _unit(desired + lead_time * _cross(turning, desired))
+    turn = _shortest_rotation(here, aimed)
+    for i in range(3):
+        turn[i] = gain * turn[i] + feedforward * turning[i]
+    across, right = inner_law(number, turn, loaded[3:], unloaded[3:], packed[4], packed[3], packed[5])
+    n, first = jacobian.shape[1], 3 if weight > 0.0 else 0
+    rows, sides = np.zeros((first + 2, n)), np.zeros(first + 2)
+    for i in range(first):
+        sides[i] = weight * velocity[i]
+        for j in range(n):
+            rows[i, j] = weight * jacobian[i, j]
+    for k in range(2):
+        for i in range(3):
+            part = lever * rotation[i, k]
+            sides[first + k] += part * right[i]
+            for j in range(n):
+                rows[first + k, j] += part * across[i, j]
+    return rows, sides
+
+
+@compiled
+def _shortest_rotation(here: Array, there: Array) -> Array:
+    """Return the shortest rotation (3,) from one direction to the other, axis times angle [rad]."""
+    axis = _cross(here, there)
+    sin, cos = np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2), 0.0
+    for i in range(3):
+        cos += here[i] * there[i]
+    angle = np.arctan2(sin, cos)
+    return axis * (angle / sin) if sin > 1e-12 else np.zeros(3)
+
+
+def shortest_rotation(here: Array, there: Array) -> Array:
+    """Return the shortest rotation (3,) from one direction (3,) to the other, axis times angle [rad]."""
+    return _shortest_rotation(here, there)
+
+
+def task_rows(aim: TaskSelection, jacobian: Array, rotation: Array) -> Array:
+    """Return the control task's rows from the rows (6, n) of J or C; `rotation` (3, 3) is the tip's frame."""
+    parts = [aim.position * jacobian[:3]] * (aim.position > 0.0) + [aim.lever * rotation.T[:2] @ jacobian[3:]] * (
+        aim.lever > 0.0
+    )
+    return np.concatenate(parts)
+
+
+@compiled
+def _cross(a: Array, b: Array) -> Array:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@compiled
+def _unit(vector: Array) -> Array:
+    return vector / np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)

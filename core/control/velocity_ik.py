@@ -1,0 +1,331 @@
+"""Inverse velocity kinematics: joint velocities for a desired tip velocity, damped and inside every limit.
+
+    minimise  |J v - desired|^2 + damping^2 |v / speed|^2 (+ ridge (|(v - preferred) / speed|^2 + |resisted v|^2))
+    subject to  lower <= v <= upper,  rows v <= room
+
+v are the joint velocities. The Jacobian J has a row for each controlled coordinate of the tip. With more joints than
+rows, some joint motions do not move the tip (the null space). A ridge, a penalty far below all other terms, selects
+among them: velocities near `preferred` (zero by default) with small products with the rows of `resisted` (none by
+default), inside the same limits.
+
+Joint velocities are measured in fractions of their top speed, which makes radians and metres comparable. The singular
+values of J diag(speed) are the tip speeds [m/s] with the joints at full speed. Where the smallest singular value is
+below a floor, the damping of Nakamura and Hanafusa sets in and keeps the joint velocities finite. Zero velocity
+satisfies every limit. A primal active-set method starts there and reaches the exact minimum with a few small
+eliminations; its final working set contains the active limits.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from core.compiled import compiled
+from core.errors import NotFinite
+from core.robot.limits import Limits, velocity_bounds
+from core.robot.robot import Array
+
+#: Smallest singular value of the Jacobian (a tip speed) below which its inverse is always damped [m/s].
+SIGMA_FLOOR_M_S = 5e-4
+#: For a larger desired tip speed the damping sets in earlier, at a singular value of sqrt(this number * |desired|)
+#: [m/s]. Where the tubes line up, the solution reverses its direction. A joint would otherwise oscillate there at full
+#: speed, because commands arrive late.
+ADAPTIVE_DAMPING_M_S = 2e-4
+
+#: Empty bounds for a robot without limits of several joints together.
+NO_BOUNDS = np.zeros(0)
+
+
+class Inverse(NamedTuple):
+    """Joint velocities computed by the inverse, and the limits that are active."""
+
+    velocity: Array  #: (n,) joint velocities [rad/s or m/s]
+    sigma: Array  #: (min(m, n),) singular values of J diag(speed), largest first [m/s]
+    at_bound: Array  #: (n,) -1: joint velocity at its lower bound; 0: free; 1: at its upper bound
+    at_row: Array  #: (m,) 1 where a limit of several joints is active
+
+
+class NullSpace(NamedTuple):
+    """Objective that selects among the joint velocities that fulfil the task equally well."""
+
+    velocity: Array  #: (n,) desired joint velocity [rad/s or m/s]
+    resisted: Array  #: (k, n) rows whose products with the joint velocity are penalised [s/rad or s/m]
+
+
+def inverse(
+    jacobian: Array, desired: Array, speed: Array, lower: Array, upper: Array,
+    rows: Array | None = None, room: Array = NO_BOUNDS, preferred: Array | None = None, resisted: Array | None = None,
+) -> Inverse:  # fmt: skip
+    """Return the joint velocity that best gives the desired tip velocity inside the limits.
+
+    Args:
+        jacobian: rows of the task (m, n) [m/rad or m/m].
+        desired: desired tip velocity (m,) [m/s].
+        speed: top speeds of the joints (n,), used as units [rad/s or m/s].
+        lower, upper: bounds of the joint velocities (n,); zero is between them [rad/s or m/s].
+        rows, room: limits of several joints, rows (k, n) @ velocity <= room (k,); room is not negative.
+        preferred: joint velocity (n,) to prefer among equally good ones [rad/s or m/s]; zero by default.
+        resisted: rows (k, n) whose products with the joint velocity are penalised [s/rad or s/m]; none by default.
+
+    Raises:
+        NotFinite: the desired velocity or the Jacobian contains a NaN or an infinity.
+
+    """
+    n = speed.shape[0]
+    preferred = zero_velocity(n) if preferred is None else preferred
+    rows, resisted = (no_rows(n) if given is None else given for given in (rows, resisted))
+    velocity, sigma, at_bound, at_row, finite = inverse_law(
+        jacobian, desired, speed, lower, upper, rows, room, preferred, resisted, SIGMA_FLOOR_M_S, ADAPTIVE_DAMPING_M_S
+    )
+    if not finite:
+        _raise_not_finite(jacobian, desired)
+    return Inverse(velocity, sigma, at_bound, at_row)
+
+
+def inverse_at(
+    limits: Limits, joints: Array, jacobian: Array, desired: Array,
+    rows: Array | None = None, room: Array = NO_BOUNDS,
+) -> Inverse:  # fmt: skip
+    """Compute `inverse` with velocity bounds that let joints at `joints` (n,) [rad or m] stop inside their travel."""
+    n = joints.shape[0]
+    rows = no_rows(n) if rows is None else rows
+    velocity, sigma, at_bound, at_row, finite = _inverse_at(
+        limits.packed,
+        joints,
+        jacobian,
+        desired,
+        rows,
+        room,
+        zero_velocity(n),
+        no_rows(n),
+        SIGMA_FLOOR_M_S,
+        ADAPTIVE_DAMPING_M_S,
+    )
+    if not finite:
+        _raise_not_finite(jacobian, desired)
+    return Inverse(velocity, sigma, at_bound, at_row)
+
+
+def _raise_not_finite(jacobian: Array, desired: Array) -> None:
+    if not np.isfinite(desired).all():
+        raise NotFinite(f"desired tip velocity {desired.tolist()} m/s is not finite")
+    if not np.isfinite(jacobian).all():
+        raise NotFinite(f"Jacobian {jacobian.tolist()} is not finite")
+    raise NotFinite(f"tip velocity {desired.tolist()} m/s or Jacobian {jacobian.tolist()} is too large to compute with")
+
+
+@compiled
+def _inverse_at(
+    limits: Array, joints: Array, jacobian: Array, desired: Array, rows: Array, room: Array,
+    preferred: Array, resisted: Array, min_floor: float, adaptive: float,
+) -> tuple[Array, Array, Array, Array, bool]:  # fmt: skip
+    speed = limits[2, : joints.shape[0]]
+    lower, upper = velocity_bounds(joints, limits)
+    return inverse_law(jacobian, desired, speed, lower, upper, rows, room, preferred, resisted, min_floor, adaptive)
+
+
+@cache
+def no_rows(joints: int) -> Array:
+    """Return an empty matrix (0, n) for a robot without limits of several joints together."""
+    return np.empty((0, joints))
+
+
+@cache
+def zero_velocity(joints: int) -> Array:
+    """Return the default preferred joint velocity: zero."""
+    return np.zeros(joints)
+
+
+@compiled
+def inverse_law(
+    jacobian: Array,
+    desired: Array,
+    speed: Array,
+    lower: Array,
+    upper: Array,
+    rows: Array,
+    room: Array,
+    preferred: Array,
+    resisted: Array,
+    min_floor: float,
+    adaptive: float,
+) -> tuple[Array, Array, Array, Array, bool]:
+    """Compute `inverse` in compiled code; the unknowns are x = v / speed.
+
+    Limits are numbered: c < n is the upper bound of joint c, c < 2 n the lower bound of joint c - n, else row c - 2 n.
+    """
+    n, m, size = speed.shape[0], rows.shape[0], desired.shape[0]
+    scaled, total, square = np.empty((size, n)), 0.0, 0.0
+    for i in range(size):
+        square += desired[i] * desired[i]
+        for j in range(n):
+            scaled[i, j] = jacobian[i, j] * speed[j]
+            total += scaled[i, j] * scaled[i, j]
+    sigma = _singular_values(scaled)
+    velocity, at_bound, at_row = np.zeros(n), np.zeros(n), np.zeros(m)
+    for i in range(n):
+        total += preferred[i] * preferred[i]
+    # The squares of these numbers must not overflow either: comparisons with the resulting NaN would allow full speed.
+    if not np.isfinite(total + square):
+        return velocity, sigma, at_bound, at_row, False
+    requested = np.sqrt(square)
+    floor = max(min_floor, np.sqrt(adaptive * requested))
+    ratio = sigma[-1] / floor
+    damping = floor * floor * (1.0 - ratio * ratio) if ratio < 1.0 else 0.0
+    # With more joints than rows, a ridge far below the damping selects the solution near `preferred`.
+    ridge = 1e-10 * sigma[0] * sigma[0] if n > size else 0.0
+    damping += ridge
+    normal, right = np.zeros((n, n)), np.zeros(n)
+    for i in range(n):
+        right[i] = ridge * preferred[i] / speed[i]
+        for k in range(size):
+            right[i] += scaled[k, i] * desired[k]
+            for j in range(n):
+                normal[i, j] += scaled[k, i] * scaled[k, j]
+        normal[i, i] += damping
+    for k in range(resisted.shape[0]):
+        for i in range(n):
+            for j in range(n):
+                normal[i, j] += ridge * resisted[k, i] * speed[i] * resisted[k, j] * speed[j]
+    x, row = np.zeros(n), np.empty(n)
+    working, count = np.empty(n, np.int64), 0
+    system, step = np.empty((2 * n, 2 * n)), np.empty(2 * n)
+    for _ in range(20 * (n + m)):
+        # Solve for the minimum with the limits of the working set as equations: step (n) and multipliers (count).
+        for i in range(n):
+            step[i] = right[i]
+            for j in range(n):
+                system[i, j] = normal[i, j]
+                step[i] -= normal[i, j] * x[j]
+        for k in range(count):
+            _limit(working[k], n, speed, rows, row)
+            step[n + k] = 0.0
+            for j in range(n):
+                system[n + k, j] = system[j, n + k] = row[j]
+            for l in range(count):  # noqa: E741 - pairs with k
+                system[n + k, n + l] = 0.0
+        if not _eliminate(system, step, n + count):
+            break
+        # Move along the step as far as the other limits allow.
+        part, block = 1.0, -1
+        for c in range(2 * n + m):
+            kept = False
+            for k in range(count):
+                kept = kept or working[k] == c
+            if kept:
+                continue
+            _limit(c, n, speed, rows, row)
+            along, left = 0.0, 0.0
+            if c < n:
+                left = upper[c] / speed[c]
+            elif c < 2 * n:
+                left = -lower[c - n] / speed[c - n]
+            else:
+                left = room[c - 2 * n]
+            for j in range(n):
+                along += row[j] * step[j]
+                left -= row[j] * x[j]
+            if along > 1e-12 and left < part * along:
+                part, block = max(left, 0.0) / along, c
+        for j in range(n):
+            x[j] += part * step[j]
+        if block >= 0:
+            working[count] = block
+            count += 1
+            continue
+        # Remove the limit with the most negative multiplier from the working set.
+        worst, drop = -1e-14, -1
+        for k in range(count):
+            if step[n + k] < worst:
+                worst, drop = step[n + k], k
+        if drop < 0:
+            break
+        count -= 1
+        working[drop] = working[count]
+    for k in range(count):
+        c = working[k]
+        if c < n:
+            at_bound[c] = 1.0
+        elif c < 2 * n:
+            at_bound[c - n] = -1.0
+        else:
+            at_row[c - 2 * n] = 1.0
+    for i in range(n):
+        total += x[i]
+        velocity[i] = min(max(x[i] * speed[i], lower[i]), upper[i])
+    return velocity, sigma, at_bound, at_row, bool(np.isfinite(total))
+
+
+@compiled
+def _limit(c: int, n: int, speed: Array, rows: Array, row: Array) -> None:
+    """Write the coefficients of limit number c for the unknowns x to `row`."""
+    for j in range(n):
+        row[j] = rows[c - 2 * n, j] * speed[j] if c >= 2 * n else 1.0 if j == c else -1.0 if j == c - n else 0.0
+
+
+@compiled
+def _eliminate(matrix: Array, right: Array, size: int) -> bool:
+    """Solve a linear system by Gaussian elimination with row pivoting; `right` becomes the solution.
+
+    Only the first `size` rows are used. Return False if the matrix is singular.
+    """
+    for k in range(size):
+        pivot = k
+        for i in range(k + 1, size):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        if not abs(matrix[pivot, k]) > 1e-300:
+            return False
+        if pivot != k:
+            for j in range(k, size):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+            right[k], right[pivot] = right[pivot], right[k]
+        for i in range(k + 1, size):
+            factor = matrix[i, k] / matrix[k, k]
+            for j in range(k + 1, size):
+                matrix[i, j] -= factor * matrix[k, j]
+            right[i] -= factor * right[k]
+    for k in range(size - 1, -1, -1):
+        for j in range(k + 1, size):
+            right[k] -= matrix[k, j] * right[j]
+        right[k] /= matrix[k, k]
+    return True
+
+
+@compiled
+def _singular_values(matrix: Array) -> Array:
+    """Return the singular values of a matrix (m, n), largest first, by one-sided Jacobi rotations of its rows."""
+    m, n = matrix.shape
+    rows = matrix.copy()
+    for _ in range(12):
+        turned = 0.0
+        for p in range(m - 1):
+            for q in range(p + 1, m):
+                a, b, c = 0.0, 0.0, 0.0
+                for j in range(n):
+                    a += rows[p, j] * rows[p, j]
+                    b += rows[q, j] * rows[q, j]
+                    c += rows[p, j] * rows[q, j]
+                if abs(c) > 1e-15 * np.sqrt(a * b):
+                    turned = 1.0
+                    zeta = 0.5 * (b - a) / c
+                    t = 1.0 / (abs(zeta) + np.sqrt(1.0 + zeta * zeta))
+                    t = t if zeta >= 0.0 else -t
+                    cos = 1.0 / np.sqrt(1.0 + t * t)
+                    for j in range(n):
+                        up, down = rows[p, j], rows[q, j]
+                        rows[p, j] = cos * (up - t * down)
+                        rows[q, j] = cos * (t * up + down)
+        if turned == 0.0:
+            break
+    sigma = np.empty(m)
+    for i in range(m):
+        square = 0.0
+        for j in range(n):
+            square += rows[i, j] * rows[i, j]
+        sigma[i] = np.sqrt(square)
+    for i in range(m - 1):  # a few numbers: a library's sort takes a second to compile
+        for k in range(m - 1 - i):
+            if sigma[k] < sigma[k + 1]:
+                sigma[k], sigma[k + 1] = sigma[k + 1], sigma[k]
+    return sigma[: min(m, n)].copy()

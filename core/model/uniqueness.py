@@ -1,0 +1,143 @@
+"""Test whether a robot has exactly one shape at given translations, for all rotations and directions of the force.
+
+If so, Newton may start anywhere: its solution is the shape that the robot reaches from rest, and it is stable. The
+variables are those of `relaxation`: the curvature k of the common curve and the rotations theta_i, without constraints
+between them. The second variation of the elastic energy is
+
+    int B |dk|^2 - 2 dk . v + sum EI_i psi_i^2 k . w_i + sum GJ_i psi_i'^2 ds + sum GJ_i psi_i(0)^2 / -beta_i - F . d2r
+
+with w_i the precurvature of tube i, w_i' its rate by theta_i, v = sum EI_i psi_i w_i' and B = sum EI_i. At any
+equilibrium B k = sum EI_i w_i + M, |M| <= |F| (L - s), and |d2r| <= int y^2 with y' = |dk|. So it is at least
+
+    int (B y' - V)^2 / B - |F| y^2 + sum GJ_i p_i'^2 - sum_{i<j} EI_i EI_j / B |w_i| |w_j| (p_i + p_j)^2
+        - sum EI_i |w_i| |F| (L - s) / B p_i^2 ds + sum GJ_i p_i(0)^2 / -beta_i,
+    p_i = |psi_i|, V = sum EI_i |w_i| p_i,
+
+which does not depend on the shape. Where this form is positive, every equilibrium is a strict minimum of the energy.
+Between two minima there would be a saddle, so there is only one. For two tubes without load this is the condition that
+a design does not snap (`robot.stability`); for a single straight tube it is Euler's load.
+"""
+
+import numpy as np
+
+from core.compiled import compiled
+from core.robot.robot import FLUSH_TOLERANCE_M, Array, Layout
+
+#: Largest length of an element of the discretised energy [m], and the same as a fraction of the robot's length.
+MAX_ELEMENT_M, MAX_ELEMENT_SHARE = 0.025, 0.1
+#: Factor on the negative terms of the energy's second variation, a reserve for the errors of elements and sub-links.
+SAFETY_FACTOR = 1.1
+#: Stiffness that represents a clamped end, divided by the stiffness of the clamped tubes [1/m].
+CLAMP_STIFFNESS = 1e9
+
+
+@compiled
+def is_unique(layout: Layout, beta: Array, force: float, tubes: tuple[float, ...]) -> bool:
+    """Return whether a proof exists that the robot has exactly one shape, and that it is stable.
+
+    Args:
+        layout: the robot.
+        beta: proximal ends of the tubes (q,) [m].
+        force: largest size of the tip force, in any direction [N].
+        tubes: a tuple of length q, see `propagation.propagate`.
+
+    Returns:
+        False if the test cannot prove it.
+
+    """
+    q = len(tubes)
+    size = q + 1  # unknowns at a cross-section: y, and p of each tube
+    carried, form = np.zeros((size, size)), np.zeros((2 * size, 2 * size))
+    section = np.zeros(q, np.int64)
+    bend, pull = np.empty(q), np.empty(q)
+    length = beta[0] + layout.ends[0, layout.counts[0] - 1]
+    carried[0, 0] = CLAMP_STIFFNESS * layout.stiffness[0, 0]
+    for i in range(q):
+        twist = layout.stiffness[i, 0] / layout.stiffness[i, 1]
+        carried[1 + i, 1 + i] = twist * min(CLAMP_STIFFNESS, 1.0 / max(-beta[i], 1.0 / CLAMP_STIFFNESS))
+        while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
+            section[i] += 1
+    start = 0.0
+    while True:
+        end, end_tube, total = np.inf, -1, 0.0
+        for i in range(q):
+            bend[i], pull[i] = 0.0, 0.0
+            if section[i] < layout.counts[i]:
+                section_end = beta[i] + layout.ends[i, section[i]]
+                if section_end < end + FLUSH_TOLERANCE_M:
+                    end, end_tube = section_end, i
+                bend[i] = layout.stiffness[i, 0]
+                x, y = layout.curvatures[i, section[i], 0], layout.curvatures[i, section[i], 1]
+                pull[i] = bend[i] * np.sqrt(x * x + y * y)
+                total += bend[i]
+        if end_tube < 0:
+            form[:] = 0.0
+            return _is_positive(carried, form, size)
+        section[end_tube] += 1
+        if end - start <= FLUSH_TOLERANCE_M:
+            continue
+        count = int(np.ceil((end - start) / min(MAX_ELEMENT_M, MAX_ELEMENT_SHARE * length)))
+        h = (end - start) / count
+        for number in range(count):
+            arm = length - start - (number + 0.5) * h
+            _element(form, h, total, bend, pull, layout.stiffness[:, 1], force, arm, size)
+            if not _is_positive(carried, form, size):
+                return False
+        start = end
+
+
+@compiled
+def _element(
+    form: Array, h: float, total: float, bend: Array, pull: Array, ratio: Array, force: float, arm: float, size: int
+) -> None:
+    """Fill the form of one element in the unknowns at its two ends (2 (q + 1), square)."""
+    form[:] = 0.0
+    # y', y and p in the middle, by the values at both ends.
+    even, odd = 0.25 * h, 1.0 / h
+    _put(form, 0, 0, size, -SAFETY_FACTOR * force * even, total * odd)
+    for i in range(size - 1):
+        if bend[i] == 0.0:
+            form[size + 1 + i, size + 1 + i] = total  # an absent tube adds nothing
+            continue
+        level = pull[i] * pull[i] / total - SAFETY_FACTOR * pull[i] * force * arm / total
+        for j in range(size - 1):
+            if j != i:
+                level -= SAFETY_FACTOR * pull[i] * pull[j] / total
+                across = (1.0 - SAFETY_FACTOR) * pull[i] * pull[j] / total
+                _put(form, 1 + i, 1 + j, size, even * across, 0.0)
+        _put(form, 1 + i, 1 + i, size, even * level, bend[i] / ratio[i] * odd)
+        half = 0.5 * pull[i]
+        for side in range(2):
+            sign = -half if side == 1 else half
+            for other in range(2):
+                form[side * size, other * size + 1 + i] += sign
+                form[other * size + 1 + i, side * size] += sign
+
+
+@compiled
+def _put(form: Array, i: int, j: int, size: int, even: float, odd: float) -> None:
+    """Add (value i) (value j) with weight 4 `even`, and the product of the differences with weight `odd`."""
+    form[i, j] += even + odd
+    form[i, size + j] += even - odd
+    form[size + i, j] += even - odd
+    form[size + i, size + j] += even + odd
+
+
+@compiled
+def _is_positive(carried: Array, form: Array, size: int) -> bool:
+    """Eliminate the near end of an element; return whether the form is positive. `carried` moves to the far end."""
+    for i in range(size):
+        for j in range(size):
+            form[i, j] += carried[i, j]
+    for k in range(size):
+        if not form[k, k] > 0.0:
+            return False
+        inverse = 1.0 / form[k, k]
+        for i in range(k + 1, 2 * size):
+            factor = form[i, k] * inverse
+            for j in range(k + 1, 2 * size):
+                form[i, j] -= factor * form[k, j]
+    for i in range(size):
+        for j in range(size):
+            carried[i, j] = form[size + i, size + j]
+    return True
