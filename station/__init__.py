@@ -1,1 +1,1 @@
-"""Devices, loop, lab, recordings and commands of ctr-station."""
+"""Devices, control loop, virtual lab, recordings and commands of ctr-station."""

@@ -1,10 +1,10 @@
-"""The station from a script: the REST interface in Python.
+"""Python client of a running station's REST interface.
 
 ```python
 from station.client import Station
 
 with Station() as station:
-    station.home()  # you have seen that the way is clear; then it goes to the robot's working pose
+    station.home()  # you have checked that the path is clear; then it goes to the robot's working pose
     run = station.start(trajectory={"kind": "circle", "radius": 0.01, "period": 20.0}, duration=20.0)
     station.wait(run)
     station.download(run, "circle.mcap")
@@ -27,34 +27,41 @@ from station.errors import StationError
 if TYPE_CHECKING:
     from station.setpoints import Setpoints
 
-#: Of REST as this client speaks it, and as `GET /api/status` tells it; stations of version 0.1.0 do not, and speak 1.
-FORMAT = 1
-#: Between two looks at the status while waiting [s]; each of them also keeps the lease.
-LOOK = 0.2
-#: An answer takes no longer [s], but for what moves something home or renders a report.
-PATIENCE = 70.0
+#: Format of REST that this client uses, as in `format` of `GET /api/status`. Stations of version 0.1.0 send no `format`
+#: and use format 1. Format 2 renamed fields of the status (`message`, `action`, `contact`) and three paths.
+FORMAT = 2
+#: Interval between two status requests while waiting [s]. Each request also renews the operator's lease.
+POLL_INTERVAL_S = 0.2
+#: Timeout of a request [s]. Homing and the rendering of a report may take longer.
+REQUEST_TIMEOUT_S = 70.0
 
 
-class Refused(StationError):
-    """The station refuses: the state, another operator or a value does not allow it."""
+class StationRefused(StationError):
+    """The station refuses a request because of its state, another operator or a value."""
 
 
 class RunFailed(StationError):
-    """A run that did not come to its end."""
+    """A run has ended in STOPPED, HOLD or FAULT instead of completing its motion."""
 
 
 class Station:
-    """A running station."""
+    """Connection of a script to a running station over its REST interface."""
 
     def __init__(self, url: str = "http://127.0.0.1:8000", token: str | None = None, name: str = "script") -> None:
-        """`token` is demanded beyond loopback; `name` is shown while the script is operator."""
+        """Connect on the first request.
+
+        Args:
+            url: address of the station.
+            token: access token; required unless the station is on this computer.
+            name: shown to other clients while this script is the operator.
+        """
         self._client = secrets.token_hex(16)
         headers = {"x-ctr-client": self._client, "x-ctr-name": quote(name)}
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
         self._headers = headers
-        self._http = httpx.Client(base_url=url, headers=headers, timeout=PATIENCE)
-        self._understood = False
+        self._http = httpx.Client(base_url=url, headers=headers, timeout=REQUEST_TIMEOUT_S)
+        self._format_checked = False
 
     def __enter__(self) -> Self:
         return self
@@ -65,25 +72,25 @@ class Station:
         self.close()
 
     def close(self) -> None:
-        """Give the lease back and hang up; what moves goes on moving."""
+        """Release the operator's lease and close the connection; a run continues."""
         try:
             self._http.delete("/api/operator", timeout=2.0)
         except httpx.HTTPError:
-            return  # the station has gone: so has its lease
+            return  # the station has ended, so its lease has ended too
         finally:
             self._http.close()
 
     def status(self) -> dict[str, Any]:
-        """Everything at one look: state, run, devices, joints [rad or m], tips [m], force [N]; None for what is old."""
-        return self._ask("GET", "/api/status")
+        """Return the status: state, run, devices, joints [rad or m], tips [m], force [N]; stale values are None."""
+        return self._request("GET", "/api/status")
 
     def become_operator(self, *, take_over: bool = False) -> None:
-        """Take the lease; not needed as long as nobody else has it.
+        """Become the operator; not needed while no other client is the operator.
 
         Raises:
-            Refused: somebody else is operator.
+            StationRefused: another client is the operator.
         """
-        self._ask("POST", "/api/operator", {"take_over": take_over})
+        self._request("POST", "/api/operator", {"take_over": take_over})
 
     def start(
         self,
@@ -95,110 +102,112 @@ class Station:
         load: Mapping[str, Any] | None = None,
         duration: float | None = None,
     ) -> str:
-        """Start an experiment by name, or a motion from where the robot is; the run's id.
+        """Start an experiment by name, or a motion from the present pose; return the run's id.
 
         Raises:
-            Refused: the state, another operator or a value does not allow it.
+            StationRefused: the state, another operator or a value does not allow it.
         """
-        wish = {
+        request = {
             "experiment": experiment, "case": case, "trajectory": trajectory, "controller": controller,
             "load": load, "duration": duration,
         }  # fmt: skip
-        return self._ask("POST", "/api/start", {key: value for key, value in wish.items() if value is not None})[
-            "run_id"
-        ]
+        given = {key: value for key, value in request.items() if value is not None}
+        return self._request("POST", "/api/start", given)["run_id"]
 
     def stop(self) -> str:
-        """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
-        return self._send("POST", "/api/stop", {})["note"]  # at once, whatever the station's format
+        """Stop every axis; always accepted. Return a warning for the operator; empty when every axis has stopped."""
+        return self._send("POST", "/api/stop", {})[
+            "note"
+        ]  # send it without the check of the format, which must not delay or prevent a STOP
 
     def reset(self) -> None:
-        """Go on after a stop, hold or fault that somebody has looked at."""
-        self._ask("POST", "/api/reset", {})
+        """Reset the station after a person has checked the cause of a STOP, HOLD or FAULT."""
+        self._request("POST", "/api/reset", {})
 
     def home(self, timeout: float = 300.0, *, then_working_pose: bool = True) -> None:
-        """Home every stage, go to the robot's working pose, if it has one, and wait until the station is READY.
+        """Home every stage, go to the working pose if the robot has one, and wait until the station is READY.
 
-        Whoever calls this has seen that the way is clear. From the working pose motions have room.
+        The caller confirms that the path is clear. At the working pose motions have room.
 
         Raises:
-            Refused: neither CONNECTED nor READY.
-            StationError: not READY in time, or stopped.
+            StationRefused: the state is neither CONNECTED nor READY.
+            StationError: the station is not READY in time, or was stopped.
         """
-        self._ask("POST", "/api/home", {"way_is_clear": True, "then_working_pose": then_working_pose})
+        self._request("POST", "/api/home", {"way_is_clear": True, "then_working_pose": then_working_pose})
         deadline = time.monotonic() + timeout
         while (status := self.status())["state"] in ("HOMING", "HOMED", "RUNNING"):
             if time.monotonic() > deadline:
-                raise StationError(f"not READY within {timeout:g} s, but {status['state']}: {status['says']}")
-            time.sleep(LOOK)
+                raise StationError(f"not READY within {timeout:g} s, but {status['state']}: {status['message']}")
+            time.sleep(POLL_INTERVAL_S)
         if status["state"] != "READY":
-            raise StationError(f"homing ended with {status['state']}: {status['cause'] or status['says']}")
+            raise StationError(f"homing ended with {status['state']}: {status['cause'] or status['message']}")
 
     def goto(self, joints: Mapping[str, float] | None = None, timeout: float = 300.0) -> None:
-        """Go to joints [rad or m] by name, all at the same time, and wait until they are there; None: the working pose.
+        """Move joints, given by name, to positions [rad or m] and wait for the end; None: move to the working pose.
 
-        Joints that are not named stay where they are.
+        All joints move at the same time. Joints that are not named keep their position.
 
         Raises:
-            Refused: not READY, or a pose that cannot be or is too near to a snap.
-            RunFailed: stopped or held on the way.
-            StationError: not there in time.
+            StationRefused: the state is not READY, or the pose is impossible or too near to a snap.
+            RunFailed: the motion ended in STOPPED, HOLD or FAULT.
+            StationError: the motion did not end in time.
         """
-        self.wait(self._ask("POST", "/api/goto", {} if joints is None else {"joints": joints})["run_id"], timeout)
+        body = {} if joints is None else {"joints": joints}
+        self.wait(self._request("POST", "/api/goto", body)["run_id"], timeout)
 
     def tare(self) -> None:
-        """Zero the force sensors."""
-        self._ask("POST", "/api/tare", {})
+        """Tare the force sensors."""
+        self._request("POST", "/api/tare", {})
 
     def jog(self, space: str, velocity: tuple[float, ...]) -> None:
-        """Move for the next 0.3 s: `joints` [rad/s or m/s], the `tip` [m/s], or its `direction` [rad/s]."""
-        self._ask("POST", "/api/jog", {"space": space, "velocity": velocity})
+        """Jog for the next 0.3 s: `joints` [rad/s or m/s], the `tip` [m/s], or its `direction` [rad/s]."""
+        self._request("POST", "/api/jog", {"space": space, "velocity": velocity})
 
     def wait(self, run: str, timeout: float | None = None) -> dict[str, Any]:
-        """Wait until a run has ended and its recording is finished; the status then.
+        """Wait until a run has ended and its recording is finished; return the status.
 
         Raises:
-            RunFailed: it was stopped, held or ended by a fault; the text says why.
-            StationError: not in time.
+            RunFailed: the run ended in STOPPED, HOLD or FAULT; the text has the cause.
+            StationError: the run did not end in time.
         """
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             status = self.status()
-            on = status["run"]
-            if on is None or on["id"] != run:
+            latest = status["run"]
+            if latest is None or latest["id"] != run:
                 raise RunFailed(f"run {run} is not the station's last one")
-            if status["state"] != "RUNNING" and not on["recording"]:
+            if status["state"] != "RUNNING" and not latest["recording"]:
                 if status["state"] != "READY":
                     raise RunFailed(f"run {run} ended with {status['state']}: {status['cause']}")
                 return status
             if deadline is not None and time.monotonic() > deadline:
-                raise StationError(f"run {run} goes on after {timeout:g} s")
-            time.sleep(LOOK)
+                raise StationError(f"run {run} has not ended within {timeout:g} s")
+            time.sleep(POLL_INTERVAL_S)
 
     def wait_for(self, state: str, timeout: float) -> dict[str, Any]:
-        """Wait for a state; the status then.
+        """Wait for a state; return the status.
 
         Raises:
-            StationError: not in time, or a fault.
+            StationError: the state was not reached in time, or the station is in FAULT.
         """
         deadline = time.monotonic() + timeout
         while (status := self.status())["state"] != state:
             if status["state"] == "FAULT":
                 raise StationError(f"FAULT: {status['cause']}")
             if time.monotonic() > deadline:
-                raise StationError(f"not {state} within {timeout:g} s, but {status['state']}: {status['says']}")
-            time.sleep(LOOK)
+                raise StationError(f"not {state} within {timeout:g} s, but {status['state']}: {status['message']}")
+            time.sleep(POLL_INTERVAL_S)
         return status
 
     def runs(self) -> list[dict[str, Any]]:
-        """What was recorded, the newest first."""
-        return self._ask("GET", "/api/runs")
+        """Return the recorded runs, the newest first."""
+        return self._request("GET", "/api/runs")
 
     def download(self, run: str, file: str | Path, case: str = "") -> Path:
-        """Write the recording of a run (MCAP) to a file; its path.
+        """Write the recording of a run (MCAP) to a file; return its path.
 
         Raises:
-            Refused: no such run.
+            StationRefused: there is no such run.
             StationError: the file cannot be written.
         """
         path = Path(file)
@@ -207,7 +216,7 @@ class Station:
             with self._http.stream("GET", f"/api/runs/{quote(run, safe='')}/recording", params=query) as answer:
                 if answer.is_error:
                     answer.read()
-                    raise Refused(_reason(answer))
+                    raise StationRefused(_reason(answer))
                 with path.open("wb") as out:
                     for part in answer.iter_bytes():
                         out.write(part)
@@ -218,18 +227,18 @@ class Station:
         return path
 
     def telemetry(self, rate: float = 30.0) -> Iterator[dict[str, Any]]:
-        """Samples as they come, `rate` a second at most.
+        """Yield telemetry samples as they arrive, `rate` a second at most.
 
-        What nobody renews at present, as while stages are homed or a device is silent, is None.
-        Each says how many ticks of the loop were `skipped` since the one before it, and how many the loop `missed`.
+        Stale values are None, for example while stages are being homed or a device is silent. `skipped` is the number
+        of ticks since the previous sample, `missed` the number of ticks that the loop missed.
 
         Raises:
-            StationError: the station has gone.
+            StationError: the station has ended.
         """
-        from websockets.exceptions import ConnectionClosed, WebSocketException  # here: most scripts need httpx only
+        from websockets.exceptions import ConnectionClosed, WebSocketException  # local: most scripts need only httpx
         from websockets.sync.client import connect
 
-        self._understand()
+        self._check_format()
         url = str(self._http.base_url.join("/api/telemetry")).replace("http", "ws", 1)
         try:
             with connect(f"{url}?rate={rate:g}", additional_headers=self._headers, proxy=None) as socket:
@@ -238,45 +247,45 @@ class Station:
         except (OSError, WebSocketException, ConnectionClosed) as error:
             raise StationError(f"{url}: {error}") from None
 
-    def setpoints(self, **asked: Any) -> "Setpoints":
-        """Lead the tip: `with station.setpoints() as tip: tip.go(0.001, 0.0, 0.0)`.
+    def setpoints(self, **options: Any) -> "Setpoints":
+        """Stream setpoints of the tip: `with station.setpoints() as tip: tip.go(0.001, 0.0, 0.0)`.
 
-        A run begins; when the block ends the tip comes to rest and the run ends. The last place wins. Silence of
-        0.2 s lets the tip come to rest, 2 s end the run.
+        The block starts a run. At the end of the block the tip comes to rest and the run ends. The tip moves to the
+        position that was sent last. Without a message for 0.2 s the tip comes to rest, and after 2 s the run ends.
 
         Args:
-            asked: `frame` ("start": places are told from the tip at the start, or "world"), `speed` [m/s],
-                `acceleration` [m/s^2] and `reach` [m] that the tip keeps to, `turning` [rad/s] that its direction
-                does, `silence`, `end`, `duration` [s], `controller`; a direction may be told where its `task` is
-                "position_and_direction".
+            options: `frame` ("start": positions are relative to the tip at the start; or "world"); bounds of the
+                setpoint: `speed` [m/s], `acceleration` [m/s^2], `reach` [m], and `turning` [rad/s] of its direction;
+                `silence`, `end`, `duration` [s]; `controller`. A direction may be sent where the `task` of the
+                controller is "position_and_direction".
 
         Raises:
-            StationError: on entering: the state, another operator or a value does not allow it.
+            StationError: on entering the block: the state, another operator or a value does not allow it.
         """
         from station.setpoints import Setpoints
 
-        self._understand()
+        self._check_format()
         url = str(self._http.base_url.join("/api/setpoints")).replace("http", "ws", 1)
-        return Setpoints(url, self._headers, asked)
+        return Setpoints(url, self._headers, options)
 
-    def _understand(self) -> None:
-        """Before the first word: see that the station speaks the same REST.
+    def _check_format(self) -> None:
+        """Check once, before the first request, that the station's REST format is supported.
 
         Raises:
-            StationError: it speaks a later one, or does not answer.
+            StationError: the station has a later format, or does not answer.
         """
-        if self._understood:
+        if self._format_checked:
             return
-        told = self._send("GET", "/api/status").get("format", 1)
-        if told > FORMAT:
+        reported = self._send("GET", "/api/status").get("format", 1)
+        if reported > FORMAT:
             raise StationError(
-                f"{self._http.base_url}: the station's REST has format {told}, later than {FORMAT}, the latest that"
-                " this client speaks: update ctr-station here"
+                f"{self._http.base_url}: the station's REST has format {reported}, but this client supports at most"
+                f" format {FORMAT}: update ctr-station on this computer"
             )
-        self._understood = True
+        self._format_checked = True
 
-    def _ask(self, method: str, path: str, body: Any = None) -> Any:
-        self._understand()
+    def _request(self, method: str, path: str, body: Any = None) -> Any:
+        self._check_format()
         return self._send(method, path, body)
 
     def _send(self, method: str, path: str, body: Any = None) -> Any:
@@ -285,7 +294,7 @@ class Station:
         except httpx.HTTPError as error:
             raise StationError(f"{self._http.base_url}: the station does not answer ({error})") from None
         if answer.is_error:
-            raise Refused(_reason(answer))
+            raise StationRefused(_reason(answer))
         return answer.json()
 
 

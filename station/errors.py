@@ -1,7 +1,7 @@
-"""What goes wrong between a script and a station."""
+"""Error of the client of a station."""
 
 from core.errors import CtrError
 
 
 class StationError(CtrError):
-    """The station does not answer, or answers with something else than it should."""
+    """The station does not answer, refuses a request, or sends an unexpected response."""

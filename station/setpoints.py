@@ -1,4 +1,4 @@
-"""Leading the tip from a script, message by message; see `Station.setpoints`."""
+"""Client that streams setpoints of the tip to a station over a WebSocket; see `Station.setpoints`."""
 
 import contextlib
 import json
@@ -15,98 +15,100 @@ from station.errors import StationError
 
 
 class Setpoints:
-    """Somebody who leads the tip, from the moment that it may be led until the block's end."""
+    """Stream of setpoints: entering the block starts a run, and leaving it ends the run."""
 
-    def __init__(self, url: str, headers: dict[str, str], asked: dict[str, Any]) -> None:
-        self._url, self._headers, self._asked = url, headers, asked
+    def __init__(self, url: str, headers: dict[str, str], options: dict[str, Any]) -> None:
+        self._url, self._headers, self._options = url, headers, options
         self._socket: ClientConnection | None = None
-        self._begun = 0.0
-        self.run = ""  #: its id
+        self._start_time = 0.0
+        self.run = ""  #: id of the run
         self.start: tuple[float, float, float] = (
             math.nan,
             math.nan,
             math.nan,
-        )  #: the tip at the start, in the world [m]
-        self.direction: tuple[float, float, float] | None = None  #: then, in the world; None: it is not controlled
-        self.newest: dict[str, Any] = {}  #: the last answer
+        )  #: tip at the start of the run, in the world frame [m]
+        #: direction of the tip at the start of the run, in the world frame; None: the direction is not controlled
+        self.direction: tuple[float, float, float] | None = None
+        self.newest: dict[str, Any] = {}  #: latest answer of the station; see `go`
 
     def __enter__(self) -> Self:
         try:
             self._socket = connect(self._url, additional_headers=self._headers, proxy=None)
         except (OSError, WebSocketException) as error:
             raise StationError(f"{self._url}: {error}") from None
-        self.run = self._say(self._asked)["run_id"]
-        begun = self._hear()
-        x, y, z = begun["tip"]
-        self.start, self._begun = (x, y, z), time.monotonic()
-        if "direction" in begun:
-            x, y, z = begun["direction"]
+        self.run = self._exchange(self._options)["run_id"]
+        started = self._receive()
+        x, y, z = started["tip"]
+        self.start, self._start_time = (x, y, z), time.monotonic()
+        if "direction" in started:
+            x, y, z = started["direction"]
             self.direction = (x, y, z)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Let the tip come to rest, and wait until it has."""
+        """End the stream and wait until the tip has come to rest."""
         if self._socket is None:
             return
         try:
             self._socket.send(json.dumps({"end": True}))
             for _ in self._socket:
-                pass  # what is left of the answers, and how it ended
+                pass  # the remaining answers, and the end of the run
         except (OSError, WebSocketException, ConnectionClosed):
-            return  # the run has ended before
+            return  # the run had already ended
         finally:
             self._socket.close()
 
     def go(self, x: float, y: float, z: float, direction: tuple[float, float, float] | None = None) -> dict[str, Any]:
-        """Ask the tip to be at a place [m] and to point in a direction, soon; what it does now.
+        """Send a setpoint: a position [m] and optionally a direction of the tip; return the present state of the tip.
 
         Args:
-            x: the place, in the `frame` of the beginning.
-            y: the same.
-            z: the same.
-            direction: always in the world, its length does not matter; the controller's task must ask for one. Left
-                out, the last one stands; before any that of the start is kept.
+            x: first coordinate, in the `frame` chosen at the start [m].
+            y: second coordinate [m].
+            z: third coordinate [m].
+            direction: in the world frame, of any length; requires a controller task that controls the direction.
+                None: the latest direction remains; before the first one it is the tip's direction at the start.
 
         Returns:
-            time [s], `measured`, `estimated` and `desired` tip [m], `force` [N], `error` [m], what holds it back, and
-            where it is controlled `direction_measured` and `direction_desired`, in the world.
+            time [s], `measured`, `estimated` and `desired` tip [m], `force` [N], `error` [m] and the limits that slow
+            the motion. With a controlled direction also `direction_measured` and `direction_desired`, in the world
+            frame.
 
         Raises:
-            StationError: the place or the direction was refused, or the run has ended; the text says why.
+            StationError: the position or the direction was refused, or the run has ended; the text has the reason.
         """
-        # With its time: what other programs hold up on its way does not shake the tip.
-        told = {} if direction is None else {"direction": list(direction)}
-        return self.say({"tip": [x, y, z], "time": time.monotonic(), **told})
+        # The time lets the station compensate for delays between sender and station, which would shake the tip.
+        pointing = {} if direction is None else {"direction": list(direction)}
+        return self.send({"tip": [x, y, z], "time": time.monotonic(), **pointing})
 
     def move(self, x: float, y: float, z: float) -> dict[str, Any]:
-        """Ask the tip to move at a velocity [m/s]; the same as `go` otherwise."""
-        return self.say({"velocity": [x, y, z]})
+        """Send a velocity of the tip [m/s]; the answer and the errors are those of `go`."""
+        return self.send({"velocity": [x, y, z]})
 
-    def say(self, message: dict[str, Any]) -> dict[str, Any]:
-        """Say anything that `WS /api/setpoints` takes, a place with a time of one's own for instance; as `go`."""
-        answer = self._say(message)
+    def send(self, message: dict[str, Any]) -> dict[str, Any]:
+        """Send any message of `WS /api/setpoints`, such as a position with a custom time; otherwise like `go`."""
+        answer = self._exchange(message)
         if answer["refused"]:
             raise StationError(answer["refused"])
         self.newest = answer
         return answer
 
     def every(self, period: float, duration: float = math.inf) -> Iterator[float]:
-        """Seconds since the tip may be led, one after each `period` [s], for a `duration` [s]."""
+        """Yield the time since the start of the stream [s] after each `period` [s], for a `duration` [s]."""
         count = 0
-        while (now := time.monotonic() - self._begun) < duration:
+        while (now := time.monotonic() - self._start_time) < duration:
             yield now
-            count = max(count + 1, math.floor((time.monotonic() - self._begun) / period))
-            time.sleep(max(0.0, self._begun + count * period - time.monotonic()))
+            count = max(count + 1, math.floor((time.monotonic() - self._start_time) / period))
+            time.sleep(max(0.0, self._start_time + count * period - time.monotonic()))
 
-    def _say(self, message: dict[str, Any]) -> dict[str, Any]:
-        assert self._socket is not None, "lead within `with station.setpoints() as tip:`"  # noqa: S101
-        with contextlib.suppress(OSError, ConnectionClosed):  # what was heard last tells why
+    def _exchange(self, message: dict[str, Any]) -> dict[str, Any]:
+        assert self._socket is not None, "use `with station.setpoints() as tip:`"  # noqa: S101
+        with contextlib.suppress(OSError, ConnectionClosed):  # the last received message has the reason
             self._socket.send(json.dumps(message))
-        return self._hear()
+        return self._receive()
 
-    def _hear(self) -> dict[str, Any]:
+    def _receive(self) -> dict[str, Any]:
         assert self._socket is not None  # noqa: S101
         try:
             answer: dict[str, Any] = json.loads(self._socket.recv())

@@ -1,13 +1,13 @@
-"""The model at many poses, on all processors: `core.model.many` with its chunks spread over threads."""
+"""Solve the model at many poses on all processors: threads share the chunks of `core.model.batch`."""
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-from core.model.many import CHUNK, Solutions
-from core.model.many import solve_many as in_one_thread
+from core.model.batch import CHUNK_ROWS, Solutions
+from core.model.batch import solve_many as in_one_thread
 from core.model.statics import Statics
 from core.robot.robot import Array
-from station.experiments.side_by_side import processors
+from station.experiments.job_pool import processors
 
 
 def solve_many(
@@ -18,8 +18,11 @@ def solve_many(
     along: bool = False,
     threads: int | None = None,
 ) -> Solutions:
-    """As `core.model.many.solve_many`, with the same answers, on so many threads; None: one a processor."""
-    chunks = -(-len(joints) // CHUNK)
+    """Return the solutions of `core.model.batch.solve_many`, computed by `threads` threads.
+
+    With `threads` None there is one thread per processor.
+    """
+    chunks = -(-len(joints) // CHUNK_ROWS)
     count = min(threads or processors(), chunks) if chunks > 1 else 1
     if count == 1:
         return in_one_thread(models, joints, wrenches, near, along)
@@ -31,4 +34,4 @@ def solve_many(
     try:
         return in_one_thread(models, joints, wrenches, near, along, spread)
     finally:
-        pool.shutdown(cancel_futures=True)  # Ctrl-C does not wait for the rest
+        pool.shutdown(cancel_futures=True)  # Ctrl-C does not wait for the remaining chunks

@@ -1,29 +1,29 @@
-"""Linear algebra in one thread: for matrices as small as ours a second one waits for more than it computes.
+"""Limit libraries for linear algebra to one thread: for small matrices a second thread costs more than it saves.
 
-Its libraries read the environment when they are loaded, in this process or in those that it starts. Idle threads also
-hold up the end of a process that is killed: it lets go of its pipes only when the last of them has ended, which takes a
-tenth of a second on a busy computer.
+A library reads its number of threads from the environment when it is loaded, in this process or in a child process.
+Idle threads also delay the end of a killed process: its pipes close only when the last thread has ended. On a busy
+computer that takes a tenth of a second.
 """
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-#: How many threads libraries start by themselves.
-NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+#: Environment variables with the number of threads that a library starts.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def one_thread_each() -> None:
-    """From now on, unless whoever started this process has said otherwise."""
-    for name in NAMES:
+def limit_to_one_thread() -> None:
+    """Limit libraries that are loaded from now on to one thread, unless the environment already sets a number."""
+    for name in THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
 
 
 @contextmanager
-def one_thread_meanwhile() -> Iterator[None]:
-    """For processes that are started meanwhile, whatever has been said."""
-    before = {name: os.environ.get(name) for name in NAMES}
-    os.environ.update(dict.fromkeys(NAMES, "1"))
+def one_thread_during() -> Iterator[None]:
+    """Limit libraries to one thread in processes that are started inside the block, whatever the environment sets."""
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:
         yield
     finally:

@@ -1,78 +1,80 @@
-"""The procedures that there are: what each finds, what a person needs for it, how long it takes, how it begins."""
+"""The calibration procedures: purpose, required equipment, duration and start of each."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from station.calibration import commission, procedures
-from station.calibration.plan import Subject
+from station.calibration.plan import PlanSubject
 from station.calibration.procedure import Procedure
 from station.calibration.procedures import Effort
 
-#: Known weights that a procedure asks for unless one has others [N].
-WEIGHTS = Effort().weights
+#: Known weights that a procedure uses if no others are configured [N].
+DEFAULT_WEIGHTS_N = Effort().weights
 
 
-class Offer(NamedTuple):
-    """One procedure."""
+class ProcedureInfo(NamedTuple):
+    """Description of one calibration procedure."""
 
     title: str
-    sentence: str  #: when, and what happens
-    needs: str  #: what a person has at hand; empty: nothing
-    seconds: float  #: of robot time with the usual poses and weights, persons' work included [s]
-    weight_seconds: float  #: for each weight, included in that [s]
-    scales: bool  #: takes more or fewer poses
-    begin: Callable[[Subject, Effort], Procedure[Any]]
+    sentence: str  #: when to use the procedure, and what it does
+    needs: str  #: equipment that the operator needs; empty: none
+    seconds: float  #: duration with the default poses and weights, handling by the operator included [s]
+    weight_seconds: float  #: part of `seconds` that each weight takes [s]
+    scales: bool  #: whether the number of poses depends on the effort
+    start_procedure: Callable[[PlanSubject, Effort], Procedure[Any]]
 
     @property
     def weighs(self) -> bool:
-        """Whether the procedure asks for known weights."""
+        """Whether the procedure needs known weights."""
         return self.weight_seconds > 0.0
 
     def expected(self, effort: float, weights: int) -> float:
-        """How long it will take with so many weights [s]."""
-        seconds = self.seconds + self.weight_seconds * (weights - len(WEIGHTS))
+        """Return the expected duration with this effort and number of weights [s]."""
+        seconds = self.seconds + self.weight_seconds * (weights - len(DEFAULT_WEIGHTS_N))
         return seconds * effort if self.scales else seconds
 
 
-#: By name, in the order in which a new bench goes through them.
-OFFERS: Mapping[str, Offer] = {
-    "axes": Offer(
+#: Procedures by name, in the order in which a new bench needs them.
+PROCEDURES: Mapping[str, ProcedureInfo] = {
+    "axes": ProcedureInfo(
         "Axes",
-        "First on a new bench: each joint moves a little either way, and the tracker tells which way it really went.",
+        "First on a new bench: each joint makes a small move both ways, and the tracker measures its direction.",
         "", 115.0, 0.0, False, lambda subject, _: commission.axes(subject),
     ),
-    "latency": Offer(
+    "latency": ProcedureInfo(
         "Latency",
-        "All joints swing for 16 s; the delay that makes the model meet the tracker is how late the tracker is.",
+        "All joints oscillate for 16 s; the delay at which model and tracker agree is the tracker's latency.",
         "", 22.0, 0.0, False, lambda subject, _: commission.latency(subject),
     ),
-    "tracker": Offer(
+    "tracker": ProcedureInfo(
         "Tracker",
-        "After the field generator or the coil was moved: where both are, from poses all over the workspace.",
+        "After the field generator or the coil was moved: finds where both are, from poses all over the workspace.",
         "", 320.0, 0.0, True, procedures.tracker,
     ),
-    "force": Offer(
+    "force": ProcedureInfo(
         "Force sensors",
-        "After a force sensor was mounted: how it stands and what hangs on it, checked by known weights.",
-        "known weights, and a way to hang them at the tip", 740.0, 260.0, True, procedures.force,
+        "After a force sensor was mounted: finds its orientation and hanging weight, checked with known weights.",
+        "known weights, and a thread to hang them at the tip", 740.0, 260.0, True, procedures.force,
     ),
-    "tubes": Offer(
+    "tubes": ProcedureInfo(
         "Tubes, tracker and sensors",
-        "The whole: stiffness, curvature, lengths and zeros of the tubes, jointly with tracker, coil and sensors.",
-        "known weights, a way to hang them at the tip, and a caliper: the coil's middle at the tip to 0.3 mm",
+        "Everything: stiffness, curvature, lengths and zeros of the tubes, together with tracker, coil and sensors.",
+        "known weights, a thread to hang them at the tip, and a caliper: the coil's middle at the tip to 0.3 mm",
         1150.0, 410.0, True, procedures.tubes,
     ),
 }  # fmt: skip
 
 
-def begin(what: str, subject: Subject, effort: float = 1.0, weights: tuple[float, ...] = WEIGHTS) -> Procedure[Any]:
-    """The procedure `what` at its first step.
+def start_procedure(
+    what: str, subject: PlanSubject, effort: float = 1.0, weights: tuple[float, ...] = DEFAULT_WEIGHTS_N
+) -> Procedure[Any]:
+    """Return the procedure `what` at its first step.
 
     Args:
-        what: name in `OFFERS`.
-        subject: the robot as it is believed to be.
-        effort: so many times the usual number of poses.
-        weights: known, to be hung at the tip [N].
+        what: name of the procedure in `PROCEDURES`.
+        subject: the robot with its assumed parameters.
+        effort: factor of the default number of poses.
+        weights: known weights that the operator hangs at the tip [N].
     """
-    return OFFERS[what].begin(subject, replace(Effort().scaled(effort), weights=weights))
+    return PROCEDURES[what].start_procedure(subject, replace(Effort().scaled(effort), weights=weights))

@@ -1,4 +1,7 @@
-"""First procedures on a new bench: which way the axes run, where their zeros are, how late the tracker is."""
+"""The procedures `axes` and `latency`, the first on a new bench.
+
+They find signs and zeros of the axes, and the latency of the tracker.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -7,29 +10,30 @@ import numpy as np
 
 from core.calibration.commissioning import Latency, Signs, find_latency, find_signs
 from core.calibration.fit import fit
-from core.calibration.informative import way_is_free
 from core.calibration.measurements import Measurement
+from core.calibration.pose_selection import path_is_free
 from core.calibration.prediction import Prediction
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
 from core.errors import Unreachable
 from core.model.statics import Statics
 from core.robot.robot import Array
-from station.calibration.plan import NOISE, Subject
-from station.calibration.procedure import AbortedError, GoTo, Procedure, Swing, Swung
+from station.calibration.plan import MEASUREMENT_NOISE, PlanSubject
+from station.calibration.procedure import AbortedError, GoToPose, Procedure, SwingMotion, SwingRecord
 
-#: Small moves about the start pose [rad, m], and larger ones for the zeros.
-SMALL, LARGE = {"rad": 0.25, "m": 0.010}, {"rad": 1.2, "m": 0.015}
-#: Where limits (short travels, ends of tubes that come close) leave no room for all of a move, these parts are tried.
-PARTS = (1.0, 0.8, 0.6, 0.4, 0.2)
-#: The model is not better than this before the tubes are calibrated [m].
-MODEL_ERROR = 1e-3
-#: To and fro for the latency [rad, m], once in so many seconds, for so long.
-SWING, PERIOD, DURATION = {"rad": 0.25, "m": 0.006}, 8.0, 16.0
+#: Sizes of the small moves about the start pose that determine the signs, and of the larger moves that determine the
+#: zeros [rad, m].
+SMALL_MOVES, LARGE_MOVES = {"rad": 0.25, "m": 0.010}, {"rad": 1.2, "m": 0.015}
+#: Shares of a move, tried in this order where limits (short travels, ends of tubes) leave no room for the whole move.
+MOVE_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+#: Assumed error of the model before the tubes are calibrated [m].
+MODEL_ERROR_M = 1e-3
+#: Oscillation of the joints that determines the latency: amplitudes [rad, m], period and duration [s].
+SWING_AMPLITUDES, SWING_PERIOD_S, SWING_DURATION_S = {"rad": 0.25, "m": 0.006}, 8.0, 16.0
 
 
 class AxesResult(NamedTuple):
-    """What the procedure `axes` has found."""
+    """Result of the procedure `axes`."""
 
     signs: Signs
     zeros: tuple[tuple[Quantity, float, float], ...]  #: zero angle of a tube and half its 95 % interval [rad]
@@ -37,30 +41,30 @@ class AxesResult(NamedTuple):
 
 
 class LatencyResult(NamedTuple):
-    """What the procedure `latency` has found."""
+    """Result of the procedure `latency`."""
 
-    latency: Latency  #: beyond what the tracker is said to have
-    time: float  #: when the swing had ended [s]
+    latency: Latency  #: latency in addition to the configured latency of the tracker
+    time: float  #: time at the end of the swing [s]
 
 
-def axes(subject: Subject) -> Procedure[AxesResult]:
-    """Signs by small moves; if all axes run as described, zero angles of the tubes by larger ones.
+def axes(subject: PlanSubject) -> Procedure[AxesResult]:
+    """Find the axes' signs by small moves and, if no axis is reversed, the tubes' zero angles by larger moves.
 
     Raises:
-        Unobservable: the signs are not clear.
+        Unobservable: the signs are ambiguous.
         Unreachable: a joint has no room to move.
     """
     measurements: list[Measurement] = []
-    yield from _moves(subject, SMALL, 0.0, measurements)
-    # A stage that runs the other way is still right in the middle of its travel.
+    yield from _moves(subject, SMALL_MOVES, 0.0, measurements)
+    # A stage that is reversed reports its correct position only in the middle of its travel.
     middle = np.array([0.5 * (limit.lower + limit.upper) for limit in subject.limits.joints])
     signs = find_signs(subject.robot, middle, measurements)
     if (signs.signs < 0.0).any():
-        # Larger moves wait until the bench's file has the directions right.
+        # The larger moves need correct directions, so the operator must correct the station file first.
         return AxesResult(signs, (), tuple(measurements))
-    yield from _moves(subject, LARGE, 0.5, measurements)
+    yield from _moves(subject, LARGE_MOVES, 0.5, measurements)
     what = tuple(quantity for quantity in quantities(subject.robot) if quantity.kind == "zero_angle")
-    forces, noise = np.zeros((len(measurements), 3)), NOISE._replace(coil=MODEL_ERROR)
+    forces, noise = np.zeros((len(measurements), 3)), MEASUREMENT_NOISE._replace(coil=MODEL_ERROR_M)
     problem = Prediction(
         subject.robot, what, measurements, forces, noise, closed_form(subject.robot, measurements, forces)
     )
@@ -71,51 +75,54 @@ def axes(subject: Subject) -> Procedure[AxesResult]:
 
 
 def _moves(
-    subject: Subject, steps: Mapping[str, float], done: float, measurements: list[Measurement]
+    subject: PlanSubject, steps: Mapping[str, float], done: float, measurements: list[Measurement]
 ) -> Procedure[None]:
-    """Each joint either way from the start pose; half of the procedure, from `done` on."""
+    """Move each joint in both directions from the start pose.
+
+    These moves are half of the procedure; `done` is the share of the procedure that is done before them.
+    """
     moves: list[Array] = []
     for k, joint in enumerate(subject.robot.joints):
         both = [sign * steps[joint.unit] * np.eye(len(subject.robot.joints))[k] for sign in (1.0, -1.0)]
-        found = [move for move in (_with_room(subject, move) for move in both) if move is not None]
+        found = [move for move in (_feasible_move(subject, move) for move in both) if move is not None]
         if not found:
             raise Unreachable(
-                f"{joint.name} has no room either way where the robot rests; give it a working_pose with more"
+                f"{joint.name} has no room to move in either direction at the rest pose; set another working_pose"
             )
         moves += found
     for number, move in enumerate(moves):
-        measurement = yield GoTo(subject.start + move, 0.0, done + 0.5 * number / len(moves))
+        measurement = yield GoToPose(subject.start + move, 0.0, done + 0.5 * number / len(moves))
         measurements += [measurement] if isinstance(measurement, Measurement) else []
 
 
-def _with_room(subject: Subject, move: Array) -> Array | None:
-    """The move (n,) from the start pose, or a part of it that stays inside all limits; None when there is none."""
-    for part in PARTS:
-        if way_is_free(subject.statics, subject.limits, subject.start, subject.start + part * move, np.zeros(3)):
+def _feasible_move(subject: PlanSubject, move: Array) -> Array | None:
+    """Return the move (n,) from the start pose, or the largest share of it inside all limits; None if there is none."""
+    for part in MOVE_SHARES:
+        if path_is_free(subject.statics, subject.limits, subject.start, subject.start + part * move, np.zeros(3)):
             return part * move
     return None
 
 
-def latency(subject: Subject) -> Procedure[LatencyResult]:
-    """How much later than it says the tracker measures: the joints swing, and the model tells where the tip was.
+def latency(subject: PlanSubject) -> Procedure[LatencyResult]:
+    """Find the latency of the tracker from a swing of the joints and the model's tip.
 
     Raises:
-        Unobservable: the swing was too slow to tell.
+        Unobservable: the swing was too slow.
     """
-    yield GoTo(subject.start, 0.0, 0.0)
-    amplitudes = np.array([SWING[joint.unit] for joint in subject.robot.joints])
-    swung = yield Swing(amplitudes, PERIOD, DURATION, 0.2)
-    if not isinstance(swung, Swung):
-        raise AbortedError("nothing was recorded of the swing")
+    yield GoToPose(subject.start, 0.0, 0.0)
+    amplitudes = np.array([SWING_AMPLITUDES[joint.unit] for joint in subject.robot.joints])
+    swung = yield SwingMotion(amplitudes, SWING_PERIOD_S, SWING_DURATION_S, 0.2)
+    if not isinstance(swung, SwingRecord):
+        raise AbortedError("the swing was not recorded")
     found = find_latency(swung.times, _tips(subject, swung.joints), swung.frame_times, swung.coils)
     return LatencyResult(found, float(swung.times[-1]))
 
 
-def _tips(subject: Subject, joints: Array) -> Array:
-    """Where the model has the tip (m, 3) without load [m]."""
+def _tips(subject: PlanSubject, joints: Array) -> Array:
+    """Return the model's tips (m, 3) without load [m]."""
     model = Statics(subject.robot, integrator="fourth_order")
-    tips, near = np.empty((len(joints), 3)), None
+    tips, solution = np.empty((len(joints), 3)), None
     for k, pose in enumerate(joints):
-        near = model.solve(pose, np.zeros(6), near)
-        tips[k] = near.tip
+        solution = model.solve(pose, np.zeros(6), solution)
+        tips[k] = solution.tip
     return tips

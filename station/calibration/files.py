@@ -1,11 +1,12 @@
-"""What a calibration leaves behind: registration.toml, sensors.toml and robot.toml in one folder, with provenance.
+"""Writes the files of a calibration: registration.toml, sensors.toml and robot.toml in one folder, with provenance.
 
-Values are SI; intervals are 95 %. `station.control.known_calibration` reads the files back.
+Values are SI; intervals are 95 %. `station.control.bench_calibration` reads the files back.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,24 +14,24 @@ from core.calibration.coil_axis import CoilAxis
 from core.calibration.fit import Fit
 from core.calibration.force import SensorCalibration
 from core.calibration.prediction import Frames
-from core.calibration.rigid import Rigid, vector_of
+from core.calibration.rigid_transform import RigidTransform, vector_from_rotation
 from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
-from station.config.strict import FORMAT, ConfigError
-from station.config.toml_text import toml_string
-from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS
-from station.devices.aurora.tracker import Registration
+from station.config.strict import FORMAT, ConfigError, Strict
+from station.config.toml_text import toml_lines, toml_string
+from station.control.bench_calibration import REGISTRATION_FILE, ROBOT_FILE, SENSORS_FILE
+from station.devices.aurora.tracker import TrackerMounting
 
 
 def carry_over(known: Path, folder: Path) -> list[Path]:
-    """Copy what an earlier calibration found and `folder` does not have: the copies.
+    """Copy the files of an earlier calibration that `folder` does not have, and return the copies.
 
     Raises:
         ConfigError: a file cannot be read or written.
     """
     copies: list[Path] = []
-    for name in (REGISTRATION, SENSORS, ROBOT):
+    for name in (REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE):
         if (known / name).is_file() and not (folder / name).exists():
             try:
                 text = (known / name).read_text(encoding="utf-8")
@@ -41,33 +42,33 @@ def carry_over(known: Path, folder: Path) -> list[Path]:
 
 
 def write_registration(
-    folder: Path, robot: Robot, frames: Frames, fit: Fit, errors: Array, assumed: Registration, made: str,
+    folder: Path, robot: Robot, frames: Frames, fit: Fit, errors: Array, assumed: TrackerMounting, made: str,
     axis: CoilAxis | None = None,
 ) -> Path:  # fmt: skip
-    """The found motion after the assumed one: measurements were seen through the latter."""
-    whole = frames.registration.after(Rigid(assumed.rotation, assumed.position))
+    """Write the registration: the fitted rigid motion, combined with the assumed one that the measurements contain."""
+    whole = frames.registration.after(RigidTransform(assumed.rotation, assumed.position))
     names = [parameter.name for parameter in fit.parameters]
     first = names.index("frame rotation x")
     half = 1.96 * fit.errors[first : first + 6]
-    text = f"""# Where the tracker stands: p_robot = R(rotation_vector) p_tracker + position.
-# The turn about z is counted from the zero angle of the outermost tube, z from the plate as its straight part has it.
+    text = f"""# Pose of the tracker: p_robot = R(rotation_vector) p_tracker + position.
+# The rotation about z counts from the zero angle of the outermost tube, z from the plate by its straight length.
 format = {FORMAT}
 robot = {toml_string(robot.name)}
 made = {toml_string(made)}
-rotation_vector = {_row(vector_of(whole.rotation))}  # [rad]
+rotation_vector = {_row(vector_from_rotation(whole.rotation))}  # [rad]
 position = {_row(whole.position)}  # [m]
 coil = {_row(frames.coil)}  # in the frame of the innermost tube's tip [m]
 {_axis(axis)}rms_error = {math.sqrt(float(np.mean(errors**2))):.3g}  # [m]
 rotation_interval = {_row(half[:3], 3)}  # half of 95 % [rad]
 position_interval = {_row(half[3:], 3)}  # [m]
 """
-    return _write(folder / REGISTRATION, text)
+    return _write(folder / REGISTRATION_FILE, text)
 
 
 def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: str) -> Path:
-    """Mounting and hanging weight of each sensor."""
+    """Write mounting and hanging weight of each sensor."""
     lines = [
-        "# How the base sensors stand and what hangs on them; offsets are tared before every run.",
+        "# Mounting of the base sensors and the weights that hang on them; every run tares the offsets.",
         f"format = {FORMAT}",
         f"robot = {toml_string(robot.name)}",
         f"made = {toml_string(made)}",
@@ -79,7 +80,7 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
         lines += [
             "",
             f"[tubes.{tube.name}]",
-            f"mounting = {_row(vector_of(found.sensors.mounting[i]))}  # [rad], about z +-{turn:.2g} (95 %)",
+            f"mounting = {_row(vector_from_rotation(found.sensors.mounting[i]))}  # [rad], about z +-{turn:.2g} (95 %)",
             f"weight = {found.sensors.weight[i]:.6g}  # [N], +-{found.fit.interval(f'{tube.name} weight'):.2g}",
             f"first_moment = {_row(found.sensors.first_moment[i])}  # [N m]",
             "skew = [  # part of each reading that is gain and cross-talk [N, N m by N, N m]",
@@ -87,75 +88,89 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
             "]",
             f"# drift while it was calibrated: {_row(60e3 * found.drift[i, :3], 3)} mN/min",
         ]
-    return _write(folder / SENSORS, "\n".join(lines) + "\n")
+    return _write(folder / SENSORS_FILE, "\n".join(lines) + "\n")
 
 
 def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made: str) -> Path:
-    """The described robot with its tubes as they were found; what it was and how sure beside each number."""
-    fit, lines = found.fit, [f"# {line}" for line in made.splitlines()]
-    lines += [
-        f"format = {FORMAT}",
-        f"name = {toml_string(described.name)}",
-        f"source = {toml_string(f'calibrated: {made}')}",
-    ]
-    if described.max_force is not None:
-        lines.append(f"max_force = {described.max_force!r}")
-    if described.working_pose is not None:
-        pose = ", ".join(f"{toml_string(name)} = {value!r}" for name, value in described.working_pose.items())
-        lines.append(f"working_pose = {{ {pose} }}")
-    lines += ["", "[base]", f"position = {_row(described.base.position)}"]
-    lines.append(f"rotation_vector = {_row(described.base.rotation_vector)}")
-    if described.workspace is not None:
-        lines += ["", "[workspace]", f"lower = {_row(described.workspace.lower)}"]
-        lines.append(f"upper = {_row(described.workspace.upper)}")
-    for i, (tube, new) in enumerate(zip(described.tubes, found.robot.tubes, strict=True)):
+    """Write the robot file with the calibrated tubes; comments have the previous values and the intervals.
 
-        def was(kind: str, old: float, scale: float, unit: str, tube_index: int = i, name: str = tube.name) -> str:
-            if not any(quantity.tube == tube_index and quantity.kind == kind for quantity in found.what):
-                return f"  # {unit}, as described"
-            return f"  # {unit}, +-{abs(scale) * fit.interval(f'{name} {kind}'):.2g} (95 %); described {old:g}"
-
-        stiffness = tube.bending_stiffness
-        lines += ["", "[[tubes]]", f"name = {toml_string(tube.name)}"]
-        comment = was("bending_stiffness", stiffness, stiffness, "[N m^2]")
-        lines.append(f"bending_stiffness = {new.bending_stiffness:.8g}{comment}")
-        if new.torsional_stiffness is None:
-            nu = was("poisson_ratio", tube.poisson_ratio, 1.0, "GJ = EI / (1 + nu)")
-            lines.append(f"poisson_ratio = {new.poisson_ratio:.6g}{nu}")
+    Every key of the file is written: calibrated values replace the previous ones, all others are copied.
+    """
+    file = described.model_copy(update={"format": FORMAT, "source": f"calibrated: {made}"})
+    lines: list[str] = []
+    tables: list[str] = []
+    for key in type(file).model_fields:
+        value = getattr(file, key)
+        if key == "tubes":
+            for index in range(len(value)):
+                tables += ["", "[[tubes]]", *_tube(described, found, index)]
+        elif isinstance(value, Strict):
+            tables += ["", f"[{key}]", *toml_lines(value.model_dump())]
+        elif isinstance(value, tuple) and all(isinstance(part, Strict) for part in value):
+            tables += [line for part in value for line in ("", f"[[{key}]]", *toml_lines(part.model_dump()))]
         else:
-            lines.append(f"torsional_stiffness = {new.torsional_stiffness:.8g}")
-        lines += [f"rotation = {new.rotation!r}", f"translation = {new.translation!r}"]
-        lines += [
-            f"outer_diameter = {new.outer_diameter!r}",
-            f"inner_diameter = {new.inner_diameter!r}",
-            f"density = {tube.density!r}",
-            "sections = [",
-        ]
-        for old, section in zip(tube.sections, new.sections, strict=True):
-            bent, before = math.hypot(*section.curvature), math.hypot(*old.curvature)
-            comment = (
-                was("curvature", before, before, f"{bent:.5g} 1/m")
-                if before
-                else was("straight_length", old.length, 1.0, "[m]")
-            )
-            if section.length != old.length and before:
-                comment += was("end", old.length, 1.0, "[m] to where its neighbour leaves it")
-            lines.append(f"    {{ length = {section.length:.8g}, curvature = {_row(section.curvature)} }},{comment}")
-        lines.append("]")
-    for joint in described.joints:
-        lines += ["", "[[joints]]", f"name = {toml_string(joint.name)}", f"tube = {toml_string(joint.tube)}"]
-        lines.append(f"motion = {toml_string(joint.motion)}")
-        lines += [
-            f"{key} = {getattr(joint, key)!r}" for key in ("lower", "upper", "speed", "acceleration", "microstep")
-        ]
-    return _write(folder / ROBOT, "\n".join(lines) + "\n")
+            lines += toml_lines({key: value})
+    return _write(folder / ROBOT_FILE, "\n".join(lines + tables) + "\n")
+
+
+def _tube(described: RobotFile, found: TubeCalibration, index: int) -> list[str]:
+    """Return the lines of one tube: every key, in the order of the model `TubeFile`."""
+    tube, new = described.tubes[index], found.robot.tubes[index]
+    fitted = {quantity.kind for quantity in found.what if quantity.tube == index}
+    start, last = "curve_start" if "curve_start" in fitted else "straight_length", len(new.sections) - 1
+
+    def was(kind: str, old: float, scale: float, unit: str) -> str:
+        if kind not in fitted:
+            return f"  # {unit}, as described"
+        interval = abs(scale) * found.fit.interval(f"{tube.name} {kind}")
+        return f"  # {unit}, +-{interval:.2g} (95 %); described {old:g}"
+
+    lines: list[str] = []
+    for key in type(tube).model_fields:
+        if key == "sections":
+            lines.append("sections = [")
+            for number, (old, section) in enumerate(zip(tube.sections, new.sections, strict=True)):
+                bent, before = math.hypot(*section.curvature), math.hypot(*old.curvature)
+                comment = was("curvature", before, before, f"{bent:.5g} 1/m") if before else ""
+                if number == last and "end" in fitted:
+                    comment += was("end", old.length, 1.0, "[m] to where its neighbour leaves it")
+                elif not before:
+                    comment = was(start if number == 0 else "", old.length, 1.0, "[m]")
+                values = old.model_dump() | {"length": section.length, "curvature": section.curvature}
+                lines.append(f"    {{ {', '.join(toml_lines(_rounded(values)))} }},{comment}")
+            lines.append("]")
+            continue
+        value, comment = getattr(new, key, getattr(tube, key)), ""
+        if key == "bending_stiffness":
+            comment = was(key, tube.bending_stiffness, tube.bending_stiffness, "[N m^2]")
+        elif key == "poisson_ratio" and new.torsional_stiffness is None:
+            comment = was(key, tube.poisson_ratio, 1.0, "GJ = EI / (1 + nu)")
+        elif key == "torsional_stiffness" and new.torsional_stiffness is not None:
+            torsion = tube.torsional_stiffness or tube.bending_stiffness / (1.0 + tube.poisson_ratio)
+            comment = was(key, torsion, torsion, "GJ [N m^2]")
+            if key not in fitted and "bending_stiffness" in fitted:
+                comment = "  # GJ [N m^2], in the described ratio to EI"
+        calibrated = key in ("bending_stiffness", "poisson_ratio", "torsional_stiffness")
+        lines += [line + comment for line in toml_lines(_rounded({key: value}) if calibrated else {key: value})]
+    return lines
+
+
+def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Round calibrated numbers to nine digits; numbers that people write in files have fewer digits."""
+
+    def nine(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(map(nine, value))
+        return float(f"{value:.9g}") if isinstance(value, float) else value
+
+    return {key: nine(value) for key, value in values.items()}
 
 
 def _axis(axis: CoilAxis | None) -> str:
-    """The line of the coil's axis, if there is one."""
+    """Return the line of the coil's axis, if there is one."""
     if axis is None or axis.refused:
         return ""
-    return f"axis = {_row(axis.direction)}  # of the coil, there; single poses say so within {axis.spread:.2g} rad\n"
+    return f"axis = {_row(axis.direction)}  # of the coil, in that frame; spread over poses {axis.spread:.2g} rad\n"
 
 
 def _write(path: Path, text: str) -> Path:

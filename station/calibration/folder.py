@@ -1,16 +1,16 @@
-"""The folder of a calibration: its files, and a new one, made at once, so that nobody else takes its name meanwhile."""
+"""Creates the folder of a calibration. The folder is created before its files, which reserves its name."""
 
 import contextlib
 from pathlib import Path
 
 from station.config.strict import ConfigError
 
-#: What was measured, what came of it as numbers, and for reading.
-VISITS, NUMBERS, REPORT = "visits.json", "report.json", "report.html"
+#: File names of the measurements, the numbers and the report.
+VISITS_FILE, REPORT_NUMBERS_FILE, REPORT_FILE = "visits.json", "report.json", "report.html"
 
 
 def new_folder(out: Path, name: str) -> Path:
-    """A folder in `out` that was not there before.
+    """Create a new folder in `out`; a number is appended if the name exists.
 
     Raises:
         ConfigError: `out` cannot be written to.

@@ -1,4 +1,4 @@
-"""Everything that a calibration leaves behind, written at once."""
+"""Writes all files of a calibration's result."""
 
 import json
 from pathlib import Path
@@ -8,28 +8,24 @@ from rich.table import Table
 from rich.text import Text
 
 from station.calibration import files, summary
-from station.calibration.folder import NUMBERS, VISITS
-from station.calibration.plan import Subject
+from station.calibration.folder import REPORT_NUMBERS_FILE, VISITS_FILE
+from station.calibration.plan import PlanSubject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
 from station.calibration.summary import Result
 from station.config.strict import ConfigError
-from station.devices.aurora.tracker import Registration
-from station.lab.aurora.coil import MOUNT
+from station.devices.aurora.tracker import TrackerMounting
+from station.lab.aurora.coil import GENERATOR_POSE
 
 
 class Provenance(NamedTuple):
-    """Where the numbers come from."""
+    """Origin of a calibration's numbers."""
 
-    what: str  #: procedure
-    when: str  #: ISO 8601
-    bench: str  #: the lab's title, or which devices
-    seed: int | None  #: of a virtual lab; None: a real bench
-    robot_s: float  #: from the first measurement to the last
-
-    @property
-    def simulated(self) -> bool:
-        """Whether robot and devices were a virtual lab's."""
-        return self.seed is not None
+    what: str  #: name of the procedure
+    when: str  #: date and time, ISO 8601
+    bench: str  #: title of the virtual lab, or names of the devices
+    seed: int | None  #: seed of a virtual lab; None: a real bench
+    robot_s: float  #: time from the first measurement to the last [s]
+    simulated: bool  #: whether the devices report that they are simulated
 
     @property
     def where(self) -> str:
@@ -38,27 +34,26 @@ class Provenance(NamedTuple):
 
     def __str__(self) -> str:
         """One line for the files."""
-        return f"'calibrate {self.what}' of {self.when}, {self.where}; measurements in {VISITS}"
+        return f"'calibrate {self.what}' of {self.when}, {self.where}; measurements in {VISITS_FILE}"
 
 
 def write_all(
     folder: Path,
     result: Result,
-    subject: Subject,
+    subject: PlanSubject,
     provenance: Provenance,
-    assumed: Registration = MOUNT,
+    assumed: TrackerMounting = GENERATOR_POSE,
     known: Path | None = None,
 ) -> dict[str, Any]:
-    """The files for runs, the measurements, the numbers and the report; the numbers are the answer.
+    """Write the files that a run can use, the measurements, the numbers and the report; return the numbers.
 
     Args:
-        folder: made when it is not there.
-        result: of a procedure.
-        subject: as it was believed to be.
-        provenance: goes into every file.
-        assumed: where the tracker was believed to stand meanwhile.
-        known: folder of the calibration in use; what was not found anew is copied from there, so that one folder
-            says everything.
+        folder: folder for the files, which is created if it does not exist.
+        result: result of a procedure.
+        subject: the robot with the parameters assumed before the calibration.
+        provenance: origin of the numbers, which is written to every file.
+        assumed: pose of the tracker assumed during the measurements.
+        known: folder of the calibration in use; missing files are copied from it, so that the new folder is complete.
 
     Raises:
         ConfigError: the folder cannot be written to.
@@ -107,9 +102,9 @@ def write_all(
     ]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / VISITS).write_text(json.dumps(summary.recorded(measurements), indent=1) + "\n", encoding="utf-8")
-        (folder / NUMBERS).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-        # Imported here: the figures' library takes a second, which the station's start must not.
+        (folder / VISITS_FILE).write_text(json.dumps(summary.recorded(measurements), indent=1) + "\n", encoding="utf-8")
+        (folder / REPORT_NUMBERS_FILE).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+        # Imported here because importing the figures' library takes a second, which would delay the station's start.
         from station.calibration.report import write_report
 
         write_report(folder, provenance.what, result, subject, facts, simulated=provenance.simulated)
@@ -118,8 +113,8 @@ def write_all(
     return numbers
 
 
-def result_table(result: Result, subject: Subject, provenance: Provenance) -> Table:
-    """What was found, on the screen."""
+def result_table(result: Result, subject: PlanSubject, provenance: Provenance) -> Table:
+    """Return the table of results for the terminal."""
     table = Table(title=Text(f"calibrate {provenance.what}\n{provenance.where}"), title_style="")
     table.add_column("")
     for column in ("before", "found", "+- (95 %)"):

@@ -1,8 +1,8 @@
-"""A calibration as a conversation: it says what to do next, and is told what was measured.
+"""A calibration procedure as a generator: it yields steps and receives measurements.
 
-A procedure is a generator. It yields steps, `GoTo` a pose and rest there, `Swing` the joints or `Ask` a
-person for something, and is sent the `Measurement` of each pose and what was recorded of a swing. Who carries the
-steps out, a loop in virtual time or a station with an operator, does not matter to it; to abort is to close it.
+The steps are `GoToPose` (move to a pose and rest), `SwingMotion` (oscillate the joints) and `OperatorPrompt` (a task
+for the operator). The procedure receives the `Measurement` of each pose and the `SwingRecord` of each swing. A loop in
+virtual time or a station with an operator executes the steps. Closing the generator aborts the procedure.
 """
 
 from collections.abc import Generator
@@ -15,74 +15,74 @@ from core.robot.robot import Array
 Result = TypeVar("Result")
 
 
-class GoTo(NamedTuple):
-    """Go to a pose, rest, measure; answered with a `Measurement`."""
+class GoToPose(NamedTuple):
+    """Step that moves the robot to a pose, rests and measures; its answer is a `Measurement`."""
 
-    joints: Array  #: (n,) [rad or m]
-    weight: float | None  #: known to hang at the tip meanwhile [N]
-    done: float  #: part of the procedure that is done before it, 0 ... 1
+    joints: Array  #: (n,) joint positions of the pose [rad or m]
+    weight: float | None  #: known weight at the tip [N]; None if unknown
+    done: float  #: share of the procedure that is done before this step, 0 ... 1
 
 
-class Ask(NamedTuple):
-    """Something that a person does while the robot rests; answered with None when it is done."""
+class OperatorPrompt(NamedTuple):
+    """Step that prompts the operator for a task while the robot rests; its answer is None when the task is done."""
 
     text: str
-    weight: float  #: that hangs at the tip from then on [N]
+    weight: float  #: weight at the tip after the task [N]
     done: float
 
 
-class Swing(NamedTuple):
-    """Move all joints to and fro from where they are; answered with `Swung`."""
+class SwingMotion(NamedTuple):
+    """Step that oscillates all joints from their present positions; its answer is a `SwingRecord`."""
 
-    amplitudes: Array  #: (n,) [rad or m]
-    period: float  #: [s]
-    duration: float  #: [s]
+    amplitudes: Array  #: (n,) amplitude of each joint [rad or m]
+    period: float  #: period of the oscillation [s]
+    duration: float  #: duration of the oscillation [s]
     done: float
 
 
-class Swung(NamedTuple):
-    """What was recorded of a swing."""
+class SwingRecord(NamedTuple):
+    """Recording of stages and tracker during a swing."""
 
-    times: Array  #: (m,) [s]
-    joints: Array  #: (m, n) as the stages count them [rad or m]
-    frame_times: Array  #: (k,) when the frames were measured, as far as that is known [s]
-    coils: Array  #: (k, 3) in the tracker's frame [m]
+    times: Array  #: (m,) times of the joint positions [s]
+    joints: Array  #: (m, n) joint positions that the stages reported [rad or m]
+    frame_times: Array  #: (k,) measurement times of the tracker's frames, computed with the known latency [s]
+    coils: Array  #: (k, 3) positions of the coil in the tracker's frame [m]
 
 
-Step = GoTo | Ask | Swing
-Answer = Measurement | Swung | None
+Step = GoToPose | OperatorPrompt | SwingMotion
+Answer = Measurement | SwingRecord | None
 Procedure = Generator[Step, Answer, Result]
 
 
 class AbortedError(CtrError):
-    """A procedure that was ended before it had a result."""
+    """Error of a procedure that ended without a result."""
 
 
 class StoppedByHandError(AbortedError):
-    """Ctrl-C."""
+    """Error of a procedure that the operator ended by Ctrl-C."""
 
 
-class Guided(Generic[Result]):
-    """A procedure under way."""
+class GuidedProcedure(Generic[Result]):
+    """A running procedure with its current step."""
 
     def __init__(self, procedure: Procedure[Result]) -> None:
-        """Begin; raises what the procedure raises while it plans."""
-        self.step: Step | None = None  #: what is to be done now; None at the end
-        self.result: Result | None = None  #: at the end
+        """Start the procedure; raises the errors of its planning."""
+        self.step: Step | None = None  #: step to execute now; None at the end
+        self.result: Result | None = None  #: result of the procedure at its end; None before
         self._procedure = procedure
         self._advance(None, first=True)
 
     @property
     def done(self) -> float:
-        """Part that is done, 0 ... 1."""
+        """Share of the procedure that is done, 0 ... 1."""
         return 1.0 if self.step is None else self.step.done
 
     def answer(self, answer: Answer) -> None:
-        """The step was carried out; raises what the procedure makes of it (`Unobservable` and others)."""
+        """Pass the answer to the current step; raises the procedure's errors (`Unobservable` and others)."""
         self._advance(answer, first=False)
 
     def abort(self) -> None:
-        """Give up; nothing is kept."""
+        """Abort the procedure and discard its measurements."""
         self._procedure.close()
         self.step = None
 

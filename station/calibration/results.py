@@ -1,4 +1,4 @@
-"""What calibrations have left in a folder: found by name, read back, and how each is put to use."""
+"""Lists and reads the stored calibrations of a folder, and gives instructions for using each of them."""
 
 import json
 import shlex
@@ -9,14 +9,14 @@ from typing import NamedTuple
 from pydantic import BaseModel, ConfigDict
 
 from core.errors import CtrError
-from station.calibration.catalogue import OFFERS
-from station.calibration.folder import NUMBERS, REPORT, VISITS
+from station.calibration.catalogue import PROCEDURES
+from station.calibration.folder import REPORT_FILE, REPORT_NUMBERS_FILE, VISITS_FILE
 from station.config.strict import Strict
-from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS
+from station.control.bench_calibration import REGISTRATION_FILE, ROBOT_FILE, SENSORS_FILE
 
 
-class Numbers(BaseModel):
-    """What the numbers of every calibration say, and what some of them say besides."""
+class CalibrationNumbers(BaseModel):
+    """Numbers of a calibration; fields with defaults exist for some procedures only."""
 
     model_config = ConfigDict(strict=True, extra="ignore", allow_inf_nan=False)
 
@@ -33,26 +33,26 @@ class Numbers(BaseModel):
 
 
 class NoResultError(CtrError):
-    """A calibration or a file of it that is not there."""
+    """A calibration, or a file of it, that does not exist."""
 
 
-class Use(Strict):
-    """How a result is put to use."""
+class CalibrationUse(Strict):
+    """Instructions for using the result of a calibration."""
 
     text: str
     line: str = ""
-    """at the top of the station's file; empty when there is none to be put there"""
+    """line for the top of the station file; empty if none is needed"""
     options: str = ""
-    """of ctr-station serve, for a station without a file"""
+    """command-line options of ctr-station serve, for a station without a station file"""
 
 
-class Kept(NamedTuple):
-    """One calibration."""
+class StoredCalibration(NamedTuple):
+    """One stored calibration."""
 
-    name: str  #: of its folder
-    numbers: Numbers  #: what `outcome` has written
-    files: tuple[str, ...]  #: that can be had
-    use: Use
+    name: str  #: name of the calibration's folder
+    numbers: CalibrationNumbers  #: numbers of the calibration, which the module `outcome` has written
+    files: tuple[str, ...]  #: names of the files in the folder
+    use: CalibrationUse
 
 
 class Results:
@@ -61,24 +61,24 @@ class Results:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
-    def all(self) -> list[Kept]:
-        """Every one, the newest first; what is damaged or only half written is left out."""
+    def all(self) -> list[StoredCalibration]:
+        """Return all calibrations, the newest first; damaged and incomplete ones are left out."""
         found = [kept for path in self._folders() if (kept := _read(path)) is not None]
         return sorted(found, key=lambda kept: (kept.numbers.made, kept.name), reverse=True)
 
-    def one(self, name: str) -> Kept:
-        """The calibration of that name.
+    def one(self, name: str) -> StoredCalibration:
+        """Return the calibration with a name.
 
         Raises:
             NoResultError: there is none.
         """
         kept = _read(self._find(name))
         if kept is None:
-            raise NoResultError(f"calibration '{name}' is damaged: no numbers in {NUMBERS}")
+            raise NoResultError(f"calibration '{name}' is damaged: no numbers in {REPORT_NUMBERS_FILE}")
         return kept
 
     def file(self, name: str, file: str) -> Path:
-        """A file of it.
+        """Return the path of a file of a calibration.
 
         Raises:
             NoResultError: there is no such calibration, or no such file in it.
@@ -89,7 +89,7 @@ class Results:
         return folder / file
 
     def _find(self, name: str) -> Path:
-        # Compared with what is there and never made into a path: a name cannot lead elsewhere.
+        # The name is compared with existing folders and never becomes a path, so it cannot select another folder.
         for path in self._folders():
             if path.name == name:
                 return path
@@ -99,41 +99,50 @@ class Results:
         if not self._folder.is_dir():
             return
         for path in self._folder.iterdir():
-            if not path.is_symlink() and (path / NUMBERS).is_file():
+            if not path.is_symlink() and (path / REPORT_NUMBERS_FILE).is_file():
                 yield path
 
 
 def _files(folder: Path) -> tuple[str, ...]:
-    return tuple(name for name in (REGISTRATION, SENSORS, ROBOT, REPORT, NUMBERS, VISITS) if (folder / name).is_file())
+    return tuple(
+        name
+        for name in (REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE, REPORT_FILE, REPORT_NUMBERS_FILE, VISITS_FILE)
+        if (folder / name).is_file()
+    )
 
 
-def _read(folder: Path) -> Kept | None:
+def _read(folder: Path) -> StoredCalibration | None:
     try:
-        folder.name.encode()  # what is not UTF-8 nobody can ask for
-        # By the text: pydantic's reader knows neither half a surrogate pair nor a bottomless nest of brackets.
-        numbers = Numbers.model_validate_json((folder / NUMBERS).read_bytes())
+        folder.name.encode()  # a name that is not UTF-8 cannot be requested
+        # pydantic's JSON parser raises ValueError for half a surrogate pair and for very deeply nested brackets.
+        numbers = CalibrationNumbers.model_validate_json((folder / REPORT_NUMBERS_FILE).read_bytes())
     except (OSError, ValueError):
         return None
-    if numbers.procedure not in OFFERS:
+    if numbers.procedure not in PROCEDURES:
         return None
-    return Kept(folder.name, numbers, _files(folder), _use(folder.absolute(), numbers))
+    return StoredCalibration(folder.name, numbers, _files(folder), _use(folder.absolute(), numbers))
 
 
-def _use(folder: Path, numbers: Numbers) -> Use:
-    if any((folder / name).is_file() for name in (REGISTRATION, SENSORS, ROBOT)):
+def _use(folder: Path, numbers: CalibrationNumbers) -> CalibrationUse:
+    if any((folder / name).is_file() for name in (REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE)):
         text = (
-            "Put this line at the top of the station's file, or start the station with this option: then it is in use."
+            "To use this calibration, put this line at the top of the station's file, or start the station with this"
+            " option."
         )
-        return Use(
+        return CalibrationUse(
             text=text,
             line=f"calibration = {json.dumps(str(folder))}",
             options=f"--calibration {shlex.quote(str(folder))}",
         )
     if (late := numbers.latency_s) is not None:
         text = f"Add {1e3 * late:.1f} ms to `latency` under [devices.tracker] of the station's file."
-        return Use(text=text)
+        return CalibrationUse(text=text)
     wrong = [name for name, sign in numbers.signs.items() if sign < 0.0]
     if wrong:
         turned = ", ".join(f"joints.{name}.backwards" for name in wrong)
-        return Use(text=f"Turn round {turned} under [devices.stages] of the station's file, and do this again.")
-    return Use(text="Nothing has to be changed: the axes run as described. 'tubes' finds the zero angles better.")
+        return CalibrationUse(
+            text=f"Invert {turned} under [devices.stages] of the station's file, then repeat this procedure."
+        )
+    return CalibrationUse(
+        text="Nothing has to be changed: the axes run as described. 'tubes' finds the zero angles more accurately."
+    )

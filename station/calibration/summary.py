@@ -1,4 +1,4 @@
-"""A calibration in plain numbers: what goes into report.json, onto the screen and into the report."""
+"""Summarises a calibration as numbers and sentences, for report.json, the terminal and the report."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,32 +11,33 @@ from core.calibration.fit import Fit
 from core.calibration.force import SensorCalibration, WeightCheck
 from core.calibration.measurements import Measurement
 from core.calibration.prediction import Frames
-from core.calibration.rigid import vector_of
+from core.calibration.rigid_transform import vector_from_rotation
 from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.calibration.commission import AxesResult, LatencyResult
-from station.calibration.plan import Subject
-from station.calibration.procedures import SUSPICIOUS, ForceResult, TrackerResult, TubesResult
+from station.calibration.plan import PlanSubject
+from station.calibration.procedures import SUSPICIOUS_CHI_SQUARE, ForceResult, TrackerResult, TubesResult
 
 Result = TrackerResult | ForceResult | TubesResult | AxesResult | LatencyResult
-#: Errors that are left at poses no fit has seen, as a part of those before, from which a calibration is not worth it.
-HARDLY = 0.7
-NOT_THIS_MODEL = (
-    "no tubes of this model are the robot (friction between stiff tubes, or a wrong description); do not use robot.toml"
+#: Ratio of the errors after and before, at held-out poses, above which a calibration is not worth using.
+MIN_IMPROVEMENT_RATIO = 0.7
+MODEL_MISMATCH = (
+    "tubes of this model do not describe the robot (friction between stiff tubes, or a wrong description); do not use"
+    " robot.toml"
 )
 
 
 class Row(NamedTuple):
-    """One number that was found, as a person reads it."""
+    """One result in human-readable form."""
 
     name: str
     before: str
     found: str
-    interval: str  #: half of 95 %, with the unit
+    interval: str  #: half of the 95 % interval, with the unit
 
 
-def rows(result: Result, subject: Subject) -> list[Row]:
-    """What was found, one row a number."""
+def rows(result: Result, subject: PlanSubject) -> list[Row]:
+    """Return the results, one row per number."""
     if isinstance(result, AxesResult):
         names = [joint.name for joint in subject.robot.joints]
         found = [
@@ -48,7 +49,7 @@ def rows(result: Result, subject: Subject) -> list[Row]:
         return found
     if isinstance(result, LatencyResult):
         late = result.latency
-        return [Row("tracker later than it says", "0", f"{1e3 * late.latency:.1f}", f"{1.96e3 * late.error:.1f} ms")]
+        return [Row("tracker later than configured", "0", f"{1e3 * late.latency:.1f}", f"{1.96e3 * late.error:.1f} ms")]
     if isinstance(result, TrackerResult):
         return [*frame_rows(result.registration.fit, result.registration.frames), *_axis_rows(result.axis)]
     if isinstance(result, ForceResult):
@@ -63,47 +64,49 @@ def rows(result: Result, subject: Subject) -> list[Row]:
 
 
 def findings(result: Result) -> list[str]:
-    """What a person should know about the result, in sentences."""
+    """Return the findings of a result as sentences."""
     if isinstance(result, AxesResult):
         first, second = 1e3 * result.signs.rms, 1e3 * result.signs.next_rms
-        said = [f"The signs fit to {first:.2f} mm RMS; the next best combination to {second:.2f} mm."]
+        sentences = [f"The signs fit to {first:.2f} mm RMS; the next best combination to {second:.2f} mm."]
         if (result.signs.signs < 0.0).any():
-            said.append("Turn the axes marked - round in the bench's file, then do this once more for the zero angles.")
-        return said
+            sentences.append("Invert the axes marked - in the bench's file, then repeat this for the zero angles.")
+        return sentences
     if isinstance(result, LatencyResult):
         return [
-            "Counted from the positions that the stages report, whose own delay is in it.",
-            f"{1e3 * result.latency.rms:.2f} mm RMS are left.",
+            "The latency counts from the positions that the stages report, so it contains their delay.",
+            f"The residual is {1e3 * result.latency.rms:.2f} mm RMS.",
         ]
     if isinstance(result, TrackerResult):
         found = result.registration
-        said = [
+        sentences = [
             f"{1e3 * found.rms:.3f} mm RMS between coil and model; {1e3 * float(found.held_out.mean()):.3f} mm mean"
-            " at measurements that the fit had not seen."
+            " at measurements held out of the fit."
         ]
-        if found.fit.variance_factor > SUSPICIOUS:
-            said.append("That is far more than the noise: the tubes differ from their description; calibrate them.")
-        return [*said, *_axis_said(result.axis), *_weak(found.fit)]
+        if found.fit.variance_factor > SUSPICIOUS_CHI_SQUARE:
+            sentences.append(
+                "This is far more than the noise: the tubes differ from their description; calibrate them."
+            )
+        return [*sentences, *_axis_sentence(result.axis), *_weak(found.fit)]
     if isinstance(result, ForceResult):
-        return [*_checks(result.checks), *_unseen(result.calibration.fit)]
+        return [*_checks(result.checks), *_undetermined(result.calibration.fit)]
     loaded = result.held_out_loaded
-    hardly = float(loaded.after.mean()) > HARDLY * float(result.held_out_believed.mean())
+    useless = float(loaded.after.mean()) > MIN_IMPROVEMENT_RATIO * float(result.held_out_believed.mean())
     return [
-        f"Loaded measurements that no fit has seen: {1e3 * float(result.held_out_believed.mean()):.2f} mm mean as"
-        f" believed before, {1e3 * float(loaded.before.mean()):.2f} mm with the described tubes in the best frames for"
-        f" them, {1e3 * float(loaded.after.mean()):.3f} mm calibrated.",
-        *([f"That is hardly better than before: {NOT_THIS_MODEL}."] if hardly else []),
+        f"Mean error at loaded measurements held out of the fits: {1e3 * float(result.held_out_believed.mean()):.2f} mm"
+        f" with the previous parameters, {1e3 * float(loaded.before.mean()):.2f} mm with described tubes and the best"
+        f" frames, {1e3 * float(loaded.after.mean()):.3f} mm calibrated.",
+        *([f"This is almost no improvement: {MODEL_MISMATCH}."] if useless else []),
         f"{_rms_mm(result.calibration.errors):.3f} mm RMS at the measurements of the fit,"
-        f" {result.calibration.fit.variance_factor:.2f} of the variance that the noise lets expect.",
+        f" {result.calibration.fit.variance_factor:.2f} of the variance expected from the noise.",
         *_checks(result.checks),
-        *_axis_said(result.axis),
+        *_axis_sentence(result.axis),
         *_weak(result.calibration.fit),
-        *_unseen(result.sensors.fit),
+        *_undetermined(result.sensors.fit),
     ]
 
 
-def numbers(result: Result, subject: Subject) -> dict[str, Any]:
-    """The result as numbers for scripts; SI units."""
+def numbers(result: Result, subject: PlanSubject) -> dict[str, Any]:
+    """Return the result as numbers for scripts; SI units."""
     summary: dict[str, Any] = {
         "found": [row._asdict() for row in rows(result, subject)],
         "findings": findings(result),
@@ -134,7 +137,7 @@ def numbers(result: Result, subject: Subject) -> dict[str, Any]:
 
 
 def recorded(measurements: Sequence[Measurement]) -> list[dict[str, Any]]:
-    """Measurements as they were measured, for the record."""
+    """Return the measurements as JSON values."""
     return [
         {
             "time": measurement.time,
@@ -149,7 +152,7 @@ def recorded(measurements: Sequence[Measurement]) -> list[dict[str, Any]]:
 
 
 def tube_rows(calibration: TubeCalibration, described: Robot) -> list[Row]:
-    """The tubes' numbers and the joints' plays."""
+    """Return the rows of the tubes' parameters and the joints' plays."""
     found: list[Row] = []
     fit = calibration.fit
     for quantity in calibration.what:
@@ -165,10 +168,13 @@ def tube_rows(calibration: TubeCalibration, described: Robot) -> list[Row]:
         elif quantity.kind == "poisson_ratio":
             nu = tube.poisson_ratio
             found.append(Row(f"{tube.name} nu", f"{nu:.3g}", f"{nu + value:.3f}", f"{half:.2g}"))
-        elif quantity.kind == "straight_length":
-            length = 1e3 * tube.sections[0].length
+        elif quantity.kind == "torsional_stiffness":
+            gj = tube.bending_stiffness / tube.stiffness_ratio
+            found.append(Row(f"{tube.name} GJ", f"{gj:.4g}", f"{gj * (1.0 + value):.4g}", f"{gj * half:.2g} N m^2"))
+        elif quantity.kind in ("straight_length", "curve_start"):
+            length, what = 1e3 * tube.sections[0].length, quantity.kind.replace("_", " ")
             text = f"{length + 1e3 * value:.2f}"
-            found.append(Row(f"{tube.name} straight length", f"{length:g}", text, f"{1e3 * half:.2g} mm"))
+            found.append(Row(f"{tube.name} {what}", f"{length:g}", text, f"{1e3 * half:.2g} mm"))
         elif quantity.kind == "end":
             edge = 1e3 * tube.length
             text = f"{edge + 1e3 * value:.2f}"
@@ -177,7 +183,7 @@ def tube_rows(calibration: TubeCalibration, described: Robot) -> list[Row]:
             text = f"{math.degrees(value):.2f}"
             found.append(Row(f"{tube.name} zero angle", "0", text, f"{math.degrees(half):.2g} deg"))
     for parameter in fit.parameters:
-        if parameter.name.endswith(" play"):
+        if parameter.name.endswith((" play", " half lag")):
             factor, unit = (1e6, "um") if parameter.unit == "m" else (180.0 / math.pi, "deg")
             value, half = factor * fit.value(parameter.name), factor * fit.interval(parameter.name)
             found.append(Row(parameter.name, "0", f"{value:.4g}", f"{half:.2g} {unit}"))
@@ -185,8 +191,8 @@ def tube_rows(calibration: TubeCalibration, described: Robot) -> list[Row]:
 
 
 def frame_rows(fit: Fit, frames: Frames) -> list[Row]:
-    """The tracker's frame as a correction of where it was believed to stand."""
-    turn, shift = np.degrees(vector_of(frames.registration.rotation)), 1e3 * frames.registration.position
+    """Return the rows of the tracker's frame, as a correction of its assumed pose."""
+    turn, shift = np.degrees(vector_from_rotation(frames.registration.rotation)), 1e3 * frames.registration.position
     found: list[Row] = []
     for what, values, factor, unit in (
         ("frame rotation", turn, 180.0 / math.pi, "deg"),
@@ -200,7 +206,10 @@ def frame_rows(fit: Fit, frames: Frames) -> list[Row]:
 
 
 def _axis_rows(axis: CoilAxis | None) -> list[Row]:
-    """How the coil leans towards x and y of the tip; the mean of many poses is no surer: the model's error is in it."""
+    """Return the rows of the coil's tilt towards x and y of the tip.
+
+    The interval is the spread over poses: the model's error does not average out.
+    """
     if axis is None or axis.refused:
         return []
     half = f"{math.degrees(1.96 * axis.spread):.2g} deg"
@@ -208,19 +217,19 @@ def _axis_rows(axis: CoilAxis | None) -> list[Row]:
     return [Row(f"coil leans to {to}", "0", f"{angle:.2f}", half) for to, angle in zip("xy", lean, strict=True)]
 
 
-def _axis_said(axis: CoilAxis | None) -> list[str]:
+def _axis_sentence(axis: CoilAxis | None) -> list[str]:
     if axis is None:
-        return ["The tracker does not tell where the coil points; the tip's direction cannot be measured."]
-    by = f"{math.degrees(axis.askew):.2f} deg from the tip's"
+        return ["The tracker does not report the coil's direction; the tip's direction cannot be measured."]
+    by = f"{math.degrees(axis.misalignment):.2f} deg from the tip's"
     if axis.refused:
-        return [f"The coil's axis seems {by}, which is not used: {axis.refused}."]
-    return [f"The coil's axis is {by}; single poses say so within {math.degrees(axis.spread):.2f} deg."]
+        return [f"The coil's axis is {by}, but is not used: {axis.refused}."]
+    return [f"The coil's axis is {by}; single poses agree within {math.degrees(axis.spread):.2f} deg."]
 
 
 def _sensors(found: SensorCalibration, robot: Robot) -> list[Row]:
     listed: list[Row] = []
     for i, tube in enumerate(robot.tubes):
-        for axis, angle in zip("xyz", vector_of(found.sensors.mounting[i]), strict=True):
+        for axis, angle in zip("xyz", vector_from_rotation(found.sensors.mounting[i]), strict=True):
             half = math.degrees(found.fit.interval(f"{tube.name} mounting {axis}"))
             listed.append(Row(f"{tube.name} sensor about {axis}", "0", f"{math.degrees(angle):.2f}", f"{half:.2g} deg"))
         half = 1e3 * found.fit.interval(f"{tube.name} weight")
@@ -231,21 +240,21 @@ def _sensors(found: SensorCalibration, robot: Robot) -> list[Row]:
 def _checks(checks: Sequence[tuple[float, WeightCheck]]) -> list[str]:
     return [
         f"The weight of {known:g} N was measured as {check.magnitude:.4f} N, {math.degrees(check.angle):.2f} deg from"
-        " where gravity points."
+        " the direction of gravity."
         for known, check in checks
     ]
 
 
 def _weak(fit: Fit) -> list[str]:
-    return [f"The data cannot tell: {combination}." for combination in fit.weak]
+    return [f"The data do not determine: {combination}." for combination in fit.weak]
 
 
-def _unseen(fit: Fit) -> list[str]:
-    """Of sensors: combinations that change no load."""
+def _undetermined(fit: Fit) -> list[str]:
+    """Return the sentence about combinations of sensor parameters that do not change the load."""
     if not fit.weak:
         return []
     return [
-        f"{len(fit.weak)} combinations of the sensors' numbers cannot be told apart; none of them changes the load."
+        f"{len(fit.weak)} combinations of the sensors' parameters are not determined; none of them changes the load."
     ]
 
 

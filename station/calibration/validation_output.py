@@ -1,4 +1,4 @@
-"""What a validation leaves behind: numbers, the error of every pose, the report; and the robot as it was found."""
+"""Writes the files of a validation: numbers, the error of every pose, the report, and the fitted robot."""
 
 import csv
 import json
@@ -12,22 +12,22 @@ from rich.text import Text
 
 from station.calibration import files
 from station.calibration.findings import findings
-from station.calibration.folder import NUMBERS
+from station.calibration.folder import REPORT_NUMBERS_FILE
 from station.calibration.poses import Poses, recorded
 from station.calibration.validation import Validation, calibration, found_rows
 from station.calibration.validation_numbers import numbers
 from station.config.strict import ConfigError
-from station.devices.aurora.tracker import Registration
+from station.devices.aurora.tracker import TrackerMounting
 
-ERRORS = "errors.csv"
-#: Rows that were left out are printed up to here; the report has more.
-PRINTED = 10
-#: Measured points are taken as they are: their frame is that of the tracker.
-AS_MEASURED = Registration(np.eye(3), np.zeros(3))
+ERRORS_FILE = "errors.csv"
+#: Largest number of left-out rows that the terminal shows; the report lists more.
+MAX_PRINTED_ROWS = 10
+#: Identity transform of the measured points, because they are already in the tracker's frame.
+IDENTITY_REGISTRATION = TrackerMounting(np.eye(3), np.zeros(3))
 
 
 def write_validation(folder: Path, validation: Validation, when: str) -> dict[str, Any]:
-    """report.html, report.json and errors.csv in `folder`; the numbers are the answer.
+    """Write report.html, report.json and errors.csv to `folder`, and return the numbers.
 
     Raises:
         ConfigError: the folder cannot be written to.
@@ -36,17 +36,17 @@ def write_validation(folder: Path, validation: Validation, when: str) -> dict[st
 
 
 def write_calibration(folder: Path, validation: Validation, when: str) -> dict[str, Any]:
-    """The same, and robot.toml and registration.toml, as `--calibration` of other commands takes them.
+    """Write the files of a validation, and robot.toml and registration.toml for `--calibration` of other commands.
 
     Raises:
         Unobservable: the tubes could not be fitted.
         ConfigError: the folder cannot be written to.
     """
     found = calibration(validation)
-    made = f"'calibrate tubes --from {validation.poses.path.name}' of {when}; errors in {ERRORS}"
+    made = f"'calibrate tubes --from {validation.poses.path.name}' of {when}; errors in {ERRORS_FILE}"
     written = [
         files.write_registration(
-            folder, validation.robot, found.frames, found.fit, found.errors, AS_MEASURED, made
+            folder, validation.robot, found.frames, found.fit, found.errors, IDENTITY_REGISTRATION, made
         ),
         files.write_robot(folder, validation.file, found, made),
     ]  # fmt: skip
@@ -62,40 +62,40 @@ def write_calibration(folder: Path, validation: Validation, when: str) -> dict[s
 def _written(
     folder: Path, title: str, validation: Validation, when: str, more: dict[str, Any], names: Sequence[str]
 ) -> dict[str, Any]:
-    # Imported here: the figures' library takes a second.
+    # Imported here because importing the figures' library takes a second.
     from station.calibration.validation_report import write_report
 
-    said = {**numbers(validation), **more, "folder": str(folder), "files": [*names, ERRORS]}
+    values = {**numbers(validation), **more, "folder": str(folder), "files": [*names, ERRORS_FILE]}
     facts = [
         ("made", when),
         ("robot", validation.robot.name),
-        ("poses", _where(validation.poses)),
-        *([] if validation.test is None else [("tested with", _where(validation.test))]),
-        ("source of the description", validation.file.source or "not said"),
+        ("poses", _location(validation.poses)),
+        *([] if validation.test is None else [("tested with", _location(validation.test))]),
+        ("source of the description", validation.file.source or "not stated"),
     ]
     joints = validation.robot.joint_names
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / ERRORS).open("w", encoding="utf-8", newline="") as file:
+        with (folder / ERRORS_FILE).open("w", encoding="utf-8", newline="") as file:
             csv.writer(file).writerows(recorded(validation.poses, validation.errors[-1], joints))
-        (folder / NUMBERS).write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+        (folder / REPORT_NUMBERS_FILE).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
         write_report(folder, title, validation, facts)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
-    return said
+    return values
 
 
-def _where(poses: Poses) -> str:
+def _location(poses: Poses) -> str:
     return f"{poses.path}: {len(poses.measurements)} poses" + (
         f", {len(poses.left_out)} left out" if poses.left_out else ""
     )
 
 
 def tables(validation: Validation) -> list[Table]:
-    """Errors and what was found, on the screen."""
+    """Return the tables of errors and results for the terminal."""
     from station.calibration.validation_report import error_rows
 
-    title = f"{validation.robot.name}: {_where(validation.poses)}"
+    title = f"{validation.robot.name}: {_location(validation.poses)}"
     errors = Table(title=Text(title), title_style="", title_justify="left")
     for column in ("distance [mm]", "at"):
         errors.add_column(column)
@@ -114,11 +114,11 @@ def tables(validation: Validation) -> list[Table]:
 
 
 def sentences(validation: Validation) -> list[str]:
-    """Findings, and the first of the rows that were left out."""
-    said = findings(validation)
+    """Return the findings, and the first of the left-out rows."""
+    lines = findings(validation)
     for poses in (validation.poses, validation.test):
         left = () if poses is None else poses.left_out
-        said += [f"line {each.line} left out: {each.reason}" for each in left[:PRINTED]]
-        if len(left) > PRINTED:
-            said.append(f"and {len(left) - PRINTED} more, in the report")
-    return said
+        lines += [f"line {each.line} left out: {each.reason}" for each in left[:MAX_PRINTED_ROWS]]
+        if len(left) > MAX_PRINTED_ROWS:
+            lines.append(f"and {len(left) - MAX_PRINTED_ROWS} more, in the report")
+    return lines

@@ -1,6 +1,6 @@
-"""A step of a procedure as a task of the control loop, and rows of telemetry as what was measured in it.
+"""Converts a step of a procedure to a task of the control loop, and its telemetry to a measurement.
 
-The same in virtual time and on a running station.
+Both virtual time and a running station use it.
 """
 
 import math
@@ -11,93 +11,99 @@ import numpy as np
 from core.calibration.measurements import Measurement
 from core.control.step import Controller
 from core.control.trajectories import JointMotion
-from core.model.many import solve_many
+from core.model.batch import solve_many
 from core.robot.robot import Array
-from station.calibration.procedure import AbortedError, GoTo, Swing, Swung
+from station.calibration.procedure import AbortedError, GoToPose, SwingMotion, SwingRecord
 from station.control.margins import Margins
-from station.control.settle_and_tare import AVERAGE
+from station.control.settle_and_tare import AVERAGE_S
 from station.control.states import State
-from station.control.task import Task
+from station.control.task import MotionTask
 from station.control.telemetry import Channels
 
-#: At each rest the loop tares away the weight that hangs, and its model goes on without it; and nothing is calibrated
-#: yet. Only a tip that is somewhere else altogether stops a procedure.
-MARGINS = Margins(apart=0.12)
-#: After a weight was hung or taken off it may swing this long [s].
-SWINGING = 2.0
-#: So much of the time that is averaged must have been seen.
-LEAST_SEEN = 0.5
+#: Distance between tip and model above which a procedure is stopped [m]. It is very large, because nothing is
+#: calibrated yet and each rest tares the sensors with the hanging weight, so that the model does not know this weight.
+VISITING_MARGINS = Margins(apart=0.12)
+#: Time for a weight to stop swinging after it was hung or removed [s].
+SWING_DECAY_S = 2.0
+#: Share of the averaging time that must have been recorded.
+MIN_VISIBLE_SHARE = 0.5
 
 
-class Sway:
-    """Orders in joints: to and fro from where they are, or nothing at all."""
+class SwayMotion:
+    """Orders for all joints: an oscillation from their present positions, or rest."""
 
     def __init__(self, amplitudes: Array, period: float) -> None:
         self._amplitudes, self._rate = amplitudes, 2.0 * math.pi / period
 
     def at(self, time: float) -> JointMotion:
-        """Velocities `time` [s] after the start: a (1 - cos) / 2 begins and ends at rest where it began."""
+        """Return the joint velocities at `time` [s] after the start.
+
+        The path (1 - cos) / 2 starts and ends at rest at the start positions.
+        """
         return JointMotion(0.5 * self._rate * math.sin(self._rate * time) * self._amplitudes)
 
 
-def still(joints: int) -> Sway:
-    """Orders to stand."""
-    return Sway(np.zeros(joints), 1.0)
+def rest_orders(joints: int) -> SwayMotion:
+    """Return orders to rest."""
+    return SwayMotion(np.zeros(joints), 1.0)
 
 
-def task(step: GoTo | Swing, controller: Controller) -> Task:
-    """A measurement ends with the rest before its motion, a swing begins there; where the coil points is recorded."""
+def task(step: GoToPose | SwingMotion, controller: Controller) -> MotionTask:
+    """Return the task that executes a step: a pose is a move and a rest without motion, a swing is a motion.
+
+    The task records the direction of the coil.
+    """
     controller = replace(controller, watches=True)
-    if isinstance(step, GoTo):
-        return Task(controller, still(len(step.joints)), 0.0, step.joints, MARGINS)
-    return Task(controller, Sway(step.amplitudes, step.period), step.duration, margins=MARGINS)
+    if isinstance(step, GoToPose):
+        return MotionTask(controller, rest_orders(len(step.joints)), 0.0, step.joints, VISITING_MARGINS)
+    return MotionTask(controller, SwayMotion(step.amplitudes, step.period), step.duration, margins=VISITING_MARGINS)
 
 
-def measured(
-    channels: Channels, rows: Array, step: GoTo | Swing, before: Array, controller: Controller
-) -> Measurement | Swung:
-    """What the last rest, or a swing, has shown.
+def measurement_of(
+    channels: Channels, rows: Array, step: GoToPose | SwingMotion, before: Array, controller: Controller
+) -> Measurement | SwingRecord:
+    """Return the measurement of the last rest, or the record of a swing.
 
     Args:
-        channels: of the rows.
-        rows: telemetry (m, channels) of the task, or more of it.
-        step: what was to be done.
-        before: joints (n,) from which the robot came [rad or m].
-        controller: of the task.
+        channels: channels of the rows.
+        rows: telemetry (m, channels) that contains the task.
+        step: step that the task executed.
+        before: joint positions (n,) before the step [rad or m].
+        controller: controller of the task.
 
     Raises:
-        AbortedError: too little was seen of it, or nothing by the tracker.
+        AbortedError: too few rows were recorded, or no tracker frame.
     """
     running = rows[channels.of(rows, "state")[:, 0] == State.RUNNING]
     times = channels.of(running, "time")[:, 0]
-    wanted, period = AVERAGE if isinstance(step, GoTo) else step.duration, _period(times)
-    counted = running[times > times.max(initial=0.0) - wanted + 0.5 * period]
-    if len(counted) < LEAST_SEEN * wanted / period:
-        seen = len(counted) * period
-        raise AbortedError(f"only {seen:.1f} of {wanted:g} s were recorded: the computer is too busy")
+    required, period = AVERAGE_S if isinstance(step, GoToPose) else step.duration, _period(times)
+    counted = running[times > times.max(initial=0.0) - required + 0.5 * period]
+    if len(counted) < MIN_VISIBLE_SHARE * required / period:
+        available = len(counted) * period
+        raise AbortedError(f"only {available:.1f} of {required:g} s were recorded: the computer is too busy")
     frames = counted[channels.of(counted, "tip_new")[:, 0] > 0.0]
     if len(frames) == 0:
         raise AbortedError("no tracker frame while the robot rested; is the coil inside the tracker's volume?")
     times, joints = channels.of(counted, "time")[:, 0], channels.of(counted, "joints")
     coils, axes = _coils(channels, frames, controller)
-    if isinstance(step, Swing):
-        seen = channels.of(frames, "tip_time")[:, 0]
-        # The first frames were measured before the swing began.
-        inside = (seen > times[0] + 0.1) & (seen < times[-1])
-        return Swung(times, joints, seen[inside], coils[inside])
+    if isinstance(step, SwingMotion):
+        measured = channels.of(frames, "tip_time")[:, 0]
+        # Leave out the first frames, which were measured before the swing started.
+        inside = (measured > times[0] + 0.1) & (measured < times[-1])
+        return SwingRecord(times, joints, measured[inside], coils[inside])
     wrenches = channels.of(counted, "wrench_raw").mean(axis=0).reshape(-1, 6)
-    came = np.sign(joints[-1] - before)
+    arrival = np.sign(joints[-1] - before)
     axis = None
     if axes.any():
         mean = axes.mean(axis=0)
         axis = (mean / float(np.linalg.norm(mean)))[None]
-    return Measurement(float(times.mean()), joints[-1].copy(), coils.mean(axis=0), wrenches, step.weight, came, axis)
+    return Measurement(float(times.mean()), joints[-1].copy(), coils.mean(axis=0), wrenches, step.weight, arrival, axis)
 
 
 def _coils(channels: Channels, frames: Array, controller: Controller) -> tuple[Array, Array]:
-    """Where the coil was (k, 3) [m], and its axis (k, 3), zeros where the tracker does not tell.
+    """Return positions (k, 3) [m] and axes (k, 3) of the coil, zeros where the tracker does not report them.
 
-    A calibration that is in use has led the controller from there to the tip.
+    With a calibration in use the telemetry has the tip; this function converts it back to the coil.
     """
     tips, directions = channels.of(frames, "tip_measured"), channels.of(frames, "direction_measured")
     known = controller.corrections
@@ -105,11 +111,11 @@ def _coils(channels: Channels, frames: Array, controller: Controller) -> tuple[A
         return tips, directions
     forces = channels.of(frames, "force")
     loads = np.column_stack((forces, np.zeros_like(forces)))
-    turns = solve_many(controller.statics, channels.of(frames, "joints"), loads).complete().rotation
-    axes = [known.coil_axis(direction, turn) for direction, turn in zip(directions, turns, strict=True)]
-    return tips + turns @ known.coil, np.array(axes)
+    rotations = solve_many(controller.statics, channels.of(frames, "joints"), loads).complete().rotation
+    axes = [known.coil_axis(direction, turn) for direction, turn in zip(directions, rotations, strict=True)]
+    return tips + rotations @ known.coil, np.array(axes)
 
 
 def _period(times: Array) -> float:
-    """Of the ticks [s]; where some were skipped, of the others."""
-    return float(np.median(np.diff(times))) if len(times) > 1 else AVERAGE
+    """Return the median period of the ticks [s], which skipped ticks do not change."""
+    return float(np.median(np.diff(times))) if len(times) > 1 else AVERAGE_S

@@ -1,45 +1,69 @@
-"""The station's side of a procedure that thinks in a process of its own."""
+"""The station's side of a calibration's worker process: starts it, exchanges messages with it and ends it."""
+
+import time
 
 from core.errors import CtrError
 from station.calibration.procedure import AbortedError, Answer, Step
-from station.calibration.worker import Failed, Finished, Job, Said, run_worker
-from station.control.child import Child
+from station.calibration.worker import CalibrationJob, JobFailed, JobFinished, WorkerMessage, run_worker
+from station.control.child_process import ChildProcess
+from station.control.realtime import processor_time
+
+#: Time without processor use after which a computing worker counts as stalled [s]. A signal or a lack of memory can
+#: stall it.
+STALLED_S = 30.0
 
 
 class FailedError(CtrError):
-    """A procedure that came to no result; the text says why."""
+    """Error of a procedure that has no result; the text has the reason."""
 
 
 class WorkerHost:
-    """Owner of one such process."""
+    """Owner of one worker process."""
 
-    def __init__(self, job: Job) -> None:
-        """Start it; its first step takes a while."""
-        self._child = Child(run_worker, job, name="calibration")
+    def __init__(self, job: CalibrationJob, stalled: float = STALLED_S) -> None:
+        """Start the worker; its first step takes a while.
 
-    def heard(self, patience: float) -> Step | Finished | None:
-        """The next step, or that the results are there; None when neither has come within `patience` [s].
+        `stalled`: time without processor use after which the worker counts as stalled [s].
+        """
+        self._child = ChildProcess(run_worker, job, name="calibration")
+        self._stalled, self._used, self._since = stalled, -1.0, time.monotonic()
+
+    def receive(self, timeout: float) -> Step | JobFinished | None:
+        """Return the next step, or `JobFinished`; None if neither arrives within `timeout` [s].
 
         Raises:
             FailedError: there will be no result.
-            AbortedError: the process has ended.
+            AbortedError: the process has ended or is stalled.
         """
         try:
-            if not self._child.pipe.poll(patience):
+            if not self._child.pipe.poll(timeout):
+                self._check_progress()
                 return None
-            said: Said = self._child.pipe.recv()
+            message: WorkerMessage = self._child.pipe.recv()
         except (EOFError, OSError):
             raise AbortedError(f"the process that plans and computes has ended {self._child.ended()}") from None
-        if isinstance(said, Failed):
-            raise FailedError(said.reason)
-        return said
+        if isinstance(message, JobFailed):
+            raise FailedError(message.reason)
+        return message
 
     def answer(self, answer: Answer) -> None:
-        """The step was carried out."""
-        self._child.tell(answer)  # `heard` says when it is gone
+        """Send the answer to the current step."""
+        self._since = time.monotonic()  # the worker's time starts now, because it had nothing to compute before
+        self._child.send(answer)  # if the process has ended, `receive` reports it
 
     def close(self) -> None:
-        """End it, whatever it is doing."""
-        self._child.terminate()
+        """Kill the process; SIGTERM would not end a process that is stopped by a signal."""
+        self._child.kill()
         self._child.ended()
         self._child.pipe.close()
+
+    def _check_progress(self) -> None:
+        """Raise AbortedError when the process has used no processor time for too long."""
+        used, now = processor_time(self._child.pid), time.monotonic()
+        if used is None or used != self._used:
+            self._used, self._since = used or 0.0, now
+        elif now - self._since > self._stalled:
+            raise AbortedError(
+                f"the process that plans and computes (pid {self._child.pid}) has used no processor time for"
+                f" {self._stalled:g} s: it is stopped, or memory is short; start the procedure again"
+            )

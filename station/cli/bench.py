@@ -1,4 +1,4 @@
-"""The command `bench`: what this machine achieves, one figure's worth or all of it as a file."""
+"""The command `bench`: run one benchmark on this computer, or write a report of all benchmarks to a file."""
 
 import argparse
 import json
@@ -6,29 +6,29 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import between, progress_bar
+from station.cli.options import number_between, progress_bar
 
-WHAT = (
+BENCHMARKS = (
     "model", "accuracy", "solver", "cost", "tick", "wire", "loop", "headless", "cold", "recorder", "setpoints",
     "gym", "report",
 )  # fmt: skip
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
-    """Add it."""
-    bench = commands.add_parser("bench", help="measure this machine")
-    bench.add_argument("what", choices=WHAT, help="'report': all but accuracy, solver and gym, into a file")
+    """Add the command `bench` to the parser."""
+    bench = commands.add_parser("bench", help="measure the performance of this computer")
+    bench.add_argument("what", choices=BENCHMARKS, help="'report' writes all but accuracy, solver and gym to a file")
     bench.add_argument(
         "--seconds",
-        type=between(1.0, 86400.0, "a time", "s"),
+        type=number_between(1.0, 86400.0, "a time", "s"),
         default=60.0,
         metavar="S",
-        help="of loop, recorder, setpoints (60)",
+        help="duration of loop, recorder and setpoints (60)",
     )
-    bench.add_argument("--no-fifo", action="store_true", help="of 'loop': do not ask for real-time scheduling")
+    bench.add_argument("--no-fifo", action="store_true", help="loop: do not request real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
     bench.add_argument(
-        "--out", type=Path, default=Path("MEASURED.md"), metavar="FILE", help="of 'report' (MEASURED.md)"
+        "--out", type=Path, default=Path("MEASURED.md"), metavar="FILE", help="file that 'report' writes (MEASURED.md)"
     )
     bench.set_defaults(command=_bench)
 
@@ -36,11 +36,11 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 def _bench(parsed: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from station.bench.bench import table
+    from station.benchmarks.bench import table
 
     if parsed.what == "report":
         return _report(parsed.out)
-    result = _measured(parsed)
+    result = _measure(parsed)
     if parsed.json:
         sys.stdout.write(f"{json.dumps(result)}\n")
     else:
@@ -48,8 +48,8 @@ def _bench(parsed: argparse.Namespace) -> int:
     return 0
 
 
-def _measured(parsed: argparse.Namespace) -> dict[str, Any]:
-    from station.bench import accuracy, bench, cold, gym, loop, recorder, setpoints, solver, tick, wire
+def _measure(parsed: argparse.Namespace) -> dict[str, Any]:
+    from station.benchmarks import accuracy, bench, cold, gym, loop, recorder, setpoints, solver, tick, wire
 
     with progress_bar() as bar:
         task = bar.add_task(f"bench {parsed.what}", total=1.0)
@@ -85,14 +85,16 @@ def _measured(parsed: argparse.Namespace) -> dict[str, Any]:
 
 
 def _report(out: Path) -> int:
-    from station.bench.report import MEASURES, machine, measured, text
+    from station.benchmarks.report import MEASURES, describe_machine, measure_all, measured_markdown
 
-    where = machine()  # the loop keeps to one processor and leaves a load behind
+    where = (
+        describe_machine()
+    )  # describe the computer first: the benchmark of the loop binds to one processor and raises the load
     with progress_bar() as bar:
         task = bar.add_task("bench report", total=len(MEASURES))
-        found = dict(measured(lambda name: bar.update(task, advance=1.0, description=f"bench {name}")))
+        found = dict(measure_all(lambda name: bar.update(task, advance=1.0, description=f"bench {name}")))
     try:
-        out.write_text(text(where, found), encoding="utf-8")
+        out.write_text(measured_markdown(where, found), encoding="utf-8")
     except OSError as error:
         sys.stderr.write(f"{out}: cannot be written: {error.strerror}\n")
         return 1

@@ -1,4 +1,4 @@
-"""The command `export`: a run's recordings for other programs."""
+"""The command `export`: convert a run's recordings to files for other programs."""
 
 import argparse
 import sys
@@ -10,20 +10,20 @@ if TYPE_CHECKING:
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
-    """Add it."""
-    export = commands.add_parser("export", help="a run's recordings as CSV, Parquet or MATLAB files")
-    export.add_argument("run", metavar="RUN", help="folder of a run, its name in the folder of data, or 'latest'")
+    """Add the command `export` to the parser."""
+    export = commands.add_parser("export", help="write a run's recordings as CSV, Parquet or MATLAB files")
+    export.add_argument("run", metavar="RUN", help="folder of a run, its name in the data folder, or 'latest'")
     export.add_argument("--format", choices=("csv", "parquet", "mat"), required=True)
-    export.add_argument("--out", type=Path, metavar="FILE|DIR", help="where the files go (the run's folder)")
+    export.add_argument("--out", type=Path, metavar="FILE|DIR", help="destination of the files (the run's folder)")
     export.set_defaults(command=_export)
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    from station.cli.options import progress_bar, recovered
+    from station.cli.options import progress_bar, recovered_data
     from station.recording.export import export_run
     from station.recording.history import resolve_run
 
-    runs = recovered(parsed)
+    runs = recovered_data(parsed)
     with progress_bar() as bar:
         tasks: dict[str, TaskID] = {}
 

@@ -1,4 +1,4 @@
-"""What commands share: how options are read, the progress bar, and how a result is told."""
+"""Shared parts of the commands: option types, the progress bar, and the output of results."""
 
 import argparse
 import sys
@@ -11,7 +11,7 @@ from rich.table import Table
 
 
 def progress_bar(over: float = 30.0) -> Progress:
-    """A progress bar on a terminal, nothing elsewhere; the time left is told from the pace of the last `over` [s]."""
+    """Return a progress bar for terminals; it estimates the remaining time from the pace of the last `over` [s]."""
     console = Console(stderr=True, highlight=False)
     return Progress(
         TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:3.0f} %"),
@@ -19,8 +19,8 @@ def progress_bar(over: float = 30.0) -> Progress:
     )  # fmt: skip
 
 
-def between(lower: float, upper: float, what: str, unit: str) -> Callable[[str], float]:
-    """Reads an option's number and says what it should have been."""
+def number_between(lower: float, upper: float, what: str, unit: str) -> Callable[[str], float]:
+    """Return a parser for an option's number from `lower` to `upper`; its errors state the expected value."""
 
     def read(text: str) -> float:
         try:
@@ -35,7 +35,7 @@ def between(lower: float, upper: float, what: str, unit: str) -> Callable[[str],
 
 
 def seed(text: str) -> int:
-    """Reads a seed."""
+    """Parse the seed of a random number generator, a whole number."""
     try:
         value = int(text)
     except ValueError:
@@ -45,49 +45,49 @@ def seed(text: str) -> int:
     return value
 
 
-def count(most: int) -> Callable[[str], int]:
-    """Reads an option's whole number, from 1 on."""
+def count(maximum: int) -> Callable[[str], int]:
+    """Return a parser for an option's whole number from 1 to `maximum`."""
 
     def read(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 1 ... {most}") from None
-        if not 1 <= value <= most:
-            raise argparse.ArgumentTypeError(f"{text} is outside 1 ... {most}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 1 ... {maximum}") from None
+        if not 1 <= value <= maximum:
+            raise argparse.ArgumentTypeError(f"{text} is outside 1 ... {maximum}")
         return value
 
     return read
 
 
-def data_of(parsed: argparse.Namespace) -> Path:
-    """Folder of runs, calibrations and log."""
+def data_folder(parsed: argparse.Namespace) -> Path:
+    """Return the folder of runs, calibrations and log."""
     return Path("runs") if parsed.data is None else parsed.data
 
 
-def recovered(parsed: argparse.Namespace) -> Path:
-    """The same, once the runs in it that were cut off are finished; those that cannot be are told."""
-    from station.recording.recover import left_alone, recover
+def recovered_data(parsed: argparse.Namespace) -> Path:
+    """Finish interrupted runs in the data folder, print those that cannot be finished, and return the folder."""
+    from station.recording.recover import recover, unrecoverable
 
-    runs = data_of(parsed)
+    runs = data_folder(parsed)
     recover(runs)
-    for sentence in left_alone(runs):
+    for sentence in unrecoverable(runs):
         sys.stderr.write(f"ctr-station: {sentence}\n")
     return runs
 
 
-def results_of(parsed: argparse.Namespace, name: str) -> Path:
-    """Where results of this name go: as told, else in the folder of data, if one was given, else here."""
+def result_folder(parsed: argparse.Namespace, name: str) -> Path:
+    """Return the folder of results: `--out` if given, else `name` inside the data folder or the current folder."""
     return parsed.out or (Path(name) if parsed.data is None else parsed.data / name)
 
 
-def from_here(value: Path | str) -> str:
-    """A file or folder given on the command line, which an experiment would look for beside itself."""
+def command_line_path(value: Path | str) -> str:
+    """Return the absolute path of a command-line argument; an experiment resolves paths relative to its own file."""
     return str(Path(value).absolute()) if isinstance(value, Path) or value.endswith(".toml") else value
 
 
-def tell(tables: Iterable[Table], sentences: Iterable[str], folder: Path) -> None:
-    """Print a result: its tables, its sentences and where all of it is kept."""
+def print_result(tables: Iterable[Table], sentences: Iterable[str], folder: Path) -> None:
+    """Print the result of a command: its tables, its sentences and its folder."""
     out = Console(highlight=False, markup=False)
     for table in tables:
         out.print(table)

@@ -1,4 +1,4 @@
-"""The commands `report`, `replay` and `curves`: what is made of a run that was recorded."""
+"""The commands `report`, `replay` and `curves`: evaluate a recorded run and write the result to files."""
 
 import argparse
 import sys
@@ -7,21 +7,19 @@ from typing import Any
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
-    """Add them."""
-    run = "folder of a run or sweep, its name in the folder of data, or 'latest'"
-    report = commands.add_parser("report", help="figures and tables of a run as one HTML file")
+    """Add the commands `report`, `replay` and `curves` to the parser."""
+    run = "folder of a run or sweep, its name in the data folder, or 'latest'"
+    report = commands.add_parser("report", help="write figures and tables of a run as one HTML file")
     report.add_argument("run", metavar="RUN", help=run)
-    report.add_argument(
-        "--out", type=Path, metavar="DIR", help="write report.html, and PNG and PDF of each figure, there"
-    )
+    report.add_argument("--out", type=Path, metavar="DIR", help="folder for report.html and PNG and PDF of each figure")
     report.set_defaults(command=_report)
 
-    replay = commands.add_parser("replay", help="a run as an HTML file that plays it in three dimensions")
+    replay = commands.add_parser("replay", help="write a run as an HTML file that plays it in three dimensions")
     replay.add_argument("run", metavar="RUN", help=run)
-    replay.add_argument("--out", type=Path, metavar="FILE", help="the file (replay.html in the run's folder)")
+    replay.add_argument("--out", type=Path, metavar="FILE", help="output file (replay.html in the run's folder)")
     replay.set_defaults(command=_replay)
 
-    curves = commands.add_parser("curves", help="error and force of a run as a few hundred numbers, curves.json")
+    curves = commands.add_parser("curves", help="write error and force of a run as a few hundred numbers, curves.json")
     curves.add_argument("run", metavar="RUN", help=run)
     curves.set_defaults(command=_curves)
 
@@ -53,7 +51,7 @@ def _curves(parsed: argparse.Namespace) -> int:
 
 
 def _folder(parsed: argparse.Namespace) -> Path:
-    from station.cli.options import recovered
+    from station.cli.options import recovered_data
     from station.recording.history import resolve_run
 
-    return resolve_run(parsed.run, recovered(parsed))
+    return resolve_run(parsed.run, recovered_data(parsed))

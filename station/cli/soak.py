@@ -1,4 +1,4 @@
-"""The command `soak`: the whole station at random, for as long as one likes."""
+"""The command `soak`: operate a complete station at random for a long time, with device faults."""
 
 import argparse
 import json
@@ -7,14 +7,16 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import between, progress_bar, seed
+from station.cli.options import number_between, progress_bar, seed
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
-    """Add it."""
-    soak = commands.add_parser("soak", help="the whole station with random operators and random faults")
-    soak.add_argument("--minutes", type=between(0.1, 1e5, "a time", "min"), default=10.0, metavar="N", help="(10)")
-    soak.add_argument("--seed", type=seed, default=0, metavar="S", help="of what happens when (0)")
+    """Add the command `soak` to the parser."""
+    soak = commands.add_parser("soak", help="test a whole station with a random operator and random faults")
+    soak.add_argument(
+        "--minutes", type=number_between(0.1, 1e5, "a time", "min"), default=10.0, metavar="N", help="duration (10)"
+    )
+    soak.add_argument("--seed", type=seed, default=0, metavar="S", help="seed of the random actions and faults (0)")
     soak.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     soak.set_defaults(command=_soak)
 
@@ -23,7 +25,7 @@ def _soak(parsed: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from station.bench.soak import rows, soak
+    from station.benchmarks.soak import rows, soak
 
     with progress_bar() as bar, tempfile.TemporaryDirectory(prefix="ctr-soak-") as folder:
         task = bar.add_task("soak", total=1.0)

@@ -1,4 +1,4 @@
-"""The command `sweep`: an experiment with many seeds and settings, side by side in processes."""
+"""The command `sweep`: run an experiment with many seeds and settings in parallel processes."""
 
 import argparse
 import json
@@ -10,32 +10,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from core.errors import CtrError
-from station.cli.options import count, data_of, from_here, progress_bar
-from station.experiments.side_by_side import processors
+from station.cli.options import command_line_path, count, data_folder, progress_bar
+from station.experiments.job_pool import processors
 
 if TYPE_CHECKING:
     from station.experiments.manifest import Manifest, Row
-    from station.experiments.sweep_plan import Job, Plan
+    from station.experiments.sweep_plan import SweepJob, SweepPlan
 
-#: Instead of an experiment: put the parts of a sweep together.
-MERGE = "merge"
-#: Most parts of a sweep.
-PARTS = 100_000
+#: Word in place of the experiment's name that merges the parts of a sweep.
+MERGE_WORD = "merge"
+#: Largest number of parts that a sweep may be split into, for example one for each job of a cluster.
+MAX_PARTS = 100_000
 
 
 class SweepError(CtrError):
-    """Options that do not go together."""
+    """A combination of the options of `sweep` is not allowed."""
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
-    """Add it."""
-    sweep = commands.add_parser("sweep", help="an experiment with many seeds and settings: one table, one report")
+    """Add the command `sweep` to the parser."""
+    sweep = commands.add_parser("sweep", help="run an experiment with many seeds and settings: one table, one report")
     sweep.add_argument("experiment", metavar="EXPERIMENT", help="name of a preset or a .toml file; or 'merge'")
-    sweep.add_argument("parts", nargs="?", type=Path, metavar="FOLDER", help="of 'merge': parts to be put together")
+    sweep.add_argument("parts", nargs="?", type=Path, metavar="FOLDER", help="merge: folder of the parts")
     sweep.add_argument("--seeds", type=count(100_000), default=20, metavar="N", help="seeds 0 ... N-1 (20)")
     sweep.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=A,B,C",
-        help="a key of the experiment's file and its values, e.g. controller.k1=1,2.5,5; of several: all combinations",
+        help="a key of the experiment's file and its values, e.g. controller.k1=1,2.5,5; repeated: all combinations",
     )  # fmt: skip
     sweep.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
     sweep.add_argument("--case", metavar="NAME", help="only this case of the experiment")
@@ -45,42 +45,42 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     sweep.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="carry the runs out on a Dask cluster, tcp://HOST:PORT; 'local': one here",
+        help="execute the runs on a Dask cluster, tcp://HOST:PORT; 'local': a cluster on this computer",
     )
     sweep.add_argument(
         "--folder", type=Path, metavar="DIR",
-        help="the sweep's own; the same command goes on where it was (as it does without, while runs are missing)",
+        help="folder of this sweep; repeating the command continues an incomplete sweep, also without this option",
     )  # fmt: skip
     sweep.add_argument("--part", type=part, default=(1, 1), metavar="I/N", help="only this part, 1/N ... N/N")
-    sweep.add_argument("--out", type=Path, metavar="DIR", help="where results go (the folder of data)")
-    sweep.add_argument("--experiments", type=Path, metavar="DIR", help="folder of your own experiments")
+    sweep.add_argument("--out", type=Path, metavar="DIR", help="folder of results (the data folder)")
+    sweep.add_argument("--experiments", type=Path, metavar="DIR", help="folder of custom experiments")
     sweep.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
-    sweep.in_any_order = True  # `sweep merge --json FOLDER`
+    sweep.in_any_order = True  # allow options between positional arguments, as in `sweep merge --json FOLDER`
     sweep.set_defaults(command=_sweep)
 
 
 def part(text: str) -> tuple[int, int]:
-    """Reads I/N."""
+    """Parse `I/N`, part I of N parts; return both numbers."""
     number, slash, of = text.partition("/")
     if not slash:
         raise argparse.ArgumentTypeError(f"{text!r} is not I/N, for example 2/4")
-    parts = count(PARTS)(of)
+    parts = count(MAX_PARTS)(of)
     return count(parts)(number), parts
 
 
 def _sweep(parsed: argparse.Namespace) -> int:
     from station.config.strict import use_experiments
+    from station.experiments.dask_cluster import check_dask
     from station.experiments.experiment import load_experiment
     from station.experiments.manifest import Manifest, folder_of
-    from station.experiments.on_cluster import check_dask
     from station.experiments.saved import use_saved
     from station.experiments.sweep_plan import jobs, plan_of
     from station.experiments.sweep_settings import settings
 
-    if parsed.experiment == MERGE:
+    if parsed.experiment == MERGE_WORD:
         return _merge(parsed)
     if parsed.parts is not None:
-        raise SweepError(f"{parsed.parts}: a folder is only named after 'sweep merge'; a sweep's own is --folder")
+        raise SweepError(f"{parsed.parts}: a folder may only follow 'sweep merge'; name a sweep's folder with --folder")
     part, parts = parsed.part
     if parts > 1 and parsed.folder is None:
         raise SweepError("--part needs --folder: the same one for all parts")
@@ -88,27 +88,29 @@ def _sweep(parsed: argparse.Namespace) -> int:
         check_dask()
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
-    use_saved(data_of(parsed))
-    begin = time.perf_counter()
-    lab = [] if parsed.lab is None else [f"lab='{from_here(parsed.lab)}'"]
+    use_saved(data_folder(parsed))
+    start_time = time.perf_counter()
+    lab = [] if parsed.lab is None else [f"lab='{command_line_path(parsed.lab)}'"]
     listed = jobs(parsed.experiment, settings([*parsed.settings, *lab]), range(parsed.seeds), parsed.case)
     plan = plan_of(load_experiment(parsed.experiment), listed, parts)
-    folder = parsed.folder or folder_of(parsed.out or data_of(parsed), plan)
+    folder = parsed.folder or folder_of(parsed.out or data_folder(parsed), plan)
     with Manifest(folder, plan, part) as manifest:
         mine = [listed[run] for run in plan.part(part)]
         left = [job for job in mine if job.run not in manifest.rows]
-        _carry_out(left, len(mine), manifest, parsed)
+        _run_jobs(left, len(mine), manifest, parsed)
         rows = [manifest.rows[job.run] for job in mine if job.run in manifest.rows]
-        wall = time.perf_counter() - begin
+        wall = time.perf_counter() - start_time
         made = len(rows) - (len(mine) - len(left))
-        said = f"{len(rows)} of {len(mine)} runs{'' if made == len(rows) else f', {made} of them now,'} in {wall:.1f} s"
+        headline = (
+            f"{len(rows)} of {len(mine)} runs{'' if made == len(rows) else f', {made} of them now,'} in {wall:.1f} s"
+        )
         if parts == 1:
-            return _show(folder, manifest.plan, rows, wall, said, as_json=parsed.json)
-    return _show_part(folder, f"part {part}/{parts}: {said}", rows, len(mine), as_json=parsed.json)
+            return _print_results(folder, manifest.plan, rows, wall, headline, as_json=parsed.json)
+    return _print_part(folder, f"part {part}/{parts}: {headline}", rows, len(mine), as_json=parsed.json)
 
 
-def _carry_out(left: "Sequence[Job]", planned: int, manifest: "Manifest", parsed: argparse.Namespace) -> None:
-    """Those that are left, here or on a cluster; a bar with how many are done and the time left."""
+def _run_jobs(left: "Sequence[SweepJob]", planned: int, manifest: "Manifest", parsed: argparse.Namespace) -> None:
+    """Execute the remaining runs on this computer or on a cluster, with a progress bar."""
     from station.experiments.sweep import on_processes
     from station.experiments.sweep_on_dask import on_dask
 
@@ -118,18 +120,18 @@ def _carry_out(left: "Sequence[Job]", planned: int, manifest: "Manifest", parsed
     with progress_bar(over=3600.0) as bar:
         task = bar.add_task("", total=planned, completed=done)
 
-        def told(parts: float) -> None:
+        def progress(parts: float) -> None:
             name = f"{parsed.experiment} {len(manifest.rows)} of {planned}"
             bad = sum(not row["completed"] for row in manifest.rows.values())
             bar.update(task, completed=done + parts, description=f"{name}, {bad} failed" if bad else name)
 
-        told(0.0)
+        progress(0.0)
         if parsed.scheduler is None:
-            on_processes(left, parsed.jobs, manifest.append, told)
+            on_processes(left, parsed.jobs, manifest.append, progress)
         else:
             workers = min(parsed.jobs, len(left))
-            say = partial(bar.console.print, markup=False, soft_wrap=True)
-            on_dask(left, parsed.scheduler, workers, manifest.append, told, say)
+            log = partial(bar.console.print, markup=False, soft_wrap=True)
+            on_dask(left, parsed.scheduler, workers, manifest.append, progress, log)
 
 
 def _merge(parsed: argparse.Namespace) -> int:
@@ -139,11 +141,13 @@ def _merge(parsed: argparse.Namespace) -> int:
     if folder is None:
         raise SweepError("sweep merge needs the folder of the parts")
     plan, rows = merged(folder)
-    return _show(folder, plan, rows, 0.0, f"{len(rows)} runs of {plan.parts} parts", as_json=parsed.json)
+    return _print_results(folder, plan, rows, 0.0, f"{len(rows)} runs of {plan.parts} parts", as_json=parsed.json)
 
 
-def _show(folder: Path, plan: "Plan", rows: "Sequence[Row]", wall: float, said: str, *, as_json: bool) -> int:
-    """Results of a whole sweep, on disk and on the screen."""
+def _print_results(
+    folder: Path, plan: "SweepPlan", rows: "Sequence[Row]", wall: float, headline: str, *, as_json: bool
+) -> int:
+    """Write the results of a complete sweep to its folder and print them."""
     from rich.console import Console
 
     from station.experiments.sweep import sweep_summary
@@ -158,18 +162,18 @@ def _show(folder: Path, plan: "Plan", rows: "Sequence[Row]", wall: float, said: 
     else:
         out = Console(highlight=False, markup=False)
         out.print(sweep_table(summary))
-        out.print(f"{said}\n{folder}", soft_wrap=True)
+        out.print(f"{headline}\n{folder}", soft_wrap=True)
     return 0 if summary["completed"] else 1
 
 
-def _show_part(folder: Path, said: str, rows: "Sequence[Row]", planned: int, *, as_json: bool) -> int:
-    """A part has no table: its runs are in its manifest."""
-    from station.experiments.sweep_output import not_completed
+def _print_part(folder: Path, headline: str, rows: "Sequence[Row]", planned: int, *, as_json: bool) -> int:
+    """Print the outcome of one part of a sweep. A part has no table; its manifest has its runs."""
+    from station.experiments.sweep_output import failure_lines
 
     completed = len(rows) == planned and all(row["completed"] for row in rows)
     if as_json:
         sys.stdout.write(f"{json.dumps({'completed': completed, 'runs': rows, 'recording': str(folder)})}\n")
     else:
-        lines = (*not_completed(rows), said, f"when all parts are done: ctr-station sweep merge {folder}")
+        lines = (*failure_lines(rows), headline, f"when all parts are done: ctr-station sweep merge {folder}")
         sys.stdout.write("\n".join(lines) + "\n")
     return 0 if completed else 1

@@ -1,4 +1,4 @@
-"""The command `validate`: measured poses of a robot held against its model."""
+"""The command `validate`: compare measured poses of a robot with its model."""
 
 import argparse
 import json
@@ -7,37 +7,40 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import results_of, tell
+from station.cli.options import print_result, result_folder
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
-    """Add it."""
+    """Add the command `validate` to the parser."""
     validate = commands.add_parser(
-        "validate", help="measured poses of a robot against its model",
-        description="Holds poses that were measured anywhere against the model of a robot.",
-        epilog="POSES.csv: a row a pose, in SI units; the first line names the columns: the robot's joints by their"
-        " names [rad or m], tip_x, tip_y, tip_z [m]; where there are any force_x, force_y, force_z on the tip, in the"
-        " robot's frame [N]; time [s] where the order matters. A translation is the place of the tube's proximal end"
-        " from the front plate, never positive. Cells may be empty or nan: such rows are left out, and listed.",
+        "validate", help="compare measured poses of a robot with its model",
+        description="Compare measured poses of a robot with its model. The poses may come from any setup.",
+        epilog="POSES.csv has one row for each pose, in SI units. The first line names the columns: the robot's joints"
+        " by their names [rad or m]; tip_x, tip_y, tip_z [m]; optionally force_x, force_y, force_z on the tip, in the"
+        " robot's frame [N]; time [s] where the order matters. A translation is the position of the tube's proximal"
+        " end relative to the front plate and never positive. Rows with empty or nan cells are skipped and listed.",
     )  # fmt: skip
     validate.add_argument("robot", metavar="ROBOT", help="preset or .toml file")
     validate.add_argument("poses", type=Path, metavar="POSES.csv")
     validate.add_argument(
-        "--fit", choices=("none", "frames", "tubes"), default="frames",
-        help="none: the tips are in the robot's frame; frames: find a rigid motion and a constant offset of the"
-        " measured point from the tip; tubes: find the tubes, too (frames)",
+        "--fit", choices=("none", "frames", "tubes", "friction"), default="frames",
+        help="none: the tips are in the robot's frame; frames: fit a rigid transform and a constant offset of the"
+        " measured point from the tip; tubes: also fit the tubes; friction: also fit how far the motions before a pose"
+        " have wound up each tube, needs a column time (frames)",
     )  # fmt: skip
     validate.add_argument(
         "--test",
         type=Path,
         metavar="OTHER.csv",
-        help="poses to test with (every second of POSES after a fit to the others)",
+        help="poses for the test (every second pose of POSES after a fit to the others)",
     )
     validate.add_argument(
-        "--hysteresis", action="store_true", help="each joint may lag behind the way that it came; needs a column time"
+        "--hysteresis",
+        action="store_true",
+        help="fit a lag of each joint that depends on its direction of travel; needs a column time",
     )
     validate.add_argument(
-        "--out", type=Path, metavar="DIR", help="where results go (validations, in the folder of data if one is given)"
+        "--out", type=Path, metavar="DIR", help="folder of results (validations, inside --data if given)"
     )
     validate.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     validate.set_defaults(command=_validate)
@@ -46,12 +49,15 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 def _validate(parsed: argparse.Namespace) -> int:
     from station.calibration.validation_output import write_validation
 
-    parsed.out = results_of(parsed, "validations")
-    return held(parsed, parsed.fit, parsed.robot, "validate", write_validation)
+    parsed.out = result_folder(parsed, "validations")
+    return run_validation(parsed, parsed.fit, parsed.robot, "validate", write_validation)
 
 
-def held(parsed: argparse.Namespace, fit: Any, robot: str, what: str, write: Any) -> int:
-    """Read, fit, write by `write`, print; `parsed` has poses, test, hysteresis, out and json."""
+def run_validation(parsed: argparse.Namespace, fit: Any, robot: str, what: str, write: Any) -> int:
+    """Read poses, fit, write the results with `write` and print them.
+
+    `parsed` has the options `poses`, `test`, `hysteresis`, `out` and `json`.
+    """
     from station.calibration.folder import new_folder
     from station.calibration.poses import read_poses
     from station.calibration.validation import validate
@@ -68,5 +74,5 @@ def held(parsed: argparse.Namespace, fit: Any, robot: str, what: str, write: Any
     if parsed.json:
         sys.stdout.write(f"{json.dumps(numbers)}\n")
         return 0
-    tell(tables(found), sentences(found), folder)
+    print_result(tables(found), sentences(found), folder)
     return 0

@@ -1,4 +1,4 @@
-"""The command `workspace`: what given tubes can do all over their joint space."""
+"""The command `workspace`: analyse reach, dexterity, stiffness and stability of a robot over its joint space."""
 
 import argparse
 import json
@@ -7,26 +7,28 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from station.cli.options import between, count, progress_bar, results_of, seed, tell
+from station.cli.options import count, number_between, print_result, progress_bar, result_folder, seed
 
-#: Largest part of a force [N].
-MOST = 100.0
+#: Largest absolute value of a component of the tip force that the option `--force` accepts [N].
+MAX_FORCE_N = 100.0
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
-    """Add it."""
+    """Add the command `workspace` to the parser."""
     workspace = commands.add_parser(
-        "workspace", help="reach, dexterity, stiffness and margin of a robot over its joint space, with a report"
+        "workspace", help="analyse reach, dexterity, stiffness and stability margin of a robot over its joint space"
     )
     workspace.add_argument("robot", metavar="ROBOT", help="preset or .toml file")
     workspace.add_argument(
-        "--force", nargs=3, type=between(-MOST, MOST, "a force", "N"), default=[0.0, 0.0, 0.0],
-        metavar=("X", "Y", "Z"), help="at the tip, world frame [N] (0 0 0)",
+        "--force", nargs=3, type=number_between(-MAX_FORCE_N, MAX_FORCE_N, "a force", "N"), default=[0.0, 0.0, 0.0],
+        metavar=("X", "Y", "Z"), help="force at the tip, world frame [N] (0 0 0)",
     )  # fmt: skip
-    workspace.add_argument("--poses", type=count(1_000_000), default=20_000, metavar="N", help="how many (20000)")
-    workspace.add_argument("--seed", type=seed, default=0, metavar="N", help="of the poses (0)")
     workspace.add_argument(
-        "--out", type=Path, metavar="DIR", help="where results go (workspaces, in the folder of data if one is given)"
+        "--poses", type=count(1_000_000), default=20_000, metavar="N", help="number of poses (20000)"
+    )
+    workspace.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the poses (0)")
+    workspace.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of results (workspaces, inside --data if given)"
     )
     workspace.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     workspace.set_defaults(command=_workspace)
@@ -46,17 +48,19 @@ def _workspace(parsed: argparse.Namespace) -> int:
         found = workspace(
             file, np.array(parsed.force), parsed.poses, parsed.seed, lambda part: bar.update(task, completed=part)
         )
-    said = summary(found)
+    numbers = summary(found)
     stamp = datetime.now().astimezone()
-    folder = new_folder(results_of(parsed, "workspaces"), f"workspace-{_named(file.name)}-{stamp:%Y%m%d-%H%M%S}")
-    write_workspace(folder, found, said)
+    folder = new_folder(
+        result_folder(parsed, "workspaces"), f"workspace-{_folder_part(file.name)}-{stamp:%Y%m%d-%H%M%S}"
+    )
+    write_workspace(folder, found, numbers)
     if parsed.json:
-        sys.stdout.write(f"{json.dumps({**said, 'folder': str(folder)})}\n")
+        sys.stdout.write(f"{json.dumps({**numbers, 'folder': str(folder)})}\n")
         return 0
-    tell([table(said)], sentences(said), folder)
+    print_result([table(numbers)], sentences(numbers), folder)
     return 0
 
 
-def _named(name: str) -> str:
-    """A robot's name as a part of a folder's."""
+def _folder_part(name: str) -> str:
+    """Return a robot's name as part of a folder name."""
     return "".join(each if each.isalnum() or each in "-_" else "-" for each in name)[:40]

@@ -1,4 +1,4 @@
-"""Motions as people write them, in files and over REST: checked here, carried out by `core.control.trajectories`."""
+"""Motions in files and REST requests. This module checks them; `core.control.trajectories` computes them over time."""
 
 import math
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from core.control.reachability import check_reach
+from core.control.reachability import check_pose, check_reach
 from core.control.step import Controller
 from core.control.trajectories import (
     Circle,
@@ -23,6 +23,7 @@ from core.control.trajectories import (
     Waypoints,
 )
 from core.errors import DescriptionError, Unreachable
+from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
 from station.config.strict import ConfigError, Direction, Positive, Row, Strict, Vector, check, read_text
@@ -31,10 +32,10 @@ _Rows = tuple[tuple[float, float, float, float], ...]
 
 
 class _Pointed(Strict):
-    """A motion along which the tip may point somewhere, where the controller's task asks for a direction."""
+    """A motion with a desired direction of the tip, for controllers whose task includes the direction."""
 
     directions: Annotated[tuple[Annotated[tuple[float, float, float, float], Row], ...], Field(strict=False)] = ()
-    """time [s] and the direction x, y, z in which the tip then points; empty keeps that of the start"""
+    """time [s] and the desired direction x, y, z of the tip; empty keeps the direction at the start"""
 
     @field_validator("directions")
     @classmethod
@@ -47,7 +48,7 @@ class _Pointed(Strict):
 
 
 def directions_of(rows: _Rows) -> Directions | None:
-    """Where the tip points over time; None keeps the direction of the start."""
+    """Return the direction of the tip over time; None keeps the direction at the start."""
     return Directions(tuple(row[0] for row in rows), tuple(row[1:] for row in rows)) if rows else None
 
 
@@ -57,7 +58,7 @@ class HoldMotion(_Pointed):
     kind: Literal["hold"] = "hold"
 
     def trajectory(self) -> Trajectory:
-        """What the controller follows."""
+        """Return the trajectory that the controller tracks."""
         return Hold()
 
 
@@ -66,14 +67,14 @@ class SinusoidMotion(_Pointed):
 
     kind: Literal["sinusoid"] = "sinusoid"
     direction: Direction = (0.0, 0.0, 1.0)
-    """of the line, world frame; its length does not matter"""
+    """direction of the line, world frame; its length does not matter"""
     amplitude: Annotated[float, Field(gt=0.0, le=0.1)]
-    """to either side [m]"""
+    """largest displacement to either side [m]"""
     frequency: Annotated[float, Field(gt=0.0, le=5.0)]
-    """there and back in a second [Hz]"""
+    """frequency of the oscillation [Hz]"""
 
     def trajectory(self) -> Trajectory:
-        """What the controller follows."""
+        """Return the trajectory that the controller tracks."""
         return Sinusoid(self.direction, self.amplitude, self.frequency)
 
 
@@ -82,14 +83,14 @@ class CircleMotion(_Pointed):
 
     kind: Literal["circle"] = "circle"
     radius: Annotated[float, Field(gt=0.0, le=0.1)]
-    """of the circle [m]"""
+    """radius of the circle [m]"""
     period: Annotated[float, Field(ge=0.2, le=3600.0)]
     """time for one turn [s]"""
     normal: Direction = (0.0, 0.0, 1.0)
     """axis of the circle, world frame; its length does not matter"""
 
     def trajectory(self) -> Trajectory:
-        """What the controller follows."""
+        """Return the trajectory that the controller tracks."""
         return Circle(self.radius, self.period, self.normal)
 
 
@@ -98,59 +99,59 @@ class HelixMotion(_Pointed):
 
     kind: Literal["helix"] = "helix"
     radius: Annotated[float, Field(gt=0.0, le=0.1)]
-    """of the turns [m]"""
+    """radius of the turns [m]"""
     pitch: Annotated[float, Field(ge=-0.1, le=0.1)]
-    """advance in one turn [m]; negative the other way"""
+    """advance per turn along `axis`; a negative pitch moves against it [m]"""
     turn: Annotated[float, Field(ge=0.2, le=3600.0)]
     """time for one turn [s]"""
     turns: Annotated[float, Field(gt=0.0, le=1000.0)]
-    """how many, then the tip stays"""
+    """number of turns; after them the tip stays at the end of the helix"""
     axis: Direction = (0.0, 0.0, 1.0)
-    """along which it advances, world frame; its length does not matter"""
+    """axis of the helix, world frame; its length does not matter"""
 
     def trajectory(self) -> Trajectory:
-        """What the controller follows."""
+        """Return the trajectory that the controller tracks."""
         return Helix(self.radius, self.pitch, self.turn, self.turns, self.axis)
 
 
 class StepMotion(_Pointed):
-    """Ask for another place at once, to see how the controller gets there."""
+    """Step the desired position of the tip, to measure the step response."""
 
     kind: Literal["step"] = "step"
     offset: Vector
-    """from the start tip [m]"""
+    """offset of the second position from the tip at the start [m]"""
     stay: Annotated[float, Field(gt=0.0, le=3600.0)] | None = None
-    """at either place, there and back again [s]; once and for all when left out"""
+    """time at each of the two positions before the next step [s]; without it there is one step"""
 
     def trajectory(self) -> Trajectory:
-        """What the controller follows."""
+        """Return the trajectory that the controller tracks."""
         return Step(self.offset, math.inf if self.stay is None else self.stay)
 
 
 class Places(_Pointed):
-    """Places and times as they are written down, whether or not they can be followed."""
+    """Waypoints with times as entered; they may be infeasible."""
 
     points: tuple[Annotated[tuple[float, float, float, float], Row], ...] = Field(
         min_length=1, max_length=10_000, strict=False
     )
-    """time [s] and offset x, y, z from the start tip [m]; the first time is that of the way there"""
+    """time [s] and offset x, y, z from the start tip [m]; the tip reaches the first point at its time"""
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """of the tip on its way through the points [m/s^2]"""
+    """of the tip along the path through the points [m/s^2]"""
 
     def trajectory(self) -> Waypoints:
-        """What the controller follows.
+        """Return the trajectory that the controller tracks.
 
         Raises:
-            DescriptionError: times that do not rise, or a way that is too fast, with the time.
+            DescriptionError: times do not increase, or the path is too fast; the message names the time.
         """
-        times, places = tuple(row[0] for row in self.points), tuple(row[1:] for row in self.points)
-        return Waypoints(times, places, self.max_speed, self.max_acceleration)
+        times, offsets = tuple(row[0] for row in self.points), tuple(row[1:] for row in self.points)
+        return Waypoints(times, offsets, self.max_speed, self.max_acceleration)
 
 
 class WaypointsMotion(Places):
-    """Through places at given times, smoothly, from rest to rest."""
+    """Move smoothly through points at given times, from rest to rest."""
 
     kind: Literal["waypoints"] = "waypoints"
 
@@ -164,24 +165,24 @@ class WaypointsMotion(Places):
 
 
 class FollowMotion(Strict):
-    """Keep the tip beside a target that moves and has a coil of its own."""
+    """Keep the tip at an offset from a moving target that carries the tracker's second coil."""
 
     kind: Literal["follow"] = "follow"
     offset: Vector | None = None
-    """of the tip from the target [m]; as at the start when left out"""
+    """offset of the tip from the target [m]; default: the offset at the start"""
     predict: bool = True
-    """go where the target will be by its rhythms; without, to where the newest frame saw it"""
+    """track the predicted position of the periodic target; otherwise its position in the newest frame"""
     lag: Annotated[float, Field(ge=0.0, le=0.2)] = 0.02
-    """from a velocity's arrival at the stages until the tip has it, on top of the line's delays [s]"""
+    """time from the arrival of a velocity at the stages to the tip's response, in addition to the line's delays [s]"""
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
     """of the tip [m/s^2]"""
     patience: Annotated[float, Field(ge=0.25, le=60.0)] = 2.0
-    """a target that is lost for longer ends the run in HOLD [s]"""
+    """longest loss of the target [s]; a longer loss ends the run in HOLD"""
 
     def trajectory(self) -> Trajectory:
-        """What is known of it beforehand: where it begins."""
+        """Return the start position; the target's motion is not known in advance."""
         return Hold()
 
 
@@ -190,17 +191,17 @@ class CsvMotion(Strict):
 
     kind: Literal["csv"] = "csv"
     file: str
-    """with the columns time, x, y, z [s, m]"""
+    """name of the file, which has the columns time, x, y, z [s, m]"""
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """of the tip on its way through the points [m/s^2]"""
+    """of the tip along the path through the points [m/s^2]"""
 
     def trajectory(self) -> Trajectory:
-        """What the controller follows.
+        """Return the trajectory that the controller tracks.
 
         Raises:
-            ConfigError: the file cannot be read or says something else.
+            ConfigError: the file cannot be read, or is not a table of waypoints.
         """
         text = read_text(Path(self.file))
         return waypoints_from_csv(text, self.file, self.max_speed, self.max_acceleration).trajectory()
@@ -209,10 +210,10 @@ class CsvMotion(Strict):
 def waypoints_from_csv(
     text: str, source: str, max_speed: float = 0.02, max_acceleration: float = 0.1
 ) -> WaypointsMotion:
-    """Waypoints from lines of time, x, y, z [s, m]; a first line of names and empty lines are passed over.
+    """Return waypoints from lines of time, x, y, z [s, m]; a header line and empty lines are skipped.
 
     Raises:
-        ConfigError: with source and line.
+        ConfigError: a line is not four numbers; the message names the source and the line.
     """
     points: list[tuple[float, ...]] = []
     for number, line in enumerate(text.splitlines(), 1):
@@ -235,11 +236,11 @@ class JointSweepMotion(Strict):
 
     kind: Literal["joint_sweep"] = "joint_sweep"
     joint: str
-    """by name"""
+    """name of the joint"""
     speed: float
-    """up to the joint's own, greater than 0, or below 0 for the other way [rad/s or m/s]"""
+    """speed of the joint, at most its speed limit; negative for the opposite direction, not 0 [rad/s or m/s]"""
     distance: Positive
-    """from the start [rad or m]"""
+    """distance from the start [rad or m]"""
 
     @field_validator("speed")
     @classmethod
@@ -248,39 +249,41 @@ class JointSweepMotion(Strict):
             raise ValueError("a sweep needs a speed that is not 0")
         return speed
 
-    def check(self, start: Array, limits: Limits) -> None:
-        """Refuse a sweep that joints beginning at `start` (n,) cannot make.
+    def check(self, start: Array, statics: Statics, limits: Limits) -> None:
+        """Check that joints at `start` (n,) can make the sweep.
 
         Raises:
-            DescriptionError: faster than the joint's limit.
-            PoseError: it leaves the joint's travel.
+            DescriptionError: the sweep is faster than the joint's limit.
+            PoseError: the pose at its start or its end violates a limit.
         """
-        at = [limit.name for limit in limits.joints].index(self.joint)
-        limit = limits.joints[at]
+        index = [limit.name for limit in limits.joints].index(self.joint)
+        limit = limits.joints[index]
         if abs(self.speed) > limit.speed:
             raise DescriptionError(
                 f"joint_sweep: speed {self.speed:g} {limit.unit}/s is outside +-{limit.speed:g} {limit.unit}/s"
             )
         end = start.copy()
-        end[at] += math.copysign(self.distance, self.speed)
-        # A full turn ends at the end of the travel, give or take a rounding.
-        nearest = min(max(end[at], limit.lower), limit.upper)
-        if abs(end[at] - nearest) > 1e-9 * self.distance:
-            limits.check(end)
+        end[index] += math.copysign(self.distance, self.speed)
+        # A full turn ends exactly at the end of the travel, but rounding may put it slightly beyond.
+        nearest = min(max(end[index], limit.lower), limit.upper)
+        if abs(end[index] - nearest) <= 1e-9 * self.distance:
+            end[index] = nearest
+        for pose in (start, end):
+            check_pose(statics, limits, pose)
 
 
-#: What can be asked for in a file and over REST alike.
+#: Motions that both files and REST requests may contain.
 TipMotion = HoldMotion | SinusoidMotion | CircleMotion | HelixMotion | WaypointsMotion | StepMotion | FollowMotion
 Motion = Annotated[TipMotion | CsvMotion | JointSweepMotion, Field(discriminator="kind")]
 
 
 class Orders:
-    """What the controller is told at each moment of a motion."""
+    """The controller's orders over the time of a motion."""
 
     def __init__(self, motion: TipMotion | CsvMotion | JointSweepMotion, robot: Robot) -> None:
-        """Raises DescriptionError when the robot has no such joint, ConfigError for a file that is none."""
+        """Raises DescriptionError when the robot has no such joint, ConfigError for an unreadable file."""
         self._motion = motion
-        #: The target decides where the tip should be; `at` says where it begins.
+        #: The target determines the desired position; `at` gives the start position only.
         self.follow = motion if isinstance(motion, FollowMotion) else None
         self._trajectory: Trajectory | None = None
         self._directions = directions_of(motion.directions) if isinstance(motion, _Pointed) else None
@@ -294,34 +297,38 @@ class Orders:
             self._trajectory = motion.trajectory()
 
     def check(
-        self, controller: Controller, start: Array, duration: float, force: Callable[[float], Array] | None = None
-    ) -> None:
-        """Refuse a motion that the robot cannot make from joints at `start` (n,).
+        self, controller: Controller, start: Array, duration: float, force: Callable[[float], Array] | None = None,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> None:  # fmt: skip
+        """Check that the robot can make the motion from joints at `start` (n,).
 
         Args:
-            controller: its model and limits are what the motion is tried on.
-            start: joints to begin from (n,) [rad or m].
-            duration: of the motion [s].
-            force: (3,) at the tip [N] by the time since the start [s], as far as it is known before.
+            controller: the check uses its model and limits.
+            start: joint positions at the start (n,) [rad or m].
+            duration: duration of the motion [s].
+            force: function from the time since the start [s] to the known force at the tip (3,) [N].
+            cancelled: returns whether the result is no longer required.
 
         Raises:
-            Unreachable: the first time at which the tip cannot follow, and the limit that is in the way.
-            CtrError: the start pose, or the sweep, is outside the limits.
+            Cancelled: the result is no longer required.
+            Unreachable: the tip cannot follow; the message names the first such time and the limit that prevents it.
+            CtrError: the start pose or the sweep violates a limit, or a custom loop violates its contract.
         """
+        controller.check_loops(start)
         if isinstance(self._motion, JointSweepMotion):
-            self._motion.check(start, controller.limits)
+            self._motion.check(start, controller.statics, controller.limits)
         elif self._trajectory is not None:
             try:
                 check_reach(
                     controller.statics, controller.limits, start, self._trajectory, duration, force,
-                    controller.aim, self._directions,
+                    controller.aim, self._directions, cancelled,
                 )  # fmt: skip
             except Unreachable as error:
-                said = Unreachable(f"{self._motion.kind} {error}")
-                raise said if error.time is None else said.at(error.time) from None
+                failure = Unreachable(f"{self._motion.kind} {error}")
+                raise failure if error.time is None else failure.at(error.time) from None
 
     def at(self, time: float) -> Setpoint | JointMotion:
-        """The order at `time` [s] since the motion's start."""
+        """Return the order at `time` [s] since the motion's start."""
         if self._trajectory is not None:
             setpoint = self._trajectory.setpoint(time)
             return setpoint if self._directions is None else Setpoint(*setpoint[:2], *self._directions.at(time))

@@ -1,4 +1,4 @@
-"""Colours that stay apart for colour-blind eyes (Okabe and Ito), and what each means on the page and in figures."""
+"""Colours that colour-blind readers can distinguish (Okabe and Ito), and their meaning on the page and in figures."""
 
 Colour = tuple[int, int, int]
 
@@ -11,22 +11,22 @@ BLUE: Colour = (0, 114, 178)
 VERMILLION: Colour = (213, 94, 0)
 PURPLE: Colour = (204, 121, 167)
 SLATE: Colour = (86, 98, 112)
-STEEL: Colour = (118, 133, 150)  # seen on white and on black
+STEEL: Colour = (118, 133, 150)  # this grey is visible on white and on black
 GREY: Colour = (150, 158, 166)
 
 DESIRED, MEASURED, ESTIMATED, FORCE, CONTACT = GREEN, ORANGE, BLUE, PURPLE, VERMILLION
-TARGET = YELLOW  # that moves and is followed
-#: Of the tubes, innermost first; more tubes begin again.
+TARGET = YELLOW  # the moving target that the tip follows
+#: Colours of the tubes, innermost first; robots with more tubes repeat these colours.
 TUBES: tuple[Colour, ...] = (SKY, STEEL, YELLOW, SLATE)
-#: Of x, y and z in plots.
+#: Colours of x, y and z in plots.
 AXES: tuple[Colour, ...] = (VERMILLION, GREEN, BLUE)
 
 
 def css(colour: Colour) -> str:
-    """As CSS and uPlot write it."""
+    """Return the colour in the notation of CSS and uPlot."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def tube(number: int) -> Colour:
-    """Of a tube; 0 is the innermost."""
+    """Return the colour of a tube; 0 is the innermost."""
     return TUBES[number % len(TUBES)]

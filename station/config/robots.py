@@ -7,9 +7,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from core.control.reachability import check_pose
 from core.errors import CtrError
-from core.robot.limits import ForceLimit, JointLimit, Limit, Limits, TubeOrder, Workspace
+from core.model.statics import Statics
+from core.robot.limits import ForceBound, ForceLimit, JointLimit, Limit, Limits, TubeOrder, Workspace
 from core.robot.robot import Array, Base, Joint, Robot, Section, Tube
+from core.robot.strength import force_bound
 from station.config.strict import (
     ConfigError,
     Document,
@@ -21,72 +24,73 @@ from station.config.strict import (
     Strict,
     Vector,
     check,
-    on_line,
+    line_reference,
     parse_toml,
     preset,
     read_toml,
 )
 
 #: Standard gravity [m/s^2].
-STANDARD = 9.80665
+STANDARD_GRAVITY = 9.80665
 
 
 class SectionFile(Strict):
-    """One piece of a tube, from the proximal end."""
+    """One section of a tube, in order from the proximal end."""
 
     length: Positive
-    """of the piece, along the tube [m]"""
+    """length of the section, along the tube [m]"""
     curvature: Annotated[tuple[float, float], Row] = (0.0, 0.0)
-    """x, y in the tube's frame [1/m]; an arc of radius r that bends toward -y is [1/r, 0]"""
+    """curvature about x and y of the tube's frame [1/m]; an arc of radius r that bends towards -y is [1/r, 0]"""
 
 
 class TubeFile(Strict):
     """One tube; innermost first in the file."""
 
     name: Name
-    """by which joints, labs, sensors and calibrations call it"""
+    """name by which joints, labs, sensors and calibrations refer to the tube"""
     bending_stiffness: float
-    """EI, greater than 0 [N m^2]"""
+    """bending stiffness EI, greater than 0 [N m^2]"""
     poisson_ratio: float = 0.30
-    """GJ = EI / (1 + poisson_ratio), -1 ... 0.5"""
+    """Poisson's ratio, which gives GJ = EI / (1 + poisson_ratio), -1 ... 0.5"""
     torsional_stiffness: float | None = None
-    """GJ where it does not follow from EI and poisson_ratio (a patterned tube), greater than 0 [N m^2]"""
+    """torsional stiffness GJ of a tube for which poisson_ratio does not hold, such as a patterned tube, greater than 0
+    [N m^2]"""
     rotation: float = 0.0
-    """of a tube that no joint turns, any angle [rad]"""
+    """fixed angle of a tube without a rotation joint, any angle [rad]"""
     translation: float = 0.0
-    """proximal end of a tube that no joint slides, behind the plate: not positive [m]"""
+    """fixed proximal end of a tube without a translation joint, behind the plate: not positive [m]"""
     outer_diameter: float
-    """of its wall outside, greater than 0 [m]"""
+    """outer diameter of the tube, greater than 0 [m]"""
     inner_diameter: float
-    """of its wall inside, 0 ... outer_diameter [m]"""
+    """inner diameter of the tube, 0 ... outer_diameter [m]"""
     density: NotNegative = 0.0
-    """of its material: calibration takes the tube's own weight from it and the diameters; 0 leaves it out [kg/m^3]"""
+    """density of the material, from which calibration computes the tube's weight; 0 neglects the weight [kg/m^3]"""
     sections: Annotated[tuple[SectionFile, ...], Row]
-    """its pieces, from the proximal end to the distal one"""
+    """sections of the tube, in order from the proximal to the distal end"""
 
     @property
     def weight(self) -> float:
-        """Of its own [N/m]."""
-        return STANDARD * self.density * 0.25 * math.pi * (self.outer_diameter**2 - self.inner_diameter**2)
+        """Weight of the tube per length [N/m]."""
+        return STANDARD_GRAVITY * self.density * 0.25 * math.pi * (self.outer_diameter**2 - self.inner_diameter**2)
 
 
 class JointFile(Strict):
     """One stage and the tube it moves."""
 
     name: Name
-    """by which start poses, station files, recordings and pages call it"""
+    """name by which start poses, station files, recordings and the page refer to the joint"""
     tube: str
-    """that it moves, by name"""
+    """name of the tube that the stage moves"""
     motion: Literal["rotation", "translation"]
-    """what it does to the tube: turn it, or slide it along z"""
+    """kind of the motion: `rotation` turns the tube about z, `translation` slides it along z"""
     lower: float
-    """end of the travel, below `upper` [rad or m]"""
+    """lower end of the travel, less than `upper` [rad or m]"""
     upper: float
-    """other end of the travel, above `lower` [rad or m]"""
+    """upper end of the travel, greater than `lower` [rad or m]"""
     speed: float
-    """that the stage never exceeds, greater than 0 [rad/s or m/s]"""
+    """speed limit of the stage, greater than 0 [rad/s or m/s]"""
     acceleration: float
-    """with which it can brake, greater than 0 [rad/s^2 or m/s^2]"""
+    """deceleration that the stage can reach, greater than 0 [rad/s^2 or m/s^2]"""
     microstep: Positive
     """resolution of the stage [rad or m]"""
 
@@ -95,47 +99,48 @@ Three = Annotated[tuple[float, float, float], Row]
 
 
 class BaseFile(Strict):
-    """Where the front plate stands in the world."""
+    """Pose of the front plate in the world frame."""
 
     position: Three = (0.0, 0.0, 0.0)
-    """of its origin, any place [m]"""
+    """position of the plate's origin, any value [m]"""
     rotation_vector: Three = (0.0, 0.0, 0.0)
-    """of its axes: axis times angle [rad]"""
+    """orientation of the plate's axes: rotation axis times angle [rad]"""
 
 
-class BoxFile(Strict):
-    """Where the tip may be."""
+class WorkspaceBoxFile(Strict):
+    """Box in which the tip must stay."""
 
     lower: Vector
-    """corner with the smallest x, y, z [m]"""
+    """corner of the box with the smallest x, y, z [m]"""
     upper: Vector
-    """corner with the largest x, y, z, beyond `lower` [m]"""
+    """corner of the box with the largest x, y, z, beyond `lower` [m]"""
 
 
 class RobotFile(Strict):
     """A robot and its stages."""
 
     format: Format = 1
-    """of this file"""
+    """number of the file format"""
     name: str
-    """as recordings, reports and calibrations call it"""
+    """name of the robot in recordings, reports and calibrations"""
     source: str = ""
-    """where the numbers come from"""
+    """source of the numbers in this file"""
     base: BaseFile = BaseFile()
-    """where its front plate stands"""
+    """pose of the robot's front plate"""
     tubes: Annotated[tuple[TubeFile, ...], Row]
-    """innermost first, 1 to 5 of them"""
+    """tubes of the robot, 1 to 5, the innermost first"""
     joints: tuple[JointFile, ...] = Field(min_length=1, strict=False)
-    """its stages, in the order of every list of joints"""
+    """stages of the robot, in the order of every list of joints"""
     working_pose: Mapping[str, float] | None = None
-    """joints from which motions have room: where the station goes after homing [rad or m]; none: it stays there"""
-    workspace: BoxFile | None = None
-    """of the tip, world frame; none leaves what the joints reach"""
+    """joint positions to move to after homing, from which motions have room [rad or m]; none: no such move"""
+    workspace: WorkspaceBoxFile | None = None
+    """bounds of the tip, world frame; none: the joint limits alone bound it"""
     max_force: Positive | None = None
-    """against which the tip does not push on; none: against any [N]"""
+    """largest force on the tip, above which a motion ends in HOLD [N]; default: the force that tubes and base sensors
+    can bear, 0.94 N for the preset `paper` (`core/robot/strength.py`)"""
 
     def robot(self) -> Robot:
-        """The description that the model works on."""
+        """Return the description that the model uses."""
         index = {tube.name: i for i, tube in enumerate(self.tubes)}
         if len(index) < len(self.tubes):
             raise ConfigError(f"two of the tubes {', '.join(tube.name for tube in self.tubes)} have the same name")
@@ -166,7 +171,7 @@ class RobotFile(Strict):
         )
 
     def limits(self) -> Limits:
-        """What the stages allow."""
+        """Return the limits of joints, tubes, tip and force."""
         joints = tuple(
             JointLimit(
                 joint.name,
@@ -178,31 +183,39 @@ class RobotFile(Strict):
             )
             for joint in self.joints
         )
+        robot = self.robot()
         others: list[Limit] = []
-        if (order := TubeOrder.of(self.robot(), joints)) is not None:
+        if (order := TubeOrder.of(robot, joints)) is not None:
             others.append(order)
         if self.workspace is not None:
             others.append(Workspace(self.workspace.lower, self.workspace.upper))
         if self.max_force is not None:
             others.append(ForceLimit(self.max_force))
-        return Limits(joints, others=tuple(others))
+        overload = force_bound(robot, joints) if self.max_force is None else None
+        return Limits(joints, others=tuple(others), overload=overload)
+
+    def largest_force(self) -> ForceBound:
+        """Return the largest force on the tip: `max_force`, or what tubes and sensors can bear."""
+        if (computed := self.limits().overload) is not None:
+            return computed
+        return ForceBound(self.max_force or math.inf, "max_force of the robot's file")
 
 
 def load_robot(name: str) -> RobotFile:
-    """A robot by preset name or by file; building it checks what pydantic cannot.
+    """Load a robot by preset name or from a file, and check it.
 
     Raises:
-        ConfigError: with file, key and value.
+        ConfigError: the file is invalid; the message names file, key and value.
     """
     path = preset("robots", name)
     return _checked(read_toml(path), str(path))
 
 
 def robot_of(text: str, source: str) -> RobotFile:
-    """A robot by what its file says; `source` is for messages.
+    """Return the robot that the text of a file describes; `source` is for messages.
 
     Raises:
-        ConfigError: with source, key and value.
+        ConfigError: the text is invalid; the message names source, key and value.
     """
     return _checked(parse_toml(text, source), source)
 
@@ -212,15 +225,14 @@ def _checked(table: Document, source: str) -> RobotFile:
     try:
         robot, limits = file.robot(), file.limits()
         if file.working_pose is not None:
-            limits.check(pose := named_pose(file.working_pose, file, "working_pose"))
-            robot.check_pose(pose)
+            check_pose(Statics(robot), limits, named_pose(file.working_pose, file, "working_pose"))
     except CtrError as error:
-        raise ConfigError(f"{source}: {error}{on_line(table, str(error))}") from None
+        raise ConfigError(f"{source}: {error}{line_reference(table, str(error))}") from None
     return file
 
 
 def named_pose(joints: Mapping[str, float], robot: RobotFile, key: str) -> Array:
-    """Joint positions (n,) by name [rad or m]; `key` is where they stand, for messages.
+    """Return joint positions (n,) from positions by name [rad or m]; `key` is their TOML key, for messages.
 
     Raises:
         ConfigError: joints are missing or unknown.
@@ -238,7 +250,7 @@ def named_pose(joints: Mapping[str, float], robot: RobotFile, key: str) -> Array
 
 
 def start_pose(start: Mapping[str, float], robot: RobotFile) -> Array:
-    """Joint positions (n,) of a start [rad or m].
+    """Return the joint positions (n,) of a start [rad or m].
 
     Raises:
         ConfigError: joints are missing or unknown.

@@ -1,6 +1,6 @@
-"""Strict configuration: TOML files read into frozen models that refuse what they do not know.
+"""Strict configuration: TOML files are read into frozen models that refuse unknown keys.
 
-A message names the file, the key, the value and what was expected. Values are SI.
+An error message names the file, the key, the value and what was expected. Values use SI units.
 """
 
 import math
@@ -18,7 +18,7 @@ from station.config.toml_lines import line_of
 
 
 class ConfigError(CtrError):
-    """A configuration that cannot be, refused before anything starts."""
+    """An invalid configuration, refused before anything starts."""
 
 
 class Strict(BaseModel):
@@ -31,7 +31,7 @@ class Strict(BaseModel):
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
-# Files and requests have arrays where the models have tuples: strict goes for what is inside.
+# Files and requests have arrays where the models have tuples; their items are still checked strictly.
 Row = Field(strict=False)
 Vector = Annotated[tuple[float, float, float], Row]
 Model = TypeVar("Model", bound=BaseModel)
@@ -43,53 +43,60 @@ def _has_length(direction: tuple[float, float, float]) -> tuple[float, float, fl
     return direction
 
 
-#: World frame; its length does not matter.
+#: Direction in the world frame; its length does not matter, but must not be zero.
 Direction = Annotated[Vector, AfterValidator(_has_length)]
-#: Of tubes, joints and cases, as they stand in column and file names.
+#: Name of a tube, joint or case; it is used in column and file names.
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]*$", max_length=60)]
 
-#: Of robot, station, lab and experiment files; one more when an older ctr-station would misunderstand a new file.
+#: Format of robot, station, lab and experiment files. It increases when an older ctr-station would misread a new file.
 FORMAT = 1
-#: What such a file says of itself.
+#: Value of the key `format` of such a file.
 Format = Annotated[int, Field(ge=1, le=FORMAT)]
 
 PRESETS = Path(__file__).parent / "presets"
 
-#: So many complaints about one file or request are told.
-MOST_TOLD = 6
-#: Environment variable that names the folder of one's own experiments, for child processes too.
-OWN_EXPERIMENTS = "CTR_STATION_EXPERIMENTS"
+#: Largest number of errors that are reported for one file or request; further errors are only counted.
+MAX_REPORTED_ERRORS = 6
+#: Keys of earlier versions and their present names. A file with an old key is refused with the new name.
+RENAMED_KEYS = {
+    "controller.hold": "controller.command_interval",
+    "controller.transport": "controller.transport_delay",
+    "controller.spare": "controller.null_space",
+    "hidden.coil_askew": "hidden.coil_misalignment",
+}
+#: Environment variable with the folder of custom experiments; child processes inherit it.
+EXPERIMENTS_VARIABLE = "CTR_STATION_EXPERIMENTS"
 
 
 def use_experiments(folder: Path) -> None:
-    """From now on find experiments in this folder too, in this process and those that it starts.
+    """Add a folder of custom experiments for this process and its child processes.
 
     Raises:
-        ConfigError: there is no such folder.
+        ConfigError: the folder does not exist.
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder of experiments")
-    os.environ[OWN_EXPERIMENTS] = str(folder.resolve())
+    os.environ[EXPERIMENTS_VARIABLE] = str(folder.resolve())
 
 
 def preset_names(kind: str) -> list[str]:
-    """Names of the presets of a kind (`robots`, `labs`, `experiments`), one's own experiments among them."""
+    """Return the names of the presets of a kind (`robots`, `labs`, `experiments`), with custom experiments."""
     return sorted(_presets(kind))
 
 
 def _presets(kind: str) -> dict[str, Path]:
-    """Files by name; one's own go before those that come with the station."""
+    """Return files by name; a custom experiment replaces the station's one with the same name."""
     found = {path.stem: path for path in (PRESETS / kind).glob("*.toml")}
-    if kind == "experiments" and (own := os.environ.get(OWN_EXPERIMENTS)):
+    if kind == "experiments" and (own := os.environ.get(EXPERIMENTS_VARIABLE)):
         found |= {path.stem: path for path in Path(own).glob("*.toml")}
     return found
 
 
 def preset(kind: str, name: str) -> Path:
-    """The preset's file; a path to a file of one's own is taken as it is.
+    """Return the preset's file; a path to a TOML file is returned unchanged.
 
     Raises:
-        ConfigError: neither a preset nor a file.
+        ConfigError: `name` is neither a preset nor a file.
     """
     own = Path(name)
     if own.suffix == ".toml":
@@ -103,18 +110,18 @@ def preset(kind: str, name: str) -> Path:
 
 
 class Document(dict[str, Any]):
-    """A file's table, and its text for the line that a message is about."""
+    """The table of a TOML file, together with the file's text, which gives the line numbers for messages."""
 
     text: str = ""
 
 
-def on_line(table: Mapping[str, Any], message: str, within: str = "") -> str:
-    """Where in a file what a message complains about stands: ` (line 7)`; empty when that is not known.
+def line_reference(table: Mapping[str, Any], message: str, within: str = "") -> str:
+    """Return the line of the key in a message, as ` (line 7)`; empty if it is unknown.
 
     Args:
-        table: of the file, as `read_toml` gives it.
-        message: begins with the key, or with `unknown key` and the key.
-        within: a table of the file to look in first.
+        table: table of the file, from `read_toml`.
+        message: error message that starts with the key, or with `unknown key` and the key.
+        within: name of the file's table to search first.
     """
     text = table.text if isinstance(table, Document) else ""
     key = _LEADING_KEY.match(message)
@@ -128,19 +135,19 @@ _LEADING_KEY = re.compile(r"(?:unknown key )?'?([\w.-]*\w)")
 
 
 def read_toml(path: Path) -> Document:
-    """The file's table.
+    """Return the file's table.
 
     Raises:
-        ConfigError: unreadable, or not TOML; with the line.
+        ConfigError: the file is unreadable or not TOML; the message names the line.
     """
     return parse_toml(read_text(path), str(path))
 
 
 def read_text(path: Path, refused: type[CtrError] = ConfigError) -> str:
-    """The file's text, without the mark that some programs put before it.
+    """Return the file's text without a byte order mark.
 
     Raises:
-        refused: unreadable, or not UTF-8.
+        refused: the exception class of this argument; the file is unreadable or not UTF-8.
     """
     try:
         return path.read_text(encoding="utf-8-sig")
@@ -152,22 +159,22 @@ def read_text(path: Path, refused: type[CtrError] = ConfigError) -> str:
 
 
 def parse_toml(text: str, source: str) -> Document:
-    """The table of a text that comes from `source`.
+    """Return the table of a TOML text from `source`.
 
     Raises:
-        ConfigError: not TOML, with the line; or of a later format.
+        ConfigError: the text is not TOML (the message names the line), or has a later format.
     """
     try:
         document = Document(tomllib.loads(text))
-    # A number of 5000 digits is a plain ValueError, a deep nest of brackets a RecursionError.
+    # tomllib raises ValueError for a number of 5000 digits and RecursionError for deeply nested brackets.
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{source}: not valid TOML: {error}") from None
     document.text = text
-    # Before any of its keys is looked at: one that is unknown here may be good there.
-    if isinstance(told := document.get("format"), int) and told > FORMAT:
+    # Check the format before the keys: a later format may have keys that are unknown here.
+    if isinstance(version := document.get("format"), int) and version > FORMAT:
         raise ConfigError(
-            f"{source}: format = {told} is later than {FORMAT}, the latest that this ctr-station reads"
-            f"{on_line(document, 'format')}; update ctr-station (CHANGELOG.md says what has changed)"
+            f"{source}: format = {version} is later than {FORMAT}, the latest that this ctr-station reads"
+            f"{line_reference(document, 'format')}; update ctr-station (CHANGELOG.md lists the changes)"
         )
     return document
 
@@ -179,49 +186,57 @@ def check(
     document: Mapping[str, Any] | None = None,
     within: str = "",
 ) -> Model:
-    """`table` as a `model`; it comes from a file that is `document`, as `on_line` takes it, if it is not one itself.
+    """Return `table` as a `model`.
+
+    Args:
+        model: class of the result.
+        table: table to check.
+        source: file or other origin, for messages.
+        document: table of the whole file, for line numbers, if `table` is only a part of it.
+        within: name of the file's table to search first for line numbers.
 
     Raises:
-        ConfigError: the first wrong key, its value and what was expected; `source` is the file.
+        ConfigError: invalid keys; the message names them, their values and what was expected.
     """
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        told = complaints(error.errors(include_url=False), lambda loc: key_of(loc, table))
+        messages = error_lines(error.errors(include_url=False), lambda loc: key_of(loc, table))
     except CtrError as error:
-        told = (str(error),)
+        messages = (str(error),)
     lines = table if document is None else document
-    raise ConfigError(f"{source}: {'; '.join(text + on_line(lines, text, within) for text in told)}")
+    raise ConfigError(f"{source}: {'; '.join(text + line_reference(lines, text, within) for text in messages)}")
 
 
-def explain(error: ValidationError, table: Mapping[str, Any]) -> str:
-    """What pydantic complains of about `table` in one line: keys, values, what was expected."""
-    return "; ".join(complaints(error.errors(include_url=False), lambda loc: key_of(loc, table)))
+def explain_errors(error: ValidationError, table: Mapping[str, Any]) -> str:
+    """Return pydantic's errors about `table` in one line: keys, values and what was expected."""
+    return "; ".join(error_lines(error.errors(include_url=False), lambda loc: key_of(loc, table)))
 
 
-def complaints(
+def error_lines(
     errors: Sequence[Any], key: Callable[[tuple[int | str, ...]], str], what: str = "key"
 ) -> tuple[str, ...]:
-    """Complaints, one line each; of a long list the rest is counted.
+    """Return one line for each error; the last line counts errors beyond `MAX_REPORTED_ERRORS`.
 
     Args:
-        errors: as pydantic has them.
-        key: the words for where one of them is.
-        what: it is that is unknown.
+        errors: errors that pydantic reports.
+        key: function that returns the name of an error's location.
+        what: noun for an unknown key, such as `field`.
     """
-    # What is wrong inside something makes pydantic complain of the whole, too.
+    # pydantic also reports an error for each table that contains an error, so leave out the errors of whole tables.
     wholes = {one["loc"][:length] for one in errors for length in range(len(one["loc"]))}
     own = [one for one in errors if one["loc"] not in wholes]
-    # A misspelt key is also a missing one: name what the file has first.
+    # A misspelt key is also reported as missing: put the key that the file has first.
     ordered = sorted(own, key=lambda one: one["type"] != "extra_forbidden")
-    told = tuple(_complaint(one, key(one["loc"]), what) for one in ordered[:MOST_TOLD])
-    more = len(own) - len(told)
-    return (*told, f"and {more} more") if more else told
+    lines = tuple(_error_line(one, key(one["loc"]), what) for one in ordered[:MAX_REPORTED_ERRORS])
+    more = len(own) - len(lines)
+    return (*lines, f"and {more} more") if more else lines
 
 
-def _complaint(one: Any, key: str, what: str) -> str:
+def _error_line(one: Any, key: str, what: str) -> str:
     if one["type"] == "extra_forbidden":
-        return f"unknown {what} '{key}'"
+        renamed = next((new for old, new in RENAMED_KEYS.items() if f".{key}".endswith(f".{old}")), "")
+        return f"unknown {what} '{key}'" + (f": use '{renamed}', its new name" if renamed else "")
     if one["type"] == "missing":
         return f"'{key}' is missing"
     text = str(one.get("ctx", {}).get("error", one["msg"]))
@@ -230,7 +245,7 @@ def _complaint(one: Any, key: str, what: str) -> str:
 
 
 def key_of(loc: tuple[int | str, ...], table: Any) -> str:
-    """The key as the file has it: pydantic adds the `kind` that it chose."""
+    """Return the key as the file has it, without the `kind` that pydantic adds."""
     parts: list[str] = []
     for number, part in enumerate(loc):
         if isinstance(table, Mapping) and part in table:
@@ -244,7 +259,7 @@ def key_of(loc: tuple[int | str, ...], table: Any) -> str:
 
 
 def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with `over` laid on top, table by table; a table with another `kind` replaces the old one."""
+    """Return `base` updated with `over`, table by table; a table with another `kind` replaces the old one."""
     result = dict(base)
     for key, value in over.items():
         old = result.get(key)

@@ -1,4 +1,4 @@
-"""On which line of a TOML file a key stands, for messages: the parser does not say."""
+"""Line numbers of the keys of a TOML file, for messages; `tomllib` does not provide them."""
 
 import re
 
@@ -11,9 +11,9 @@ Path = tuple[str, ...]
 
 
 def line_of(text: str, *keys: str) -> int | None:
-    """The line, from 1, on which the first of `keys` (`devices.stages.port`, `tubes.0.name`) is set that is.
+    """Return the line, counted from 1, of the first of `keys` that is set (`devices.stages.port`, `tubes.0.name`).
 
-    When none is there, the line of the table where one should be; None when that is not there either.
+    If no key is set, return the line of the table that should contain one; None if the table is missing, too.
     """
     lines = _lines(text)
     paths = [tuple(key.split(".")) for key in keys]
@@ -25,7 +25,7 @@ def line_of(text: str, *keys: str) -> int | None:
 
 
 def _lines(text: str) -> dict[Path, int]:
-    """The lines of all keys and tables; items of arrays of tables by their number."""
+    """Return the lines of all keys and tables; items of arrays of tables have numbers."""
     found: dict[Path, int] = {}
     counts: dict[Path, int] = {}
     table: Path = ()
@@ -60,7 +60,7 @@ def _parts(dotted: str) -> Path:
 
 
 def _numbered(path: Path, counts: dict[Path, int]) -> Path:
-    """A table inside an array of tables belongs to its last item."""
+    """Return the path with item numbers; a table inside an array of tables belongs to the last item."""
     result: Path = ()
     for part in path[:-1]:
         result = (*result, part)

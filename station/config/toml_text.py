@@ -1,4 +1,4 @@
-"""Tables as TOML text; Python's own library only reads it."""
+"""Tables as TOML text; Python's standard library can only read TOML."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -6,12 +6,12 @@ from typing import Any
 
 
 def toml_string(value: str) -> str:
-    """A TOML string on one line: escaped as in JSON, and the one control character besides that TOML forbids."""
+    """Return a TOML string on one line, escaped as in JSON; TOML forbids one more control character, DEL."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def toml_lines(table: Mapping[str, Any]) -> list[str]:
-    """A line for each key whose value is a text, a number, a truth, or a list or table of those; None is left out."""
+    """Return a line for each key; values are texts, numbers, Booleans, lists or tables. Keys with None are left out."""
     return [f"{key} = {_value(value)}" for key, value in table.items() if value is not None]
 
 
@@ -31,4 +31,4 @@ def _value(value: Any) -> str:
         case Sequence():
             return f"[{', '.join(map(_value, value))}]"
         case _:
-            raise TypeError(f"{value!r} has no place in a TOML file")
+            raise TypeError(f"{value!r} cannot be written to a TOML file")

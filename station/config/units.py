@@ -1,25 +1,28 @@
-"""Numbers as a person reads them: millimetres and degrees, no more digits than matter. Files and requests are SI."""
+"""Formats numbers for people: millimetres and degrees with few digits. Files and requests use SI units."""
 
 import math
 import re
 
-#: What stands for an SI unit where a person reads, and by how much more of it there is; the page's own table agrees.
-SHOWN = {
+#: Display unit of each SI unit, and the factor from the SI unit to it; the page has the same table.
+DISPLAY_UNITS = {
     "m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "m/s^2": ("mm/s²", 1e3),
     "rad": ("°", 180.0 / math.pi), "rad/s": ("°/s", 180.0 / math.pi),
 }  # fmt: skip
-DIGITS = 4
+SIGNIFICANT_DIGITS = 4
 
 
-def shown(value: float, unit: str = "") -> str:
-    """A number with its unit: `shown(0.01, "m")` is `10 mm`."""
-    name, scale = SHOWN.get(unit, (unit, 1.0))
-    number = f"{value * scale:.{DIGITS}g}"
+def format_quantity(value: float, unit: str = "") -> str:
+    """Return a number with its unit: `format_quantity(0.01, "m")` is `10 mm`."""
+    name, scale = DISPLAY_UNITS.get(unit, (unit, 1.0))
+    number = f"{value * scale:.{SIGNIFICANT_DIGITS}g}"
     return f"{number} {name}".strip()
 
 
-def unit_in(description: str | None, *, turns: bool = True) -> str:
-    """The unit that a key's description names in brackets; of `[rad or m]` the first for what turns."""
+def unit_of_description(description: str | None, *, turns: bool = True) -> str:
+    """Return the unit in the brackets of a key's description.
+
+    A description such as `[rad or m]` has two units: the first is for rotations, the second for translations.
+    """
     found = re.search(r"\[([^\]]+)\]", description or "")
     if found is None:
         return ""

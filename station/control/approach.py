@@ -1,19 +1,25 @@
-"""The way to a start pose: in joints, all of them arriving together."""
+"""Approach to a start pose: joint velocities with which all joints arrive together."""
 
 import numpy as np
 
 from core.robot.robot import Array
 
-#: At this part of the top speed, ending within a hundred microsteps.
-SPEED = 0.5
-RATE = 2.0  # [1/s]
-TOLERANCE = 2e-3  # of a second at top speed
+#: Speed of the joint that takes longest, as a fraction of its top speed. The other joints move slower, so that all
+#: joints arrive together.
+SPEED_SHARE = 0.5
+#: Rate at which the remaining distance to the start pose decays near the end of the approach [1/s].
+APPROACH_RATE_HZ = 2.0
+#: Largest remaining distance that counts as arrived, as travel time at top speed [s]: about a hundred microsteps.
+ARRIVAL_TOLERANCE = 2e-3
 
 
 def approach(joints: Array, start: Array, top: Array) -> Array | None:
-    """Velocities (n,) from `joints` (n,) toward `start` (n,) with top speeds (n,); None when there."""
-    way = (start - joints) / top
-    longest = np.abs(way).max()
-    if longest <= TOLERANCE:
+    """Return the joint velocities (n,) from `joints` (n,) toward `start` (n,), or None after arrival.
+
+    `top` (n,) are the top speeds. Units: rad or m, rad/s or m/s.
+    """
+    distance = (start - joints) / top
+    longest = np.abs(distance).max()
+    if longest <= ARRIVAL_TOLERANCE:
         return None
-    return way * min(RATE, SPEED / longest) * top
+    return distance * min(APPROACH_RATE_HZ, SPEED_SHARE / longest) * top

@@ -1,6 +1,6 @@
-"""Time as a parameter: virtual time runs as fast as the machine, real time keeps absolute deadlines.
+"""Clocks that pace the control loop: virtual time never waits, and real time keeps absolute deadlines.
 
-A live station has a time of its own, one for all its processes, which may be slower than real time.
+All processes of a live station share one `StationClock`, which may be slower than real time.
 """
 
 import time
@@ -9,22 +9,22 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Says when a tick may begin."""
+    """Clock that paces the ticks of the control loop."""
 
     def wait_until(self, due: float) -> None:
-        """Return when `due` [s] since the start has come."""
+        """Return at the time `due` after the start [s]."""
         ...
 
 
 class VirtualClock:
-    """Never waits."""
+    """Clock of virtual time: it never waits, so ticks follow each other as fast as the computer allows."""
 
     def wait_until(self, due: float) -> None:
-        """Return at once."""
+        """Return at once, because virtual time never waits."""
 
 
 class RealClock:
-    """Wall time since the first wait."""
+    """Clock of real time, which starts with the first wait."""
 
     def __init__(self) -> None:
         self._start: float | None = None
@@ -40,24 +40,24 @@ class RealClock:
 
 @dataclass(frozen=True)
 class StationClock:
-    """The time of a live station: the same in every process of a computer."""
+    """Clock of a live station, which shows the same time in every process of the computer."""
 
-    rate: float = 1.0  #: seconds of the station in a second
-    #: What a simulated device's word may take [s]. Real ones have processors of their own: a busy computer makes these
-    #: late and not lost.
+    rate: float = 1.0  #: station seconds per real second
+    #: Extra time allowed for replies of simulated devices [s]. They share the computer's processors, so a busy
+    #: computer delays their replies but does not lose them.
     patience: float = 0.15
 
     def now(self) -> float:
-        """Since a moment that all processes share [s]; never goes back."""
+        """Return the monotonic time since an origin that all processes share [s]."""
         return self.rate * time.monotonic()
 
     def real(self, seconds: float) -> float:
-        """How long so many seconds of the station last [s]."""
+        """Return how long `seconds` of the station's clock last in real time [s]."""
         return seconds / self.rate
 
     def sleep(self, seconds: float) -> None:
-        """Wait for so many seconds of the station."""
+        """Sleep for `seconds` of the station's clock."""
         time.sleep(seconds / self.rate)
 
 
-REAL_TIME = StationClock()
+REAL_TIME_CLOCK = StationClock()

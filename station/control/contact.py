@@ -1,7 +1,8 @@
-"""Where the robot is touched: rows of telemetry averaged over a moment, and the contact that explains them.
+"""Contact estimation: find the contact on the shaft that explains half a second of telemetry.
 
-The moment at the bases is redundant for a load at the tip. Single samples are too noisy to use it; half a second of
-them is not. For a station's screen: a look takes some ten milliseconds, so it is no part of the loop.
+The moment that the base sensors measure is redundant for a load at the tip, so it shows whether the load acts
+elsewhere. Single samples are too noisy for that; half a second of samples is enough. The station displays the
+result. An estimate takes some ten milliseconds, so the control loop does not compute it.
 """
 
 import math
@@ -10,67 +11,79 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.calibration.contact import LEAST_FORCE, Contact, TipLoad, locate, spans, tip_load
+from core.calibration.contact import (
+    MIN_FORCE_N,
+    ContactLocation,
+    TipLoad,
+    contact_spans,
+    evaluate_tip_load,
+    locate_contact,
+)
 from core.calibration.measurements import Noise
-from core.control.force_fusion import Fused
+from core.control.force_fusion import FusedLoad
 from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.control.telemetry import Channels
 
-#: What a mean of many samples still has wrong: drift since the tare, mounting, counts [N, N m].
-FLOOR = Noise(force=5e-3, moment=0.2e-3)
-#: Of chi square with two degrees of freedom, 99 %: a place that explains the moment no better means more noise.
-EXPLAINED = 9.21
-UNEXPLAINED = "the moments fit no single place well: two contacts, or drift (tare again without load)"
-#: Fewer rows than this say nothing about their own noise.
-LEAST_ROWS = 20
+#: Error of force and moment that averaging does not reduce: drift since the tare, mounting, quantisation [N, N m].
+NOISE_FLOOR = Noise(force=5e-3, moment=0.2e-3)
+#: 99 % quantile of the chi-square distribution with two degrees of freedom. If the best contact fits worse, the noise
+#: is larger than assumed.
+CHI_SQUARE_99_TWO_DOF = 9.21
+NO_SINGLE_CONTACT = "the moments fit no single contact well: there are two contacts, or drift (tare again without load)"
+#: Smallest number of telemetry rows from which the noise can be estimated.
+MIN_ROWS = 20
 
 
-class Touch(NamedTuple):
-    """What the bases say about the load."""
+class ContactReport(NamedTuple):
+    """Load that the base sensors measure, and where it acts."""
 
-    force: Array  #: (3,) mean [N]
+    force: Array  #: (3,) mean force [N]
     tip: TipLoad  #: whether the load acts at the tip
-    contact: Contact | None  #: where it acts instead; None while the tip explains it, or the force is too small
+    contact: (
+        ContactLocation | None
+    )  #: contact that explains the load; None if a load at the tip explains it, or the force is too small
 
 
-def look(statics: Statics, channels: Channels, rows: Array) -> Touch | None:
-    """The load over rows (m, channels), half a second of a robot that moves slowly; None of too few rows.
+def estimate_contact(statics: Statics, channels: Channels, rows: Array) -> ContactReport | None:
+    """Return the load of telemetry rows (m, channels), half a second of slow motion; None for too few rows.
 
     Raises:
         CtrError: the model has no shape under this load.
     """
-    if len(rows) < LEAST_ROWS:
+    if len(rows) < MIN_ROWS:
         return None
     joints = channels.of(rows, "joints").mean(axis=0)
     forces, moments = channels.of(rows, "force"), channels.of(rows, "moment")
-    # Moments are about the plate: noise of the forces at the proximal ends is in them.
-    noise = Noise(force=_error(forces, FLOOR.force), moment=_error(moments, FLOOR.moment))
-    load = Fused(forces.mean(axis=0), moments.mean(axis=0))
-    # Where the model has the tip and where the tracker sees it: an error of one of them is no contact.
+    # The moments are about the plate, so they contain noise of the forces at the proximal ends of the tubes.
+    noise = Noise(force=_error(forces, NOISE_FLOOR.force), moment=_error(moments, NOISE_FLOOR.moment))
+    load = FusedLoad(forces.mean(axis=0), moments.mean(axis=0))
+    # Test the model's tip and the tracker's: an error of one of them must not appear as a contact.
     modelled = statics.solve(joints, pure_force(load.force)).tip
     tips = modelled, channels.of(rows, "tip_measured").mean(axis=0)
     touch = _explain(statics, joints, load, tips, noise)
-    if touch.contact is not None and touch.contact.statistic > EXPLAINED:
-        # The sensors have drifted since they were zeroed, say: both answers have to bear it.
+    if touch.contact is not None and touch.contact.statistic > CHI_SQUARE_99_TWO_DOF:
+        # The noise is larger than assumed, for example by drift since the tare: repeat both tests with it.
         more = math.sqrt(touch.contact.statistic / 2.0)
         touch = _explain(statics, joints, load, tips, Noise(force=more * noise.force, moment=more * noise.moment))
         contact = touch.contact
         if contact is not None and not contact.located:
-            touch = touch._replace(contact=contact._replace(note=f"{UNEXPLAINED}: {spans(contact.intervals)}"))
+            touch = touch._replace(
+                contact=contact._replace(note=f"{NO_SINGLE_CONTACT}: {contact_spans(contact.intervals)}")
+            )
     return touch
 
 
-def _explain(statics: Statics, joints: Array, load: Fused, tips: Sequence[Array], noise: Noise) -> Touch:
-    """The load by the tip if it can be, else by a contact."""
-    at_tip = min((tip_load(load, tip, noise) for tip in tips), key=lambda tested: tested.statistic)
-    if at_tip.holds or float(np.linalg.norm(load.force)) < LEAST_FORCE:
-        return Touch(load.force, at_tip, None)
-    return Touch(load.force, at_tip, locate(statics, joints, load, noise))
+def _explain(statics: Statics, joints: Array, load: FusedLoad, tips: Sequence[Array], noise: Noise) -> ContactReport:
+    """Return the load with its explanation: a load at the tip if possible, otherwise a contact on the shaft."""
+    at_tip = min((evaluate_tip_load(load, tip, noise) for tip in tips), key=lambda tested: tested.statistic)
+    if at_tip.accepted or float(np.linalg.norm(load.force)) < MIN_FORCE_N:
+        return ContactReport(load.force, at_tip, None)
+    return ContactReport(load.force, at_tip, locate_contact(statics, joints, load, noise))
 
 
 def _error(values: Array, floor: float) -> float:
-    """Standard deviation of the mean of rows (m, 3), but never below what averaging cannot remove."""
+    """Return the standard deviation of the mean of rows (m, 3), at least `floor`, which averaging cannot reduce."""
     spread = float(np.sqrt(values.var(axis=0).mean() / len(values)))
     return math.hypot(spread, floor)

@@ -1,142 +1,147 @@
-"""A target that moves: what is known of it from the tracker's frames, and the setpoint that follows it.
+"""Target following: estimate of a moving target from tracker frames, and the setpoint that follows it.
 
-It is watched from the first frame on, so that its rhythms are known before a motion begins. The setpoint is led: it
-goes where the target will be when the velocity that is asked for now works at the tip.
+The target is tracked from the first frame on, so that its rhythms are known before a motion starts. The setpoint looks
+ahead: it is the target's predicted position at the time when a velocity commanded now takes effect at the tip.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from core.control.predictor import Known, NewestFrame, Place, Predictor, Waves
-from core.control.pursuit import Pursuit
+from core.control.motion_bounds import MotionBounds
+from core.control.predictor import NewestFrame, Predictor, PredictorState, TargetState, Waves
 from core.control.step import Controller
 from core.control.trajectories import Setpoint
 from core.robot.robot import Array
 from station.config.motions import FollowMotion
-from station.control.led import Asked
 from station.control.states import RefusedError
-from station.control.telemetry import TARGET
-from station.devices.interfaces import Severity, TipReading, Trouble, Truth
+from station.control.streamed_motion import StreamRequest
+from station.control.telemetry import TARGET_COLUMNS
+from station.devices.interfaces import DeviceFault, GroundTruth, Severity, TipReading
 
-#: Without a frame of it for so long a target is lost, and the tip comes to rest [s].
-LOST = 0.25
-#: After so long what was known of it is worth nothing [s].
-FORGOTTEN = 5.0
+#: Time without a tracker frame of the target after which the tip comes to rest [s].
+TARGET_LOST_S = 0.25
+#: Time without a tracker frame of the target after which the predictors restart [s].
+TARGET_FORGOTTEN_S = 5.0
 
 
 class Following(NamedTuple):
-    """A run that follows."""
+    """Parameters of a run that follows the target."""
 
     motion: FollowMotion
-    pursuit: Pursuit
-    period: float  #: of the loop [s]
-    lead: float  #: from a command until it works at the tip [s]
-    origin: Array  #: (3,) tip at the start, where setpoints count from [m]
-    offset: Array  #: (3,) of the tip from the target [m]
+    bounds: MotionBounds
+    period: float  #: period of the control loop [s]
+    lead_time: float  #: time from a command to its effect at the tip [s]
+    origin: Array  #: (3,) tip at the start, origin of the setpoints [m]
+    offset: Array  #: (3,) desired position of the tip relative to the target [m]
 
 
-class Target:
-    """The target, whether a run follows it or not."""
+class TargetTrack:
+    """Target that the tracker measures, and the motion of a run that follows it."""
 
     def __init__(self) -> None:
         self._predictors: tuple[Predictor, Predictor] = (NewestFrame(), Waves())
-        self._known: list[Known] = []  # of each predictor, once a frame has come
-        self._seen = -np.inf  # when the newest frame with it has come [s]
+        self._known: list[PredictorState] = []  # state of each predictor, after the first frame
+        self._last_frame = -np.inf  # arrival time of the newest frame with the target [s]
         self._now = 0.0
         self._new = False
         self._following: Following | None = None
-        self._setpoint = Place(np.zeros(3), np.zeros(3))
+        self._setpoint = TargetState(np.zeros(3), np.zeros(3))
 
-    def see(self, now: float, frame: TipReading | None) -> None:
-        """What the tracker has told at `now` [s]."""
+    def update(self, now: float, frame: TipReading | None) -> None:
+        """Update the predictors of the target with the tracker's reading at `now` [s]."""
         target = None if frame is None else frame.target
-        # One that is no number is not seen.
+        # Ignore a position of the target that is NaN or infinite.
         self._now, self._new = now, target is not None and bool(np.isfinite(target).all())
         if frame is None or target is None or not self._new:
             return
-        goes_on = self._known and 0.0 < frame.time - self._known[0].time < FORGOTTEN
+        ongoing = self._known and 0.0 < frame.time - self._known[0].time < TARGET_FORGOTTEN_S
         self._known = [
-            predictor.update(self._known[which], target, frame.time) if goes_on else predictor.start(target, frame.time)
+            predictor.update(self._known[which], target, frame.time) if ongoing else predictor.start(target, frame.time)
             for which, predictor in enumerate(self._predictors)
         ]
-        self._seen = now
+        self._last_frame = now
 
     @property
     def missing(self) -> str:
-        """Why nothing can be followed now; empty when it can."""
-        if self._now - self._seen <= LOST:
+        """Reason why the target cannot be followed now; empty if it can."""
+        if self._now - self._last_frame <= TARGET_LOST_S:
             return ""
-        if np.isinf(self._seen):
+        if np.isinf(self._last_frame):
             return (
-                f"target: has not been seen yet (more than {LOST:g} s); name its coil in devices.tracker.target,"
+                f"target: not measured yet (more than {TARGET_LOST_S:g} s); name its coil in devices.tracker.target,"
                 " or bring it into the tracker's volume"
             )
         return (
-            f"target: not seen for {self._now - self._seen:.1f} s (more than {LOST:g} s); bring it back into the"
-            " tracker's volume"
+            f"target: not measured for {self._now - self._last_frame:.1f} s (more than {TARGET_LOST_S:g} s);"
+            " bring it back into the tracker's volume"
         )
 
     def follow(self, motion: FollowMotion, controller: Controller, tip: Array) -> None:
-        """Begin with the tip at rest at `tip` (3,) [m], where setpoints count from."""
-        place = self._place(self._now)
+        """Start following with the tip at rest at `tip` (3,) [m], the origin of setpoints."""
+        target = self._target_at(self._now)
         self._following = Following(
             motion,
-            Pursuit(motion.max_speed, motion.max_acceleration),
+            MotionBounds(motion.max_speed, motion.max_acceleration),
             controller.period,
-            controller.estimator.actuation.lead + motion.lag,
+            controller.estimator.actuation.lead_time + motion.lag,
             tip,
-            tip - place.position if motion.offset is None else np.array(motion.offset),
+            tip - target.position if motion.offset is None else np.array(motion.offset),
         )
-        self._setpoint = Place(tip, np.zeros(3))
+        self._setpoint = TargetState(tip, np.zeros(3))
 
-    def order(self, now: float, blind: float = 0.0, asked: Asked | None = None) -> Setpoint | Trouble:  # noqa: ARG002
-        """The setpoint of this tick, from the tip at the start; at rest where it is while the target is lost.
+    def order(
+        self,
+        now: float,
+        blind: float = 0.0,  # noqa: ARG002
+        request: StreamRequest | None = None,  # noqa: ARG002
+    ) -> Setpoint | DeviceFault:
+        """Return the setpoint of this tick, from the tip at the start; it comes to rest while the target is lost.
 
-        A target that has been lost for too long is a trouble that ends the run.
+        A target that is lost for too long is a fault that ends the run.
 
         Raises:
-            RefusedError: nothing is followed.
+            RefusedError: no target is followed.
         """
         run = self._following
         if run is None:
             raise RefusedError("no target is followed; start a motion of kind 'follow'")
-        if now - self._seen > run.motion.patience:
-            return Trouble(Severity.HOLD, f"{self.missing}; the tip has come to rest, start again to go on")
-        lead = run.lead if run.motion.predict else 0.0
+        if now - self._last_frame > run.motion.patience:
+            return DeviceFault(Severity.HOLD, f"{self.missing}; the tip has come to rest, start again to continue")
+        lead_time = run.lead_time if run.motion.predict else 0.0
         goal = None
-        if self._now - self._seen <= LOST:
-            there = self._place(self._now + lead, predicted=run.motion.predict)
-            goal = Place(there.position + run.offset, there.velocity)
-        self._setpoint = run.pursuit.step(self._setpoint, goal, run.period)
+        if self._now - self._last_frame <= TARGET_LOST_S:
+            there = self._target_at(self._now + lead_time, predicted=run.motion.predict)
+            goal = TargetState(there.position + run.offset, there.velocity)
+        self._setpoint = run.bounds.step(self._setpoint, goal, run.period)
         position, velocity = self._setpoint
-        return Setpoint(position - lead * velocity - run.origin, velocity)
+        return Setpoint(position - lead_time * velocity - run.origin, velocity)
 
     def end(self) -> None:
-        """Nothing is followed any more."""
+        """End the motion that follows the target."""
         self._following = None
 
-    def numbers(self, truth: Truth | None) -> Array | None:
-        """What telemetry has of it, in the order of its channels there: (14,); None: nothing is known of any."""
+    def numbers(self, truth: GroundTruth | None) -> Array | None:
+        """Return the target's values in a row of telemetry (14,); None if no target is known."""
         if not self._known and (truth is None or truth.target is None):
             return None
-        row = np.zeros(TARGET)
+        row = np.zeros(TARGET_COLUMNS)
         if self._known:
             row[0], row[1] = self._new, self._following is not None
-            row[2:5] = self._place(self._now, predicted=False).position
-            row[5:8] = self._place(self._now).position
+            row[2:5] = self._target_at(self._now, predicted=False).position
+            row[5:8] = self._target_at(self._now).position
         if self._following is not None:
             row[8:11] = self._following.offset
         if truth is not None and truth.target is not None:
             row[11:14] = truth.target
         return row
 
-    def _place(self, time: float, *, predicted: bool = True) -> Place:
+    def _target_at(self, time: float, *, predicted: bool = True) -> TargetState:
         return self._predictors[predicted].at(self._known[predicted], time)
 
 
-def load() -> None:
-    """What is compiled is loaded before it counts: a first frame would otherwise stop a live loop for seconds."""
+def warm_up() -> None:
+    """Compile the predictors before the loop runs: the first frame would otherwise stop a live loop for seconds."""
     for predictor in (NewestFrame(), Waves()):
         known = predictor.update(predictor.start(np.zeros(3), 0.0), np.zeros(3), 0.025)
-        Pursuit(1.0, 1.0).step(predictor.at(known, 0.03), predictor.at(known, 0.03), 0.002)
+        MotionBounds(1.0, 1.0).step(predictor.at(known, 0.03), predictor.at(known, 0.03), 0.002)

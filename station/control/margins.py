@@ -1,7 +1,7 @@
-"""How near to a snap a motion may come: elastic stability, and how far model and tracker drift apart.
+"""Safety margins against a snap: elastic stability, and the difference of tracker and model.
 
-A tube that snaps jumps by centimetres, whatever the motors do. The loaded model sees most snaps come, as
-its stability falls to zero; what it does not see shows as a tip that is suddenly elsewhere than the model has it.
+A tube that snaps jumps by centimetres, independent of the motors. The loaded model predicts most snaps: its stability
+falls to zero. Other snaps appear as a sudden difference between the measured tip and the model's.
 """
 
 from typing import Annotated, Literal
@@ -15,68 +15,78 @@ from core.robot.robot import Array
 from core.robot.stability import design_snap_number
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, Positive, Strict
-from station.devices.interfaces import Severity, Trouble
+from station.devices.interfaces import DeviceFault, Severity
 
-#: Tracker frames one after the other that have to agree on it: one alone may be an outlier.
-FRAMES = 3
+#: Number of consecutive tracker frames that must show a jump before it counts as a snap; one frame may be an outlier.
+CONFIRMING_FRAMES = 3
+#: Time constant of the reference, which follows slow changes of the difference of tracker and model [s]. A snap takes
+#: milliseconds. The sensors' drift of 5 mN a minute moves the model's tip by only 0.3 mm in this time.
+FORGETS_S = 60.0
 
 
 class Margins(Strict):
-    """What is left before the tubes snap."""
+    """Margins against a snap of the tubes."""
 
     stability: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.1
-    """of the loaded shape, below which a motion is held; straight tubes without load have 1, a snap is at 0"""
+    """stability of the loaded shape below which a motion ends in HOLD; 1: straight tubes without load, 0: snap"""
     apart: Positive = 0.030
-    """tracker and model, beyond what they were at the motion's start: everything is stopped [m]"""
+    """change of the difference of tracker and model within a minute above which every axis is stopped [m]"""
     design: Literal["warn", "refuse"] = "warn"
-    """a robot whose tubes snap somewhere within their travel without load"""
+    """reaction to a robot whose tubes snap somewhere within their travel without load: show a warning, or refuse it"""
 
 
 class SnapMonitor:
-    """Looks at every tick of one motion."""
+    """Monitor that checks every tick of one motion for a snap."""
 
     def __init__(self, margins: Margins) -> None:
         self._margins = margins
-        self._first: Array | None = None  # tracker less model at the motion's start (3,) [m]
+        self._reference: Array | None = None  # recent difference of tracker and model (3,) [m]
         self._count = 0
+        self._frame_at = 0.0
 
-    def look(self, tick: Tick, frame: bool) -> Trouble | None:
-        """What is wrong; `frame`: the tick has a new tracker frame."""
+    def check(self, tick: Tick, frame: bool, now: float) -> DeviceFault | None:
+        """Return the fault by a snap at `now` [s], if any; `frame` states whether the tick has a new tracker frame."""
         loaded = tick.memory.estimate.loaded
         if loaded.stability < self._margins.stability:
-            return Trouble(
+            return DeviceFault(
                 Severity.HOLD,
                 f"the tubes are about to snap: stability {loaded.stability:.2g} is below {self._margins.stability:g};"
-                " take the load off, or lead the joints back by hand",
+                " take the load off, or jog the joints back",
             )
         if not frame:
             return None
         away = tick.memory.tip - loaded.tip
-        if self._first is None:
-            self._first = away
-        apart = float(np.linalg.norm(away - self._first))
+        if self._reference is None:
+            self._reference, self._frame_at = away, now
+        # Drift of the sensors separates tracker and model by millimetres in minutes without a snap.
+        part = min((now - self._frame_at) / FORGETS_S, 1.0)
+        self._frame_at = now
+        change = away - self._reference
+        apart = float(np.linalg.norm(change))
+        if apart <= self._margins.apart:
+            self._reference = self._reference + part * change
         self._count = self._count + 1 if apart > self._margins.apart else 0
-        if self._count < FRAMES:
+        if self._count < CONFIRMING_FRAMES:
             return None
-        return Trouble(
+        return DeviceFault(
             Severity.STOP,
-            f"model and tracker are {1e3 * apart:.0f} mm further apart than at the motion's start, more than"
-            f" {1e3 * self._margins.apart:g} mm: have the tubes snapped or touched something, has the field generator"
-            " been moved? look before you reset",
+            f"the difference of tracker and model has changed by {1e3 * apart:.0f} mm within a minute, more than"
+            f" {1e3 * self._margins.apart:g} mm: the tubes may have snapped or touched something, or the field"
+            " generator was moved; check before you reset",
         )
 
 
 def check_design(robot: RobotFile, margins: Margins) -> str:
-    """What is to be said of a robot whose tubes snap without load, or may; empty when they do not.
+    """Return a warning if the tubes of a robot snap without load, or if that is unknown; otherwise an empty text.
 
     Raises:
-        ConfigError: they do, and such designs are to be refused.
+        ConfigError: the tubes snap, and `margins.design` is "refuse".
     """
     lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
     try:
         number = design_snap_number(robot.robot(), lower, upper)
     except DescriptionError as error:
-        return f"{error}, so nobody can say beforehand whether its tubes snap: watch its stability"
+        return f"{error}, so it cannot be determined in advance whether its tubes snap: watch its stability"
     if number < 1.0:
         return ""
     text = (
@@ -84,5 +94,5 @@ def check_design(robot: RobotFile, margins: Margins) -> str:
         " choose shorter or straighter tubes, less travel behind the plate, or watch its stability"
     )
     if margins.design == "refuse":
-        raise ConfigError(f"{text}; margins.design = 'warn' takes it all the same")
+        raise ConfigError(f"{text}; margins.design = 'warn' accepts it")
     return text

@@ -1,4 +1,4 @@
-"""What the station process and the control process say to each other through their pipe."""
+"""Messages between the station process and the control process."""
 
 import math
 from collections.abc import Mapping
@@ -7,42 +7,45 @@ from typing import Any, Literal, NamedTuple
 
 from core.robot.robot import Array
 from station.control.jog import Space
-from station.control.states import Event, State
-from station.control.task import Task
+from station.control.states import State, Transition
+from station.control.task import MotionTask
 from station.devices.interfaces import Condition
 
 
 class Command(NamedTuple):
-    """Station process -> control process."""
+    """Command from the station process to the control process."""
 
-    number: int  #: echoed in the reply
-    what: Event | Literal["tare", "jog"]
-    task: Task | None = None  #: to START, or to carry out after HOME
-    run: int = 0
-    space: Space = "joints"  #: of a jog
-    velocity: Array | None = None  #: of a jog [rad/s or m/s]
-    cause: str = ""  #: of a HOLD or STOP
-    until: float = math.inf  #: it is carried out by then or not at all, by the station's clock [s]
+    number: int  #: number of the command, repeated in its reply
+    what: Transition | Literal["tare", "jog"]  #: requested change of state or action
+    task: MotionTask | None = None  #: motion to START, or to execute after HOME
+    run: int = 0  #: number of the run that the task belongs to
+    space: Space = "joints"  #: what a jog moves
+    velocity: Array | None = None  #: velocity of a jog [rad/s or m/s]
+    cause: str = ""  #: reason of a HOLD or STOP
+    until: float = math.inf  #: deadline after which the command is rejected, by the station's clock [s]
+    generation: int | None = (
+        None  #: number of STOPs and resets when the command was requested; a later one voids it; None: never void
+    )
 
 
 class Reply(NamedTuple):
-    """Control process -> station process: the answer to a command."""
+    """Answer of the control process to a command of the station process."""
 
-    number: int
-    refused: str  #: empty when it was carried out
+    number: int  #: number of the command
+    refused: str  #: reason of the refusal; empty when the command was executed
 
 
-class Notice(NamedTuple):
-    """Control process -> station process: the state has changed, or a motion begins or has ended."""
+class StateNotice(NamedTuple):
+    """Message of the control process to the station process about a new state, or the start or end of a motion."""
 
     state: State
     cause: str
-    run: int  #: the run it is about
-    motion_start: float | None = None  #: of the run's motion, by the station's clock [s]; None: none is on
+    run: int  #: number of the run that the notice is about
+    motion_start: float | None = None  #: start of the run's motion, by the station's clock [s]; None: no motion
 
 
-class Refused(NamedTuple):
-    """Control process -> station process, once: what the system has refused it."""
+class CommandRefused(NamedTuple):
+    """Message of the control process, sent once at its start, about real-time rights that the system has refused."""
 
     warnings: tuple[str, ...]
 
@@ -52,18 +55,18 @@ DeviceName = Literal["stages", "tracker", "sensors"]
 
 @dataclass(frozen=True)
 class DeviceStatus:
-    """Everything that is known of one device; what an installed driver says is not judged in the control process."""
+    """Status of one device; the control process does not check the `details` of an installed driver."""
 
     name: DeviceName
     condition: Condition
     severity: int
-    """of what is wrong; 0: nothing"""
+    """severity of the fault; 0: none"""
     text: str
-    """what is wrong and what to do"""
+    """description of the fault, with an instruction"""
     details: Mapping[str, Any]
 
 
 class DeviceReport(NamedTuple):
-    """Control process -> station process, once in a while."""
+    """Message of the control process about the status of every device, sent at regular intervals."""
 
     devices: tuple[DeviceStatus, ...]

@@ -1,50 +1,57 @@
-"""The motion of a run, from its start on: whoever gives the orders, tick by tick."""
+"""Motion of a run: the source that gives the control loop an order (setpoint or joint velocities) at each tick."""
 
 from dataclasses import dataclass
 from typing import Protocol
 
 from core.control.trajectories import JointMotion, Setpoint
-from station.control.led import Asked
-from station.devices.interfaces import Trouble
+from station.control.streamed_motion import StreamRequest
+from station.devices.interfaces import DeviceFault
 
-#: Without a frame for this long the outer correction stays as it was at the last one: four frames [s].
-FREEZE = 0.1
+#: Time without a tracker frame after which the outer loop's correction is frozen [s]: four periods of the tracker.
+FREEZE_AFTER_S = 0.1
 
 
-class Motion(Protocol):
-    """One of those below, `led.LedMotion`, or `follow.Target`."""
+class RunMotion(Protocol):
+    """Interface of the motions of a run: `TimedMotion`, `StreamedMotion` and `TargetTrack`."""
 
-    def order(self, now: float, blind: float, asked: Asked | None) -> Setpoint | JointMotion | Trouble | None:
-        """What this tick has to do.
+    def order(
+        self, now: float, blind: float, request: StreamRequest | None
+    ) -> Setpoint | JointMotion | DeviceFault | None:
+        """Return the order of this tick: a setpoint of the tip, or joint velocities.
 
         Args:
             now: time [s].
-            blind: how long ago the last frame has come whose error may still be corrected; 0 while frames come [s].
-            asked: what was asked of this run's tip last.
+            blind: time since the last tracker frame [s]; 0 if it is shorter than `FREEZE_AFTER_S`.
+            request: latest setpoint request for this run's streamed tip.
 
         Returns:
-            The order; a trouble that ends the run; None once the motion is over.
+            The order; a fault that ends the run; None after the end of the motion.
         """
         ...
 
 
 class TimedOrders(Protocol):
-    """What a motion wants at each moment, known beforehand."""
+    """Interface of orders that are known in advance as a function of time."""
 
     def at(self, time: float) -> Setpoint | JointMotion:
-        """The order at `time` [s] since the motion's start."""
+        """Return the order at `time` [s] since the motion's start."""
         ...
 
 
 @dataclass(frozen=True)
 class TimedMotion:
-    """Orders that are known beforehand."""
+    """Motion of a run whose orders are known in advance."""
 
     orders: TimedOrders
-    start: float  #: of the motion [s]
+    start: float  #: time at which the motion starts [s]
 
-    def order(self, now: float, blind: float, asked: Asked | None = None) -> Setpoint | JointMotion:  # noqa: ARG002
-        """What is wanted now; without frames a setpoint stands, for a tip that is not measured would be chased."""
+    def order(
+        self,
+        now: float,
+        blind: float,
+        request: StreamRequest | None = None,  # noqa: ARG002
+    ) -> Setpoint | JointMotion:
+        """Return the order of this tick; without frames the setpoint is frozen, because the tip is not measured."""
         time = now - self.start
         order = self.orders.at(time)
         if blind == 0.0 or not isinstance(order, Setpoint):

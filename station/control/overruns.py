@@ -1,7 +1,7 @@
-"""Ticks that begin too late: counted, and what follows when there are too many.
+"""Overruns: ticks of the control loop that start too late, and the faults that follow from too many of them.
 
-A tick that begins a period or more after its deadline is an overrun; the periods that it has missed
-are skipped, never made up for. The thresholds are the station's.
+A tick that starts a period or more after its deadline is an overrun; the periods that it has missed are skipped, never
+caught up. The thresholds are set in the station file.
 """
 
 from collections import deque
@@ -10,43 +10,46 @@ from typing import Annotated
 from pydantic import Field
 
 from station.config.strict import Strict
-from station.devices.interfaces import Severity, Trouble
+from station.devices.interfaces import DeviceFault, Severity
 
-#: The share of missed periods is counted over this time [s].
-WINDOW = 10.0
+#: Length of the window in which the share of missed periods is counted [s].
+OVERRUN_WINDOW_S = 10.0
 
 
 class OverrunLimits(Strict):
-    """How much lateness a motion may suffer."""
+    """Limits of the number of late ticks; a number above a limit ends a motion."""
 
     hold_in_a_row: Annotated[int, Field(ge=1)] = 5
-    """overruns one after the other that end a motion"""
+    """number of consecutive overruns that ends a motion in HOLD"""
     hold_share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
-    """of the periods in 10 s missed that ends a motion"""
+    """share of the periods in 10 s that may be missed; above it a motion ends in HOLD"""
     fault_in_a_row: Annotated[int, Field(ge=1)] = 20
-    """overruns one after the other that make a fault"""
+    """number of consecutive overruns that causes FAULT"""
 
 
 class Overruns:
-    """Counts the overruns of a loop with one period [s]."""
+    """Counter of the overruns of a control loop whose ticks have the given period [s]."""
 
     def __init__(self, limits: OverrunLimits, period: float) -> None:
         self._limits = limits
-        self._most = limits.hold_share * WINDOW / period
+        self._max_missed = limits.hold_share * OVERRUN_WINDOW_S / period
         self._in_a_row = 0
         self._missed = 0
-        self._recent: deque[tuple[float, int]] = deque()  # when, and how many periods were skipped
+        self._recent: deque[tuple[float, int]] = deque()  # times of overruns [s], and numbers of skipped periods
 
     def forget(self) -> None:
-        """Begin to count anew."""
+        """Reset the counts of overruns and missed periods."""
         if self._missed or self._in_a_row:
             self._in_a_row = self._missed = 0
             self._recent.clear()
 
-    def look(self, now: float, skipped: int) -> Trouble | None:
-        """What follows from a tick at `now` [s] that has `skipped` so many periods; None if nothing."""
+    def check(self, now: float, skipped: int, slow: str = "") -> DeviceFault | None:
+        """Return the fault that follows from a tick at `now` [s] that skipped `skipped` periods; None without one.
+
+        `slow` names the custom code that made the tick late; it is empty if no custom code was slow.
+        """
         recent = self._recent
-        while recent and recent[0][0] <= now - WINDOW:
+        while recent and recent[0][0] <= now - OVERRUN_WINDOW_S:
             self._missed -= recent.popleft()[1]
         if skipped <= 0:
             self._in_a_row = 0
@@ -54,11 +57,13 @@ class Overruns:
         self._in_a_row += 1
         self._missed += skipped
         recent.append((now, skipped))
-        said = "; other programs on this computer take its time: see ctr-station doctor"
+        reason = f"; {slow or 'other programs on this computer use its processors: see ctr-station doctor'}"
         if self._in_a_row >= self._limits.fault_in_a_row:
-            return Trouble(Severity.FAULT, f"the control loop was late {self._in_a_row} times in a row{said}")
+            return DeviceFault(Severity.FAULT, f"the control loop was late {self._in_a_row} times in a row{reason}")
         if self._in_a_row >= self._limits.hold_in_a_row:
-            return Trouble(Severity.HOLD, f"the control loop was late {self._in_a_row} times in a row{said}")
-        if self._missed > self._most:
-            return Trouble(Severity.HOLD, f"the control loop has missed {self._missed} periods in {WINDOW:g} s{said}")
+            return DeviceFault(Severity.HOLD, f"the control loop was late {self._in_a_row} times in a row{reason}")
+        if self._missed > self._max_missed:
+            return DeviceFault(
+                Severity.HOLD, f"the control loop has missed {self._missed} periods in {OVERRUN_WINDOW_S:g} s{reason}"
+            )
         return None

@@ -1,105 +1,115 @@
-"""The control process: the control loop paced at 500 Hz in a process of its own.
+"""The control process: runs the control loop at 500 Hz in a separate process.
 
-Commands come in through a pipe that is looked at, never waited for; telemetry goes out through
-shared memory. When the station process is gone the axes are stopped and this process ends.
+Commands arrive through a pipe that is polled without waiting; telemetry leaves through shared memory. When the station
+process is gone, the axes are stopped and this process ends.
 """
 
 import contextlib
 import os
 import signal
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 
 from core.control.step import Controller
 from core.errors import CtrError
-from station.config.controllers import PERIOD
+from station.config.controllers import PERIOD_S
 from station.config.robots import RobotFile
 from station.control import follow
-from station.control.clock import REAL_TIME, StationClock
-from station.control.installed import Calls, DriverError, named
-from station.control.led import Asked
+from station.control.clock import REAL_TIME_CLOCK, StationClock
+from station.control.driver_guard import DriverCalls, DriverError, guard_drivers
 from station.control.loop import ControlLoop
 from station.control.margins import Margins
-from station.control.messages import Command, DeviceName, DeviceReport, DeviceStatus, Notice, Refused, Reply
+from station.control.messages import Command, CommandRefused, DeviceName, DeviceReport, DeviceStatus, Reply, StateNotice
 from station.control.overruns import OverrunLimits, Overruns
-from station.control.realtime import be_punctual, is_dying, show_as
-from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, STATION_HEARTBEAT, Ring
-from station.control.states import Event, State
-from station.control.task import Phase
+from station.control.realtime import is_dying, load, request_realtime, set_process_name
+from station.control.ring import DRIVEN, GENERATION, HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, Ring
+from station.control.states import State, Transition
+from station.control.station_life import StationLife
+from station.control.streamed_motion import StreamRequest
+from station.control.task import MotionTask, Phase
 from station.control.telemetry import Channels
 from station.devices.config import BenchFile
 from station.devices.interfaces import Devices, Severity
 from station.devices.open_devices import open_devices
 from station.devices.registry import emergency_stop
 
-#: A station process that says nothing for so long counts as gone while something moves [s].
-STATION_SILENT = 1.0
-#: One that has said nothing for so long is looked at: is it being killed [s]?
-STATION_DOUBTED = 0.045
-#: The last stops get this long to be carried and answered [s].
-LAST_WORDS = 0.25
-#: Between two reports of the devices [ticks].
+#: Time without a sign of life after which the station process counts as stalled and motion is stopped [s].
+STATION_TIMEOUT_S = 1.0
+#: Time without a heartbeat after which motion is stopped even if the station process uses processor time [s]. A station
+#: process that is so busy could not execute a STOP either.
+STATION_BUSY = 10.0
+#: Time without a heartbeat after which this process checks whether the station process is being killed [s].
+STATION_CHECK_AFTER_S = 0.045
+#: Time at the end of this process for the last stop commands to be transmitted and answered [s].
+FINAL_STOP_TIME_S = 0.25
+#: Largest time until this process ends without a station process, even if an installed driver blocks [s].
+ORPHAN_TIME = 10
+#: Interval between two `DeviceReport` messages [ticks].
 REPORT_TICKS = 250
 
 
 @dataclass(frozen=True)
 class ControlSetup:
-    """What the control process is told when it starts."""
+    """Start parameters of the control process."""
 
     robot: RobotFile
-    controller: Controller  #: of the loop until a run brings its own
-    rehearse: Callable[[Controller], None]  #: compiles everything that a tick can reach
+    controller: Controller  #: controller of the loop until a run sets another one
+    rehearse: Callable[[Controller], None]  #: function that compiles all code that a tick may execute
     margins: Margins = field(default_factory=Margins)
     overruns: OverrunLimits = field(default_factory=OverrunLimits)
-    fifo: bool = True  #: ask for real-time scheduling
-    core: int | None = None  #: processor of its own; None: any
-    clock: StationClock = REAL_TIME  #: of every process of this station
+    fifo: bool = True  #: whether to request real-time scheduling
+    core: int | None = None  #: index of the processor that is reserved for this process; None: any
+    clock: StationClock = REAL_TIME_CLOCK  #: clock of every process of this station
 
 
 def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: int) -> None:
-    """Main function of the control process; the first message through `pipe` says where the devices are."""
-    # Ctrl-C in a terminal reaches the whole group: the station process decides when we end.
+    """Main function of the control process; the first message through `pipe` describes the devices."""
+    # Ctrl-C in a terminal reaches every process of its group, but the station process decides when this process ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    show_as("ctr-control")
+    set_process_name("ctr-control")
     ring = Ring(ring_width(setup.robot), ring_name)
     try:
         setup.rehearse(setup.controller)
-        told, stopped = _told(pipe)
-        if told is None:
+        bench, stopped = _apply_command(pipe)
+        if bench is None:
             return
-        calls = Calls(ring, setup.clock)
-        devices = named(open_devices(told, setup.robot), told, calls)
+        calls = DriverCalls(ring, setup.clock)
+        devices = guard_drivers(open_devices(bench, setup.robot), bench, calls, setup.robot)
+        ring.counters[DRIVEN] = 1
         try:
-            loop = ControlLoop(setup.controller, devices, setup.margins)
-            if told.may_tell_target:
-                follow.load()
-            granted = be_punctual(fifo=setup.fifo, core=setup.core)
+            loop = ControlLoop(calls.watched(setup.controller), devices, setup.margins)
+            if bench.can_measure_target:
+                follow.warm_up()
+            granted = request_realtime(fifo=setup.fifo, core=setup.core)
             ring.counters[SCHEDULER] = granted.fifo
-            pipe.send(Refused(granted.refused))
+            pipe.send(CommandRefused(granted.refused))
             _LiveLoop(loop, calls, setup, ring, pipe, parent).run(stopped)
         finally:
             _close(devices)
             if os.getppid() != parent or is_dying(parent):
-                _stop_at_last(told, setup)
+                _final_stop(bench, setup)
     except (EOFError, ConnectionError):
-        return  # nobody is there any more
+        return  # the station process is gone
     except CtrError as error:
         with contextlib.suppress(OSError):
-            pipe.send(Notice(State.FAULT, str(error), 0))
+            pipe.send(StateNotice(State.FAULT, str(error), 0))
     except Exception as error:
         with contextlib.suppress(OSError):
-            pipe.send(Notice(State.FAULT, f"the control process failed ({type(error).__name__}: {error})", 0))
+            pipe.send(StateNotice(State.FAULT, f"the control process failed ({type(error).__name__}: {error})", 0))
         raise
     finally:
         ring.close(remove=os.getppid() != parent)
 
 
-def _told(pipe: Connection) -> tuple[BenchFile | None, bool]:
-    """Where the devices are (None to end), and whether somebody has said STOP before that; all else is too early."""
+def _apply_command(pipe: Connection) -> tuple[BenchFile | None, bool]:
+    """Wait for the description of the bench; return it (None: end the process), and whether a STOP came first.
+
+    Other commands are refused, because the process is still starting.
+    """
     stopped = False
     while isinstance(message := pipe.recv(), Command):
-        stop = message.what is Event.STOP
+        stop = message.what is Transition.STOP
         stopped = stopped or stop
         refused = f"'{message.what}' is not possible: the control process is starting"
         pipe.send(Reply(message.number, "" if stop else refused))
@@ -107,93 +117,118 @@ def _told(pipe: Connection) -> tuple[BenchFile | None, bool]:
 
 
 def ring_width(robot: RobotFile) -> int:
-    """Numbers in a row of telemetry."""
+    """Return the number of channels in a row of telemetry."""
     return len(Channels(robot.robot()))
 
 
-def _stop_at_last(told: BenchFile, setup: ControlSetup) -> None:
-    """The station process would make sure that every axis stops, those that home too; it is gone."""
-    stop = emergency_stop(told.stages, setup.robot)
+def _final_stop(bench: BenchFile, setup: ControlSetup) -> None:
+    """Stop every axis, also one that is homing, because the station process is gone and cannot do it."""
+    stop = emergency_stop(bench.stages, setup.robot)
     if stop is not None:
-        with contextlib.suppress(CtrError):  # there is nobody to tell it to
+        with contextlib.suppress(
+            BaseException
+        ):  # an installed driver may raise anything; there is no process to report to
             stop(setup.clock)
 
 
 class _LiveLoop:
-    """The control loop with its clock and its commands."""
+    """Runner of the control loop in real time: it paces the ticks and executes the commands of the station process."""
 
     def __init__(
-        self, loop: ControlLoop, calls: Calls, setup: ControlSetup, ring: Ring, pipe: Connection, parent: int
+        self, loop: ControlLoop, calls: DriverCalls, setup: ControlSetup, ring: Ring, pipe: Connection, parent: int
     ) -> None:
         self._loop, self._ring, self._pipe, self._parent = loop, ring, pipe, parent
         self._calls, self._clock = calls, setup.clock
-        self._overruns = Overruns(setup.overruns, PERIOD)
-        self._begun = 0.0
+        self._station = StationLife(ring, setup.clock, parent)
+        self._overruns = Overruns(setup.overruns, PERIOD_S)
+        self._started = 0.0
         self._run = 0
-        self._told = Notice(State.OFF, "", 0)
+        self._sent_notice = StateNotice(State.OFF, "", 0)
 
     def run(self, stopped: bool) -> None:
-        """Tick until the station process closes the pipe or is gone; it begins OFF if it has been `stopped` already."""
-        self._begun = self._clock.now()
+        """Tick until the station process closes the pipe or is gone; start OFF after an early STOP (`stopped`)."""
+        self._started = self._clock.now()
         self._loop.connect(0.0)
         if stopped:
             self._loop.stop(0.0)
         try:
             self._ticks()
         finally:
-            # Whatever ends it, the axes are stopped.
+            if (os.getppid() != self._parent or is_dying(self._parent)) and hasattr(signal, "alarm"):
+                signal.signal(signal.SIGALRM, signal.SIG_DFL)
+                signal.alarm(ORPHAN_TIME)
+            # Stop the axes at the end, whatever has ended the loop.
             self._wind_down()
 
     def _ticks(self) -> None:
         tick, clock = 0, self._clock
         while True:
-            due = self._begun + tick * PERIOD
+            due = self._started + tick * PERIOD_S
             left = due - clock.now()
             if left > 0.0:
                 clock.sleep(left)
             start = clock.now()
             # Too late by a period or more: skip whole periods, never catch up in a burst.
-            skipped = int((start - due) / PERIOD)
+            skipped = int((start - due) / PERIOD_S)
             self._ring.time_late(start - due, skipped)
             tick += skipped
-            self._judge_lateness(tick * PERIOD, skipped)
-            if not self._listen(tick * PERIOD):
+            self._judge_lateness(tick * PERIOD_S, skipped)
+            if not self._listen(tick * PERIOD_S):
                 return
             self._tick(tick)
             self._ring.time_work(clock.now() - start)
             tick += 1
 
     def _judge_lateness(self, now: float, skipped: int) -> None:
-        """Too much lateness ends a motion; what was late before it does not count."""
+        """End a motion after too many overruns; only those during the motion count."""
+        slow = self._calls.longest()  # slow call in the previous tick, which may have made this tick late
         if self._loop.state not in (State.RUNNING, State.HOMING):
             self._overruns.forget()
             return
-        late = self._overruns.look(now, skipped)
+        late = self._overruns.check(now, skipped, slow)
         if late is not None:
-            event = Event.FAULT if late.severity is Severity.FAULT else Event.HOLD
-            if event is Event.FAULT or self._loop.state is State.RUNNING:
-                self._loop.stop(now, event, "; ".join(text for text in (late.text, self._calls.longest()) if text))
+            event = Transition.FAULT if late.severity is Severity.FAULT else Transition.HOLD
+            if event is Transition.FAULT or self._loop.state is State.RUNNING:
+                self._loop.stop(now, event, late.text)
 
     def _tick(self, tick: int) -> None:
-        loop, ring, now = self._loop, self._ring, tick * PERIOD
-        row = loop.tick(now, ring.truth(), self._asked())
+        loop, ring, now = self._loop, self._ring, tick * PERIOD_S
+        row = loop.tick(now, ring.truth(), self._setpoint_request())
         if row is not None:
             ring.write(row)
         self._report(now)
         self._notice()
-        silent = self._clock.now() - float(ring.numbers[STATION_HEARTBEAT])
-        if silent < STATION_SILENT:
+        standstill = (
+            self._station.standstill()
+        )  # call it at every tick: the kernel's count is compared with that of an earlier query
+        if self._station.silence < STATION_TIMEOUT_S:
             if tick % REPORT_TICKS == 0:
                 self._pipe.send(DeviceReport(_statuses(loop.devices, now)))
-        elif loop.state in (State.RUNNING, State.HOMING):
-            loop.stop(now, cause=f"the station process has said nothing for {silent:.1f} s")
+        elif loop.state in (State.RUNNING, State.HOMING) and (cause := self._without_station(standstill)):
+            loop.stop(now, cause=cause)
 
-    def _asked(self) -> Asked | None:
-        """What was asked of this run's tip last, in the loop's time."""
-        asked = self._ring.asked(self._run)
-        if asked is None or asked.wish is None:
-            return asked
-        return Asked(asked.run, asked.wish._replace(asked=asked.wish.asked - self._begun))
+    def _without_station(self, standstill: float) -> str:
+        """Return why motion must stop while the station process is silent; empty if it may continue."""
+        silence = self._station.silence
+        if standstill > STATION_TIMEOUT_S:
+            return (
+                f"the station process has not run for {standstill:.1f} s: it is suspended, or other programs on this"
+                f" computer leave it no processor ({load()}); end them, see ctr-station doctor"
+            )
+        if silence > STATION_BUSY:
+            return (
+                f"the station process was too busy for {silence:.0f} s to take a STOP ({load()}); close pages and"
+                " clients, end other programs on this computer"
+            )
+        return ""
+
+    def _setpoint_request(self) -> StreamRequest | None:
+        """Return the latest request for this run's streamed tip, in the loop's time."""
+        request = self._ring.request(self._run)
+        if request is None or request.setpoint is None:
+            return request
+        setpoint = request.setpoint
+        return StreamRequest(request.run, setpoint._replace(time=setpoint.time - self._started))
 
     def _report(self, now: float) -> None:
         loop, ring = self._loop, self._ring
@@ -201,22 +236,21 @@ class _LiveLoop:
         ring.numbers[PROGRESS], ring.numbers[HEARTBEAT] = loop.part_done(now), self._clock.now()
 
     def _notice(self) -> None:
-        """Tell what has changed."""
+        """Send a notice of the state to the station process if the state has changed."""
         loop = self._loop
         progress = loop.progress
         known = progress is not None and progress.phase in (Phase.SETTLING, Phase.MOVING)
-        start = self._begun + progress.motion_start if progress is not None and known else None
-        notice = Notice(loop.state, loop.cause, self._run, start)
-        if notice != self._told:
-            self._told = notice
+        start = self._started + progress.motion_start if progress is not None and known else None
+        notice = StateNotice(loop.state, loop.cause, self._run, start)
+        if notice != self._sent_notice:
+            self._sent_notice = notice
             self._pipe.send(notice)
 
     def _listen(self, now: float) -> bool:
-        """Carry out what has arrived; False when nobody is there any more."""
+        """Execute the commands that have arrived; return False if the station process is gone."""
         if os.getppid() != self._parent:
             return False
-        silent = self._clock.now() - float(self._ring.numbers[STATION_HEARTBEAT])
-        if STATION_DOUBTED < silent < STATION_SILENT and is_dying(self._parent):
+        if STATION_CHECK_AFTER_S < self._station.silence < STATION_BUSY and is_dying(self._parent):
             return False
         try:
             while self._pipe.poll():
@@ -224,7 +258,7 @@ class _LiveLoop:
                 if command is None:
                     return False
                 refused = self._obey(command, now)
-                # The new state is there to see before the answer is.
+                # The new state is visible before the reply.
                 self._report(now)
                 self._pipe.send(Reply(command.number, refused))
         except (EOFError, OSError):
@@ -232,44 +266,49 @@ class _LiveLoop:
         return True
 
     def _obey(self, command: Command, now: float) -> str:
-        """Carry out one command; why not, if so."""
+        """Execute one command; return why it was refused, or an empty text if it was accepted."""
         loop = self._loop
         if self._clock.now() > command.until:
-            return f"'{command.what}' came too late to be carried out"  # whoever asked has been told so
+            return f"'{command.what}' came too late to be carried out"  # the sender has already received a timeout
+        if command.generation not in (None, int(self._ring.counters[GENERATION])):
+            return f"'{command.what}' was requested before a STOP or a reset"
         try:
             match command.what:
-                case Event.STOP:
+                case Transition.STOP:
                     loop.stop(now, cause=command.cause)
-                case Event.HOLD:
-                    loop.stop(now, Event.HOLD, command.cause)
-                case Event.START if command.task is not None:
-                    loop.start(command.task)
+                case Transition.HOLD:
+                    loop.stop(now, Transition.HOLD, command.cause)
+                case Transition.START if command.task is not None:
+                    loop.start(self._watched(command.task))
                     self._run = command.run
-                case Event.RESET:
+                case Transition.RESET:
                     loop.reset(now)
-                case Event.CONNECT:
+                case Transition.CONNECT:
                     loop.connect(now)
-                case Event.HOME:
-                    loop.home(now, command.task)
+                case Transition.HOME:
+                    loop.home(now, None if command.task is None else self._watched(command.task))
                     self._run = command.run
                 case "tare":
                     loop.tare(now)
                 case "jog" if command.velocity is not None:
                     loop.jog(now, command.space, command.velocity)
                 case _:
-                    return f"'{command.what}' is nothing that can be asked for"
+                    return f"'{command.what}' is not a valid command"
         except CtrError as error:
             return str(error)
         return ""
 
+    def _watched(self, task: MotionTask) -> MotionTask:
+        return replace(task, controller=self._calls.watched(task.controller))
+
     def _wind_down(self) -> None:
-        """Stop every axis and give the lines the time to carry the stops."""
-        begin = self._clock.now()
-        with contextlib.suppress(DriverError):  # somebody else stops them then, and tells
-            self._loop.stop(begin - self._begun, cause="the station process is gone")
-            while self._clock.now() - begin < LAST_WORDS:
-                self._clock.sleep(PERIOD)
-                self._loop.devices.stages.poll(self._clock.now() - self._begun)
+        """Stop every axis and wait until the serial lines have transmitted the stop commands."""
+        started = self._clock.now()
+        with contextlib.suppress(DriverError):  # the station process then stops the axes and reports the error
+            self._loop.stop(started - self._started, cause="the station process is gone")
+            while self._clock.now() - started < FINAL_STOP_TIME_S:
+                self._clock.sleep(PERIOD_S)
+                self._loop.devices.stages.poll(self._clock.now() - self._started)
 
 
 def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:
@@ -285,7 +324,7 @@ def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:
 
 
 def _close(devices: Devices) -> None:
-    """Every one, even if another fails."""
+    """Close every device, even if another one fails."""
     for device in (devices.stages, devices.tracker, devices.sensors):
         with contextlib.suppress(CtrError, OSError):
             device.close()

@@ -1,4 +1,4 @@
-"""What the operating system grants a punctual process; what it refuses is said, not hidden."""
+"""Request real-time settings of a process (scheduling, locked memory, a processor) and report which are refused."""
 
 import contextlib
 import ctypes
@@ -8,44 +8,44 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-#: Of mlockall(2): what is there, what comes, and both only once it is used.
+#: Flags of mlockall(2): lock present pages, lock future pages, and lock pages only when they are used.
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4
-#: Bit of the right to lock memory in a process's capabilities.
+#: Index of the bit in a process's capabilities that allows it to lock memory (CAP_IPC_LOCK).
 _CAP_IPC_LOCK = 14
 _SIGKILL = 9
 
 
-class Granted(NamedTuple):
-    """What came of it."""
+class RealtimeRights(NamedTuple):
+    """Real-time settings that `request_realtime` has obtained, and those that were refused."""
 
-    fifo: bool  #: real-time scheduling
-    refused: tuple[str, ...]  #: for a person
+    fifo: bool  #: whether the process has real-time scheduling
+    refused: tuple[str, ...]  #: human-readable text for each refused setting
 
 
-def be_punctual(*, fifo: bool, core: int | None) -> Granted:
-    """Everything that keeps the calling process punctual: a processor, memory that stays, SCHED_FIFO, no collections.
+def request_realtime(*, fifo: bool, core: int | None) -> RealtimeRights:
+    """Prepare the calling process for real time: pin it, lock its memory, request SCHED_FIFO, stop garbage collection.
 
     Args:
-        fifo: ask for real-time scheduling.
-        core: the processor to keep to; None: any.
+        fifo: request real-time scheduling.
+        core: processor to run on; None: any.
     """
     refused: list[str] = []
-    if core is not None and not keep_to({core}):
-        refused.append(f"the control loop may not keep to processor {core}")
+    if core is not None and not pin_to({core}):
+        refused.append(f"the control loop cannot be pinned to processor {core}")
     if not lock_memory():
-        refused.append("memory cannot be locked: the loop may have to wait for the disk; ctr-station doctor says how")
-    granted = fifo and ask_for_fifo()
+        refused.append("memory cannot be locked: the loop may have to wait for the disk; ctr-station doctor shows how")
+    granted = fifo and request_fifo()
     if fifo and not granted:
-        refused.append("SCHED_FIFO is refused: the loop runs with more jitter; ctr-station doctor says how to get it")
-    calm_memory()
-    return Granted(granted, tuple(refused))
+        refused.append("SCHED_FIFO is refused: the loop runs with more jitter; ctr-station doctor shows how to get it")
+    disable_garbage_collection()
+    return RealtimeRights(granted, tuple(refused))
 
 
-def ask_for_fifo(priority: int = 50, *, in_turns: bool = False) -> bool:
-    """Ask for real-time scheduling of the calling thread; False when the system refuses or has none.
+def request_fifo(priority: int = 50, *, in_turns: bool = False) -> bool:
+    """Request real-time scheduling of the calling thread; return False if the system refuses or does not support it.
 
-    Threads and processes that it starts later do not inherit it. `in_turns`: others of the same priority get
-    their turns, too (SCHED_RR).
+    Threads and processes that it starts later do not inherit it. `in_turns`: share the processor with threads of the
+    same priority in turns (SCHED_RR).
     """
     if not hasattr(os, "sched_setscheduler"):
         return False
@@ -58,9 +58,9 @@ def ask_for_fifo(priority: int = 50, *, in_turns: bool = False) -> bool:
 
 
 def lock_memory() -> bool:
-    """Keep this process's memory from being swapped out, as it is used; False where the system refuses or cannot.
+    """Lock each page of this process's memory when it is used; return False if the system refuses or cannot do so.
 
-    Under a limit nothing is locked: memory that is asked for beyond it would be refused later, in the middle of a run.
+    If the system limits locked memory, nothing is locked: an allocation beyond the limit would fail during a run.
     """
     if not may_lock_memory():
         return False
@@ -69,9 +69,9 @@ def lock_memory() -> bool:
 
 
 def may_lock_memory() -> bool:
-    """Whether the system lets this process lock all of its memory."""
+    """Return whether this process may lock all of its memory."""
     try:
-        import resource  # not on Windows
+        import resource  # this module does not exist on Windows
     except ImportError:
         return False
     if resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY:
@@ -84,8 +84,8 @@ def may_lock_memory() -> bool:
     return bool(int(capable, 16) >> _CAP_IPC_LOCK & 1)
 
 
-def keep_to(cores: set[int]) -> bool:
-    """Run the calling thread, and what it starts, on these processors only; False where that cannot be."""
+def pin_to(cores: set[int]) -> bool:
+    """Run the calling thread and its children on these processors only; return False if that is impossible."""
     if not hasattr(os, "sched_setaffinity"):
         return False
     try:
@@ -96,20 +96,20 @@ def keep_to(cores: set[int]) -> bool:
 
 
 def last_core() -> int | None:
-    """Number of the last processor that this process may use, for the control process alone; None if it is the only."""
+    """Return the index of the last processor, to reserve it for the control process; None if there is only one."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
     return cores[-1] if len(cores) > 1 else None
 
 
-def leave(core: int | None, pids: Iterable[int]) -> None:
-    """Keep the processes `pids`, with every thread that they have and will have, off a processor; None: they stay.
+def move_off_core(core: int | None, pids: Iterable[int]) -> None:
+    """Move the processes `pids`, with all present and future threads, off processor `core`; None: do nothing.
 
-    Once they are up: what is loaded at the start may use every processor. One that has ended is left out.
+    Call it after their start, which may use every processor. Processes that have ended are skipped.
     """
     if core is None:
         return
     for pid in pids:
-        # Until none is found that had to move: one that had not moved yet may have started another.
+        # Repeat until no thread had to move: a thread may have started another thread before it was moved.
         while any(_moved(int(thread.name), core) for thread in _threads(pid)):
             pass
 
@@ -117,52 +117,67 @@ def leave(core: int | None, pids: Iterable[int]) -> None:
 def _threads(pid: int) -> list[Path]:
     try:
         return list(Path(f"/proc/{pid}/task").iterdir())
-    except OSError:  # it has ended
+    except OSError:  # the process has ended
         return []
 
 
 def _moved(thread: int, core: int) -> bool:
-    """Keep a thread off a processor; whether that had to be done, and could."""
+    """Move a thread off a processor; return whether it had to be moved and could be."""
     try:
         cores = os.sched_getaffinity(thread)
         if core not in cores:
             return False
         os.sched_setaffinity(thread, cores - {core})
-    except OSError:  # it has ended, or has no other processor
+    except OSError:  # the thread has ended, or it may use no other processor
         return False
     return True
 
 
-def is_dying(pid: int) -> bool:
-    """Whether a process has been killed or has ended, as far as the system tells.
+def processor_time(pid: int) -> float | None:
+    """Return the processor time that a process has used [s]; None when it is gone or the system does not report it."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, IndexError, ValueError):
+        return None
 
-    Its children and the other ends of its pipes learn it only when the last of its threads has gone, which on a
-    busy computer takes a tenth of a second.
+
+def is_dying(pid: int) -> bool:
+    """Return whether a process has been killed or has ended, as far as the system reports it.
+
+    Its children and the other ends of its pipes detect the end only after its last thread has ended. On a busy
+    computer this takes a tenth of a second.
     """
     try:
         lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return False
-    told = dict(line.split(":\t", 1) for line in lines if ":\t" in line)
-    pending = int(told.get("SigPnd", "0"), 16) | int(told.get("ShdPnd", "0"), 16)
-    return told.get("State", "")[:1] in ("Z", "X") or bool(pending >> (_SIGKILL - 1) & 1)
+    status = dict(line.split(":\t", 1) for line in lines if ":\t" in line)
+    pending = int(status.get("SigPnd", "0"), 16) | int(status.get("ShdPnd", "0"), 16)
+    return status.get("State", "")[:1] in ("Z", "X") or bool(pending >> (_SIGKILL - 1) & 1)
 
 
-def calm_memory() -> None:
-    """No garbage collection pauses: what lives now lives for ever, the loop makes no cycles."""
-    keep_memory()
+def load() -> str:
+    """Return a text with the computer's load: the mean number of runnable programs in the last minute."""
+    processors = f"{os.cpu_count()} processors"
+    return f"load {os.getloadavg()[0]:.0f} on {processors}" if hasattr(os, "getloadavg") else processors
+
+
+def disable_garbage_collection() -> None:
+    """Disable garbage collection; the control loop does not need it, because it creates no reference cycles."""
+    freeze_garbage_collection()
     gc.disable()
 
 
-def keep_memory() -> None:
-    """Short garbage collection pauses: what lives now lives for ever, only what comes later is looked at."""
+def freeze_garbage_collection() -> None:
+    """Shorten the pauses of garbage collection: exempt present objects, so that only later objects are collected."""
     gc.collect()
     gc.freeze()
 
 
 @contextlib.contextmanager
 def uncollected() -> Iterator[None]:
-    """No garbage collection meanwhile: the control loop makes no cycles, and a collection looks at all there is."""
+    """Disable garbage collection inside the block, because a collection would delay a tick of the control loop."""
     before = gc.isenabled()
     gc.disable()
     try:
@@ -172,7 +187,7 @@ def uncollected() -> Iterator[None]:
             gc.enable()
 
 
-def show_as(name: str) -> None:
-    """Call this process `name` (15 letters at most) where processes are listed, on systems that can."""
+def set_process_name(name: str) -> None:
+    """Set the name of this process in process lists (at most 15 letters), if the system supports that."""
     with contextlib.suppress(OSError):
         Path("/proc/self/comm").write_text(name, encoding="ascii")

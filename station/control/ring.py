@@ -1,8 +1,8 @@
-"""Telemetry in shared memory: one writer that never waits, readers that know what they missed.
+"""Telemetry in shared memory: one writer that never waits; readers detect the rows that they missed.
 
-The segment holds a few counters, two histograms of the loop's timing and a ring of rows. The
-writer fills a slot and then counts it; a reader copies slots and then looks at the count again:
-whatever the writer may have touched meanwhile is thrown away and reported as missed.
+The shared memory segment has a few counters, two histograms of the loop's timing and a ring of rows. The writer fills a
+slot of the ring and then increments the count of rows. A reader copies slots and then reads the count again: slots that
+the writer may have changed meanwhile are discarded and reported as missed.
 """
 
 import contextlib
@@ -15,46 +15,50 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.control.leading import Wish
+from core.control.setpoint_request import SetpointRequest
 from core.robot.robot import Array
-from station.control.led import Asked
-from station.devices.interfaces import Truth
+from station.control.streamed_motion import StreamRequest
+from station.devices.interfaces import GroundTruth
 
-PREFIX = "psm_ctr_"  #: of a segment's name, before the number of the process that made it
-SEGMENTS = Path("/dev/shm")  # noqa: S108 - where Linux has them
+SEGMENT_PREFIX = "psm_ctr_"  #: start of a segment's name; the pid of the process that created it follows
+SEGMENT_FOLDER = Path("/dev/shm")  # noqa: S108 - folder in which Linux shows segments as files
 
-ROWS = 4096  #: slots, about 8 s at 500 Hz
-BINS = 5001  #: 1 us each; the last holds everything from 5 ms on
+RING_ROWS = 4096  #: number of rows in the ring: about 8 s at 500 Hz
+HISTOGRAM_BINS = 5001  #: number of bins of 1 us in a histogram; the last one counts everything from 5 ms on
 
-#: Places of the counters; the last one is an installed driver that is being called, counted from 1; 0: none.
-WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK, CALLED = range(8)
-COUNTERS = 8
-#: Places of the numbers; a heartbeat is when its process has shown last that it lives, by the station's clock [s].
+#: Indices of the counters. DRIVER_IN_CALL is the number of the custom driver or loop that is being called, from 1; 0 if
+#: there is none. GENERATION is the number of requested STOPs and resets; only the station process writes it. DRIVEN is
+#: 1 after a control process of this station has opened the stages.
+WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK, DRIVER_IN_CALL, GENERATION, DRIVEN = range(10)
+COUNTERS = 10
+#: Indices of the floating-point numbers. A heartbeat is the time at which a process last reported that it is alive, by
+#: the station's clock [s].
 LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECORDER_HEARTBEAT = range(7)
 NUMBERS = 8
-#: A count that is odd while they are being written, then tip, force, whether there is a target, and where it is.
+#: Number of cells of the lab's ground truth: a count that is odd during a write, tip, force, whether there is a target,
+#: position of the target, direction of the tip.
 TRUTH = 14
-#: Such a count, run, whether it is a place, place, velocity, when it came, how long it goes on, whether there is a
-#: direction, and it.
-WISH = 15
+#: Number of cells of a setpoint request: a count that is odd during a write, run, whether it has a position, position,
+#: velocity, time, extrapolation, whether it has a direction, direction.
+SETPOINT_REQUEST = 15
 
 
 class Timing(NamedTuple):
-    """How punctual the loop is, since it began."""
+    """Timing statistics of the control loop since its start."""
 
-    ticks: int
-    missed: int  #: whole periods skipped
-    late_us: dict[str, float]  #: from the deadline to the start of the tick: p50, p99, p99_9, max
-    tick_us: dict[str, float]  #: length of a tick's work: the same
-    scheduler: str
+    ticks: int  #: number of ticks
+    missed: int  #: number of whole periods skipped
+    late_us: dict[str, float]  #: time from the deadline to the start of a tick [us]: p50, p99, p99_9, max
+    tick_us: dict[str, float]  #: duration of a tick's work [us]: p50, p99, p99_9, max
+    scheduler: str  #: "SCHED_FIFO" or "normal priority"
 
 
 class Ring:
-    """The segment, written by the control process and read by others."""
+    """Shared memory segment with telemetry, which the control process writes and other processes read."""
 
     def __init__(self, width: int, name: str | None = None) -> None:
-        """Create a segment for rows of `width` numbers, or attach to the one called `name`."""
-        size = 8 * (COUNTERS + NUMBERS + TRUTH + WISH + 2 * BINS + ROWS * width)
+        """Create a shared memory segment for rows of `width` numbers, or attach to the segment called `name`."""
+        size = 8 * (COUNTERS + NUMBERS + TRUTH + SETPOINT_REQUEST + 2 * HISTOGRAM_BINS + RING_ROWS * width)
         self._memory = SharedMemory(name or _new_name(), create=name is None, size=size)
         self.name: str = self._memory.name
         buffer: Any = self._memory.buf
@@ -69,21 +73,21 @@ class Ring:
         self.counters: NDArray[np.int64] = view(COUNTERS, np.int64)
         self.numbers: Array = view(NUMBERS, np.float64)
         self._truth: Array = view(TRUTH, np.float64)
-        self._wish: Array = view(WISH, np.float64)
-        self.late: NDArray[np.int64] = view(BINS, np.int64)
-        self.busy: NDArray[np.int64] = view(BINS, np.int64)
-        self._rows: Array = view(ROWS * width, np.float64).reshape(ROWS, width)
-        self._told: Truth | None = None
-        self._asked: Asked | None = None
+        self._request_cells: Array = view(SETPOINT_REQUEST, np.float64)
+        self.late: NDArray[np.int64] = view(HISTOGRAM_BINS, np.int64)
+        self.busy: NDArray[np.int64] = view(HISTOGRAM_BINS, np.int64)
+        self._rows: Array = view(RING_ROWS * width, np.float64).reshape(RING_ROWS, width)
+        self._ground_truth: GroundTruth | None = None
+        self._request: StreamRequest | None = None
 
     def write(self, row: Array) -> None:
-        """Add a row; only the one writer may."""
+        """Add a row of telemetry; only the control process may call this."""
         written = int(self.counters[WRITTEN])
-        self._rows[written % ROWS] = row
+        self._rows[written % RING_ROWS] = row
         self.counters[WRITTEN] = written + 1
 
-    def publish_ground_truth(self, truth: Truth, stuck: bool = False) -> None:
-        """What the virtual lab knows, and whether its robot cannot follow its stages; only the lab may."""
+    def publish_ground_truth(self, truth: GroundTruth, stuck: bool = False) -> None:
+        """Write the virtual lab's ground truth and whether its robot is stuck; only the lab may call this."""
         cells = self._truth
         self.counters[STUCK] = stuck
         cells[0] += 1.0
@@ -93,77 +97,78 @@ class Ring:
             cells[8:11] = truth.target
         cells[0] += 1.0
 
-    def truth(self) -> Truth | None:
-        """What the virtual lab told last; None without one."""
+    def truth(self) -> GroundTruth | None:
+        """Return the latest ground truth of the virtual lab; None without a virtual lab."""
         before = self._truth[0]
         values = self._truth.copy()
         if before and not before % 2.0 and values[0] == before and self._truth[0] == before:
-            self._told = Truth(values[1:4], values[4:7], values[8:11] if values[7] else None, values[11:14])
-        return self._told  # what it told before, while it is just telling: a loop does not wait for it
+            target = values[8:11] if values[7] else None
+            self._ground_truth = GroundTruth(values[1:4], values[4:7], target, values[11:14])
+        return self._ground_truth  # during a write this is the previous ground truth, because the loop does not wait
 
-    def ask(self, asked: Asked) -> None:
-        """Ask something of a tip that is led; only the station process may."""
-        cells, wish = self._wish, asked.wish
+    def write_request(self, request: StreamRequest) -> None:
+        """Write the latest setpoint request for a streamed tip; only the station process may call this."""
+        cells, setpoint = self._request_cells, request.setpoint
         cells[0] += 1.0
-        cells[1], cells[2] = asked.run, -1.0 if wish is None else float(wish.place is not None)
-        if wish is not None:
-            cells[3:6], cells[6:9] = 0.0 if wish.place is None else wish.place, wish.velocity
-            cells[9], cells[10], cells[11] = wish.asked, wish.goes_on, wish.direction is not None
-            cells[12:15] = 0.0 if wish.direction is None else wish.direction
+        cells[1], cells[2] = request.run, -1.0 if setpoint is None else float(setpoint.position is not None)
+        if setpoint is not None:
+            cells[3:6], cells[6:9] = 0.0 if setpoint.position is None else setpoint.position, setpoint.velocity
+            cells[9], cells[10], cells[11] = setpoint.time, setpoint.extrapolation, setpoint.direction is not None
+            cells[12:15] = 0.0 if setpoint.direction is None else setpoint.direction
         cells[0] += 1.0
 
-    def asked(self, run: int) -> Asked | None:
-        """What was asked of the led tip of that run last, by the station's clock; None before anything was."""
-        before = self._wish[0]
-        if not before or self._wish[1] != run:
+    def request(self, run: int) -> StreamRequest | None:
+        """Return the latest setpoint request of a run, with times by the station's clock; None before the first one."""
+        before = self._request_cells[0]
+        if not before or self._request_cells[1] != run:
             return None
-        values = self._wish.copy()
-        if not before % 2.0 and values[0] == before and self._wish[0] == before:
-            wish = None
+        values = self._request_cells.copy()
+        if not before % 2.0 and values[0] == before and self._request_cells[0] == before:
+            setpoint = None
             if values[2] >= 0.0:
-                place = values[3:6] if values[2] else None
+                position = values[3:6] if values[2] else None
                 direction = values[12:15] if values[11] else None
-                wish = Wish(place, values[6:9], float(values[9]), float(values[10]), direction)
-            self._asked = Asked(run, wish)
-        # What was asked before, while something is just being asked.
-        return self._asked if self._asked is not None and self._asked.run == run else None
+                setpoint = SetpointRequest(position, values[6:9], float(values[9]), float(values[10]), direction)
+            self._request = StreamRequest(run, setpoint)
+        # During a write this is the previous request, because the loop does not wait.
+        return self._request if self._request is not None and self._request.run == run else None
 
     def time_late(self, late: float, skipped: int) -> None:
-        """Count how late a tick begins [s] and how many whole periods that skips."""
+        """Count the lateness of a tick's start [s] in the histogram, and the whole periods that were skipped."""
         late_us = 1e6 * late
-        self.late[min(max(int(late_us), 0), BINS - 1)] += 1
+        self.late[min(max(int(late_us), 0), HISTOGRAM_BINS - 1)] += 1
         self.counters[MISSED] += skipped
         if late_us > self.numbers[LATE_MAX]:
             self.numbers[LATE_MAX] = late_us
 
     def time_work(self, busy: float) -> None:
-        """Count the length of a tick's work [s]."""
+        """Count the duration of a tick's work [s] in the histogram."""
         busy_us = 1e6 * busy
-        self.busy[min(max(int(busy_us), 0), BINS - 1)] += 1
+        self.busy[min(max(int(busy_us), 0), HISTOGRAM_BINS - 1)] += 1
         if busy_us > self.numbers[TICK_MAX]:
             self.numbers[TICK_MAX] = busy_us
 
     @property
     def written(self) -> int:
-        """Rows written so far."""
+        """Number of rows that were written so far."""
         return int(self.counters[WRITTEN])
 
     def read(self, since: int) -> tuple[Array, int, int]:
-        """Rows from number `since` on, the number to continue from, and how many were missed."""
+        """Return rows from number `since` on, the number to continue from, and the number of missed rows."""
         written = self.written
-        # The slot being written next must not be trusted.
-        first = max(since, written - ROWS + 1, 0)
-        rows = self._rows[np.arange(first, written) % ROWS]
-        safe = max(first, self.written - ROWS + 1)
+        # Exclude the slot that the writer may be filling now.
+        first = max(since, written - RING_ROWS + 1, 0)
+        rows = self._rows[np.arange(first, written) % RING_ROWS]
+        safe = max(first, self.written - RING_ROWS + 1)
         return rows[safe - first :], written, safe - since if safe > since else 0
 
     def latest(self) -> Array | None:
-        """The newest row, if any."""
+        """Return the newest row; None before the first row."""
         rows, _, _ = self.read(max(self.written - 1, 0))
         return rows[-1] if len(rows) else None
 
     def timing(self) -> Timing:
-        """Percentiles of lateness and work."""
+        """Return the percentiles of the ticks' lateness and work."""
         return Timing(
             int(self.late.sum()),
             int(self.counters[MISSED]),
@@ -173,36 +178,38 @@ class Ring:
         )
 
     def later_than(self, late: float) -> int:
-        """How many ticks have begun so late [s, below 5 ms] or later."""
+        """Return the number of ticks that started at least `late` [s] after their deadline; `late` is below 5 ms."""
         return int(self.late[int(1e6 * late) :].sum())
 
     def clear_timing(self) -> None:
-        """Start the statistics anew."""
+        """Reset the timing statistics."""
         self.late[:], self.busy[:] = 0, 0
         self.counters[MISSED] = 0
         self.numbers[LATE_MAX] = self.numbers[TICK_MAX] = 0.0
 
     def close(self, *, remove: bool) -> None:
-        """Let go of the segment; the one who created it also removes it."""
-        del self.counters, self.numbers, self._truth, self._wish, self.late, self.busy, self._rows
+        """Detach from the segment; `remove` also deletes it, which is the task of the process that created it."""
+        del self.counters, self.numbers, self._truth, self._request_cells, self.late, self.busy, self._rows
         self._memory.close()
         if remove:
             try:
                 self._memory.unlink()
             except FileNotFoundError:
-                return  # somebody else tidied up after a crash
+                return  # another process has removed the segment after a crash
 
 
 def _new_name() -> str:
-    """Says whose it is, for `clear_left_behind`."""
-    return f"{PREFIX}{os.getpid()}_{secrets.token_hex(4)}"
+    """Return a new segment name that contains this process's pid, so that `clear_left_behind` finds its owner."""
+    return f"{SEGMENT_PREFIX}{os.getpid()}_{secrets.token_hex(4)}"
 
 
 def clear_left_behind() -> None:
-    """Remove the segments of stations that were killed, where segments are files (Linux); those of others stay."""
-    for path in SEGMENTS.glob(f"{PREFIX}*_*"):
-        process = path.name.removeprefix(PREFIX).partition("_")[0]
-        with contextlib.suppress(OSError, ValueError):  # another's, another station has just removed it, or no number
+    """Remove the segments of killed stations, on systems where segments are files (Linux); keep all other segments."""
+    for path in SEGMENT_FOLDER.glob(f"{SEGMENT_PREFIX}*_*"):
+        process = path.name.removeprefix(SEGMENT_PREFIX).partition("_")[0]
+        with contextlib.suppress(
+            OSError, ValueError
+        ):  # the file belongs to another user, is already gone, or has no pid in its name
             if path.stat().st_uid == os.getuid() and not _runs(int(process)):
                 path.unlink()
 
@@ -213,7 +220,7 @@ def _runs(process: int) -> bool:
     except ProcessLookupError:
         return False
     except PermissionError:
-        pass  # another user's
+        pass  # the process runs and belongs to another user
     return True
 
 
@@ -221,8 +228,8 @@ def _percentiles(histogram: NDArray[np.int64], largest: float) -> dict[str, floa
     total = int(histogram.sum())
     result: dict[str, float] = {}
     for name, part in (("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)):
-        place = int(np.searchsorted(np.cumsum(histogram), part * total)) if total else 0
-        # A bin's upper edge, never more than what was seen.
-        result[name] = min(float(place + 1), largest) if total else 0.0
+        index = int(np.searchsorted(np.cumsum(histogram), part * total)) if total else 0
+        # Use the upper edge of the bin, but at most the measured maximum.
+        result[name] = min(float(index + 1), largest) if total else 0.0
     result["max"] = round(largest, 1)
     return result

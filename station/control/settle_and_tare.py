@@ -1,34 +1,36 @@
-"""At rest before a motion: the filters settle, then sensors and tracker are averaged."""
+"""Measurement at rest before a motion: the filters settle, then sensor and tracker readings are averaged."""
 
 import numpy as np
 
 from core.robot.robot import Array
 
-#: The first part lets the filters settle, the rest is averaged for the tare and for the start tip (60 frames).
-SETTLE = 0.5  # [s]
-AVERAGE = 1.5  # [s]
+#: Time at rest in which the filters settle [s].
+SETTLE_S = 0.5
+#: Time after the settling in which readings are averaged for the tare and the start tip [s]; the tracker sends 60
+#: frames in it.
+AVERAGE_S = 1.5
 
 
-class Rest:
-    """What was measured at rest so far."""
+class SettlePhase:
+    """Readings of the force sensors and of the tip while the robot rests, and their means."""
 
     def __init__(self, since: float) -> None:
-        self.since = since  #: [s]
+        self.since = since  #: start of the measurement [s]
         self._wrenches: list[Array] = []
         self._tips: list[Array] = []
 
     def take(self, wrenches: Array, tip: Array | None) -> None:
-        """One tick's wrenches (q, 6) and, if a frame has come, tip (3,)."""
+        """Add the wrenches of one tick (one row of 6 for each sensor) and, after a new tracker frame, its tip (3,)."""
         self._wrenches.append(wrenches)
         if tip is not None:
             self._tips.append(tip)
 
     @property
     def wrenches(self) -> Array:
-        """Mean (q, 6) [N, N m]."""
+        """Mean wrench of each sensor, one row of 6 [N, N m]."""
         return np.mean(self._wrenches, axis=0)
 
     @property
     def tip(self) -> Array | None:
-        """Mean (3,) [m]; None when no frame has come."""
+        """Mean position of the tip (3,) [m]; None without a tracker frame."""
         return np.mean(self._tips, axis=0) if self._tips else None

@@ -1,4 +1,4 @@
-"""The station's states and the only ways between them: a table, drawn in `station/README.md`."""
+"""States of the station and the table of their transitions, drawn in `station/README.md`."""
 
 from enum import IntEnum, StrEnum
 
@@ -6,86 +6,88 @@ from core.errors import CtrError
 
 
 class State(IntEnum):
-    """Where the station stands; the number is what telemetry carries."""
+    """State of the station; telemetry contains its number."""
 
-    OFF = 0  #: no device is spoken to
-    CONNECTED = 1  #: devices answer, positions are not known
-    HOMED = 2  #: positions are known
+    OFF = 0  #: no device is connected to the station
+    CONNECTED = 1  #: all devices answer, joint positions are not known
+    HOMED = 2  #: the positions of all joints are known
     READY = 3  #: a motion may be started
-    RUNNING = 4  #: a motion is on
-    HOLD = 5  #: kept in place because something was not right; motors on
-    STOPPED = 6  #: stopped by a person
+    RUNNING = 4  #: a run, a jog or another motion is active
+    HOLD = 5  #: position kept after a fault or a limit; motors on
+    STOPPED = 6  #: motion was stopped by a person
     FAULT = 7  #: stopped by a fault; latched until a person resets it
-    CONNECTING = 8  #: devices are being found and set up
-    HOMING = 9  #: the stages look for their home sensors
+    CONNECTING = 8  #: the station searches for its devices and sets them up
+    HOMING = 9  #: the stages search their home sensors
 
 
-#: What a person has to reset.
+#: States that a person must reset.
 LATCHED = (State.HOLD, State.STOPPED, State.FAULT)
 
 
-class Event(StrEnum):
-    """What may happen to the station."""
+class Transition(StrEnum):
+    """Event that changes the state of the station."""
 
     CONNECT = "connect"
     CONNECTED = "connected"  #: every device answers
     HOME = "home"
-    HOMED = "homed"  #: every position is known
-    PREPARE = "prepare"  #: the controller has begun
+    HOMED = "homed"  #: the position of every joint is known
+    PREPARE = "prepare"  #: the controller has started
     START = "start"
     FINISH = "finish"
     HOLD = "hold"
     STOP = "stop"
     FAULT = "fault"
     RESET = "reset"
-    RECONNECT = "reconnect"  #: a reset while a device is not right: it is found and set up again
+    RECONNECT = (
+        "reconnect"  #: a reset while the tracker or a sensor has a fault: that device is searched for and set up again
+    )
 
 
-TABLE: dict[tuple[State, Event], State] = {
-    (State.OFF, Event.CONNECT): State.CONNECTING,
-    (State.CONNECTING, Event.CONNECTED): State.CONNECTED,
-    (State.CONNECTED, Event.HOME): State.HOMING,
-    # Stages that were homed before and have kept their power know where they are.
-    (State.CONNECTED, Event.HOMED): State.HOMED,
-    (State.HOMING, Event.HOMED): State.HOMED,
-    (State.HOMED, Event.PREPARE): State.READY,
-    (State.READY, Event.HOME): State.HOMING,
-    (State.READY, Event.START): State.RUNNING,
-    (State.RUNNING, Event.FINISH): State.READY,
-    (State.RUNNING, Event.HOLD): State.HOLD,
-    (State.READY, Event.HOLD): State.HOLD,
-    (State.HOLD, Event.RESET): State.READY,
-    (State.STOPPED, Event.RESET): State.READY,
-    (State.HOLD, Event.RECONNECT): State.CONNECTING,
-    (State.STOPPED, Event.RECONNECT): State.CONNECTING,
-    # A fault may have lost devices or positions: connect again, and home what has to be.
-    (State.FAULT, Event.RESET): State.CONNECTING,
-    # STOP is accepted everywhere; where nothing can move it changes nothing.
-    (State.OFF, Event.STOP): State.OFF,
-    (State.CONNECTING, Event.STOP): State.OFF,
-    (State.CONNECTED, Event.STOP): State.CONNECTED,
-    (State.HOMING, Event.STOP): State.CONNECTED,
-    (State.HOMED, Event.STOP): State.HOMED,
-    (State.READY, Event.STOP): State.STOPPED,
-    (State.RUNNING, Event.STOP): State.STOPPED,
-    (State.HOLD, Event.STOP): State.STOPPED,
-    (State.STOPPED, Event.STOP): State.STOPPED,
-    (State.FAULT, Event.STOP): State.FAULT,
-    **{(state, Event.FAULT): State.FAULT for state in State if state is not State.OFF},
+TRANSITIONS: dict[tuple[State, Transition], State] = {
+    (State.OFF, Transition.CONNECT): State.CONNECTING,
+    (State.CONNECTING, Transition.CONNECTED): State.CONNECTED,
+    (State.CONNECTED, Transition.HOME): State.HOMING,
+    # Stages that were homed earlier and have kept their power still know their positions, so homing is not needed.
+    (State.CONNECTED, Transition.HOMED): State.HOMED,
+    (State.HOMING, Transition.HOMED): State.HOMED,
+    (State.HOMED, Transition.PREPARE): State.READY,
+    (State.READY, Transition.HOME): State.HOMING,
+    (State.READY, Transition.START): State.RUNNING,
+    (State.RUNNING, Transition.FINISH): State.READY,
+    (State.RUNNING, Transition.HOLD): State.HOLD,
+    (State.READY, Transition.HOLD): State.HOLD,
+    (State.HOLD, Transition.RESET): State.READY,
+    (State.STOPPED, Transition.RESET): State.READY,
+    (State.HOLD, Transition.RECONNECT): State.CONNECTING,
+    (State.STOPPED, Transition.RECONNECT): State.CONNECTING,
+    # A fault may have lost devices or positions, so every device is connected again and stages may have to be homed.
+    (State.FAULT, Transition.RESET): State.CONNECTING,
+    # STOP is accepted in every state. In states without motion it does not change the state.
+    (State.OFF, Transition.STOP): State.OFF,
+    (State.CONNECTING, Transition.STOP): State.OFF,
+    (State.CONNECTED, Transition.STOP): State.CONNECTED,
+    (State.HOMING, Transition.STOP): State.CONNECTED,
+    (State.HOMED, Transition.STOP): State.HOMED,
+    (State.READY, Transition.STOP): State.STOPPED,
+    (State.RUNNING, Transition.STOP): State.STOPPED,
+    (State.HOLD, Transition.STOP): State.STOPPED,
+    (State.STOPPED, Transition.STOP): State.STOPPED,
+    (State.FAULT, Transition.STOP): State.FAULT,
+    **{(state, Transition.FAULT): State.FAULT for state in State if state is not State.OFF},
 }
 
 
 class RefusedError(CtrError):
-    """An event that the present state does not allow."""
+    """The present state of the station does not allow a request."""
 
 
-def after(state: State, event: Event) -> State:
-    """The state that follows.
+def next_state(state: State, event: Transition) -> State:
+    """Return the state that follows from an event.
 
     Raises:
-        RefusedError: not from this state; the text says from which.
+        RefusedError: the event is not possible in this state; the text names the states that allow it.
     """
-    if (state, event) not in TABLE:
-        allowed = " or ".join(origin.name for origin, possible in TABLE if possible is event)
+    if (state, event) not in TRANSITIONS:
+        allowed = " or ".join(origin.name for origin, possible in TRANSITIONS if possible is event)
         raise RefusedError(f"'{event}' is not possible while {state.name}; it needs {allowed}")
-    return TABLE[state, event]
+    return TRANSITIONS[state, event]

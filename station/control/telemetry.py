@@ -1,39 +1,39 @@
-"""The channels of a run: one row of numbers a tick, the same for recordings and live views."""
+"""Channels of telemetry: one row of numbers for each tick, the same for recordings and live views."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from core.compiled import compiled
-from core.control.estimation import NEWEST, USED, VECTORS, known_of
-from core.control.leading import Wish
-from core.control.pointing import Pointed
+from core.control.estimation import FRAME_USED, NEWEST_INDEX, VECTOR_UNITS, estimate_fields
+from core.control.setpoint_request import SetpointRequest
 from core.control.step import Tick
-from core.model.solution import PASSES, STABILITY, parts
+from core.control.tip_direction import DirectionEstimate
+from core.model.solution import PASSES, STABILITY, fields
 from core.robot.robot import Array, Robot
-from station.control.led import Asked
 from station.control.states import State
-from station.devices.interfaces import JointReading, TipReading, Truth, WrenchReading
+from station.control.streamed_motion import StreamRequest
+from station.devices.interfaces import GroundTruth, JointReading, TipReading, WrenchReading
 
 XYZ = ("x", "y", "z")
-#: Columns of the tip's direction, and of a target, the last ones.
-DIRECTION, TARGET = 12, 14
+#: Number of columns of the tip's direction, and of a target; they are the last columns of a row.
+DIRECTION_COLUMNS, TARGET_COLUMNS = 12, 14
 
 
 class Channel(NamedTuple):
-    """One named column of every row."""
+    """One named column of every telemetry row."""
 
     name: str
     unit: str
 
     @property
     def column(self) -> str:
-        """Name with the unit, as in file headers."""
+        """Name with the unit, as it appears in the headers of files."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 class Channels:
-    """Names, units and places of all columns for one robot."""
+    """Channels of telemetry for one robot: the names, units and indices of its columns."""
 
     def __init__(self, robot: Robot) -> None:
         self.all: tuple[Channel, ...] = tuple(_channels(robot))
@@ -49,11 +49,11 @@ class Channels:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Names that `of` takes."""
+        """Names of the groups of channels, which `of` accepts."""
         return tuple(self._at)
 
     def of(self, rows: Array, group: str) -> Array:
-        """The columns of a group, e.g. `tip_measured`: (..., 3)."""
+        """Return the columns of a group of channels, for example (..., 3) for `tip_measured`."""
         return rows[..., self._at[group]]
 
     def row(
@@ -65,27 +65,26 @@ class Channels:
         wrenches: WrenchReading,
         frame: TipReading | None,
         tick: Tick,
-        truth: Truth | None,
+        truth: GroundTruth | None,
         troubles: tuple[int, int, int] = (0, 0, 0),
-        asked: Asked | None = None,
+        request: StreamRequest | None = None,
         target: Array | None = None,
     ) -> Array:
-        """One tick as numbers, in the order of `all`.
+        """Return the row of one tick: its numbers in the order of the channels in `all`.
 
-        Between tracker frames `tip_new` is 0 and the last frame's values stand. Without a virtual
-        lab nothing is known to be true: `truth_known` is 0 and the true channels are 0. `phase` is what the
-        run is doing, as `task.Phase` numbers it, 0 without one; `troubles` are the severities of what is
-        wrong with stages, tracker and force sensors, 0 where nothing is. Of a tip that is led, `asked` is where it
-        was last asked to be (`asked_kind` 1) or at which velocity (2), and when; `target` (14,) is what is known of
-        a target, 0 without.
+        Between tracker frames `tip_new` is 0 and the values of the last frame are repeated. Without a virtual lab there
+        is no ground truth: `truth_known` and the true channels are 0. `phase` is a `task.Phase`, 0 without a run.
+        `troubles` are the severities of faults of stages, tracker and force sensors, 0 without a fault. `request` is
+        the latest setpoint request for a streamed tip: its `request_kind` is 1 for a position and 2 for a velocity.
+        `target` (14,) is from `TargetTrack.numbers`; without it the channels of the target are 0.
         """
         memory, now = tick.memory, tick.memory.estimate
-        true_tip, true_force, *_ = truth or _UNKNOWN
+        true_tip, true_force, *_ = truth or _NO_TRUTH
         new, frame_time = (False, 0.0) if frame is None else (True, frame.time)
         stages, tracker, sensors = troubles
-        wish = _NOTHING if asked is None or asked.wish is None else asked.wish
-        kind = 0 if wish is _NOTHING else 1 if wish.place is not None else 2
-        place = memory.origin + wish.place if wish.place is not None else _NOWHERE
+        setpoint = _NO_REQUEST if request is None or request.setpoint is None else request.setpoint
+        kind = 0 if setpoint is _NO_REQUEST else 1 if setpoint.position is not None else 2
+        position = memory.origin + setpoint.position if setpoint.position is not None else _ZERO
         row = np.empty(self._width)
         _fill(
             row, time, int(state), int(phase), new, frame_time, stages, tracker, sensors, truth is not None,
@@ -93,18 +92,20 @@ class Channels:
             joints.positions, tick.command, joints.sent, wrenches.wrenches, tick.load.force, tick.load.moment,
             memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
             tick.u_int, tick.sigma, tick.at_bound, now.numbers,
-            kind, wish.asked, place, wish.velocity,
+            kind, setpoint.time, position, setpoint.velocity,
         )  # fmt: skip
-        row[-TARGET:] = 0.0 if target is None else target
-        directions = row[-TARGET - DIRECTION : -TARGET]  # measured, observed, desired, true; 0 of what is not known
+        row[-TARGET_COLUMNS:] = 0.0 if target is None else target
+        directions = row[
+            -TARGET_COLUMNS - DIRECTION_COLUMNS : -TARGET_COLUMNS
+        ]  # directions of the tip: measured, observed, desired, true; 0 if unknown
         directions[:] = 0.0
-        if memory.pointed is not None:
-            _point(directions, tick, memory.pointed)
+        if memory.direction is not None:
+            _fill_directions(directions, tick, memory.direction)
         if truth is not None and truth.direction is not None:
             directions[9:] = truth.direction
         return row
 
-    def held(
+    def frozen_row(
         self,
         last: Array,
         time: float,
@@ -114,7 +115,7 @@ class Channels:
         wrenches: WrenchReading,
         troubles: tuple[int, int, int] = (0, 0, 0),
     ) -> Array:
-        """The last row with what was read since, `held`: the controller has nothing new to say."""
+        """Return a copy of the row `last` with new readings; its estimates stay, and `estimates_frozen` is 1."""
         row = last.copy()
         row[0], row[1], row[2], row[3] = time, state, phase, 1.0
         if np.isfinite(joints.positions).all():
@@ -129,17 +130,17 @@ class Channels:
         return row
 
 
-def _point(directions: Array, tick: Tick, pointed: Pointed) -> None:
-    """Put the tip's direction as measured, observed and desired into (12,)."""
-    wanted = tick.setpoint.direction
-    directions[:3] = pointed.measured if pointed.seen else 0.0
-    directions[3:6] = pointed.observed
-    directions[6:9] = pointed.origin if wanted is None else wanted
+def _fill_directions(directions: Array, tick: Tick, direction: DirectionEstimate) -> None:
+    """Write the measured, observed and desired direction of the tip to (12,)."""
+    desired = tick.setpoint.direction
+    directions[:3] = direction.measured if direction.measured_once else 0.0
+    directions[3:6] = direction.observed
+    directions[6:9] = direction.origin if desired is None else desired
 
 
-_NOWHERE = np.zeros(3)
-_NOTHING = Wish(None, np.zeros(3), 0.0, 0.0)
-_UNKNOWN = Truth(np.zeros(3), np.zeros(3))
+_ZERO = np.zeros(3)
+_NO_REQUEST = SetpointRequest(None, np.zeros(3), 0.0, 0.0)
+_NO_TRUTH = GroundTruth(np.zeros(3), np.zeros(3))
 
 
 @compiled
@@ -149,14 +150,14 @@ def _fill(
     positions: Array, command: Array, sent: Array, wrenches: Array, force: Array, moment: Array,
     tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
     u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
-    asked_kind: int, asked_time: float, asked: Array, asked_velocity: Array,
+    request_kind: int, request_time: float, request: Array, request_velocity: Array,
 ) -> None:  # fmt: skip
-    """One row in the order of `_channels`; a call of numpy for each part would take longer than the model."""
+    """Fill a row in the order of `_channels`; compiled, because numpy calls would take longer than the model."""
     row[0], row[1], row[2], row[3], row[4], row[5] = time, state, phase, 0.0, new, frame_time
-    row[6], row[7], row[8], row[9] = loaded[PASSES], unloaded[PASSES], estimate[USED], loaded[STABILITY]
+    row[6], row[7], row[8], row[9] = loaded[PASSES], unloaded[PASSES], estimate[FRAME_USED], loaded[STABILITY]
     row[10], row[11], row[12], row[13] = stages, tracker, sensors, known
-    shape, free, now, at, n = parts(loaded), parts(unloaded), known_of(estimate), 14, positions.shape[0]
-    newest = now.tips[int(estimate[NEWEST])]
+    shape, free, now, at, n = fields(loaded), fields(unloaded), estimate_fields(estimate), 14, positions.shape[0]
+    newest = now.tips[int(estimate[NEWEST_INDEX])]
     for k in range(3):
         row[at + k], row[at + 3 + k] = true_tip[k], true_force[k]
     at += 6
@@ -184,9 +185,9 @@ def _fill(
         for k in range(3):
             row[at + 3 + 3 * i + k] = now.vectors[i, k]
     at += 3 + 3 * now.vectors.shape[0]
-    row[at], row[at + 1] = asked_kind, asked_time
+    row[at], row[at + 1] = request_kind, request_time
     for k in range(3):
-        row[at + 2 + k], row[at + 5 + k] = asked[k], asked_velocity[k]
+        row[at + 2 + k], row[at + 5 + k] = request[k], request_velocity[k]
 
 
 def _channels(robot: Robot) -> list[Channel]:
@@ -207,7 +208,7 @@ def _channels(robot: Robot) -> list[Channel]:
         Channel("time", "s"),
         Channel("state", ""),
         Channel("phase", ""),
-        Channel("held", ""),
+        Channel("estimates_frozen", ""),
         Channel("tip_new", ""),
         Channel("tip_time", "s"),
         Channel("passes.loaded", ""),
@@ -233,14 +234,21 @@ def _channels(robot: Robot) -> list[Channel]:
         *sigma,
         *[Channel(f"at_bound.{joint.name}", "") for joint in robot.joints],
         *vector("tip_observed", "m"),
-        *[channel for name, unit in VECTORS.items() for channel in vector(name, unit)],
+        *[channel for name, unit in VECTOR_UNITS.items() for channel in vector(name, unit)],
         Channel("bias_covariance.bias", "m^2"),
         Channel("bias_covariance.both", "m^2/s"),
         Channel("bias_covariance.drift", "m^2/s^2"),
-        Channel("asked_kind", ""),
-        Channel("asked_time", "s"),
-        *vector("asked", "m"),
-        *vector("asked_velocity", "m/s"),
+        *vector("force_estimated", "N"),
+        *vector("force_variance", "N^2"),
+        *[Channel(f"force_covariance.{pair}", "N^2") for pair in ("xy", "xz", "yz")],
+        *vector("moment_mismatch", "N m"),
+        Channel("load_estimate.bandwidth", "Hz"),
+        Channel("load_estimate.misfit", ""),
+        Channel("load_estimate.since_tare", "s"),
+        Channel("request_kind", ""),
+        Channel("request_time", "s"),
+        *vector("request", "m"),
+        *vector("request_velocity", "m/s"),
         *vector("direction_measured", ""),
         *vector("direction_observed", ""),
         *vector("direction_desired", ""),

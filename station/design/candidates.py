@@ -1,7 +1,7 @@
-"""What a search has looked at: a line of JSON for each candidate, so that a search that was stopped goes on.
+"""Stored candidates of a design search: a line of JSON for each evaluated robot, so that a stopped search can continue.
 
-The first line says what the search is. A line is written whole; half a last one (kill -9, a full disk) is dropped and
-its candidate looked at again.
+The first line identifies the search. A kill or a full disk may leave an incomplete last line: it is dropped, and its
+candidate is evaluated again.
 """
 
 import hashlib
@@ -11,34 +11,34 @@ from typing import Any, Self
 
 from station.config.strict import ConfigError
 from station.design.study import Study
-from station.recording.kept_lines import KeptLines, whole_lines
+from station.recording.line_store import KeptLines, complete_lines
 from station.recording.metadata import PACKAGES, versions
 
-NAME = "candidates.jsonl"
-#: What is kept of a candidate: `parameters` (p,), `cost`, and what makes it up.
+CANDIDATES_FILE = "candidates.jsonl"
+#: Line of a candidate: its `parameters` (p,), its `cost`, and the numbers from which the cost was computed.
 Line = Mapping[str, Any]
 
 
 class Candidates:
-    """The file, locked until it is closed."""
+    """File with the candidates of one search, locked until it is closed."""
 
     def __init__(self, folder: Path, study: Study) -> None:
-        """Begin it, or go on with it.
+        """Create the file, or continue an existing one.
 
         Raises:
-            ConfigError: another study is kept there.
-            RecordingError: somebody else searches there, the file is no list, or the disk does not take it.
+            ConfigError: the folder has another study.
+            RecordingError: another process uses the folder, the file is invalid, or the disk is full.
 
         """
-        self.path, self.lines = folder / NAME, dict[tuple[float, ...], Line]()
+        self.path, self.lines = folder / CANDIDATES_FILE, dict[tuple[float, ...], Line]()
         plan = plan_of(study)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self._file = KeptLines(self.path, "searches there")
+            self._file = KeptLines(self.path, "searches in this folder")
         except OSError as error:
-            raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
+            raise ConfigError(f"{folder}: cannot write results: {error.strerror}") from None
         try:
-            self._begin(plan)
+            self._read(plan)
         except BaseException:
             self.close()
             raise
@@ -50,34 +50,34 @@ class Candidates:
         self.close()
 
     def close(self) -> None:
-        """Let others have it."""
+        """Close and unlock the file."""
         self._file.close()
 
     def append(self, line: Line) -> None:
-        """Keep a candidate.
+        """Store an evaluated candidate as a line of the file.
 
         Raises:
-            RecordingError: the disk does not take it.
+            RecordingError: the line cannot be written.
 
         """
         self._file.append(line)
         self.lines[tuple(line["parameters"])] = line
 
-    def _begin(self, plan: Mapping[str, Any]) -> None:
-        kept, self._file.length = whole_lines(self.path, self.path.read_bytes())
+    def _read(self, plan: Mapping[str, Any]) -> None:
+        kept, self._file.length = complete_lines(self.path, self.path.read_bytes())
         try:
             self.lines = {tuple(line["parameters"]): line for line in kept[1:] if line["cost"] is not None}
         except (KeyError, TypeError):
-            raise ConfigError(f"{self.path}: is no list of candidates; repair it, or take another folder") from None
+            raise ConfigError(f"{self.path}: not a list of candidates; repair it, or choose another folder") from None
         if not kept:
             self._file.append(plan)
         elif kept[0] != plan:
             names = ", ".join(name for name in plan if kept[0].get(name) != plan[name])
-            raise ConfigError(f"{self.path}: another search is kept there ({names} differ); take another folder")
+            raise ConfigError(f"{self.path}: the folder has another search ({names} differ); choose another folder")
 
 
 def plan_of(study: Study) -> dict[str, Any]:
-    """What makes a search what it is; ready for JSON."""
+    """Return everything that identifies a search, ready for JSON."""
     found = versions()
     robot = hashlib.sha256(study.robot.model_dump_json().encode()).hexdigest()
     return {
@@ -87,11 +87,11 @@ def plan_of(study: Study) -> dict[str, Any]:
     }
 
 
-def of(study: Study, line: Line) -> dict[str, float]:
-    """Its parameters by key."""
+def parameters_of(study: Study, line: Line) -> dict[str, float]:
+    """Return the parameters of a candidate by key of the robot's file."""
     return dict(zip([each.key for each in study.file.parameters], line["parameters"], strict=True))
 
 
 def best(lines: Sequence[Line]) -> Line:
-    """The one that costs least; of several the first."""
+    """Return the candidate with the smallest cost; if several have it, the first of them."""
     return min(lines, key=lambda line: line["cost"])

@@ -1,42 +1,44 @@
-"""Who looks at a generation of candidates: processes here, or a Dask cluster, as for a sweep."""
+"""Engines that evaluate a generation of candidate robots: local processes, or a Dask cluster as for a sweep."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from station.design.candidates import Line
-from station.design.search import NONE, Candidate, Engine, look
-from station.experiments.on_cluster import carry_out, cluster
-from station.experiments.side_by_side import Processes, one_after_the_other
+from station.design.search import IMPOSSIBLE_COST, Candidate, SearchEngine, evaluate_candidate
+from station.experiments.dask_cluster import cluster, run_on_cluster
+from station.experiments.job_pool import JobPool, run_serially
 
-#: Of a candidate that no worker has survived.
-LOST = "its worker was lost in the middle of it, time after time: too little memory?"
+#: Reason in the line of a candidate whose evaluation ended every worker on which it was tried.
+WORKER_LOST = "its worker ended before the evaluation was done, repeatedly: too little memory?"
 
 
 @contextmanager
-def engine(jobs: int, scheduler: str | None, say: Callable[[str], None]) -> Iterator[Engine]:
-    """So many processes, or a Dask cluster at an address (`local`: so many workers here); `say` where that is.
+def search_engine(jobs: int, scheduler: str | None, report: Callable[[str], None]) -> Iterator[SearchEngine]:
+    """Return a search engine: `jobs` processes, or a Dask cluster at an address (`local`: `jobs` local workers).
+
+    `report` receives a line with the address of the cluster.
 
     Raises:
-        DaskError: no scheduler answers, or it has gone.
-        ProcessLost: a process was killed; the same command goes on.
+        DaskError: no scheduler answers, or the scheduler is gone.
+        ProcessLost: a worker process was killed; repeating the same command continues the search.
 
     """
     if scheduler is not None:
-        with cluster(scheduler, jobs, say) as client:
-            yield lambda candidates, keep: carry_out(client, look, candidates, keep, _lost)
+        with cluster(scheduler, jobs, report) as client:
+            yield lambda candidates, keep: run_on_cluster(client, evaluate_candidate, candidates, keep, _lost)
     elif jobs == 1:
-        yield _here
+        yield _local
     else:
-        with Processes(jobs) as started:
+        with JobPool(jobs) as started:
 
             def on_processes(candidates: Sequence[Candidate], keep: Callable[[Line], None]) -> None:
-                started.carry_out(look, candidates, lambda _: None, lambda line: _kept(line, keep))
+                started.carry_out(evaluate_candidate, candidates, lambda _: None, lambda line: _kept(line, keep))
 
             yield on_processes
 
 
-def _here(candidates: Sequence[Candidate], keep: Callable[[Line], None]) -> None:
-    one_after_the_other(look, candidates, lambda _: None, lambda line: _kept(line, keep))
+def _local(candidates: Sequence[Candidate], keep: Callable[[Line], None]) -> None:
+    run_serially(evaluate_candidate, candidates, lambda _: None, lambda line: _kept(line, keep))
 
 
 def _kept(line: Line, keep: Callable[[Line], None]) -> bool:
@@ -45,4 +47,4 @@ def _kept(line: Line, keep: Callable[[Line], None]) -> bool:
 
 
 def _lost(candidate: Candidate) -> Line:
-    return {"parameters": list(candidate.parameters), "cost": NONE, "why": LOST}
+    return {"parameters": list(candidate.parameters), "cost": IMPOSSIBLE_COST, "why": WORKER_LOST}

@@ -1,4 +1,4 @@
-"""What tubes are judged by at a pose: how quickly the tip moves at worst, and how far a load bends them at most."""
+"""Quality measures of a robot at a pose: dexterity and stiffness of its tip in the worst direction."""
 
 import numpy as np
 
@@ -6,20 +6,21 @@ from core.robot.robot import Array
 
 
 def dexterity(jacobian: Array, speed: Array) -> Array:
-    """The tip's speed in the worst direction with the joints at full speed (k,) [m/s].
+    """Return the dexterity (k,) [m/s]: speed of the tip in its slowest direction while the joints move at full speed.
 
-    The smallest singular value of the position rows of J diag(speed): so radians and metres compare.
+    It is the smallest singular value of the position rows of J diag(speed). Scaling the Jacobian J with the top speeds
+    makes joints in radians and in metres comparable.
 
     Args:
-        jacobian: (k, 6, n) [m/rad or m/m].
-        speed: of the joints (n,) [rad/s or m/s].
+        jacobian: Jacobians of the tip at k poses (k, 6, n) [m/rad or m/m].
+        speed: top speed of the joints (n,) [rad/s or m/s].
 
     """
     if jacobian.shape[2] < 3:
-        return np.zeros(len(jacobian))  # in some direction it does not move at all
+        return np.zeros(len(jacobian))  # two joints cannot move the tip in all three directions
     return np.asarray(np.linalg.svd(jacobian[:, :3] * speed, compute_uv=False)[:, 2], np.float64)
 
 
 def stiffness(compliance: Array) -> Array:
-    """Force at the tip over its way in the softest direction (k,) [N/m], of compliances (k, 6, 6)."""
+    """Return the tip's stiffness in its softest direction (k,) [N/m], from compliances (k, 6, 6)."""
     return 1.0 / np.asarray(np.linalg.svd(compliance[:, :3, :3], compute_uv=False)[:, 0], np.float64)

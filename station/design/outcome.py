@@ -1,4 +1,4 @@
-"""What came of a search: the robot that it began from and the one that it found, looked at in full."""
+"""Outcome of a design search: complete evaluation of the start robot and of the found robot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,72 +9,72 @@ from station.config.robots import RobotFile
 from station.control.margins import Margins, check_design
 from station.design import candidates
 from station.design.candidates import Line
-from station.design.exact import Exact, exact
+from station.design.exact import ExactCheck, exact
 from station.design.study import Study, largest, unit
-from station.design.task import Held, Outcome, done
+from station.design.task import HeldLoad, TaskResult, evaluate
 
 
 @dataclass(frozen=True)
-class Looked:
-    """A robot and what it does with the task."""
+class EvaluatedDesign:
+    """Robot with the result of its evaluation for the task."""
 
     file: RobotFile
-    outcome: Outcome
-    exact: Exact | None  #: under the task's forces
-    exact_most: Exact | None  #: under the largest that it holds
+    outcome: TaskResult
+    exact: ExactCheck | None  #: check with the exact rod under the task's forces
+    exact_largest: ExactCheck | None  #: check with the exact rod under the largest forces that the robot holds
 
 
 @dataclass(frozen=True)
-class Design:
-    """A search that is done."""
+class DesignResult:
+    """Result of a finished search: study, candidates, start robot and found robot."""
 
     study: Study
-    lines: Sequence[Line]  #: in the order in which they were asked for
-    before: Looked
-    after: Looked
+    lines: Sequence[Line]  #: candidates in the order of the search
+    before: EvaluatedDesign
+    after: EvaluatedDesign
 
 
-def design(study: Study, lines: Sequence[Line]) -> Design:
-    """Look at the beginning and at the best of the candidates once more, with growing loads and the exact rod."""
+def design(study: Study, lines: Sequence[Line]) -> DesignResult:
+    """Evaluate the start robot and the best candidate under growing loads and with the exact rod."""
     found = candidates.best(lines)
-    return Design(study, lines, _looked(study, study.robot), _looked(study, named(study, found)))
+    return DesignResult(study, lines, _evaluate(study, study.robot), _evaluate(study, named(study, found)))
 
 
 def named(study: Study, line: Line) -> RobotFile:
-    """A candidate as a robot with a name of its own.
+    """Return a candidate as a robot with a new name.
 
     Raises:
-        ConfigError: it cannot be.
+        ConfigError: the robot is impossible.
 
     """
     file = study.changed(line["parameters"])
-    said = ", ".join(f"{key} = {value:.5g}" for key, value in candidates.of(study, line).items())
-    source = f"'{study.robot.name}' with what 'ctr-station design {study.name}' has found: {said}"
+    parameters = ", ".join(f"{key} = {value:.5g}" for key, value in candidates.parameters_of(study, line).items())
+    source = f"'{study.robot.name}' with parameters found by 'ctr-station design {study.name}': {parameters}"
     return file.model_copy(update={"name": f"{study.robot.name}-{study.name}", "source": source})
 
 
-def _looked(study: Study, file: RobotFile) -> Looked:
+def _evaluate(study: Study, file: RobotFile) -> EvaluatedDesign:
     task = study.file.task
-    outcome = done(file, task, study.file.objective)
-    if outcome.held is not None:  # where motions along the task have room: without a load, or under the least
+    outcome = evaluate(file, task, study.file.objective)
+    if outcome.nominal is not None:  # the working pose is in the middle of the task, under the smallest force
         least = min(range(len(task.forces)), key=lambda row: largest([task.forces[row]]))
-        pose = outcome.held.joints[least, len(task.points) // 2]
+        pose = outcome.nominal.joints[least, len(task.points) // 2]
         names = [joint.name for joint in file.joints]
         file = file.model_copy(update={"working_pose": dict(zip(names, pose.tolist(), strict=True))})
-    return Looked(file, outcome, _exact(study, file, outcome.held), _exact(study, file, outcome.most))
+    return EvaluatedDesign(file, outcome, _exact(study, file, outcome.nominal), _exact(study, file, outcome.largest))
 
 
-def _exact(study: Study, file: RobotFile, held: Held | None) -> Exact | None:
+def _exact(study: Study, file: RobotFile, load: HeldLoad | None) -> ExactCheck | None:
     try:
-        return None if held is None else exact(file, study.file.task, held)
+        return None if load is None else exact(file, study.file.task, load)
     except CtrError:
         return None
 
 
-def summary(found: Design) -> dict[str, Any]:
-    """The numbers, for people in N and mm; ready for JSON."""
+def summary(found: DesignResult) -> dict[str, Any]:
+    """Return the numbers of a search in N and mm as a JSON object."""
     study = found.study
-    before, after = (_numbers(study, looked) for looked in (found.before, found.after))
+    before, after = (_numbers(study, each) for each in (found.before, found.after))
     return {
         "study": study.name,
         "title": study.file.title,
@@ -94,25 +94,27 @@ def summary(found: Design) -> dict[str, Any]:
                 "lower": parameter.lower, "upper": parameter.upper,
             }
             for parameter, was, now in zip(
-                study.file.parameters, study.begun.tolist(), candidates.best(found.lines)["parameters"], strict=True
+                study.file.parameters, study.start_parameters.tolist(),
+                candidates.best(found.lines)["parameters"], strict=True,
             )
         ],
         "warning": check_design(found.after.file, Margins()),
     }  # fmt: skip
 
 
-def _numbers(study: Study, looked: Looked) -> dict[str, Any]:
-    outcome, held = looked.outcome, looked.outcome.held
+def _numbers(study: Study, design: EvaluatedDesign) -> dict[str, Any]:
+    outcome, nominal = design.outcome, design.outcome.nominal
+    check, largest_check = design.exact, design.exact_largest
     return {
-        "robot": looked.file.name,
+        "robot": design.file.name,
         "times_the_load": round(outcome.load, 4),
         "largest_force_n": round(outcome.load * largest(study.file.task.forces), 4),
         "then": outcome.why,
-        "least_margin": None if held is None else round(float(held.margins.min()), 5),
-        "least_dexterity_mm_s": None if held is None else round(1e3 * float(held.dexterities.min()), 4),
-        "least_stiffness_n_m": None if held is None else round(float(held.stiffnesses.min()), 3),
-        "exact_away_mm": None if looked.exact is None else round(1e3 * looked.exact.away, 4),
-        "exact_margin": None if looked.exact is None else round(looked.exact.margin, 5),
-        "exact_away_under_largest_mm": None if looked.exact_most is None else round(1e3 * looked.exact_most.away, 4),
-        "exact_margin_under_largest": None if looked.exact_most is None else round(looked.exact_most.margin, 5),
+        "least_margin": None if nominal is None else round(float(nominal.margins.min()), 5),
+        "least_dexterity_mm_s": None if nominal is None else round(1e3 * float(nominal.dexterities.min()), 4),
+        "least_stiffness_n_m": None if nominal is None else round(float(nominal.stiffnesses.min()), 3),
+        "exact_away_mm": None if check is None else round(1e3 * check.distance, 4),
+        "exact_margin": None if check is None else round(check.margin, 5),
+        "exact_away_under_largest_mm": None if largest_check is None else round(1e3 * largest_check.distance, 4),
+        "exact_margin_under_largest": None if largest_check is None else round(largest_check.margin, 5),
     }

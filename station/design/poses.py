@@ -1,4 +1,4 @@
-"""Poses all over the joint space of given tubes."""
+"""Joint positions (poses) that are evenly spread over the joint space of a robot."""
 
 import numpy as np
 from scipy.stats import qmc
@@ -7,17 +7,18 @@ from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
 
-#: Draws for each pose that is wanted, before a robot file is given up.
-MOST_DRAWS = 1000
+#: Largest number of joint positions that are tried for each requested pose. A robot that needs more has almost no valid
+#: pose and is refused.
+MAX_DRAWS = 1000
 
 
 def spread_poses(file: RobotFile, count: int, seed: int) -> Array:
-    """Poses (count, n) evenly spread (Halton) over the joints' travel, where the tubes stand [rad or m].
+    """Return valid poses (count, n), evenly spread (Halton) over the joints' travel [rad or m].
 
-    Of a rotation's travel only the turn in its middle is taken: the others are the same shapes.
+    Only the turn in the middle of a rotation's travel is used: other turns have the same shapes.
 
     Raises:
-        ConfigError: the tubes stand hardly anywhere in it.
+        ConfigError: almost no joint position of the robot is valid.
 
     """
     robot, limits = file.robot(), file.limits()
@@ -29,10 +30,13 @@ def spread_poses(file: RobotFile, count: int, seed: int) -> Array:
     drawing = qmc.Halton(len(lower), rng=np.random.default_rng(seed))
     found, drawn, left = list[Array](), 0, count
     while left > 0:
-        if drawn > MOST_DRAWS * count:
-            raise ConfigError(f"robot '{robot.name}': its tubes stand hardly anywhere in the travel of its joints")
+        if drawn > MAX_DRAWS * count:
+            raise ConfigError(
+                f"robot '{robot.name}': almost no joint position is valid (tubes collide or are out of order):"
+                " check lengths and travel"
+            )
         poses = qmc.scale(drawing.random(count), lower, upper)
         drawn += count
-        found.append(np.array([pose for pose in poses if robot.stands(pose)]).reshape(-1, len(lower))[:left])
+        found.append(np.array([pose for pose in poses if robot.is_valid_pose(pose)]).reshape(-1, len(lower))[:left])
         left -= len(found[-1])
     return np.concatenate(found)

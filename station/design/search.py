@@ -1,7 +1,8 @@
-"""The search: differential evolution (scipy) over a study's parameters, its generations spread by an engine.
+"""Search over the parameters of a study with the differential evolution of scipy.
 
-With its seed it asks for the same candidates in the same order: one that was stopped walks through those that it has
-kept, and goes on behind them.
+An engine evaluates the candidate robots of each generation in parallel. With the same seed a search requests the same
+candidates in the same order. So a search that was stopped takes the stored candidates from their file and continues
+after them.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -15,101 +16,101 @@ from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.design.candidates import Candidates, Line
 from station.design.study import Objective, Study, StudyTaskFile
-from station.design.task import MOST_LOAD, cost, done
+from station.design.task import MAX_LOAD_RATIO, cost, evaluate
 
-#: Of candidates that cannot even be: more than any that can.
-NONE = 2e3
+#: Cost of a candidate that is not a valid robot: larger than the cost of any valid one.
+IMPOSSIBLE_COST = 2e3
 
 
 class Candidate(NamedTuple):
-    """One that is to be looked at, here or on another computer."""
+    """Candidate robot that is to be evaluated, on this or another computer."""
 
     parameters: tuple[float, ...]
-    robot: RobotFile | None  #: None: it cannot be
+    robot: RobotFile | None  #: candidate robot; None if its parameters give no valid robot
     task: StudyTaskFile
     objective: Objective
-    why: str  #: it cannot be
+    why: str  #: reason why the parameters give no valid robot
 
 
-class Engine(Protocol):
-    """Looks at candidates side by side: `keep` each that is done. Fewer than all: Ctrl-C."""
+class SearchEngine(Protocol):
+    """Function that evaluates candidates in parallel; `keep` receives each result. After Ctrl-C some are missing."""
 
     def __call__(self, candidates: Sequence[Candidate], keep: Callable[[Line], None]) -> None: ...  # noqa: D102
 
 
-class Stopped(CtrError):
-    """Ctrl-C: what is done is kept."""
+class SearchStopped(CtrError):
+    """Ctrl-C ended the search; the candidates that were evaluated are stored."""
 
 
-def look(candidate: Candidate, progress: Callable[[float], None] = lambda _: None) -> Line:
-    """What one is worth; one that fails is a line with its reason."""
+def evaluate_candidate(candidate: Candidate, progress: Callable[[float], None] = lambda _: None) -> Line:
+    """Return the line of a candidate with its cost; the line of a candidate that fails has the reason."""
     about: dict[str, Any] = {"parameters": list(candidate.parameters)}
     if candidate.robot is None:
-        return {**about, "cost": NONE, "why": candidate.why}
+        return {**about, "cost": IMPOSSIBLE_COST, "why": candidate.why}
     try:
-        most = MOST_LOAD if candidate.objective == "load" else 1.0
-        outcome = done(candidate.robot, candidate.task, candidate.objective, most)
+        max_ratio = MAX_LOAD_RATIO if candidate.objective == "load" else 1.0
+        outcome = evaluate(candidate.robot, candidate.task, candidate.objective, max_ratio)
     except CtrError as error:
-        return {**about, "cost": NONE, "why": str(error)}
+        return {**about, "cost": IMPOSSIBLE_COST, "why": str(error)}
     finally:
         progress(1.0)
-    held = outcome.held
-    least = {} if held is None else {
-        "margin": float(held.margins.min()),
-        "dexterity": float(held.dexterities.min()),
-        "stiffness": float(held.stiffnesses.min()),
+    nominal = outcome.nominal
+    least = {} if nominal is None else {
+        "margin": float(nominal.margins.min()),
+        "dexterity": float(nominal.dexterities.min()),
+        "stiffness": float(nominal.stiffnesses.min()),
     }  # fmt: skip
     return {**about, "cost": cost(outcome, candidate.objective), "load": outcome.load, **least, "why": outcome.why}
 
 
-def search(study: Study, candidates: Candidates, engine: Engine, told: Callable[[int], None]) -> list[Line]:
-    """All candidates, in the order in which the search asked for them, the robot that it begins from first.
+def search(study: Study, candidates: Candidates, engine: SearchEngine, report: Callable[[int], None]) -> list[Line]:
+    """Carry out a search and return all candidates in its order; the first candidate is the start robot.
 
     Args:
-        study: what is searched.
-        candidates: those that are known, and where others are kept.
-        engine: looks at them.
-        told: how many have been asked for.
+        study: study to search.
+        candidates: stored candidates; new ones are added.
+        engine: evaluates candidates.
+        report: receives the number of evaluated candidates.
 
     Raises:
-        Stopped: Ctrl-C.
+        SearchStopped: the user pressed Ctrl-C.
 
     """
-    asked: list[Line] = []
+    evaluated: list[Line] = []
 
     def costs(rows: Sequence[Array]) -> list[float]:
-        """Of a generation."""
-        wanted = [tuple(np.asarray(row, np.float64).tolist()) for row in rows]
-        new = [values for values in dict.fromkeys(wanted) if values not in candidates.lines]
+        """Return the costs of the candidates of a generation."""
+        requested = [tuple(np.asarray(row, np.float64).tolist()) for row in rows]
+        new = [values for values in dict.fromkeys(requested) if values not in candidates.lines]
 
         def keep(line: Line) -> None:
             candidates.append(line)
-            told(len(asked) + sum(values in candidates.lines for values in wanted))
+            report(len(evaluated) + sum(values in candidates.lines for values in requested))
 
         if new:
             engine([_candidate(study, values) for values in new], keep)
-        if any(values not in candidates.lines for values in wanted):
-            raise Stopped(f"stopped after {len(candidates.lines)} candidates; the same command goes on")
-        asked.extend(candidates.lines[values] for values in wanted)
-        told(len(asked))
-        return [candidates.lines[values]["cost"] for values in wanted]
+        if any(values not in candidates.lines for values in requested):
+            raise SearchStopped(f"stopped after {len(candidates.lines)} candidates; the same command continues")
+        evaluated.extend(candidates.lines[values] for values in requested)
+        report(len(evaluated))
+        return [candidates.lines[values]["cost"] for values in requested]
 
     def spread(_: Callable[[Array], float], rows: Iterable[Array]) -> list[float]:
         return costs(list(rows))
 
     lower, upper = np.array(study.bounds).T
-    begun = np.clip(study.begun, lower, upper)
+    start = np.clip(study.start_parameters, lower, upper)
     file = study.file.search
-    costs([study.begun])
+    costs([study.start_parameters])
     differential_evolution(
         _never, study.bounds, popsize=file.population, maxiter=file.generations, tol=0.0, polish=False,
-        init="halton", updating="deferred", workers=spread, x0=begun, rng=file.seed,  # pyright: ignore[reportArgumentType]
+        init="halton", updating="deferred", workers=spread, x0=start, rng=file.seed,  # pyright: ignore[reportArgumentType]
     )  # fmt: skip
-    return asked
+    return evaluated
 
 
 def planned(study: Study) -> int:
-    """How many candidates a search asks for, at most."""
+    """Return the largest number of candidates that a search evaluates."""
     size = max(5, study.file.search.population * len(study.bounds))
     return 1 + size * (study.file.search.generations + 1)
 
@@ -123,4 +124,4 @@ def _candidate(study: Study, values: tuple[float, ...]) -> Candidate:
 
 
 def _never(values: Array) -> float:
-    raise AssertionError(f"{values} is looked at by the engine")
+    raise AssertionError(f"{values} must be evaluated by the engine")

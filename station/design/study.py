@@ -1,4 +1,4 @@
-"""Study files: which tubes are searched, for what task, and what makes one robot better than another."""
+"""Study files: each has a task, the parameters of the tubes that a search may change, and the objective."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,110 +19,110 @@ from station.config.strict import (
     Strict,
     Vector,
     check,
-    on_line,
+    line_reference,
     preset,
     read_toml,
 )
 
-#: What is searched: the largest load that is held, or what is least along the task under its own load.
+#: Quantity to maximise: the largest held load, or the smallest margin or stiffness along the task under its forces.
 Objective = Literal["load", "margin", "stiffness"]
 
 
 class StudyTaskFile(Strict):
-    """What the tubes are to do: bring the tip to every point, under every load."""
+    """Task of the tubes: bring the tip to every point under every load."""
 
     points: Annotated[tuple[Vector, ...], Field(min_length=1, max_length=200, strict=False)]
-    """of the tip, world frame, neighbours close to each other: the tubes go from one to the next [m]"""
+    """desired tip positions in the world frame, in the order of the motion and close to each other [m]"""
     forces: Annotated[tuple[Vector, ...], Field(min_length=1, max_length=20, strict=False)]
-    """at the tip, world frame; each of them comes at each of the points [N]"""
+    """forces at the tip in the world frame; each acts at each of the points [N]"""
     tolerance: Positive = 1e-4
-    """of the tip's place [m]"""
+    """largest distance of the tip from a point [m]"""
     margin: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.1
-    """least margin of stability, everywhere: 1 is straight and unloaded, 0 snaps"""
+    """smallest allowed margin of stability: 1 is straight and unloaded, 0 snaps"""
     dexterity: NotNegative = 0.001
-    """least speed of the tip in its slowest direction with the joints at full speed, everywhere [m/s]"""
+    """smallest allowed speed of the tip in its slowest direction with the joints at full speed [m/s]"""
     stiffness: NotNegative = 0.0
-    """least stiffness of the tip in its softest direction, everywhere [N/m]"""
+    """smallest allowed stiffness of the tip in its softest direction [N/m]"""
 
     @model_validator(mode="after")
     def _loaded(self) -> Self:
         if all(force == (0.0, 0.0, 0.0) for force in self.forces):
-            raise ValueError("one of the forces must be more than 0 N")
+            raise ValueError("at least one of the forces must be more than 0 N")
         return self
 
 
 class ParameterFile(Strict):
-    """One number of the robot's file, and where it may lie."""
+    """One number of the robot's file with its range."""
 
     key: str
     """TUBE.bending_stiffness, TUBE.sections.N.length or TUBE.sections.N.curvature (about x); sections count from 1"""
     lower: float
-    """least value, in the key's own unit; any below `upper`"""
+    """smallest value, in the unit of the key; must be below `upper`"""
     upper: float
-    """largest value, in the key's own unit; any above `lower`"""
+    """largest value, in the unit of the key; must be above `lower`"""
 
     @model_validator(mode="after")
-    def _room(self) -> Self:
+    def _range(self) -> Self:
         if not self.lower < self.upper:
             raise ValueError(f"'{self.key}': lower {self.lower:g} is not below upper {self.upper:g}")
         return self
 
 
 class SearchFile(Strict):
-    """How long is searched: differential evolution."""
+    """Length of the search by differential evolution."""
 
     population: Annotated[int, Field(ge=2, le=100)] = 8
     """candidates of a generation for each parameter"""
     generations: Annotated[int, Field(ge=1, le=10_000)] = 40
-    """how often all candidates are replaced"""
+    """number of generations"""
     seed: Annotated[int, Field(ge=0)] = 0
-    """of what is drawn at random"""
+    """seed of the random numbers"""
 
 
 class StudyFile(Strict):
-    """A search for tubes."""
+    """File of a study that searches for tubes."""
 
     format: Format = 1
-    """of this file"""
+    """format of this file"""
     title: str
-    """for people"""
+    """title of the report"""
     robot: str = "paper"
-    """preset, or .toml file beside the study: what is changed, and what the outcome is held against"""
+    """start robot: preset, or .toml file in the folder of the study; the result is compared with it"""
     objective: Objective = "load"
-    """load: the largest multiple of the task's forces that is held; margin, stiffness: the least along the task"""
+    """load: largest held multiple of the task's forces; margin, stiffness: smallest value along the task"""
     task: StudyTaskFile
-    """what the tubes are to do"""
+    """task of the tubes"""
     parameters: Annotated[tuple[ParameterFile, ...], Field(min_length=1, max_length=40, strict=False)]
-    """the numbers of the tubes that are searched"""
+    """numbers of the tubes that are searched"""
     search: SearchFile = SearchFile()
-    """how long"""
+    """length of the search"""
 
 
 class Study:
-    """A study that has been checked, with the robot that it begins from."""
+    """A checked study with its start robot."""
 
     def __init__(self, file: StudyFile, robot: RobotFile, name: str) -> None:
         self.file, self.robot, self.name = file, robot, name
-        self._places = [_place(parameter.key, robot) for parameter in file.parameters]
+        self._paths = [_path(parameter.key, robot) for parameter in file.parameters]
         self.bounds: list[tuple[float, float]] = [(each.lower, each.upper) for each in file.parameters]
 
     @property
-    def begun(self) -> Array:
-        """The parameters (p,) of the robot that the study begins from."""
+    def start_parameters(self) -> Array:
+        """Values of the searched parameters (p,) in the start robot."""
         table = self.robot.model_dump()
-        return np.array([_inner(table, place)[place[-1]] for place in self._places])
+        return np.array([_inner(table, path)[path[-1]] for path in self._paths])
 
     def changed(self, values: Sequence[float]) -> RobotFile:
-        """The robot with these parameters (p,).
+        """Return the start robot with other values (p,) of the searched parameters.
 
         Raises:
-            ConfigError: such a robot cannot be.
+            ConfigError: these values give no valid robot.
 
         """
-        # What is not said stays unsaid: a working pose is one of the old tubes.
+        # The working pose of the start robot is not valid for other tubes, so it is left out.
         table = self.robot.model_dump(exclude_none=True, exclude={"working_pose"})
-        for place, value in zip(self._places, values, strict=True):
-            _inner(table, place)[place[-1]] = float(value)
+        for path, value in zip(self._paths, values, strict=True):
+            _inner(table, path)[path[-1]] = float(value)
         try:
             file = RobotFile.model_validate(table)
             file.limits()
@@ -132,31 +132,31 @@ class Study:
 
 
 def load_study(name: str) -> Study:
-    """A study by preset name or by file.
+    """Return a study by preset name or file.
 
     Raises:
-        ConfigError: with file, key, value and what was expected.
+        ConfigError: the study is invalid; the message names file, key, value and the expected value.
 
     """
     path = preset("studies", name)
     table: Document = read_toml(path)
     file = check(StudyFile, table, str(path))
-    beside = path.parent / file.robot
+    robot_path = path.parent / file.robot
     try:
-        robot = load_robot(str(beside) if beside.suffix == ".toml" else file.robot)
+        robot = load_robot(str(robot_path) if robot_path.suffix == ".toml" else file.robot)
         study = Study(file, robot, path.stem)
         for ends in ([low for low, _ in study.bounds], [high for _, high in study.bounds]):
             study.changed(ends)
     except CtrError as error:
-        raise ConfigError(f"{path}: {error}{on_line(table, str(error))}") from None
+        raise ConfigError(f"{path}: {error}{line_reference(table, str(error))}") from None
     return study
 
 
-def _place(key: str, robot: RobotFile) -> tuple[str | int, ...]:
-    """Where a key stands in the robot's table; the last part is a key or a number there.
+def _path(key: str, robot: RobotFile) -> tuple[str | int, ...]:
+    """Return the path of a parameter's key in the robot's table: a sequence of keys and list indices.
 
     Raises:
-        ConfigError: there is no such number.
+        ConfigError: the robot has no number with this key.
 
     """
     name, _, rest = key.partition(".")
@@ -171,8 +171,8 @@ def _place(key: str, robot: RobotFile) -> tuple[str | int, ...]:
             sections = len(robot.tubes[number].sections)
             if not 1 <= int(which) <= sections:
                 raise ConfigError(f"parameters: '{key}': tube '{name}' has the sections 1 ... {sections}")
-            place = ("tubes", number, "sections", int(which) - 1)
-            return (*place, "length") if what == "length" else (*place, "curvature", 0)
+            section = ("tubes", number, "sections", int(which) - 1)
+            return (*section, "length") if what == "length" else (*section, "curvature", 0)
         case _:
             raise ConfigError(
                 f"parameters: '{key}' is none of {name}.bending_stiffness, {name}.sections.N.length,"
@@ -180,10 +180,13 @@ def _place(key: str, robot: RobotFile) -> tuple[str | int, ...]:
             )
 
 
-def _inner(table: Mapping[str, Any], place: Sequence[str | int]) -> Any:
-    """What holds the place's last part; tuples on the way become lists, to be changed."""
+def _inner(table: Mapping[str, Any], path: Sequence[str | int]) -> Any:
+    """Return the table or list that contains the last part of a path.
+
+    Tuples along the path are replaced by lists, so that their elements can be changed.
+    """
     at: Any = table
-    for part in place[:-1]:
+    for part in path[:-1]:
         if isinstance(at[part], tuple):
             at[part] = list(at[part])
         at = at[part]
@@ -191,10 +194,10 @@ def _inner(table: Mapping[str, Any], place: Sequence[str | int]) -> Any:
 
 
 def unit(key: str) -> str:
-    """Of a parameter."""
+    """Return the unit of a searched parameter by its key."""
     return {"bending_stiffness": "N m^2", "length": "m"}.get(key.rsplit(".", 1)[-1], "1/m")
 
 
 def largest(forces: Sequence[Sequence[float]]) -> float:
-    """The largest of the forces [N]."""
+    """Return the magnitude of the largest force [N]."""
     return max(math.hypot(*force) for force in forces)

@@ -1,8 +1,8 @@
-"""How a robot does with a study's task: can its tip be held at every point under every load, and how well.
+"""Evaluation of a study's task: whether a robot holds its tip at every point under every load, and how well.
 
-The joints are found by the controller's own limit-aware inverse, walked on the model: from poses all over the joint
-space to the first point, from point to point without load, then under each force in steps. What is held at the end
-is what a robot that is led slowly could do; noise, delay and friction are the virtual lab's.
+The controller's inverse kinematics, which respects all limits, finds the joint positions on the model: from poses all
+over the joint space to the first point, then from point to point without load, then under each force in steps. The
+result is quasi-static. It does not include noise, delay and friction, which only the virtual lab simulates.
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.control.inverse import inverse
+from core.control.velocity_ik import inverse
 from core.errors import CtrError
 from core.model.solution import Solution
 from core.model.statics import Statics
@@ -23,148 +23,162 @@ from station.design.poses import spread_poses
 from station.design.study import Objective, StudyTaskFile
 from station.solve_many import solve_many
 
-#: Poses that are looked at for a way to the first point, and how many of them are gone from.
-LOOKED, STARTS = 96, 6
-#: Two ways to a point have come to the same pose when their tubes lie this close [rad or m over full speed: s].
-SAME = 1e-2
-#: In one step of a walk the tip goes no further [m], and joints no further than in this time at full speed [s].
-STRIDE, LONGEST = 0.01, 0.5
-#: Steps of a walk to a place before it is given up, and how close it comes if it can, in parts of the tolerance.
-MOST_STEPS, CLOSE = 60, 0.1
-#: A load grows by this part, of the task's at first, and no further than this many times.
-GROWTH, MOST_LOAD = 0.25, 20.0
-#: The largest load is found to this part of the task's.
-FINE = 0.01
+#: Number of start poses that are compared, and number of the best of them from which a path to the first point of the
+#: task is computed.
+START_POSES, MAX_WALKS = 96, 6
+#: Two paths end at the same pose if every joint differs by less than its travel in this time at full speed [s].
+SAME_POSE_S = 1e-2
+#: Largest travel of the tip in one step of a path [m], and largest travel of a joint, as time at its full speed [s].
+MAX_TIP_STEP_M, MAX_JOINT_STEP_S = 0.01, 0.5
+#: Largest number of steps of a path to a point of the task, and distance from the point at which the tip has arrived,
+#: as a fraction of the task's tolerance.
+MAX_STEPS, ARRIVAL_SHARE = 60, 0.1
+#: First step of a growing load, as a fraction of the task's load, and largest multiple of the task's load.
+LOAD_STEP_SHARE, MAX_LOAD_RATIO = 0.25, 20.0
+#: Resolution of the largest load, as a fraction of the task's load.
+LOAD_RESOLUTION = 0.01
 
 
-class Held(NamedTuple):
-    """What is least along the points, under multiples of the forces."""
+class HeldLoad(NamedTuple):
+    """Joint positions and quality measures at the points of a task, under a multiple of its forces."""
 
-    load: float  #: the multiple
+    load: float  #: multiple of the task's forces
     joints: Array  #: (forces, points, n) [rad or m]
-    margins: Array  #: (forces, points) of stability [1]
+    margins: Array  #: (forces, points) margins of stability [1]
     dexterities: Array  #: (forces, points) [m/s]
     stiffnesses: Array  #: (forces, points) [N/m]
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """How a robot does with a task."""
+class TaskResult:
+    """Result of the evaluation of a robot for a task."""
 
-    away: float  #: of the tip from the points, at worst, without load [m]
-    load: float  #: largest multiple of the forces that is held; 0: not even the points are reached
-    why: str  #: what ends it
-    held: Held | None  #: under the forces as they are; None: they are not held
-    most: Held | None  #: under the largest multiple
+    distance: float  #: largest distance of the tip from the points, without load [m]
+    load: float  #: largest multiple of the forces that is held; 0: the points are not reached without load
+    why: str  #: limit that prevents a larger load
+    nominal: HeldLoad | None  #: poses under the task's forces; None if the robot does not hold them
+    largest: HeldLoad | None  #: poses under the largest multiple of the forces that is held
 
 
-def done(file: RobotFile, task: StudyTaskFile, objective: Objective, most: float = MOST_LOAD) -> Outcome:
-    """Carry out the task in the best of the ways that were found; loads grow up to `most` times the task's.
+def evaluate(
+    file: RobotFile, task: StudyTaskFile, objective: Objective, max_ratio: float = MAX_LOAD_RATIO
+) -> TaskResult:
+    """Return the best result for a task over several paths; loads grow up to `max_ratio` times the task's.
 
     Raises:
-        ConfigError: the tubes stand hardly anywhere in their joints' travel.
+        ConfigError: almost no joint position is valid.
 
     """
     walker = _Walker(file, task)
-    best = Outcome(math.inf, 0.0, "no pose has a shape", None, None)
+    best = TaskResult(math.inf, 0.0, "no pose has a shape", None, None)
     for start in walker.starts():
-        best = min(best, _way(walker, start, most), key=lambda outcome: cost(outcome, objective))
+        best = min(best, _walk_path(walker, start, max_ratio), key=lambda outcome: cost(outcome, objective))
     return best
 
 
-def cost(outcome: Outcome, objective: Objective) -> float:
-    """The smaller the better, also among those that cannot carry out the task: a search has to see the way out."""
+def cost(outcome: TaskResult, objective: Objective) -> float:
+    """Return the cost to minimise; it also ranks robots that fail, so that a search can improve them."""
     if outcome.load == 0.0:
-        return 3.0 + min(100.0 * outcome.away, 1e3)
+        return 3.0 + min(100.0 * outcome.distance, 1e3)
     if objective == "load":
         return -outcome.load
-    if outcome.held is None:
+    if outcome.nominal is None:
         return 2.0 - outcome.load
-    return -float((outcome.held.margins if objective == "margin" else outcome.held.stiffnesses).min())
+    return -float((outcome.nominal.margins if objective == "margin" else outcome.nominal.stiffnesses).min())
 
 
-def _way(walker: "_Walker", start: Solution, most: float) -> Outcome:
-    """From a pose to the first point, along all of them, and then the loads."""
-    bare: list[Solution] = []
-    at, away = start, 0.0
+def _walk_path(walker: "_Walker", start: Solution, max_ratio: float) -> TaskResult:
+    """Return the result of a path from a pose through all points, then under growing loads."""
+    unloaded: list[Solution] = []
+    at, distance = start, 0.0
     for number, point in enumerate(walker.points):
         at, off, why = walker.go(at, point, np.zeros(6))
         if why:
-            # What is left of the way counts: a search is to see that one comes further than another.
-            left = float(np.linalg.norm(walker.points[number:] - at.tip, axis=1).max())
-            return Outcome(max(off, left), 0.0, f"at point {number + 1} without load: {why}", None, None)
-        bare.append(at)
-        away = max(away, off)
-    rows, held, here, step, why = [bare] * len(walker.forces), None, 0.0, GROWTH, ""
-    while here < most and step >= FINE:
-        to = min(here + step, 1.0 if here < 1.0 else most)
-        found, said = walker.loaded(rows, to)
+            # The remaining distance is part of the cost, so a search prefers a robot that comes closer to the end.
+            remaining = float(np.linalg.norm(walker.points[number:] - at.tip, axis=1).max())
+            return TaskResult(max(off, remaining), 0.0, f"at point {number + 1} without load: {why}", None, None)
+        unloaded.append(at)
+        distance = max(distance, off)
+    rows, nominal, here, step, why = [unloaded] * len(walker.forces), None, 0.0, LOAD_STEP_SHARE, ""
+    while here < max_ratio and step >= LOAD_RESOLUTION:
+        to = min(here + step, 1.0 if here < 1.0 else max_ratio)
+        found, reason = walker.loaded(rows, to)
         if found is None:
-            why, step = said, 0.5 * (to - here)
+            why, step = reason, 0.5 * (to - here)
             continue
         rows, here = found, to
-        step = 0.5 * step if why else GROWTH * max(1.0, here)
-        held = rows if here == 1.0 else held
-    return Outcome(
-        away,
+        step = 0.5 * step if why else LOAD_STEP_SHARE * max(1.0, here)
+        nominal = rows if here == 1.0 else nominal
+    return TaskResult(
+        distance,
         here,
-        why or f"more than {most:g} times was not tried",
-        None if held is None else walker.numbers(1.0, held),
+        why or f"more than {max_ratio:g} times the forces was not evaluated",
+        None if nominal is None else walker.numbers(1.0, nominal),
         walker.numbers(here, rows),
     )
 
 
 class _Walker:
-    """One robot and its task."""
+    """Computes quasi-static motions of one robot along the points and forces of a task."""
 
     def __init__(self, file: RobotFile, task: StudyTaskFile) -> None:
         self.file, self.task, self.limits = file, task, file.limits()
         self.model = Statics(file.robot())
         self.points, self.forces = np.array(task.points), np.array(task.forces)
         self._lower, self._upper, self._speed = self.limits.packed[:3]
-        # Only what the tubes themselves demand: a task's points lie where they lie.
+        # Only the limits of joints and tubes apply. The workspace limit in the robot's file is for operation and does
+        # not restrict the points of a design task.
 
     def starts(self) -> Iterator[Solution]:
-        """Poses at the first point, or as near as it goes, each another one."""
-        poses = spread_poses(self.file, LOOKED, 0)
-        found = solve_many(self.model, poses, np.zeros((LOOKED, 6)), threads=1)
-        away = np.linalg.norm(found.tip - self.points[0], axis=1)
-        seen: list[Array] = []
-        for row in [row for row in np.argsort(away).tolist() if found.ok[row]][:STARTS]:
+        """Yield different poses with the tip at the first point of the task, or as near to it as possible."""
+        poses = spread_poses(self.file, START_POSES, 0)
+        found = solve_many(self.model, poses, np.zeros((START_POSES, 6)), threads=1)
+        distances = np.linalg.norm(found.tip - self.points[0], axis=1)
+        visited: list[Array] = []
+        for row in [row for row in np.argsort(distances).tolist() if found.ok[row]][:MAX_WALKS]:
             at, _, _ = self.go(found.at(row), self.points[0], np.zeros(6))
-            if all(np.abs((at.joints - other) / self._speed).max() > SAME for other in seen):
-                seen.append(at.joints.copy())
+            if all(np.abs((at.joints - other) / self._speed).max() > SAME_POSE_S for other in visited):
+                visited.append(at.joints.copy())
                 yield at
 
     def go(self, at: Solution, point: Array, wrench: Array) -> tuple[Solution, float, str]:
-        """Walk to a point (3,) under a wrench (6,): where that ends, how far off [m], and what is in the way."""
-        close, reasons = CLOSE * self.task.tolerance, ""
+        """Move to a point (3,) under a wrench (6,); return the last pose, its distance [m] and the limit."""
+        close, reasons = ARRIVAL_SHARE * self.task.tolerance, ""
         try:
             at = self.model.solve(at.joints.copy(), wrench, at)
-            for _ in range(MOST_STEPS):
-                way = point - at.tip
-                away = float(np.linalg.norm(way))
-                if away <= close:
+            for _ in range(MAX_STEPS):
+                error = point - at.tip
+                distance = float(np.linalg.norm(error))
+                if distance <= close:
                     break
-                lower = np.maximum(self._lower - at.joints, -LONGEST * self._speed).clip(max=0.0)
-                upper = np.minimum(self._upper - at.joints, LONGEST * self._speed).clip(min=0.0)
+                lower = np.maximum(self._lower - at.joints, -MAX_JOINT_STEP_S * self._speed).clip(max=0.0)
+                upper = np.minimum(self._upper - at.joints, MAX_JOINT_STEP_S * self._speed).clip(min=0.0)
                 rows, bound = self.limits.order
-                room = (bound - rows @ at.joints).clip(min=0.0)
-                found = inverse(at.jacobian[:3], way * min(1.0, STRIDE / away), self._speed, lower, upper, rows, room)
+                margin = (bound - rows @ at.joints).clip(min=0.0)
+                found = inverse(
+                    at.jacobian[:3],
+                    error * min(1.0, MAX_TIP_STEP_M / distance),
+                    self._speed,
+                    lower,
+                    upper,
+                    rows,
+                    margin,
+                )
                 reasons = ", ".join(self.limits.active(at.joints, found.at_bound, found.at_row))
                 if np.abs(found.velocity / self._speed).max() < 1e-7:
                     break
                 to = np.clip(at.joints + found.velocity, self._lower, self._upper)
                 at = self.model.solve(to, wrench, at)
-        except CtrError as error:
-            return at, float(np.linalg.norm(at.tip - point)), str(error)
-        away = float(np.linalg.norm(at.tip - point))
-        if away > self.task.tolerance:
-            return at, away, f"the tip stays {1e3 * away:.2g} mm off ({reasons or 'no joint takes it nearer'})"
-        return at, away, self._lacking(at)
+        except CtrError as failure:
+            return at, float(np.linalg.norm(at.tip - point)), str(failure)
+        distance = float(np.linalg.norm(at.tip - point))
+        if distance > self.task.tolerance:
+            cause = reasons or "no joint moves it nearer"
+            return at, distance, f"the tip stays {1e3 * distance:.2g} mm from the point ({cause})"
+        return at, distance, self._violated_minimum(at)
 
-    def _lacking(self, at: Solution) -> str:
-        """What is too little there; empty when nothing is."""
+    def _violated_minimum(self, at: Solution) -> str:
+        """Return a text about the task's minimum (margin, dexterity, stiffness) that a pose violates; empty if none."""
         if at.stability < self.task.margin:
             return f"margin {at.stability:.3g} is below {self.task.margin:g}"
         slowest = float(dexterity(at.jacobian[None], self._speed)[0])
@@ -176,7 +190,10 @@ class _Walker:
         return ""
 
     def loaded(self, rows: list[list[Solution]], load: float) -> tuple[list[list[Solution]] | None, str]:
-        """Every point under `load` times every force, from the same under less; None and why not."""
+        """Return the poses at every point under `load` times every force, or None and the reason.
+
+        `rows` are the poses under the previous, smaller load.
+        """
         found: list[list[Solution]] = []
         for force, row in zip(self.forces, rows, strict=True):
             wrench = np.concatenate((load * force, np.zeros(3)))
@@ -193,12 +210,12 @@ class _Walker:
             found.append(line)
         return found, ""
 
-    def numbers(self, load: float, rows: list[list[Solution]]) -> Held:
-        """What the tubes are like there."""
+    def numbers(self, load: float, rows: list[list[Solution]]) -> HeldLoad:
+        """Return the joints and quality measures of the poses."""
         jacobians = np.array([[at.jacobian for at in row] for row in rows])
         compliances = np.array([[at.compliance for at in row] for row in rows])
         shape = jacobians.shape[:2]
-        return Held(
+        return HeldLoad(
             load,
             np.array([[at.joints for at in row] for row in rows]),
             np.array([[at.stability for at in row] for row in rows]),

@@ -1,4 +1,4 @@
-"""What given tubes can do all over their joint space: reach, dexterity, stiffness and margin of stability."""
+"""Workspace of a robot over its joint space: reach, dexterity, stiffness and margin of stability."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,21 +15,21 @@ from station.design.measures import dexterity, stiffness
 from station.design.poses import spread_poses
 from station.solve_many import solve_many
 
-#: Poses between two words about how far it is.
-PIECE = 1000
-#: Side of the cells by which reached places are counted [m].
-CELL = 0.005
-#: Percentiles that are told of each quantity.
-TOLD = {"least": 0.0, "p5": 5.0, "median": 50.0, "p95": 95.0, "most": 100.0}
+#: Number of poses between two progress reports.
+BATCH_POSES = 1000
+#: Edge length of the cubic cells that are counted to estimate the volume that the tip reaches [m].
+CELL_SIZE_M = 0.005
+#: Percentiles of each quality measure in the summary, by name [%].
+PERCENTILES = {"least": 0.0, "p5": 5.0, "median": 50.0, "p95": 95.0, "most": 100.0}
 
 
 @dataclass(frozen=True)
-class Workspace:
-    """Poses that have a shape, and what it is like."""
+class WorkspaceStudy:
+    """Result of a workspace study: k poses with a model solution, and their quality measures."""
 
     file: RobotFile
     force: Array  #: (3,) at the tip, world frame [N]
-    asked: int  #: poses that were tried
+    requested: int  #: number of evaluated poses
     joints: Array  #: (k, n) [rad or m]
     tips: Array  #: (k, 3) world frame [m]
     dexterity: Array  #: (k,) [m/s]
@@ -37,57 +37,58 @@ class Workspace:
     margin: Array  #: (k,) 1: straight and unloaded, 0: snaps
 
 
-def workspace(file: RobotFile, force: Array, count: int, seed: int, told: Callable[[float], None]) -> Workspace:
-    """Look at `count` poses under a force (3,) [N] on all processors; `told` which part is done.
+def workspace(file: RobotFile, force: Array, count: int, seed: int, report: Callable[[float], None]) -> WorkspaceStudy:
+    """Evaluate `count` poses under a force (3,) [N] on all processors; `report` receives the fraction done.
 
     Raises:
-        ConfigError: the tubes stand hardly anywhere.
-        NoSolution: they have no shape under this force, anywhere.
+        ConfigError: almost no joint position is valid.
+        NoSolution: no pose has a model solution under this force.
 
     """
     model, poses = Statics(file.robot()), spread_poses(file, count, seed)
     wrench = np.concatenate((force, np.zeros(3)))
     parts: list[tuple[Array, ...]] = []
-    for first in range(0, count, PIECE):
-        piece = poses[first : first + PIECE]
+    for first in range(0, count, BATCH_POSES):
+        piece = poses[first : first + BATCH_POSES]
         found = solve_many(model, piece, np.tile(wrench, (len(piece), 1)))
         ok = found.ok
         parts.append((
             piece[ok], found.tip[ok], dexterity(found.jacobian[ok], file.limits().speed),
             stiffness(found.compliance[ok]), found.stability[ok],
         ))  # fmt: skip
-        told(min(first + PIECE, count) / count)
+        report(min(first + BATCH_POSES, count) / count)
     joints, tips, dexterities, stiffnesses, margins = (np.concatenate(part) for part in zip(*parts, strict=True))
     if len(joints) == 0:
         raise NoSolution(
-            f"robot '{file.name}' has no shape under {force.tolist()} N at any of {count} poses; less force?"
+            f"robot '{file.name}' has no model solution under {force.tolist()} N at any of {count} poses;"
+            " reduce the force"
         )
-    return Workspace(file, force, count, joints, tips, dexterities, stiffnesses, margins)
+    return WorkspaceStudy(file, force, count, joints, tips, dexterities, stiffnesses, margins)
 
 
-def summary(found: Workspace) -> dict[str, Any]:
-    """The numbers of a workspace, for people in mm; ready for JSON."""
-    cells = np.unique(np.floor(found.tips / CELL).astype(np.int64), axis=0)
-    held = Margins().stability
+def summary(found: WorkspaceStudy) -> dict[str, Any]:
+    """Return the numbers of a workspace in mm as a JSON object."""
+    cells = np.unique(np.floor(found.tips / CELL_SIZE_M).astype(np.int64), axis=0)
+    smallest_margin = Margins().stability
     return {
         "robot": found.file.name,
         "source": found.file.source,
         "force_n": found.force.tolist(),
-        "poses": found.asked,
-        "without_shape": found.asked - len(found.joints),
+        "poses": found.requested,
+        "without_shape": found.requested - len(found.joints),
         "reach_mm": {
             axis: {"least": round(1e3 * float(row.min()), 3), "most": round(1e3 * float(row.max()), 3)}
             for axis, row in zip("xyz", found.tips.T, strict=True)
         },
-        "reach_cm3": round(len(cells) * CELL**3 * 1e6, 3),
-        "reach_cell_mm": 1e3 * CELL,
-        "dexterity_mm_s": _told(1e3 * found.dexterity),
-        "stiffness_n_m": _told(found.stiffness),
-        "margin": _told(found.margin),
-        "held_below_margin": held,
-        "below_it": round(float((found.margin < held).mean()), 6),
+        "reach_cm3": round(len(cells) * CELL_SIZE_M**3 * 1e6, 3),
+        "reach_cell_mm": 1e3 * CELL_SIZE_M,
+        "dexterity_mm_s": _percentiles(1e3 * found.dexterity),
+        "stiffness_n_m": _percentiles(found.stiffness),
+        "margin": _percentiles(found.margin),
+        "held_below_margin": smallest_margin,
+        "below_it": round(float((found.margin < smallest_margin).mean()), 6),
     }
 
 
-def _told(values: Array) -> dict[str, float]:
-    return {name: float(f"{np.percentile(values, part):.5g}") for name, part in TOLD.items()}
+def _percentiles(values: Array) -> dict[str, float]:
+    return {name: float(f"{np.percentile(values, part):.5g}") for name, part in PERCENTILES.items()}

@@ -1,4 +1,4 @@
-"""The `[devices]` part of a station file: which driver has which device, and what it has to be told.
+"""The `[devices]` part of a station file: the driver of each device, and the driver's options.
 
 ```toml
 [devices.stages]
@@ -26,7 +26,7 @@ from station.config.strict import ConfigError, Name, NotNegative, Positive, Row,
 from station.devices.aurora.settings import AuroraSettings
 from station.devices.netft.protocol import RDT_PORT
 from station.devices.netft.sensors import NetftSettings
-from station.devices.zaber.chain import Line
+from station.devices.zaber.chain import LineSettings
 
 #: pyserial's name of a port: /dev/ttyUSB0, COM3, socket://host:port.
 Serial = Annotated[str, Field(min_length=1)]
@@ -39,23 +39,23 @@ def _names_a_driver(options: Mapping[str, Any]) -> Mapping[str, Any]:
     return options
 
 
-#: What one driver is told; `driver` names it, the rest is its own.
+#: Table of one device: `driver` names the driver, the other keys are the driver's options.
 Options = Annotated[Mapping[str, Any], AfterValidator(_names_a_driver)]
 
 
 class BenchFile(Strict):
-    """A bench with devices of its own."""
+    """The devices of a bench."""
 
     stages: Options
-    """`driver` and what it has to be told"""
+    """`driver` and the driver's options"""
     tracker: Options
-    """`driver` and what it has to be told"""
+    """`driver` and the driver's options"""
     sensors: Options
-    """`driver` and what it has to be told"""
+    """`driver` and the driver's options"""
 
     @property
-    def may_tell_target(self) -> bool:
-        """Whether frames may have a target's place: an Aurora's with a second coil, any of a driver of one's own."""
+    def can_measure_target(self) -> bool:
+        """Whether frames may have a target's position: those of an Aurora with a second coil, or of a custom driver."""
         return self.tracker["driver"] != "aurora" or bool(self.tracker.get("target"))
 
 
@@ -74,16 +74,16 @@ DevicesFile = Annotated[
 
 
 class Mount(Strict):
-    """Where a device's frame stands in another one."""
+    """Pose of a device's frame in another frame."""
 
     position: Vector = (0.0, 0.0, 0.0)
-    """of its origin [m]"""
+    """position of its origin [m]"""
     rotation_vector: Vector = (0.0, 0.0, 0.0)
     """axis times angle [rad]"""
 
     @property
     def rotation(self) -> Array:
-        """(3, 3): from its axes to the other's."""
+        """Rotation matrix (3, 3) from its axes to those of the other frame."""
         return Base(self.position, self.rotation_vector).rotation
 
 
@@ -91,19 +91,19 @@ class StageFile(Strict):
     """One Zaber unit."""
 
     port: Serial | None = None
-    """its own; none: it is on the chain's"""
+    """port of this stage alone; default: the chain's port"""
     device: Annotated[int, Field(ge=1, le=254)]
     """its number on the chain"""
     home_at: float | None = None
-    """joint position at its home sensor; none: 0 of a rotation, the end at which a translation counts 0 [rad or m]"""
+    """joint position at its home sensor; default: 0 of a rotation, the end where a translation counts 0 [rad or m]"""
     backwards: bool = False
-    """its count rises where the joint's position falls"""
+    """its count increases when the joint's position decreases"""
     home_speed: Positive | None = None
-    """none: a quarter of the joint's speed [rad/s or m/s]"""
+    """default: a quarter of the joint's speed [rad/s or m/s]"""
     device_id: Annotated[int, Field(ge=0)] | None = None
-    """what the unit must say that it is"""
+    """device id that the unit must report"""
     serial: Annotated[int, Field(ge=0)] | None = None
-    """number that the unit must have"""
+    """serial number that the unit must report"""
 
 
 class ZaberFile(Strict):
@@ -112,9 +112,9 @@ class ZaberFile(Strict):
     port: Serial | None = None
     """of the chain"""
     joints: Mapping[Name, StageFile] = {}
-    """the unit of each joint; none at all: numbered from the computer in the robot's order"""
-    deadline: Annotated[float, Field(ge=0.02, le=10.0)] = Line.deadline
-    """for a reply, from the start of its request; without two in a row a stage is lost [s]"""
+    """the unit of each joint; default: numbered from the computer in the robot's order"""
+    deadline: Annotated[float, Field(ge=0.02, le=10.0)] = LineSettings.deadline
+    """for a reply, from the start of its request; a stage without two replies in a row is lost [s]"""
 
 
 class AuroraFile(Strict):
@@ -122,50 +122,50 @@ class AuroraFile(Strict):
 
     port: Serial
     tool: str = ""
-    """serial number of the tip's coil, as the unit tells it; "": the first tool"""
+    """serial number of the tip's coil, as the unit reports it; "": the first tool"""
     target: str = ""
-    """serial number of a second coil, on what the motion `follow` follows; "": there is none"""
+    """serial number of a second coil, on the target of the motion `follow`; "": no second coil"""
     baud: int = AuroraSettings.baud
-    """to change to; a rate that the unit has"""
+    """rate to switch to; must be supported by the unit [bit/s]"""
     frame_rate: Annotated[float, Field(gt=0.0, le=1000.0)] = AuroraSettings.frame_rate
     """[1/s]"""
     latency: NotNegative = AuroraSettings.latency
-    """from a measurement to the soonest arrival of its reply at 115200 baud [s]"""
+    """shortest time from a measurement to the arrival of its reply at 115200 baud [s]"""
     always_tx: bool = False
-    """ask for frames as text: very old firmware"""
+    """request frames as text, for very old firmware"""
     fault_bits: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    """port status bits that spoil a measurement, besides those of the volume"""
+    """port status bits that invalidate a measurement, in addition to those of the volume"""
     mount: Mount = Mount()
-    """of the field generator in the world, from a registration"""
+    """pose of the field generator in the world, from a registration"""
     coil_to_tip: float = 0.0
-    """from the coil to the robot's tip along the coil's axis [m]"""
+    """distance from the coil to the robot's tip along the coil's axis [m]"""
 
 
-class BoxFile(Strict):
+class ForceBoxFile(Strict):
     """One ATI Net F/T box."""
 
     host: Annotated[str, Field(min_length=1)]
     """name or address"""
     rdt_port: TcpPort = RDT_PORT
-    """of its datagrams"""
+    """UDP port of its datagrams"""
     http_port: TcpPort = 80
-    """of its configuration page"""
+    """TCP port of its configuration page"""
     serial: str | None = None
-    """calibration that the box must have; none takes what is there"""
+    """serial number of the calibration that the box must report; default: any"""
     mount: Mount = Mount()
-    """of the sensor's frame at its tube's proximal end, where x is the tube's alpha = 0 and z its axis"""
+    """pose of the sensor's frame at its tube's proximal end, where x is the tube's alpha = 0 and z its axis"""
 
 
 class NetftFile(Strict):
     """ATI Net F/T boxes, one for each tube."""
 
-    tubes: Mapping[Name, BoxFile]
+    tubes: Mapping[Name, ForceBoxFile]
     stale_after: Positive = NetftSettings.stale_after
-    """without a usable record [s]"""
+    """time without a usable record until a sensor is stale [s]"""
     latency: NotNegative = NetftSettings.latency
-    """from the event to the Ethernet [s]"""
+    """time from the measurement to the Ethernet [s]"""
     ranges: Annotated[tuple[Positive, Positive, Positive, Positive, Positive, Positive], Row] = NetftSettings.ranges  # pyright: ignore[reportAssignmentType] - six numbers
-    """Fx Fy Fz Tx Ty Tz of the calibration, for a page that tells none [N, N m]"""
+    """Fx Fy Fz Tx Ty Tz of the calibration, if the page has none [N, N m]"""
 
 
 class CardFile(Strict):
@@ -176,9 +176,9 @@ class CardFile(Strict):
     calibration: str
     """ATI's .cal file"""
     serial: str | None = None
-    """that the file must be for; none takes what it says"""
+    """serial number of the sensor that the file must contain; default: any"""
     mount: Mount = Mount()
-    """of the sensor's frame at its tube's proximal end, where x is the tube's alpha = 0 and z its axis"""
+    """pose of the sensor's frame at its tube's proximal end, where x is the tube's alpha = 0 and z its axis"""
 
 
 class NidaqFile(Strict):
@@ -186,19 +186,19 @@ class NidaqFile(Strict):
 
     tubes: Mapping[Name, CardFile]
     rate: Annotated[float, Field(ge=100.0, le=100_000.0)] = 5000.0
-    """samples of each input [1/s]"""
+    """sampling rate of each input [1/s]"""
     stale_after: Positive = 0.05
-    """without a usable sample [s]"""
+    """time without a usable sample until a sensor is stale [s]"""
 
 
 Part = TypeVar("Part")
 
 
 def in_order(parts: Mapping[str, Part], names: Sequence[str], key: str) -> list[Part]:
-    """The parts in the robot's order.
+    """Return the parts in the robot's order.
 
     Raises:
-        ConfigError: one is missing, or the robot has none of that name.
+        ConfigError: a part is missing, or the robot has no part of that name.
     """
     for name in parts:
         if name not in names:

@@ -1,8 +1,8 @@
-"""What the control loop asks of devices: polled at every tick, never waited for.
+"""Interfaces of the devices: the control loop polls them at every tick and never waits for them.
 
-A device answers with what has arrived by `now`; a driver on a serial port, a socket or a simulated
-bench fits behind the same few methods. Only opening a device may raise; from then on a
-device says what is wrong through `trouble`, and the loop acts on its severity.
+A device returns the data that have arrived by `now`. Drivers on a serial port, a socket or a simulated
+bench implement the same few methods. Only opening a device may raise. From then on a
+device reports a fault by `trouble`, and the loop acts on its severity.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,46 +15,46 @@ from core.robot.robot import Array
 
 
 class Condition(StrEnum):
-    """How far a device has come."""
+    """Connection state of a device."""
 
     CLOSED = "closed"
     CONNECTING = "connecting"
     HOMING = "homing"  #: stages only
     CONNECTED = "connected"
-    FAULT = "fault"  #: until somebody connects it again
+    FAULT = "fault"  #: until `connect` is called again
 
 
 class Severity(IntEnum):
-    """What a trouble asks of the station; the worst wins."""
+    """Reaction of the station to a device fault; the highest one counts."""
 
-    WARN = 1  #: said, nothing else
-    HOLD = 2  #: a motion ends where it is
-    STOP = 3
-    FAULT = 4  #: every axis that can be reached is stopped; latched until a person resets it
+    WARN = 1  #: reported only
+    HOLD = 2  #: a motion ends at its present position
+    STOP = 3  #: every axis stops
+    FAULT = 4  #: every axis that can be reached is stopped; latched until the operator resets it
 
 
-class Trouble(NamedTuple):
-    """What is wrong with a device."""
+class DeviceFault(NamedTuple):
+    """A fault of a device."""
 
     severity: Severity
-    text: str  #: what, where, and what to do about it
+    text: str  #: what is wrong, where, and what to do
 
 
 class JointReading(NamedTuple):
     """Positions of the stages."""
 
     positions: Array  #: (n,) [rad or m]; NaN for a stage that has never answered
-    sent: Array  #: (n,) velocities that really went out, after limits and quantisation [rad/s or m/s]
+    sent: Array  #: (n,) velocities that were sent, after limits and quantisation [rad/s or m/s]
 
 
 class TipReading(NamedTuple):
-    """One tracker frame, fit for control."""
+    """One tracker frame with a valid position."""
 
-    frame: int  #: the tracker's own count
-    time: float  #: when it was measured, by the frame number, not by its arrival [s]
+    frame: int  #: number counted by the tracker
+    time: float  #: time of the measurement, from the frame number, not from its arrival [s]
     position: Array  #: (3,) world frame [m]
-    target: Array | None = None  #: (3,) of a target with a coil of its own, in the same frame [m]; None: not seen
-    direction: Array | None = None  #: (3,) in which the tip points, unit vector; None: the tracker does not tell
+    target: Array | None = None  #: (3,) position of the target's coil, same frame [m]; None: not visible
+    direction: Array | None = None  #: (3,) unit vector along the tip; None: not measured by this tracker
 
 
 class WrenchReading(NamedTuple):
@@ -62,40 +62,40 @@ class WrenchReading(NamedTuple):
 
     time: float  #: [s]
     wrenches: Array  #: (q, 6) force and moment in each sensor's own axes, untared [N, N m]
-    usable: bool = True  #: False: some sensor has nothing fit for control; its last good wrench stands
+    usable: bool = True  #: False: a sensor has no valid sample; its last valid wrench is repeated
 
 
-class Truth(NamedTuple):
-    """What only a virtual lab knows: for the record, never for the controller."""
+class GroundTruth(NamedTuple):
+    """True values of the virtual lab: recorded, never used by the controller."""
 
     tip: Array  #: (3,) [m]
     force: Array  #: (3,) at the tip [N]
-    target: Array | None = None  #: (3,) what moves and may be followed [m]; None: there is nothing
-    direction: Array | None = None  #: (3,) in which the tip points, unit vector; None: nobody looks
+    target: Array | None = None  #: (3,) position of the moving target [m]; None: no target
+    direction: Array | None = None  #: (3,) unit vector along the tip; None: not computed
 
 
 class Device(Protocol):
-    """What all kinds have in common."""
+    """Methods that all kinds of devices have in common."""
 
     @property
     def condition(self) -> Condition:
-        """How far it has come."""
+        """Connection state."""
         ...
 
     def connect(self, now: float) -> None:
-        """Begin to connect; `poll` carries it on until `condition` is CONNECTED or FAULT. Also after a FAULT."""
+        """Start to connect, also after a FAULT; `poll` continues until `condition` is CONNECTED or FAULT."""
         ...
 
-    def trouble(self, now: float) -> Trouble | None:
-        """What is wrong at `now` [s], the worst of it; None if nothing is. Cheap: asked at every tick."""
+    def trouble(self, now: float) -> DeviceFault | None:
+        """Return the most severe fault at `now` [s], or None. Must be fast: called at every tick."""
         ...
 
     def details(self) -> Mapping[str, Any]:
-        """Who it is and what it has counted, as plain numbers and texts for a person and for the report."""
+        """Return identity and counters as numbers and human-readable texts, for the page and the report."""
         ...
 
     def close(self) -> None:
-        """Let go of its ports."""
+        """Close its ports."""
         ...
 
 
@@ -108,7 +108,7 @@ class Stages(Device, Protocol):
         ...
 
     def home(self, now: float) -> None:
-        """Begin to home every stage; `poll` carries it on while `condition` is HOMING.
+        """Start to home every stage; `poll` continues while `condition` is HOMING.
 
         Raises:
             CtrError: not connected, or busy.
@@ -120,41 +120,42 @@ class Stages(Device, Protocol):
         ...
 
     def command(self, velocities: Array, now: float) -> None:
-        """Ask for joint velocities (n,) [rad/s or m/s]; the latest wins. Not heeded unless `ready`."""
+        """Set joint velocities (n,) [rad/s or m/s]; the latest replaces earlier ones. Ignored unless `ready`."""
         ...
 
     def stop(self, now: float) -> None:
-        """Stop every axis that can be reached, ahead of whatever waits to be sent."""
+        """Stop every axis that can be reached, before any queued message."""
         ...
 
 
 class Clock(Protocol):
-    """The station's time."""
+    """Clock of the station."""
 
     def now(self) -> float:
-        """[s]."""
+        """Return the time [s]."""
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Let so much of it pass."""
+        """Wait for `seconds` of this clock's time."""
         ...
 
 
 class NotStopped(CtrError):
-    """Stages that have not said that they stop: which of them, why, and what a person has to do."""
+    """Stages have not confirmed their stop: names them, the reason, and what the operator must do."""
 
 
-#: Stops every stage from another process than the one that drives them, whose ports may still be held for some
-#: milliseconds by what is left of it. Says in words what came of it; raises NotStopped unless every axis has said
-#: that it stops.
+#: Stops every stage from another process than the one that drives them. That process may still have the ports open for
+#: some milliseconds. Returns a human-readable result, which is the evidence that every axis stops. Raises NotStopped
+#: unless every axis has confirmed its stop. It should end within 2 s: a call that lasts longer, returns no
+#: text or raises anything else counts as not stopped.
 EmergencyStop = Callable[[Clock], str]
 
 
 class Tracker(Device, Protocol):
-    """Measures where the tip is."""
+    """Measures the position of the tip."""
 
     def poll(self, now: float) -> TipReading | None:
-        """The newest good frame that arrived since the last poll, if any."""
+        """Return the newest valid frame that arrived since the last poll, or None."""
         ...
 
 
@@ -162,13 +163,26 @@ class BaseSensors(Device, Protocol):
     """Six-axis sensors at the tubes' proximal ends."""
 
     def poll(self, now: float) -> WrenchReading:
-        """The newest sample."""
+        """Return the newest sample."""
         ...
+
+
+def is_simulated(details: Any) -> bool:
+    """Return whether a device's details, or any part of them, state that it is simulated."""
+    match details:
+        case str():
+            return "simulated" in details.lower()
+        case Mapping():
+            return any(map(is_simulated, details.values()))
+        case list() | tuple():
+            return any(map(is_simulated, details))
+        case _:
+            return False
 
 
 @dataclass(frozen=True)
 class Devices:
-    """The bench as the control loop sees it."""
+    """The devices of a bench, as used by the control loop."""
 
     stages: Stages
     tracker: Tracker

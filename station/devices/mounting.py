@@ -1,4 +1,4 @@
-"""Base sensors that are not mounted along their tubes' axes: their wrenches, seen from the tubes' proximal ends."""
+"""Transforms wrenches of misaligned base sensors into frames at the tubes' proximal ends."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,29 +7,29 @@ import numpy as np
 
 from core.robot.robot import Array
 from station.devices.config import Mount
-from station.devices.interfaces import BaseSensors, Condition, Trouble, WrenchReading
+from station.devices.interfaces import BaseSensors, Condition, DeviceFault, WrenchReading
 
 
 def transport(mount: Mount) -> Array:
-    """(6, 6): force and moment about the sensor's origin, in its axes, into those of the frame it stands in.
+    """Return the matrix (6, 6) that transforms a wrench from the sensor's frame into the frame of its mount.
 
     f' = R f and m' = R m + p x R f.
     """
     x, y, z = mount.position
-    turn, moved = mount.rotation, np.eye(6)
-    moved[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-    turned = np.zeros((6, 6))
-    turned[:3, :3] = turned[3:, 3:] = turn
-    return moved @ turned
+    rotation, shift = mount.rotation, np.eye(6)
+    shift[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    rotated = np.zeros((6, 6))
+    rotated[:3, :3] = rotated[3:, 3:] = rotation
+    return shift @ rotated
 
 
 def mounted(sensors: BaseSensors, mounts: Sequence[Mount]) -> BaseSensors:
-    """Sensors as they are mounted, one a tube; those that stand as the tubes do are left alone."""
+    """Return sensors with their mounts applied, one per tube; without a mount return the sensors unchanged."""
     return sensors if all(mount == Mount() for mount in mounts) else MountedSensors(sensors, mounts)
 
 
 class MountedSensors:
-    """Sensors whose wrenches are transported."""
+    """Sensors whose wrenches are transformed by their mounts."""
 
     def __init__(self, sensors: BaseSensors, mounts: Sequence[Mount]) -> None:
         self._sensors = sensors
@@ -37,7 +37,7 @@ class MountedSensors:
 
     @property
     def condition(self) -> Condition:
-        """The sensors'."""
+        """Connection state of the sensors."""
         return self._sensors.condition
 
     def connect(self, now: float) -> None:
@@ -45,17 +45,17 @@ class MountedSensors:
         self._sensors.connect(now)
 
     def poll(self, now: float) -> WrenchReading:
-        """The newest sample, from the tubes' proximal ends."""
+        """Return the newest sample, in the frames at the tubes' proximal ends."""
         reading = self._sensors.poll(now)
         wrenches = np.einsum("kij,kj->ki", self._transports, reading.wrenches)
         return WrenchReading(reading.time, wrenches, reading.usable)
 
-    def trouble(self, now: float) -> Trouble | None:
-        """The sensors'."""
+    def trouble(self, now: float) -> DeviceFault | None:
+        """Return the most severe fault of the sensors, or None."""
         return self._sensors.trouble(now)
 
     def details(self) -> Mapping[str, Any]:
-        """The sensors'."""
+        """Return identity and counters of the sensors."""
         return self._sensors.details()
 
     def close(self) -> None:

@@ -1,14 +1,14 @@
-"""Drivers by name: those that come with the station, and installed ones, by the entry points `ctr_station.devices`.
+"""Drivers by name: built-in ones, and installed ones by the entry points `ctr_station.devices`.
 
-An installed driver is a callable `open(options, robot)` that returns a device as `interfaces.py` has it. `options`
-is its table of the station file without the name of the driver; what it raises ends the opening of all devices.
-That of stages has an attribute `emergency_stop(options, robot, clock)`: it stops them from another process.
+An installed driver is a callable `open(options, robot)` that returns a device with an interface of `interfaces.py`.
+`options` is its table of the station file without the key `driver`. If it raises, no device is opened.
+The callable of stages has an attribute `emergency_stop(options, robot, clock)`, which stops them from another process.
 """
 
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
@@ -16,32 +16,32 @@ from station.devices.built_in import aurora, netft, nidaq, zaber
 from station.devices.interfaces import BaseSensors, EmergencyStop, Stages, Tracker
 from station.devices.zaber.emergency_stop import zaber_emergency_stop
 
-GROUP = "ctr_station.devices"
+ENTRY_POINT_GROUP = "ctr_station.devices"
 
 DeviceKind = Literal["stages", "tracker", "sensors"]
-#: Opens a device; everything that was told about it has been checked.
+#: Opens a device whose options have been checked.
 Opener = Callable[[], Any]
-#: Checks what is told about a device, and says how to open it.
+#: Checks the options of a device and returns its opener.
 Driver = Callable[[Mapping[str, Any], RobotFile], Opener]
 
 INTERFACES: dict[DeviceKind, type] = {"stages": Stages, "tracker": Tracker, "sensors": BaseSensors}
-BUILT_IN: dict[DeviceKind, dict[str, Driver]] = {
+BUILT_IN_DRIVERS: dict[DeviceKind, dict[str, Driver]] = {
     "stages": {"zaber": zaber},
     "tracker": {"aurora": aurora},
     "sensors": {"netft": netft, "nidaq": nidaq},
 }
-#: Of the stages' own drivers.
+#: Emergency stops of the built-in drivers of stages.
 EMERGENCY_STOPS: dict[str, Callable[[Mapping[str, Any], RobotFile], EmergencyStop]] = {"zaber": zaber_emergency_stop}
 
 
 def find(kind: DeviceKind, name: str) -> Driver:
-    """The driver of that name; one of the station's own comes first.
+    """Return the driver of that name; a built-in driver takes precedence.
 
     Raises:
         ConfigError: there is none, or it cannot be loaded.
     """
-    if name in BUILT_IN[kind]:
-        return BUILT_IN[kind][name]
+    if name in BUILT_IN_DRIVERS[kind]:
+        return BUILT_IN_DRIVERS[kind][name]
     where, opens = _loaded(kind, name)
 
     def driver(options: Mapping[str, Any], robot: RobotFile) -> Opener:
@@ -51,30 +51,33 @@ def find(kind: DeviceKind, name: str) -> Driver:
 
 
 def emergency_stop(stages: Mapping[str, Any], robot: RobotFile) -> EmergencyStop | None:
-    """How the stages of `[devices.stages]` are stopped when the process that drives them cannot do it any more.
+    """Return the emergency stop of the stages in `[devices.stages]`, for the time after a crash of the control process.
 
-    None: their driver has no such way.
+    None: their driver has no emergency stop.
 
     Raises:
-        ConfigError: there is no such driver, or it cannot be loaded.
+        ConfigError: there is no such driver, it cannot be loaded, or its emergency_stop is not callable.
     """
-    told = dict(stages)
-    name = told.pop("driver")
-    if name in BUILT_IN["stages"]:
-        return EMERGENCY_STOPS[name](told, robot)
-    stop = getattr(_loaded("stages", name)[1], "emergency_stop", None)
-    return None if stop is None else partial(stop, told, robot)
+    options = dict(stages)
+    name = options.pop("driver")
+    if name in BUILT_IN_DRIVERS["stages"]:
+        return EMERGENCY_STOPS[name](options, robot)
+    where, opens = _loaded("stages", name)
+    stop: Any = getattr(opens, "emergency_stop", None)
+    if stop is not None and not callable(stop):
+        raise ConfigError(f"{where}: its emergency_stop is not a callable emergency_stop(options, robot, clock)")
+    return None if stop is None else cast(EmergencyStop, partial(cast(Any, stop), options, robot))
 
 
 def _loaded(kind: DeviceKind, name: str) -> tuple[str, Callable[..., Any]]:
-    """An installed driver: where it comes from, for a person, and its callable."""
-    installed = entry_points(group=GROUP)
+    """Return the origin of an installed driver, for messages, and its callable."""
+    installed = entry_points(group=ENTRY_POINT_GROUP)
     found = list(installed.select(name=name))
     if not found:
-        known = [*BUILT_IN[kind], *sorted({point.name for point in installed})]
+        known = [*BUILT_IN_DRIVERS[kind], *sorted({point.name for point in installed})]
         raise ConfigError(
             f"devices.{kind}.driver = '{name}' is not one of {', '.join(known)}; "
-            f"a driver of your own is an entry point of the group {GROUP}"
+            f"a custom driver needs an entry point of the group {ENTRY_POINT_GROUP}"
         )
     if len(found) > 1:
         raise ConfigError(
@@ -85,27 +88,27 @@ def _loaded(kind: DeviceKind, name: str) -> tuple[str, Callable[..., Any]]:
     where = f"devices.{kind}.driver = '{point.name}' ({_origin(point)})"
     try:
         opens = point.load()
-    except Exception as error:  # whatever foreign code does when it is imported
+    except (Exception, SystemExit) as error:  # an import of foreign code can raise anything
         raise ConfigError(f"{where} cannot be loaded: {type(error).__name__}: {error}") from error
     if not callable(opens):
-        raise ConfigError(f"{where} is no callable open(options, robot)")
+        raise ConfigError(f"{where} is not a callable open(options, robot)")
     return where, opens
 
 
 def _opened(
     kind: DeviceKind, where: str, opens: Callable[..., Any], options: Mapping[str, Any], robot: RobotFile
 ) -> Any:
-    """A foreign device, if it is one; raises ConfigError."""
+    """Open an installed device and check its interface; raises ConfigError."""
     device = opens(options, robot)
     interface = INTERFACES[kind]
     missing = [name for name in dir(interface) if not name.startswith("_") and not hasattr(device, name)]
     if missing:
         if callable(close := getattr(device, "close", None)):
             close()
-        raise ConfigError(f"{where} gave a {type(device).__name__} without {', '.join(missing)}, which {kind} need")
+        raise ConfigError(f"{where} returned a {type(device).__name__} without {', '.join(missing)}, which {kind} need")
     return device
 
 
 def _origin(point: EntryPoint) -> str:
-    """Where an entry point comes from."""
+    """Return the origin of an entry point."""
     return point.value if point.dist is None else f"{point.value} of {point.dist.name}"

@@ -1,17 +1,18 @@
-"""Experiments as TOML files: a start pose, a motion, a load, a controller, and cases that vary them."""
+"""Experiments as TOML files: each has a start pose, a motion, a load, a controller, and cases that vary these."""
 
 import itertools
 import math
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field
 
 from core.control.controllers import PositionMode
+from core.control.reachability import check_pose
 from core.control.step import Controller
-from core.errors import CtrError, Unreachable
+from core.errors import CtrError, PoseError, Unreachable
 from core.robot.robot import Array
 from station.config.controllers import ControllerFile
 from station.config.motions import Motion, Orders
@@ -25,65 +26,66 @@ from station.config.strict import (
     Row,
     Strict,
     check,
+    line_reference,
     merged,
-    on_line,
     preset,
     read_toml,
 )
-from station.control.known_calibration import Calibration
-from station.devices.aurora.tracker import Registration
+from station.control.bench_calibration import BenchCalibration
+from station.devices.aurora.tracker import TrackerMounting
 from station.lab.config import LabConfig, load_lab
 from station.lab.faults import LabFault, check_faults
-from station.lab.loads import Load, NoLoad
+from station.lab.loads import Load, NoLoad, force_of
 from station.recording.tracking_errors import counted_from
 
-#: Of one experiment.
-MOST_CASES = 1000
+#: Largest number of cases in one experiment. It limits the waiting time, because each case is checked on the model
+#: before anything runs.
+MAX_CASES = 1000
 
 
 class PaperNumbers(Strict):
-    """What the paper reports, by axis or model; only what it reports."""
+    """Numbers that the paper reports for a case, by axis or model; numbers that it does not report are missing."""
 
     max_abs_error_mm: Mapping[str, float] = {}
     model_error_mm: Mapping[str, float] = {}
 
 
 class CaseFile(Strict):
-    """One case of an experiment, everything filled in."""
+    """One case of an experiment, with every key filled in."""
 
     format: Format = 1
-    """of this file"""
+    """format of this file"""
     title: str
-    """in words, for page and report"""
+    """title on the page and in the report"""
     robot: str = "paper"
-    """preset, or a .toml file beside this one"""
+    """preset, or a .toml file in the folder of this one"""
     lab: str = "gentle"
     """virtual lab: preset or file"""
     start: Mapping[str, float]
     """joint positions [rad or m]"""
     duration: Annotated[float, Field(gt=0.0, le=86400.0)]
-    """of the motion [s]"""
+    """duration of the motion [s]"""
     settling: NotNegative
-    """errors count from here on, or from the load's onset if that is earlier [s]"""
+    """errors count from this time on, or from the load's onset if that is earlier [s]"""
     trajectory: Motion
-    """what the tip is to do"""
+    """desired motion of the tip"""
     load: Load = NoLoad()
-    """what pulls meanwhile"""
+    """external load during the motion"""
     controller: ControllerFile = ControllerFile()
-    """how the tip is controlled"""
+    """controller of the tip"""
     calibration: str = ""
-    """folder with what `calibrate` found; without, everything is taken to be as described"""
+    """folder of a calibration by `calibrate`; if empty, the described values are used"""
     faults: Annotated[tuple[LabFault, ...], Row] = ()
-    """what goes wrong at the simulated devices"""
+    """faults of the simulated devices"""
 
     @property
     def counted_from(self) -> float:
-        """When errors begin to count [s]."""
+        """Time after the motion's start from which errors count [s]."""
         return counted_from(self.settling, self.load.onset)
 
 
 class Case(NamedTuple):
-    """A case ready to run."""
+    """A checked case that is ready to run."""
 
     name: str
     file: CaseFile
@@ -92,18 +94,18 @@ class Case(NamedTuple):
     controller: Controller
     orders: Orders
     start: Array  #: (n,) [rad or m]
-    registration: Registration | None = None  #: of the tracker, from a calibration
-    warnings: tuple[str, ...] = ()  #: what the joints cannot make up for
+    registration: TrackerMounting | None = None  #: pose of the tracker relative to the robot, from a calibration
+    warnings: tuple[str, ...] = ()  #: messages about loads that the joints cannot compensate
 
 
 class Experiment(NamedTuple):
-    """An experiment ready to run."""
+    """A checked experiment that is ready to run."""
 
     name: str
     title: str
     cases: tuple[Case, ...]
-    paper: Mapping[str, PaperNumbers]  #: by case
-    source: str  #: the file's text, kept with the results
+    paper: Mapping[str, PaperNumbers]  #: numbers of the paper by case
+    source: str  #: text of the file, stored with the results
 
 
 class _PaperTable(Strict):
@@ -116,40 +118,55 @@ class _CasesTable(Strict):
 
 
 def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Experiment:
-    """An experiment by preset name or by file, all of it checked before anything runs.
+    """Return an experiment by preset name or file, completely checked before anything runs.
 
     Args:
-        name: of a preset, or a file.
-        changes: laid on top of every case.
+        name: name of a preset, or path of a file.
+        changes: keys that are set in every case.
 
     Raises:
-        ConfigError: with file, case, key, value and what was expected.
+        ConfigError: the experiment is invalid; the message names file, case, key, value and the expected value.
     """
     path = preset("experiments", name)
     table = read_toml(path)
     paper = check(_PaperTable, {"paper": table.pop("paper", {})}, str(path)).paper
     listed = {key: table.pop(key, {}) for key in ("cases", "cross")}
-    asked = check(_CasesTable, listed, str(path))
-    if (count := len(asked.cases) + math.prod(map(len, asked.cross.values())) * bool(asked.cross)) > MOST_CASES:
+    tables = check(_CasesTable, listed, str(path))
+    if (count := len(tables.cases) + math.prod(map(len, tables.cross.values())) * bool(tables.cross)) > MAX_CASES:
         raise ConfigError(
-            f"{path}: {count} cases; at most {MOST_CASES} are taken, which are tried on the model one by one before"
+            f"{path}: {count} cases; at most {MAX_CASES} are allowed, because each is checked on the model before"
             " anything runs: divide them among several files"
         )
-    variations = variants(asked.model_dump()) or {path.stem: {}}
+    variations = variants(tables.model_dump()) or {path.stem: {}}
     cases: list[Case] = []
-    tried: dict[str, tuple[str, ...]] = {}
+    checked: dict[str, tuple[str, ...]] = {}
     for case, variation in variations.items():
-        cases.append(_case(path, case, merged(merged(table, variation), changes or {}), table, tried))
+        changed = _at_working_pose(path, merged(table, variation), changes or {})
+        cases.append(_case(path, case, changed, table, checked))
     if unknown := [case for case in paper if case not in variations]:
         raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
     return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, table.text)
 
 
-def variants(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """What each case of an experiment's table changes, by its name.
+def _at_working_pose(path: Path, table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table of a case with `changes`, and with the working pose of a changed robot.
 
-    These are its `cases`; and of its `cross`, which has several choices on each of several axes, every combination,
-    named by its choices from the first axis to the last.
+    If the case starts at the working pose of its robot, and `changes` set another robot that has a working pose, the
+    case starts at the working pose of that robot.
+    """
+    changed = merged(table, changes)
+    if "robot" in changes and "start" not in changes:
+        described, robot = (load_robot(_resolve_paths(path, one).get("robot", "paper")) for one in (table, changed))
+        if robot.working_pose is not None and table.get("start") == described.working_pose:
+            changed["start"] = dict(robot.working_pose)
+    return changed
+
+
+def variants(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the keys that each case of an experiment's table changes, by the name of the case.
+
+    The table `cases` lists cases. The table `cross` has several axes, each with several choices: every combination of
+    choices is a case, and its name consists of the choices' names from the first axis to the last.
     """
     found = {name: dict(changes) for name, changes in table.get("cases", {}).items()}
     axes = [axis.items() for axis in table.get("cross", {}).values()]
@@ -157,39 +174,40 @@ def variants(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         changes: dict[str, Any] = {}
         for _, part in choice:
             changes = merged(changes, part)
-        found[crossed(*(name for name, _ in choice))] = changes
+        found[crossed_name(*(name for name, _ in choice))] = changes
     return found
 
 
-def crossed(*names: str) -> str:
-    """Name of the case that combines these choices."""
+def crossed_name(*names: str) -> str:
+    """Return the name of the case that combines the choices with these names."""
     return "-".join(names)
 
 
 _shipped = cache(load_experiment)
 
 
-def offered(name: str) -> Experiment:
-    """A preset or one's own, for a station that runs: what comes with the station is tried on the model only once.
+def offered_experiment(name: str) -> Experiment:
+    """Return an experiment for a running station; an experiment preset is checked on the model only once.
 
-    One's own is read anew each time: it may have been edited meanwhile.
+    A user's file is read and checked each time, because it may have been edited.
 
     Raises:
-        ConfigError: as `load_experiment`.
+        ConfigError: the experiment is invalid; the message is that of `load_experiment`.
     """
     return _shipped(name) if preset("experiments", name).is_relative_to(PRESETS) else load_experiment(name)
 
 
 def _case(
     path: Path, name: str, table: Mapping[str, Any], document: Mapping[str, Any],
-    tried: dict[str, tuple[str, ...]],
+    checked: dict[str, tuple[str, ...]],
 ) -> Case:  # fmt: skip
-    """One case, whose settings are in `table`, of the file that is `document`.
+    """Return the case with the settings in `table`, from the file `document`.
 
-    `tried` are motions known to be good, and what their loads are warned of.
+    `checked` collects the motions that have passed the check, each with the warnings about its load. So cases with the
+    same motion are checked once.
     """
     source, within = f"{path}: case '{name}'", f"cases.{name}"
-    file = check(CaseFile, _paths_beside(path, table), source, document, within)
+    file = check(CaseFile, _resolve_paths(path, table), source, document, within)
     robot = load_robot(file.robot)
     lab = load_lab(file.lab, robot)
     try:
@@ -197,62 +215,67 @@ def _case(
         check_faults(file.faults, robot)
         if file.faults and lab.devices == "ideal":
             raise ConfigError(f"faults: the devices of lab '{file.lab}' are ideal and have none; choose another lab")
-        calibration = Calibration.load(Path(file.calibration), robot) if file.calibration else None
-        # The lab's true robot differs from the one described, whatever is found out about it.
+        calibration = BenchCalibration.load(Path(file.calibration), robot) if file.calibration else None
+        # The controller gets the calibrated robot. The lab keeps simulating its own true robot, which differs from it.
         controller = file.controller.controller(robot if calibration is None else calibration.robot)
         if calibration is not None:
             controller = calibration.applied(controller)
-        controller.limits.check(start)
-        controller.statics.robot.check_pose(start)
+        check_pose(controller.statics, controller.limits, start)
         orders = Orders(file.trajectory, controller.statics.robot)
         if orders.follow is not None and lab.target is None:
             raise ConfigError(
                 f"trajectory.kind = 'follow': lab '{file.lab}' has no target; choose one with a table [target],"
                 " for instance 'breathing'"
             )
-        # Cases that differ in nothing that the way depends on try it once.
-        settings = (file.controller.sublink, file.controller.task, file.controller.direction_weight)
-        way = repr((file.robot, file.calibration, settings, file.start, file.trajectory, file.duration))
-        if way not in tried:
+        # Cases with the same motion check it once.
+        settings = (
+            file.controller.integrator,
+            file.controller.sublink,
+            file.controller.task,
+            file.controller.direction_weight,
+        )
+        force_of(file.load, 0.0)
+        motion = repr((file.robot, file.calibration, settings, file.start, file.trajectory, file.duration))
+        if motion not in checked:
             orders.check(controller, start, file.duration)
-            tried[way] = ()
+            checked[motion] = ()
         if isinstance(controller.strategy.outer, PositionMode) and file.load.changes:
-            way += repr(file.load)
-            if way not in tried:
-                tried[way] = load_warnings(orders, controller, start, file.duration, file.load)
+            motion += repr(file.load)
+            if motion not in checked:
+                checked[motion] = load_warnings(orders, controller, start, file.duration, file.load)
     except CtrError as error:
-        raise ConfigError(f"{source}: {error}{on_line(document, str(error), within)}") from None
+        raise ConfigError(f"{source}: {error}{line_reference(document, str(error), within)}") from None
     registration = None if calibration is None else calibration.registration
-    return Case(name, file, robot, lab, controller, orders, start, registration, tried[way])
+    return Case(name, file, robot, lab, controller, orders, start, registration, checked[motion])
 
 
 def load_warnings(orders: Orders, controller: Controller, start: Array, duration: float, load: Load) -> tuple[str, ...]:
-    """What a person should know of a load: when it is first more than the joints can make up for, and which limit.
+    """Return a warning if the joints cannot compensate a load: from which time on, and which limit prevents it.
 
-    A load is a disturbance, not a wish, and so never refused. Empty when the joints can, where the tip is not
-    controlled in its position anyway, and of a load beside the tip, which is not tried.
+    A load is a disturbance, so it is never refused. No warning is returned if the joints can compensate the load, or if
+    the controller does not control the tip's position. A load that does not act at the tip is not checked.
     """
     if not isinstance(controller.strategy.outer, PositionMode) or math.isfinite(load.contact):
         return ()
     try:
-        orders.check(controller, start, duration, load.force)
-    except Unreachable as error:
-        return (f"load {load.kind} is more than the joints can make up for: {error}",)
+        orders.check(controller, start, duration, partial(force_of, load))
+    except (Unreachable, PoseError) as error:
+        return (f"the joints cannot compensate load {load.kind}: {error}",)
     return ()
 
 
-def _paths_beside(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table with the files that it names where it means them: beside itself."""
+def _resolve_paths(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a case's table in which file names are relative to the folder of the experiment's file."""
 
-    def placed(holder: Mapping[str, Any], key: str, ending: str) -> dict[str, Any]:
-        named = holder.get(key)
+    def resolved(part: Mapping[str, Any], key: str, ending: str) -> dict[str, Any]:
+        named = part.get(key)
         if isinstance(named, str) and named.endswith(ending):
-            return {**holder, key: str(path.parent / named)}
-        return dict(holder)
+            return {**part, key: str(path.parent / named)}
+        return dict(part)
 
-    result = placed(placed(table, "robot", ".toml"), "lab", ".toml")
+    result = resolved(resolved(table, "robot", ".toml"), "lab", ".toml")
     if result.get("calibration"):
-        result = placed(result, "calibration", "")
+        result = resolved(result, "calibration", "")
     if isinstance(motion := result.get("trajectory"), Mapping):
-        result["trajectory"] = placed(motion, "file", "")
+        result["trajectory"] = resolved(motion, "file", "")
     return result

@@ -1,7 +1,7 @@
-"""Ctrl-C as a question instead of an exception.
+"""Ctrl-C as a flag that a loop polls, instead of the exception KeyboardInterrupt.
 
-A KeyboardInterrupt may strike anywhere, inside compiled code too, where it comes out as a
-SystemError. A loop that asks ends where it can.
+A KeyboardInterrupt may occur at any instruction, and inside compiled code it becomes a SystemError. A loop that polls
+the flag ends at a safe point instead.
 """
 
 import signal
@@ -12,9 +12,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def interrupts() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed meanwhile; a second press is the ordinary exception."""
+    """Return a function that reports whether Ctrl-C was pressed; a second press raises KeyboardInterrupt."""
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: False  # signals go to the main thread
+        yield lambda: False  # Python delivers signals to the main thread only
         return
     pressed = threading.Event()
     before = signal.getsignal(signal.SIGINT)

@@ -1,7 +1,7 @@
-"""The manifests in a sweep's folder: the plan as the first line, then a line of JSON for each run that is done.
+"""Manifest of a sweep: a file of JSON lines. The first line is the plan; each further line is a finished run.
 
-There is one, or one for each part of a sweep that many computers share. A line is written whole, and at once; what is
-left of one that was not (kill -9, a full disk) is dropped, and its run is made again.
+A sweep's folder has one manifest, or one for each part of a sweep on many computers. Each line is written as soon as
+its run is done. A kill or a full disk may leave an incomplete last line: it is dropped, and its run is repeated.
 """
 
 import json
@@ -13,46 +13,46 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, Self
 
 from station.config.strict import ConfigError, check
-from station.experiments.sweep_plan import Plan
-from station.recording.kept_lines import KeptLines, whole_lines
-from station.recording.label import RecordingError
-from station.recording.run_folder import SUMMARY
+from station.experiments.sweep_plan import SweepPlan
+from station.recording.line_store import KeptLines, complete_lines
+from station.recording.run_folder import SUMMARY_FILE
+from station.recording.run_outcome import RecordingError
 
-NAME = re.compile(r"manifest(?:-(\d+)-of-(\d+))?\.jsonl")
+MANIFEST_NAME = re.compile(r"manifest(?:-(\d+)-of-(\d+))?\.jsonl")
 
-#: A run that is done: `run` (its number), `setting`, `case`, `seed`, `versions`, and the numbers of `summarise`.
+#: Line of a finished run: keys `run` (its number), `setting`, `case`, `seed`, `versions`, and those of `summarise`.
 Row = Mapping[str, Any]
 
 
-class Kept(NamedTuple):
-    """What a manifest has."""
+class ManifestEntry(NamedTuple):
+    """Content of a manifest file, as `read` returns it."""
 
-    plan: Plan | None  #: None: not even a first line
-    rows: dict[int, Row]  #: by the run's number
-    length: int  #: of its whole lines [bytes]
+    plan: SweepPlan | None  #: plan of the sweep; None if the first line is missing
+    rows: dict[int, Row]  #: finished runs by their number
+    length: int  #: length of all complete lines [bytes]; the next line is written there
 
 
 class Manifest:
-    """A part of a sweep that is being carried out; its manifest is locked until it is closed."""
+    """Manifest of the part of a sweep that this process carries out; the file is locked until it is closed."""
 
-    def __init__(self, folder: Path, plan: Plan, part: int = 1) -> None:
-        """Begin it, or go on with it.
+    def __init__(self, folder: Path, plan: SweepPlan, part: int = 1) -> None:
+        """Create the manifest, or continue an existing one.
 
         Raises:
-            RecordingError: another sweep is kept there, somebody else carries it out, or the disk does not take it.
+            RecordingError: the folder has another sweep, another process carries out this part, or the disk is full.
         """
         self._runs = _Runs(plan, part)
         self.path = folder / manifest_name(part, plan.parts)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            there = _manifests(folder)
-            if not there and (folder / SUMMARY).exists():
-                raise RecordingError(f"{folder}: there is another run; choose another folder")
-            for path in there:
+            existing = _manifests(folder)
+            if not existing and (folder / SUMMARY_FILE).exists():
+                raise RecordingError(f"{folder}: the folder has another run; choose another folder")
+            for path in existing:
                 _refuse_another(path, plan)
             self._file = KeptLines(self.path, "carries this sweep out")
         except OSError as error:
-            raise RecordingError(f"{folder}: cannot write results there: {error.strerror}") from None
+            raise RecordingError(f"{folder}: cannot write results: {error.strerror}") from None
         try:
             _refuse_another(self.path, plan)
             kept = read(self.path)
@@ -70,68 +70,68 @@ class Manifest:
         self.close()
 
     def close(self) -> None:
-        """Let others have it."""
+        """Close and unlock the manifest."""
         self._file.close()
 
     def append(self, row: Row) -> None:
-        """Keep a run that is done.
+        """Store the row of a finished run.
 
         Raises:
-            RecordingError: it is none of this part, was made by other versions, or the disk does not take it.
+            RecordingError: the run is not in this part, its versions differ, or the disk is full.
         """
-        if wrong := self._runs.wrong(row):
-            raise RecordingError(f"{self.path}: not kept: {wrong}")
+        if mismatch := self._runs.mismatch(row):
+            raise RecordingError(f"{self.path}: not stored: {mismatch}")
         self.rows[row["run"]] = json.loads(self._file.append(row))
 
 
 def manifest_name(part: int, parts: int) -> str:
-    """`manifest.jsonl`, or `manifest-2-of-4.jsonl`."""
+    """Return `manifest.jsonl`, or `manifest-2-of-4.jsonl` for a part."""
     return "manifest.jsonl" if parts == 1 else f"manifest-{part}-of-{parts}.jsonl"
 
 
-def read_plan(path: Path) -> Plan | None:
-    """The plan that a manifest is of; None: not even that was written.
+def read_plan(path: Path) -> SweepPlan | None:
+    """Return the plan of a manifest; None if its first line is missing or incomplete.
 
     Raises:
-        RecordingError: it cannot be read, or is of another version.
+        RecordingError: the manifest cannot be read, or was written by another version of ctr-station.
     """
     with _reading(path) as file:
         first = file.readline()
     try:
-        return check(Plan, json.loads(first), str(path)) if first.endswith(b"\n") else None
+        return check(SweepPlan, json.loads(first), str(path)) if first.endswith(b"\n") else None
     except (ValueError, ConfigError) as error:
-        raise RecordingError(f"{error}; {path.name} is no manifest of this version of ctr-station") from None
+        raise RecordingError(f"{error}; {path.name} is not a manifest of this version of ctr-station") from None
 
 
-def read(path: Path) -> Kept:
-    """What is kept in a manifest; half a line at its end counts as none.
+def read(path: Path) -> ManifestEntry:
+    """Return the content of a manifest; an incomplete last line is ignored.
 
     Raises:
-        RecordingError: it cannot be read, or a line is no run of its plan.
+        RecordingError: the manifest cannot be read, or one of its lines is not a run of its plan.
     """
     plan = read_plan(path)
     if plan is None:
-        return Kept(None, {}, 0)
+        return ManifestEntry(None, {}, 0)
     with _reading(path) as file:
         data = file.read()
-    (found, length), runs, rows = whole_lines(path, data), _Runs(plan, _part(path, plan)), dict[int, Row]()
+    (found, length), runs, rows = complete_lines(path, data), _Runs(plan, _part(path, plan)), dict[int, Row]()
     for number, row in enumerate(found[1:], 2):
-        if wrong := runs.wrong(row) or ("the run is there twice" if row["run"] in rows else ""):
-            raise RecordingError(f"{path}, line {number}: {wrong}")
+        if mismatch := runs.mismatch(row) or ("the run occurs twice" if row["run"] in rows else ""):
+            raise RecordingError(f"{path}, line {number}: {mismatch}")
         rows[row["run"]] = row
-    return Kept(plan, rows, length)
+    return ManifestEntry(plan, rows, length)
 
 
-def merged(folder: Path) -> tuple[Plan, list[Row]]:
-    """All runs of the parts in a folder, in their order.
+def merged(folder: Path) -> tuple[SweepPlan, list[Row]]:
+    """Return the plan of a divided sweep and the rows of all its parts in a folder, in the order of the runs.
 
     Raises:
-        RecordingError: a part or a run is missing, twice or of another sweep.
+        RecordingError: a part or a run is missing, is there twice, or belongs to another sweep.
     """
     paths = _manifests(folder)
     plan = next((plan for path in paths if (plan := read_plan(path)) is not None), None)
     if plan is None:
-        raise RecordingError(f"{folder}: no sweep is kept there")
+        raise RecordingError(f"{folder}: the folder has no sweep")
     for path in paths:
         _refuse_another(path, plan)
     rows = dict[int, Row]()
@@ -141,16 +141,16 @@ def merged(folder: Path) -> tuple[Plan, list[Row]]:
         if not path.is_file():
             raise RecordingError(f"{path} is missing: carry out the sweep with {option}")
         kept = read(path).rows
-        if lacking := len(plan.part(part)) - len(kept):
+        if missing := len(plan.part(part)) - len(kept):
             raise RecordingError(
-                f"{path}: {lacking} of {len(plan.part(part))} runs are missing; the same command, {option}, goes on"
+                f"{path}: {missing} of {len(plan.part(part))} runs are missing; the same command, {option}, continues"
             )
         rows |= kept
     return plan, [rows[number] for number in sorted(rows)]
 
 
-def folder_of(out: Path, plan: Plan) -> Path:
-    """Where a sweep goes that was told no folder of its own: on with the same one if that is not done, or a new one."""
+def folder_of(out: Path, plan: SweepPlan) -> Path:
+    """Return the default folder of a sweep: an existing one with the same, unfinished sweep, or else a new one."""
     for folder in sorted(out.glob(f"sweep-{plan.experiment}-*"), reverse=True):
         with suppress(RecordingError):
             path = folder / manifest_name(1, 1)
@@ -165,35 +165,35 @@ def folder_of(out: Path, plan: Plan) -> Path:
 
 
 def _manifests(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.glob("manifest*.jsonl") if NAME.fullmatch(path.name))
+    return sorted(path for path in folder.glob("manifest*.jsonl") if MANIFEST_NAME.fullmatch(path.name))
 
 
-def _refuse_another(path: Path, plan: Plan) -> None:
+def _refuse_another(path: Path, plan: SweepPlan) -> None:
     kept = read_plan(path)
     if kept is not None and (difference := plan.difference(kept)):
-        raise RecordingError(f"{path}: another sweep is kept there: {difference}")
+        raise RecordingError(f"{path}: the folder has another sweep: {difference}")
 
 
 class _Runs:
-    """The runs of a part, to hold rows against."""
+    """Runs that belong to one part of a sweep; a row is checked against them before it is stored."""
 
-    def __init__(self, plan: Plan, part: int) -> None:
+    def __init__(self, plan: SweepPlan, part: int) -> None:
         self._versions = plan.versions
         about = plan.about()
         self._about = {number: about[number] for number in plan.part(part)}
 
-    def wrong(self, row: Any) -> str:
-        """What makes it none of them; empty when it is one."""
+    def mismatch(self, row: Any) -> str:
+        """Return the reason why a row does not belong to this part of the sweep; empty if it belongs to it."""
         if not isinstance(row, Mapping) or (number := row.get("run")) not in self._about:
-            return "no run of this part"
+            return "not a run of this part"
         if (row.get("setting"), row.get("case"), row.get("seed")) != self._about[number]:
             return f"run {number} has another setting, case or seed in this sweep"
         if not isinstance(row.get("completed"), bool) or not isinstance(row.get("cause"), str):
-            return f"run {number} does not say how it ended"
+            return f"run {number} has no valid outcome ('completed' and 'cause')"
         made = row.get("versions", {})
         for name, version in self._versions.items():
             if made.get(name) != version:
-                return f"run {number} was made with {name} {made.get(name)}, this sweep with {version}"
+                return f"run {number} was made with {name} {made.get(name)}, but this sweep uses {version}"
         return ""
 
 
@@ -206,10 +206,10 @@ def _reading(path: Path) -> Iterator[BinaryIO]:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def _part(path: Path, plan: Plan) -> int:
-    """The part that a manifest is of, by its name."""
-    named = NAME.fullmatch(path.name)
+def _part(path: Path, plan: SweepPlan) -> int:
+    """Return the number of a manifest's part from its file name."""
+    named = MANIFEST_NAME.fullmatch(path.name)
     part, parts = (int(number or 1) for number in named.groups()) if named else (1, 0)
     if parts != plan.parts or not 1 <= part <= parts:
-        raise RecordingError(f"{path}: is not named as it was: the sweep in it has {plan.parts} parts")
+        raise RecordingError(f"{path}: the file was renamed: its sweep has {plan.parts} parts")
     return part

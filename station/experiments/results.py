@@ -1,4 +1,4 @@
-"""Numbers of a run: tracking errors as the paper counts them, and against the plant's true tip."""
+"""Summary numbers of a run: tracking errors as in the paper, and errors of the plant's true tip."""
 
 from typing import Any
 
@@ -7,25 +7,29 @@ from numpy.typing import NDArray
 
 from core.robot.limits import TubeOrder
 from core.robot.robot import Array
-from station.config.controllers import PERIOD
+from station.config.controllers import PERIOD_S
 from station.config.motions import StepMotion
-from station.experiments.changes import window_name, windows
+from station.experiments.case_summary import model_note
+from station.experiments.load_windows import load_windows, window_name
 from station.experiments.runner import Recording
 from station.experiments.step_fit import fit_step, fold
+from station.recording.saturation import limited_parts, saturation_warning
 from station.recording.tracking_errors import desired, errors, frame_errors, largest_force, rms, rounded
 
-#: Ticks over which the model's tip is averaged before it is compared: the noise of one force sample, 0.02 N in each
-#: sensor, moves it by a millimetre, and that says nothing about the model.
-AVERAGED = 251
-#: Ticks that the reference of the deflection's rate looks at, before and after together.
-HINDSIGHT = 501
+#: Number of ticks over which the model's tip is averaged before it is compared with the tracker. Without averaging,
+#: the noise of one force sample (0.02 N in each sensor) moves this tip by a millimetre, which is no error of the model.
+AVERAGING_TICKS = 251
+#: Number of ticks in the window, centred on the current tick, from which the reference rate of the deflection is
+#: computed.
+SMOOTHING_TICKS = 501
 
 
 def summarise(recording: Recording) -> dict[str, Any]:
-    """Errors from `counted_from_s` on, in millimetres, and what else the figures need.
+    """Return the summary of a run: its tip errors from `counted_from_s` on [mm], and the other numbers of the figures.
 
-    `true_` is desired minus the plant's tip; without it desired minus the tracker's tip, each frame
-    compared with the setpoint of the moment it was taken.
+    Errors with the prefix `true_` are the desired tip position minus that of the simulated real robot (plant). Errors
+    without this prefix are the desired tip position minus that in a tracker frame; each frame is compared with the
+    setpoint at the time of its measurement.
     """
     channels, rows, first = recording.channels, recording.rows, recording.case.file.counted_from
     summary: dict[str, Any] = {
@@ -35,8 +39,10 @@ def summarise(recording: Recording) -> dict[str, Any]:
         "wall_s": round(recording.wall_s, 3),
     }
     if recording.rates:
-        # What each axis really got over its line.
+        # Rates of the velocity commands and position polls that each axis received over its serial line.
         summary["line_rates"] = {axis: dict(rates) for axis, rates in recording.rates.items()}
+    if note := model_note(recording.case):
+        summary["model"] = note
     if recording.case.warnings:
         summary["warnings"] = list(recording.case.warnings)
 
@@ -49,6 +55,12 @@ def summarise(recording: Recording) -> dict[str, Any]:
     if len(frames) == 0:
         return summary
     counted = rows[is_counted]
+    if of("target_followed").any():
+        joints = recording.case.robot.joints
+        parts = limited_parts([joint.name for joint in joints], of("at_bound"), of("target_followed")[:, 0])
+        summary["followed_at_limit"] = {joint: round(part, 3) for joint, part in parts.items()}
+        if warning := saturation_warning(parts):
+            summary["warnings"] = [*summary.get("warnings", ()), warning]
     summary["counted_from_s"] = first
     summary |= largest_force(channels.of(counted, "force_filtered"))
     times, frame_times = of("time")[:, 0], channels.of(frames, "tip_time")[:, 0]
@@ -67,9 +79,9 @@ def summarise(recording: Recording) -> dict[str, Any]:
         if not sweeps:
             error = desired(of, "target_true") - of("tip_true")
             summary |= errors("true_", error[is_counted])
-            summary |= _by_change(recording, error)
+            summary |= _errors_by_change(recording, error)
             if recording.case.orders.follow is not None:
-                summary |= _settled(recording, error)
+                summary |= _settled_errors(recording, error)
             summary |= _direction(recording, is_counted)
             summary |= _edges(recording)
         for group in ("force", "force_filtered"):
@@ -90,15 +102,17 @@ def summarise(recording: Recording) -> dict[str, Any]:
 
 
 def _direction(recording: Recording, counted: NDArray[np.bool_]) -> dict[str, Any]:
-    """How far the true tip pointed elsewhere than it should, or than at the start where nobody asked [deg].
+    """Return the direction error of the true tip [deg]: angle to the desired direction, or else to that at the start.
 
-    Only of more joints than a place takes, and in a lab that looks at it.
+    Empty for a robot with at most three joints, which cannot control the direction, and in a lab that does not report
+    the true direction.
     """
     channels, rows = recording.channels, recording.rows
-    true, wanted = channels.of(rows, "direction_true"), channels.of(rows, "direction_desired")
+    true, desired_direction = channels.of(rows, "direction_true"), channels.of(rows, "direction_desired")
     if len(recording.case.robot.joints) <= 3 or not true.any():
         return {}
-    off = angles(true, wanted if wanted.any() else np.broadcast_to(true[0], true.shape))[counted]
+    reference = desired_direction if desired_direction.any() else np.broadcast_to(true[0], true.shape)
+    off = angles(true, reference)[counted]
     error = np.linalg.norm(channels.of(rows, "tip_desired") - channels.of(rows, "tip_true"), axis=1)[counted]
     return {
         "true_p95_distance_mm": rounded(1e3 * np.percentile(error, 95.0)),
@@ -107,12 +121,12 @@ def _direction(recording: Recording, counted: NDArray[np.bool_]) -> dict[str, An
 
 
 def angles(first: Array, second: Array) -> Array:
-    """Between directions (k, 3) [deg]."""
+    """Return the angles between two sets of directions (k, 3) [deg]."""
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1)))
 
 
 def _edges(recording: Recording) -> dict[str, Any]:
-    """How near the joints came to edges, where there are more of them than a place takes."""
+    """Return the smallest margins of a redundant robot during a run: stability, joint travel, order of the tubes."""
     limits, joints = recording.case.controller.limits, recording.channels.of(recording.rows, "joints")
     if len(limits.joints) <= 3:
         return {}
@@ -128,33 +142,36 @@ def _edges(recording: Recording) -> dict[str, Any]:
     }
 
 
-def _settled(recording: Recording, error: Array) -> dict[str, Any]:
-    """True errors (ticks, 3) [m] beside a target once its rhythms are known, whatever the load does."""
-    begin = recording.case.file.settling
-    settled = error[recording.channels.of(recording.rows, "time")[:, 0] >= begin - 1e-9]
-    return {"settled_from_s": begin, **errors("settled_true_", settled)} if len(settled) else {}
+def _settled_errors(recording: Recording, error: Array) -> dict[str, Any]:
+    """Return the tip errors of a run that follows a target, from the settling time on, whatever the load does.
+
+    `error` (ticks, 3) is the desired minus the true tip position [m].
+    """
+    start = recording.case.file.settling
+    settled = error[recording.channels.of(recording.rows, "time")[:, 0] >= start - 1e-9]
+    return {"settled_from_s": start, **errors("settled_true_", settled)} if len(settled) else {}
 
 
-def _by_change(recording: Recording, error: Array) -> dict[str, Any]:
-    """True errors (ticks, 3) [m] from each change of the load to the next."""
+def _errors_by_change(recording: Recording, error: Array) -> dict[str, Any]:
+    """Return the errors of the true tip (ticks, 3) [m], summarised from each change of the load to the next one."""
     file, time = recording.case.file, recording.channels.of(recording.rows, "time")[:, 0]
     found: dict[str, Any] = {}
-    for begin, end in windows(file.load, file.duration):
-        within = error[(time >= begin - 1e-9) & (time < end - 1e-9)]
+    for start, end in load_windows(file.load, file.duration):
+        within = error[(time >= start - 1e-9) & (time < end - 1e-9)]
         if len(within):
-            found[window_name(begin)] = errors("true_", within)
+            found[window_name(start)] = errors("true_", within)
     return {"by_change": found} if found else {}
 
 
-def averaged_model(tips: Array, ticks: int = AVERAGED) -> Array:
-    """Tips of a model (ticks, 3) [m] as they are compared with a tracker: means over `ticks` around each tick."""
-    from scipy.ndimage import uniform_filter1d  # here and below: half of what a command takes to start
+def averaged_model(tips: Array, ticks: int = AVERAGING_TICKS) -> Array:
+    """Return the moving average over `ticks` of a model's tips (ticks, 3) [m], for the comparison with a tracker."""
+    from scipy.ndimage import uniform_filter1d  # imported late: SciPy takes half of a command's start time
 
     return uniform_filter1d(tips, ticks, axis=0, mode="nearest")
 
 
 def _step(recording: Recording, group: str, motion: StepMotion) -> dict[str, float]:
-    """How the tip got along the step, beside the rate that eq. (31) promises."""
+    """Return rate and dead time of the tip's fitted step response, and the rate that the paper's eq. (31) predicts."""
     channels, rows, offset = recording.channels, recording.rows, np.array(motion.offset)
     start = channels.of(rows, "tip_desired")[0] - offset
     response = (channels.of(rows, group) - start) @ offset / float(offset @ offset)
@@ -168,23 +185,23 @@ def _step(recording: Recording, group: str, motion: StepMotion) -> dict[str, flo
 
 
 def hindsight_rate(deflection: Array) -> Array | None:
-    """Rate of a deflection (ticks, 3) [m] as only hindsight knows it: a cubic through a second of it [m/s].
+    """Return the reference rate of a deflection (ticks, 3) [m]: slope of a cubic fit through one second [m/s].
 
-    None when there is no second.
+    The fit uses samples before and after each tick. None for a recording shorter than one second.
     """
-    if len(deflection) <= HINDSIGHT:
+    if len(deflection) <= SMOOTHING_TICKS:
         return None
     from scipy.signal import savgol_filter
 
-    smoothed = savgol_filter(deflection, HINDSIGHT, 3, deriv=1, delta=PERIOD, axis=0)
+    smoothed = savgol_filter(deflection, SMOOTHING_TICKS, 3, deriv=1, delta=PERIOD_S, axis=0)
     return np.asarray(smoothed, dtype=np.float64)
 
 
 def _rate_errors(recording: Recording) -> dict[str, Any]:
-    """How far the rates of Delta_total are from what it does."""
+    """Return the RMS errors of the estimated rates of Delta_total [mm/s]."""
     channels, rows = recording.channels, recording.rows
-    if len(rows) > 1 and rows[1, 0] - rows[0, 0] > 1.5 * PERIOD:
-        return {}  # not every tick is here
+    if len(rows) > 1 and rows[1, 0] - rows[0, 0] > 1.5 * PERIOD_S:
+        return {}  # the rows are decimated, so a rate cannot be computed
     true = hindsight_rate(channels.of(rows, "deflection"))
     if true is None:
         return {}

@@ -1,4 +1,4 @@
-"""Carries out one case in the virtual lab: the same control loop as at a bench, on any clock."""
+"""Runner of one case: the control loop of the real station in the virtual lab, on a real or virtual clock."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -9,37 +9,38 @@ import numpy as np
 
 from core.errors import CtrError
 from core.robot.robot import Array
-from station.config.controllers import PERIOD
+from station.config.controllers import PERIOD_S
 from station.control.clock import Clock
 from station.control.loop import ControlLoop
 from station.control.realtime import uncollected
 from station.control.states import State
-from station.control.task import Phase, Task
+from station.control.task import MotionTask, Phase
 from station.control.telemetry import Channels
 from station.experiments.experiment import Case
 from station.experiments.interrupt import interrupts
 from station.lab.virtual_bench import virtual_bench
 
-#: Longest wait until the devices are connected and the controller has begun [s].
-BRING_UP = 60.0
-#: Why a run did not complete that Ctrl-C has ended.
+#: Longest time to wait until the devices are connected and the station is READY [s].
+CONNECT_TIMEOUT_S = 60.0
+#: Value of `cause` in the result of a run that Ctrl-C has ended.
 INTERRUPTED = "interrupted"
 
 
 class Recording(NamedTuple):
-    """What a case left behind."""
+    """Result of one run of a case."""
 
     case: Case
     channels: Channels
-    #: (ticks, channels) of the motion, without its preparation; time counts from its start. None if recorded.
+    #: Telemetry (ticks, channels) of the motion without its preparation; time counts from the start of the motion.
+    #: Empty when the rows were recorded in a file.
     rows: Array
     completed: bool
-    cause: str  #: why it did not complete
-    simulated_s: float  #: preparation included
-    wall_s: float
-    #: Of each device at the end: who it is and what it has counted; and of each axis that says so, the
-    #: velocities and polls a second that it got during the motion.
+    cause: str  #: reason why the run did not complete
+    simulated_s: float  #: simulated time with the preparation [s]
+    wall_s: float  #: elapsed real time [s]
+    #: Identity and counters of each device at the end of the run.
     devices: Mapping[str, Any] = MappingProxyType({})
+    #: Velocity commands and position polls of each axis during the motion [1/s].
     rates: Mapping[str, Mapping[str, float]] = MappingProxyType({})
 
 
@@ -50,22 +51,22 @@ def run_case(
     progress: Callable[[float], None],
     record: Callable[[Array], None] | None = None,
 ) -> Recording:
-    """Run to the end, to a stop, or to Ctrl-C.
+    """Run a case until its motion has ended, the station stops it, or the user presses Ctrl-C.
 
     Args:
-        case: what to run.
-        seed: of everything random in the virtual lab.
-        clock: real or virtual.
-        progress: told the fraction done, twice a simulated second.
-        record: given each row as it comes; then none is kept in memory, however long the run is.
+        case: case to run.
+        seed: seed of all random numbers in the virtual lab.
+        clock: real or virtual clock.
+        progress: receives the fraction done, twice in a simulated second.
+        record: receives each row; then no row stays in memory, however long the run is.
     """
     wall = time.perf_counter()
     lab, devices = virtual_bench(case.robot, case.lab, seed, case.start, case.registration)
     loop = ControlLoop(case.controller, devices)
     rows: list[Array] = []
     keep = rows.append if record is None else record
-    later = np.zeros(len(loop.channels))  # what is taken off a row, for times to count from the motion's start
-    tick, kept, motion_start, cause, begun = 0, 0, 0.0, "", False
+    later = np.zeros(len(loop.channels))  # subtracted from each row, so that times count from the motion's start
+    tick, kept, motion_start, cause, started = 0, 0, 0.0, "", False
     counted: Mapping[str, Any] = {}
     loop.connect(0.0)
     try:
@@ -74,15 +75,18 @@ def run_case(
                 if interrupted():
                     cause = INTERRUPTED
                     break
-                now = tick * PERIOD
+                now = tick * PERIOD_S
                 clock.wait_until(now)
                 row = loop.tick(now, lab.advance(now))
-                if not begun:
+                if not started:
                     if loop.state is State.READY:
-                        loop.start(Task(case.controller, case.orders, case.file.duration, case.start))
-                        begun = True
-                    elif loop.cause or now > BRING_UP:
-                        cause = loop.cause or f"{loop.state.name} after {BRING_UP:g} s: {_waiting_for(loop, now)}"
+                        loop.start(MotionTask(case.controller, case.orders, case.file.duration, case.start))
+                        started = True
+                    elif loop.cause or now > CONNECT_TIMEOUT_S:
+                        cause = (
+                            loop.cause
+                            or f"{loop.state.name} after {CONNECT_TIMEOUT_S:g} s: {_connect_problem(loop, now)}"
+                        )
                         break
                 elif loop.progress is None:
                     cause = loop.cause
@@ -107,15 +111,15 @@ def run_case(
     except CtrError as error:
         cause = str(error)
     table = np.array(rows) if rows else np.empty((0, len(loop.channels)))
-    said = {name: getattr(devices, name).details() for name in ("stages", "tracker", "sensors")}
-    rates = _rates(counted, said["stages"], kept * PERIOD)
+    details = {name: getattr(devices, name).details() for name in ("stages", "tracker", "sensors")}
+    rates = _rates(counted, details["stages"], kept * PERIOD_S)
     return Recording(
-        case, loop.channels, table, not cause, cause, tick * PERIOD, time.perf_counter() - wall, said, rates
+        case, loop.channels, table, not cause, cause, tick * PERIOD_S, time.perf_counter() - wall, details, rates
     )
 
 
 def _rates(before: Mapping[str, Any], after: Mapping[str, Any], time: float) -> dict[str, dict[str, float]]:
-    """Velocities and polls a second of each axis."""
+    """Return the velocity commands and position polls of each axis [1/s]."""
     return {
         axis: {f"{kind}_per_s": round((now[kind] - before[axis][kind]) / time, 2) for kind in ("velocities", "polls")}
         for axis, now in after.items()
@@ -123,8 +127,8 @@ def _rates(before: Mapping[str, Any], after: Mapping[str, Any], time: float) -> 
     }
 
 
-def _waiting_for(loop: ControlLoop, now: float) -> str:
-    """What keeps the bench from coming up."""
+def _connect_problem(loop: ControlLoop, now: float) -> str:
+    """Return the reason why the station is not ready: the faults of its devices, or stages that are not homed."""
     devices = loop.devices
     troubles = [device.trouble(now) for device in (devices.stages, devices.tracker, devices.sensors)]
     return "; ".join(trouble.text for trouble in troubles if trouble is not None) or "the stages are not homed"

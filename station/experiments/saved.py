@@ -1,4 +1,4 @@
-"""Motions that were made on a running station, kept as experiment files like any other."""
+"""Saving of motions that an operator has created on a running station, as ordinary experiment files."""
 
 import os
 import tempfile
@@ -11,71 +11,79 @@ from pydantic import Field
 from core.errors import CtrError
 from station.config.controllers import ControllerFile
 from station.config.motions import TipMotion
-from station.config.strict import FORMAT, OWN_EXPERIMENTS, PRESETS, ConfigError, Strict, preset_names, use_experiments
+from station.config.strict import (
+    EXPERIMENTS_VARIABLE,
+    FORMAT,
+    PRESETS,
+    ConfigError,
+    Strict,
+    preset_names,
+    use_experiments,
+)
 from station.config.toml_text import toml_lines
 from station.experiments.experiment import load_experiment
 from station.lab.loads import Load, NoLoad
 from station.recording.tracking_errors import settling_time
 
-#: Folder beside the runs, where the station's file names no other.
-FOLDER = "experiments"
+#: Name of the default folder of saved experiments, inside the folder of the runs.
+EXPERIMENTS_FOLDER = "experiments"
 
 
 class SavedError(CtrError):
-    """A motion that is not saved; the text says why."""
+    """A motion was not saved or cannot be opened; the message gives the reason."""
 
 
 class SavedAlreadyError(SavedError):
-    """One of that name is there."""
+    """An experiment with the requested name exists already."""
 
 
 class FreeMotion(Strict):
-    """A free motion with what it needs to be carried out again."""
+    """A free motion with everything that is needed to repeat it."""
 
     title: Annotated[str, Field(min_length=1, max_length=200)]
     start: Mapping[str, float]
-    """where it begins [rad or m]"""
+    """joint positions at the start [rad or m]"""
     duration: Annotated[float, Field(gt=0.0, le=86400.0)]
-    """[s]"""
+    """duration of the motion [s]"""
     trajectory: Annotated[TipMotion, Field(discriminator="kind")]
     controller: ControllerFile
     load: Load = NoLoad()
 
 
 def use_saved(data: Path) -> None:
-    """Find what was saved in the folder of `data` by its name, unless another folder of experiments is in use."""
-    if not os.environ.get(OWN_EXPERIMENTS) and (data / FOLDER).is_dir():
-        use_experiments(data / FOLDER)
+    """Use the experiments saved in the data folder, unless the user has selected another folder of experiments."""
+    if not os.environ.get(EXPERIMENTS_VARIABLE) and (data / EXPERIMENTS_FOLDER).is_dir():
+        use_experiments(data / EXPERIMENTS_FOLDER)
 
 
 def save(motion: FreeMotion, name: str, data: Path, about: Mapping[str, str], *, replace: bool) -> Path:
-    """Keep a motion in the folder of experiments that is in use, else in one beside the runs.
+    """Save a motion in the folder of experiments that is in use, or else in the folder of the runs.
 
     Args:
-        motion: to be kept; it is read back and tried on the model first.
-        name: of the experiment from then on.
+        motion: motion to save; the written file is read back and checked on the model first.
+        name: name of the new experiment.
         data: folder of the runs.
-        about: robot, lab and calibration that it is for, as the file names them.
-        replace: one of that name.
+        about: names of robot, lab and calibration for the file.
+        replace: whether to overwrite an experiment of that name.
 
     Returns:
-        The file.
+        Path of the file.
 
     Raises:
-        SavedAlreadyError: there is one of that name, and `replace` is not said.
+        SavedAlreadyError: an experiment of that name exists, and `replace` is False.
         SavedError: the name is that of an experiment that comes with the station, or the folder cannot be written.
         ConfigError: the motion cannot be carried out, with the reason.
     """
     if (PRESETS / "experiments" / f"{name}.toml").exists():
-        raise SavedError(f"name = '{name}' is that of an experiment that comes with the station; choose another name")
-    own = os.environ.get(OWN_EXPERIMENTS)
-    folder = Path(own) if own else data / FOLDER
+        raise SavedError(f"name = '{name}' is used by a preset of the station; choose another name")
+    own = os.environ.get(EXPERIMENTS_VARIABLE)
+    folder = Path(own) if own else data / EXPERIMENTS_FOLDER
     path = folder / f"{name}.toml"
     if path.exists() and not replace:
-        raise SavedAlreadyError(f"name = '{name}': {path} is there already; choose another name, or say replace")
+        raise SavedAlreadyError(f"name = '{name}': {path} exists already; choose another name, or set replace")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # In a folder of its own until all of it has been looked at: nobody finds half a file.
+        # The file stays in a temporary folder until it has been checked, so other processes never read an invalid one.
         with tempfile.TemporaryDirectory(dir=folder, prefix=".") as aside:
             written = Path(aside, path.name)
             written.write_text(_text(motion, about), encoding="utf-8")
@@ -91,18 +99,18 @@ def save(motion: FreeMotion, name: str, data: Path, about: Mapping[str, str], *,
 
 
 def saved_motion(name: str) -> FreeMotion:
-    """The first case of an experiment as a free motion.
+    """Return the first case of an experiment as a free motion.
 
     Raises:
-        SavedError: there is none of that name, or its motion is none that can be had freely.
-        ConfigError: its file is no experiment.
+        SavedError: there is no experiment of that name, or its kind of motion is not available as a free motion.
+        ConfigError: its file is not a valid experiment.
     """
     if name not in preset_names("experiments"):
         raise SavedError(f"name = '{name}' is not one of the experiments: {', '.join(preset_names('experiments'))}")
     experiment = load_experiment(name)
     file = experiment.cases[0].file
     if not isinstance(file.trajectory, TipMotion):
-        raise SavedError(f"'{name}' has a motion of kind '{file.trajectory.kind}', which is for files only")
+        raise SavedError(f"'{name}' has a motion of kind '{file.trajectory.kind}', which is available in files only")
     return FreeMotion(
         title=file.title, start=file.start, duration=file.duration, trajectory=file.trajectory,
         controller=file.controller, load=file.load,
@@ -110,7 +118,7 @@ def saved_motion(name: str) -> FreeMotion:
 
 
 def _text(motion: FreeMotion, about: Mapping[str, str]) -> str:
-    """The experiment's file."""
+    """Return the TOML text of the experiment's file for a motion."""
     table = {
         "format": FORMAT,
         "title": motion.title,

@@ -1,6 +1,6 @@
-"""A step response as a first-order lag with dead time, to hold against eq. (31).
+"""Fit of a first-order lag with dead time to a step response of the tip, for comparison with the paper's eq. (31).
 
-The loop has an integrator, so that the gain is one; what is fitted is how soon and how fast.
+The control loop contains an integrator, so the final value equals the step. The fit finds the rate and the dead time.
 """
 
 import math
@@ -13,27 +13,30 @@ from core.robot.robot import Array
 
 
 class StepFit(NamedTuple):
-    """y(t) = 1 - exp(-rate (t - dead_time)) after the dead time."""
+    """Parameters of the fitted response y(t) = 1 - exp(-rate (t - dead_time)), which is 0 before the dead time."""
 
     rate: float  #: [1/s]
     dead_time: float  #: [s]
 
 
 def fit_step(times: Array, response: Array) -> StepFit:
-    """Least squares over the response (m,) to a unit step at time 0, `times` (m,) [s]."""
+    """Return the least-squares fit of the response (m,) to a unit step at time 0, `times` (m,) [s]."""
 
     def miss(parameters: Array) -> Array:
         rate, dead_time = parameters
         return -np.expm1(-rate * np.maximum(times - dead_time, 0.0)) - response
 
-    # A start in the right decade: where 63 % are reached.
+    # The time at which the response reaches 63 % gives an initial rate of the right order of magnitude.
     reached = float(times[np.argmax(response >= 1.0 - math.exp(-1.0))])
     found = least_squares(miss, (1.0 / max(reached, 0.02), 0.02), bounds=((1e-3, 0.0), (1e3, 1.0)))
     return StepFit(*map(float, found.x))
 
 
 def fold(times: Array, response: Array, stay: float) -> tuple[Array, Array]:
-    """Average there and back again, `stay` [s] at either place, into one step; whole stays only."""
+    """Average the response to a square wave into one step response; a last, incomplete level is dropped.
+
+    `stay` is the time at each level of the square wave [s].
+    """
     each = int(np.searchsorted(times, times[0] + stay - 1e-9))
     stays = response[: len(response) // each * each].reshape(-1, each)
     back = np.arange(len(stays)) % 2 == 1

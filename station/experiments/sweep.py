@@ -1,7 +1,7 @@
-"""Many seeds of one experiment, as it is or with keys of its file set to each of several values.
+"""Sweep: one experiment is run with many seeds, and with several values for the keys of its file.
 
-Every run is a case in virtual time, bit for bit what `run` does with that seed, whoever carries it out: processes
-here, or a Dask cluster (`sweep_on_dask.py`).
+Every run carries out a case in virtual time. Local processes, a Dask cluster (`sweep_on_dask.py`) and the command `run`
+with the same seed give the same results, bit for bit.
 """
 
 import itertools
@@ -11,19 +11,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from station.control.clock import VirtualClock
+from station.experiments.job_pool import JobPool, ProcessLost
 from station.experiments.manifest import Row
 from station.experiments.results import summarise
 from station.experiments.runner import INTERRUPTED, run_case
-from station.experiments.side_by_side import Processes, ProcessLost
-from station.experiments.sweep_plan import Job, Plan
+from station.experiments.sweep_plan import SweepJob, SweepPlan
 from station.recording.metadata import versions
 
-#: Of a row: which run it is, and numbers that are the same for all seeds, or the computer's.
-NO_RESULTS = ("run", "setting", "case", "seed", "versions", "wall_s", "simulated_s", "counted_from_s")
+#: Columns of a row for which no statistics are computed: they identify the run, describe the computer, or are equal for
+#: all seeds.
+NON_RESULT_COLUMNS = ("run", "setting", "case", "seed", "versions", "wall_s", "simulated_s", "counted_from_s")
 
 
-class Spread(NamedTuple):
-    """One number over all seeds."""
+class SeedStatistics(NamedTuple):
+    """Statistics of one result over all seeds: median, worst value, 5th and 95th percentile."""
 
     median: float
     worst: float
@@ -31,32 +32,33 @@ class Spread(NamedTuple):
     p95: float
 
 
-def run_job(job: Job, progress: Callable[[float], None]) -> Row:
-    """One run; one that fails is a row with its reason."""
+def run_job(job: SweepJob, progress: Callable[[float], None]) -> Row:
+    """Carry out one run and return its row; the row of a run that fails has the reason."""
     try:
         return row_of(job, summarise(run_case(job.case, job.seed, VirtualClock(), progress)))
     except Exception as error:
         return failed(job, f"{type(error).__name__}: {error}")
 
 
-def row_of(job: Job, numbers: Mapping[str, Any]) -> Row:
-    """What is kept of a run that is done."""
+def row_of(job: SweepJob, numbers: Mapping[str, Any]) -> Row:
+    """Return the row of a finished run: its identity, the package versions and its results."""
     about = {"run": job.run, "setting": dict(job.setting), "case": job.case.name, "seed": job.seed}
     return {**about, "versions": versions(), **numbers}
 
 
-def failed(job: Job, cause: str) -> Row:
-    """What is kept of a run without numbers."""
+def failed(job: SweepJob, cause: str) -> Row:
+    """Return the row of a run that failed: it has the cause instead of results."""
     return row_of(job, {"completed": False, "cause": cause})
 
 
 def on_processes(
-    listed: Sequence[Job], processes: int, keep: Callable[[Row], None], told: Callable[[float], None]
+    listed: Sequence[SweepJob], processes: int, keep: Callable[[Row], None], report_done: Callable[[float], None]
 ) -> None:
-    """Carry out all of `listed`, so many at a time: `keep` each that is done, `told` how many are, parts included.
+    """Carry out the runs of a sweep in this many processes.
 
-    Ctrl-C ends the runs that are on and leaves out the others. Runs whose process is killed are made again, one at a
-    time; one that is killed alone, too, is a row with that reason.
+    `keep` receives the row of each finished run; `report_done` receives the number of finished runs, including
+    fractions of runs. Ctrl-C ends the active runs, and no further run starts. Runs whose process is killed are repeated
+    one at a time. A run whose process is killed again gets a row with that reason.
     """
     left = {job.run: job for job in listed}
 
@@ -66,50 +68,50 @@ def on_processes(
             del left[row["run"]]
         return True
 
-    def carry_out(at: Sequence[Job], most: int) -> None:
+    def carry_out(batch: Sequence[SweepJob], max_processes: int) -> None:
         done = len(listed) - len(left)
-        with Processes(most) as started:
-            started.carry_out(run_job, at, lambda parts: told(done + sum(parts)), kept)
+        with JobPool(max_processes) as pool:
+            pool.carry_out(run_job, batch, lambda parts: report_done(done + sum(parts)), kept)
 
     while left:
-        at = list(left.values())
+        batch = list(left.values())
         try:
-            carry_out(at, min(processes, len(at)))
+            carry_out(batch, min(processes, len(batch)))
             return
         except ProcessLost as lost:
-            # A process that ended before it could say what it was about: it was among the first.
-            suspected = [at[number] for number in sorted(lost.jobs) if at[number].run in left] or at[:1]
+            # A process may end before it reports the number of its job. Then its job was one of the first of the batch.
+            suspected = [batch[number] for number in sorted(lost.jobs) if batch[number].run in left] or batch[:1]
         for job in suspected:
             try:
                 carry_out([job], 1)
             except ProcessLost as lost:
                 kept(failed(job, str(lost)))
             if job.run in left:
-                return  # Ctrl-C
+                return  # Ctrl-C was pressed
 
 
-def spreads(rows: Sequence[Row]) -> dict[str, Spread]:
-    """Every number that all completed runs have, by its dotted name; axes are x, y and z."""
+def spreads(rows: Sequence[Row]) -> dict[str, SeedStatistics]:
+    """Return the statistics of every number that all completed runs have, by dotted name, e.g. `rms_error_mm.x`."""
     tables = [dict(_numbers("", row)) for row in rows if row["completed"]]
-    found: dict[str, Spread] = {}
+    found: dict[str, SeedStatistics] = {}
     for name in tables[0] if tables else ():
         values = [table[name] for table in tables if name in table]
         if len(values) == len(tables):
             p5, median, p95 = np.round(np.percentile(values, (5.0, 50.0, 95.0)), 5).tolist()
-            found[name] = Spread(median, max(values), p5, p95)
+            found[name] = SeedStatistics(median, max(values), p5, p95)
     return found
 
 
-def grouped(plan: Plan, rows: Sequence[Row]) -> Iterator[tuple[Mapping[str, Any], str, list[Row]]]:
-    """Rows of each setting and case, in the order of the plan."""
+def grouped(plan: SweepPlan, rows: Sequence[Row]) -> Iterator[tuple[Mapping[str, Any], str, list[Row]]]:
+    """Yield setting, case and rows of each group of runs that differ only in the seed, in the order of the plan."""
     about = plan.about()[:: plan.seeds]
     for group, found in itertools.groupby(rows, lambda row: row["run"] // plan.seeds):
         setting, case, _ = about[group]
         yield setting, case, list(found)
 
 
-def sweep_summary(plan: Plan, rows: Sequence[Row], wall_s: float) -> dict[str, Any]:
-    """All of it as one JSON object; `rows` are those that are done, in the order of the plan."""
+def sweep_summary(plan: SweepPlan, rows: Sequence[Row], wall_s: float) -> dict[str, Any]:
+    """Return the results of a sweep as one JSON object; `rows` are the finished runs in the order of the plan."""
     return {
         "experiment": plan.experiment,
         "title": plan.title,
@@ -133,7 +135,7 @@ def sweep_summary(plan: Plan, rows: Sequence[Row], wall_s: float) -> dict[str, A
 
 
 def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
-    if name in NO_RESULTS:
+    if name in NON_RESULT_COLUMNS:
         return
     if isinstance(value, Mapping):
         for key, inner in value.items():

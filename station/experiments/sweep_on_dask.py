@@ -1,39 +1,40 @@
-"""A sweep's runs on a Dask cluster. Needs the extra `dask`."""
+"""Run a sweep on a Dask cluster. Needs the extra `dask`."""
 
 from collections.abc import Callable, Sequence
 
+from station.experiments.dask_cluster import cluster, run_on_cluster
 from station.experiments.manifest import Row
-from station.experiments.on_cluster import carry_out, cluster
 from station.experiments.sweep import failed, run_job
-from station.experiments.sweep_plan import Job
+from station.experiments.sweep_plan import SweepJob
 
-#: Why a run failed that no worker has survived.
-LOST = "its worker was lost in the middle of it, time after time, also when it had no other run: too little memory?"
+#: Cause in the row of a run that ended every worker on which it was tried.
+WORKER_LOST = "its worker ended before the run was done, repeatedly and also without another run: too little memory?"
 
 
 def on_dask(
-    listed: Sequence[Job],
+    listed: Sequence[SweepJob],
     scheduler: str,
     workers: int,
     keep: Callable[[Row], None],
-    told: Callable[[float], None],
-    say: Callable[[str], None],
+    report_done: Callable[[float], None],
+    report: Callable[[str], None],
 ) -> None:
-    """Carry out all of `listed`: `keep` each that is done, `told` how many are; Ctrl-C leaves out the others.
+    """Carry out the runs of a sweep on a Dask cluster until all are done, or until Ctrl-C.
 
     Args:
         listed: the runs.
-        scheduler: its address, or `LOCAL`.
-        workers: number of worker processes here.
-        keep, told: of what is done.
-        say: where the cluster is, and its dashboard.
+        scheduler: address of the scheduler, or `LOCAL`.
+        workers: number of local worker processes.
+        keep: receives the row of each finished run.
+        report_done: receives the number of finished runs.
+        report: receives a line with the address and the dashboard of the cluster.
 
     Raises:
-        DaskError: no scheduler answers, it has gone, or what it has cannot carry out runs.
+        DaskError: no scheduler answers, the scheduler is gone, or its workers cannot carry out runs.
     """
-    with cluster(scheduler, workers, say) as client:
-        carry_out(client, _quietly, listed, keep, lambda job: failed(job, LOST), told)
+    with cluster(scheduler, workers, report) as client:
+        run_on_cluster(client, _run_without_progress, listed, keep, lambda job: failed(job, WORKER_LOST), report_done)
 
 
-def _quietly(job: Job) -> Row:
+def _run_without_progress(job: SweepJob) -> Row:
     return run_job(job, lambda _: None)

@@ -1,4 +1,4 @@
-"""What a sweep is: its runs, and what a manifest keeps of the command, so that the same command is known again."""
+"""Plan of a sweep: a list of its runs, which the manifest stores so that the same command can continue the sweep."""
 
 import hashlib
 import json
@@ -10,13 +10,14 @@ from typing import Annotated, Any, NamedTuple
 
 from station.config.motions import CsvMotion
 from station.config.strict import ConfigError, Row, Strict, read_text
-from station.control.known_calibration import REGISTRATION, ROBOT, SENSORS
+from station.control.bench_calibration import REGISTRATION_FILE, ROBOT_FILE, SENSORS_FILE
 from station.experiments.experiment import Case, Experiment, load_experiment
 from station.experiments.sweep_settings import Setting, nested
 from station.recording.metadata import PACKAGES, versions
 
-#: Where the folders of sweeps differ, in the order in which it is told; of the others the values say nothing.
-DIFFERENCES = {
+#: Fields of a plan, in the order in which two plans are compared, with a label; a message about a difference shows both
+#: values.
+DIFFERENCE_LABELS = {
     "experiment": "the experiment",
     "parts": "the number of parts",
     "settings": "--set (and --lab)",
@@ -24,37 +25,38 @@ DIFFERENCES = {
     "seeds": "--seeds",
     "versions": "the versions",
 }
-CHANGED = {
+#: Messages about a difference in those fields of a plan whose values would not help the user (texts and digests).
+CHANGE_MESSAGES = {
     "source": "the experiment's file has changed since",
     "contents": "a robot, lab, calibration or motion that the experiment names has changed since",
 }
-#: So much of a difference is told [characters].
-LONGEST = 200
+#: Length to which a value is cut in the message about a difference between two plans [characters].
+MAX_DIFFERENCE_CHARS = 200
 
 
-class Job(NamedTuple):
+class SweepJob(NamedTuple):
     """One run of a sweep."""
 
-    run: int  #: its number in the sweep, from 0 on
+    run: int  #: number in the sweep, from 0 on
     setting: Setting
     case: Case
     seed: int
 
 
-class Plan(Strict):
-    """All that a sweep is made of, without the place where it is."""
+class SweepPlan(Strict):
+    """Everything that defines a sweep, apart from its folder; two equal plans are the same sweep."""
 
     experiment: str
     title: str
     source: str
-    """the experiment's file"""
+    """text of the experiment's file"""
     labs: Annotated[tuple[str, ...], Row]
     settings: Annotated[tuple[Mapping[str, Any], ...], Row]
     cases: Annotated[tuple[str, ...], Row]
     seeds: int
     """0 ... seeds - 1"""
     contents: str
-    """digest of the cases with everything that they take from other files"""
+    """digest of the cases and of all files that they use"""
     versions: Mapping[str, str]
     parts: int = 1
     started: float
@@ -62,37 +64,42 @@ class Plan(Strict):
 
     @property
     def planned(self) -> int:
-        """Number of runs, of all parts together."""
+        """Number of runs in all parts of the sweep together."""
         return len(self.settings) * len(self.cases) * self.seeds
 
     def part(self, number: int) -> range:
-        """Numbers of the runs of a part, 1 ... parts: neighbours, which take as long as each other, are shared out."""
+        """Return the run numbers of one part (1 ... `parts`) of the sweep.
+
+        A part has every N-th run: adjacent runs take similar times, so all parts take about equally long.
+        """
         return range(number - 1, self.planned, self.parts)
 
     def about(self) -> list[tuple[Mapping[str, Any], str, int]]:
-        """Setting, case and seed of every run, by its number."""
+        """Return setting, case and seed of every run, by its number."""
         return list(product(self.settings, self.cases, range(self.seeds)))
 
-    def difference(self, kept: "Plan") -> str:
-        """Where another plan is not this one; empty when they are the same."""
-        for name, words in DIFFERENCES.items():
-            there, here = (json.dumps(plan.model_dump()[name]) for plan in (kept, self))
-            if there != here:
-                return f"{words}: {there[:LONGEST]} there, {here[:LONGEST]} here"
-        return next((words for name, words in CHANGED.items() if getattr(kept, name) != getattr(self, name)), "")
+    def difference(self, kept: "SweepPlan") -> str:
+        """Return a text about the first difference between a stored plan and this one; empty if they are equal."""
+        for name, label in DIFFERENCE_LABELS.items():
+            stored, requested = (json.dumps(plan.model_dump()[name]) for plan in (kept, self))
+            if stored != requested:
+                return f"{label}: {stored[:MAX_DIFFERENCE_CHARS]} stored, {requested[:MAX_DIFFERENCE_CHARS]} requested"
+        return next(
+            (message for name, message in CHANGE_MESSAGES.items() if getattr(kept, name) != getattr(self, name)), ""
+        )
 
 
-def jobs(experiment: str, chosen: Sequence[Setting], seeds: Sequence[int], only: str | None = None) -> list[Job]:
-    """All runs, after the experiment has been checked whole with every setting.
+def jobs(experiment: str, chosen: Sequence[Setting], seeds: Sequence[int], only: str | None = None) -> list[SweepJob]:
+    """Return all runs of a sweep, after a complete check of the experiment with every setting.
 
     Args:
         experiment: preset or file.
-        chosen: what is set on top of every case.
-        seeds: of everything random in the virtual lab.
-        only: the one case to run; None: all.
+        chosen: settings that are applied to every case.
+        seeds: seeds of all random numbers in the virtual lab.
+        only: name of the only case to run; None: all cases.
 
     Raises:
-        ConfigError: with file, case, key, value and what was expected.
+        ConfigError: a setting is invalid; the message names file, case, key, value and the expected value.
     """
     listed: list[tuple[Setting, Case, int]] = []
     for setting in chosen:
@@ -100,14 +107,14 @@ def jobs(experiment: str, chosen: Sequence[Setting], seeds: Sequence[int], only:
         if only is not None and only not in [case.name for case in cases]:
             raise ConfigError(f"--case {only}: the cases are {', '.join(case.name for case in cases)}")
         listed += [(setting, case, seed) for case in cases if only in (None, case.name) for seed in seeds]
-    return [Job(number, *one) for number, one in enumerate(listed)]
+    return [SweepJob(number, *one) for number, one in enumerate(listed)]
 
 
-def plan_of(experiment: Experiment, listed: Sequence[Job], parts: int = 1) -> Plan:
-    """The plan of all runs of an experiment."""
+def plan_of(experiment: Experiment, listed: Sequence[SweepJob], parts: int = 1) -> SweepPlan:
+    """Return the plan of all runs of an experiment."""
     found = versions()
     settings = list({repr(job.setting): dict(job.setting) for job in listed}.values())
-    return Plan(
+    return SweepPlan(
         experiment=experiment.name,
         title=experiment.title,
         source=experiment.source,
@@ -131,7 +138,7 @@ def _digest(cases: Iterator[Case]) -> str:
 
 
 def _contents(case: Case) -> Iterator[str]:
-    """What a case is made of, wherever its files lie."""
+    """Yield the contents of a case and of its files as texts, without paths: a moved folder has the same contents."""
     file = case.file
     yield case.name
     yield file.model_dump_json(exclude={"robot": True, "lab": True, "calibration": True, "trajectory": {"file"}})
@@ -139,6 +146,6 @@ def _contents(case: Case) -> Iterator[str]:
     yield case.lab.model_dump_json()
     if isinstance(file.trajectory, CsvMotion):
         yield read_text(Path(file.trajectory.file))
-    for name in (REGISTRATION, SENSORS, ROBOT) if file.calibration else ():
+    for name in (REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE) if file.calibration else ():
         path = Path(file.calibration, name)
         yield read_text(path) if path.is_file() else ""

@@ -1,4 +1,4 @@
-"""What a sweep sets: `key=a,b,c` options as tables of an experiment's file."""
+"""Settings of a sweep: `--set key=a,b,c` options, converted to tables of an experiment's file."""
 
 import itertools
 import re
@@ -8,18 +8,18 @@ from typing import Any
 
 from station.config.strict import ConfigError
 
-#: What stands for itself as a text.
-WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
+#: Value that is read as a text although it has no quotes, such as `dual_layer`.
+BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 
-#: Dotted keys of an experiment's file and the values they get, in the order they were given.
+#: One combination of values: pairs of a dotted key of an experiment's file and its value, in the order of the options.
 Setting = tuple[tuple[str, Any], ...]
 
 
 def settings(options: Sequence[str]) -> list[Setting]:
-    """Every combination of the values in `key=a,b,c` options; values are TOML, plain words are texts.
+    """Return every combination of the values in `key=a,b,c` options; values are TOML, but words need no quotes.
 
     Raises:
-        ConfigError: no key, no value, or a key twice.
+        ConfigError: an option has no key or no value, or two options have the same key.
     """
     choices: list[list[tuple[str, Any]]] = []
     for option in options:
@@ -28,55 +28,57 @@ def settings(options: Sequence[str]) -> list[Setting]:
         if not key or not equals or not text.strip():
             raise ConfigError(f"--set {option}: write KEY=VALUE or KEY=A,B,C, for example controller.k1=1,2.5,5")
         if key in [listed[0][0] for listed in choices]:
-            raise ConfigError(f"--set {option}: '{key}' was set before; give all its values at once")
+            raise ConfigError(f"--set {option}: '{key}' is set twice; give all its values in one option")
         choices.append([(key, _value(part, option)) for part in _parts(text)])
     return list(itertools.product(*choices))
 
 
 def nested(setting: Setting) -> dict[str, Any]:
-    """The setting as a table of an experiment's file.
+    """Return a setting as nested tables of an experiment's file: `controller.k1` becomes `{"controller": {"k1": ...}}`.
 
     Raises:
-        ConfigError: one key goes through another's value.
+        ConfigError: a key is set to a value and is also the parent of another key.
     """
     table: dict[str, Any] = {}
     for key, value in setting:
         at = table
-        *way, last = key.split(".")
-        for part in way:
+        *parents, last = key.split(".")
+        for part in parents:
             at = at.setdefault(part, {})
             if not isinstance(at, dict):
-                raise ConfigError(f"--set {key}: '{part}' has a value of its own")
+                raise ConfigError(f"--set {key}: '{part}' is set to a value, so it has no keys")
         if last in at:
-            raise ConfigError(f"--set {key}: parts of it are set too")
+            raise ConfigError(f"--set {key}: keys below '{key}' are set too; set the table or its keys")
         at[last] = value
     return table
 
 
 def _parts(text: str) -> Iterator[str]:
-    """Split at commas outside brackets and quotes."""
-    depth, quote, begin = 0, "", 0
-    for at, sign in enumerate(text):
+    """Split a text at its commas outside brackets and quotes."""
+    depth, quote, first = 0, "", 0
+    for at, character in enumerate(text):
         if quote:
-            quote = "" if sign == quote else quote
-        elif sign in "\"'":
-            quote = sign
-        elif sign in "[{":
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        elif character in "[{":
             depth += 1
-        elif sign in "]}":
+        elif character in "]}":
             depth -= 1
-        elif sign == "," and depth == 0:
-            yield text[begin:at].strip()
-            begin = at + 1
-    yield text[begin:].strip()
+        elif character == "," and depth == 0:
+            yield text[first:at].strip()
+            first = at + 1
+    yield text[first:].strip()
 
 
 def _value(text: str, option: str) -> Any:
     if not text:
         raise ConfigError(f"--set {option}: a value is missing between the commas")
-    if WORD.fullmatch(text) and text not in ("true", "false", "inf", "nan"):
+    if BARE_WORD.fullmatch(text) and text not in ("true", "false", "inf", "nan"):
         return text
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"--set {option}: '{text}' is no value: {error}; texts with signs go in quotes") from None
+        raise ConfigError(
+            f"--set {option}: '{text}' is not a TOML value: {error}; put a text with special characters in quotes"
+        ) from None

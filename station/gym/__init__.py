@@ -1,16 +1,19 @@
-"""Gymnasium environments on the loaded model; importing this registers them. Needs the extra `gym`.
+"""Gymnasium environments of robots that the loaded model simulates. Importing this package registers them.
+
+The package needs the extra `gym`.
 
 gymnasium.make("station.gym:CtrReach-v0", load=0.3)
 """
 
 import gymnasium
 
-#: Steps of an episode. Of the 15 s to reach a point, a half turn of a tube takes 9.
+#: Number of steps of an episode of reaching and of tracking. An episode of reaching lasts 15 s, because a half turn of
+#: a tube takes 9 s.
 REACH_STEPS, TRACK_STEPS = 150, 400
 
 
 def register() -> None:
-    """Make both known to Gymnasium, once."""
+    """Register both environments with Gymnasium; a second call has no effect."""
     for name, task, steps in (("CtrReach-v0", "Reach", REACH_STEPS), ("CtrTrack-v0", "Track", TRACK_STEPS)):
         if name not in gymnasium.registry:
             gymnasium.register(

@@ -1,4 +1,4 @@
-"""What may be done in a step: a part, -1 ... 1, of every joint's speed."""
+"""Action space of the environments: for every joint a fraction, -1 ... 1, of its top speed."""
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -7,13 +7,16 @@ from core.robot.robot import Array
 
 
 class Actions(Box):
-    """The box of them; drawing from it is quick, as it knows that it ends on every side."""
+    """A Gymnasium `Box` whose `sample` is faster, because the bounds are finite."""
 
     def __init__(self, joints: int) -> None:
         super().__init__(-1.0, 1.0, (joints,), dtype=np.float64)
 
     def sample(self, mask: None = None, probability: None = None) -> Array:
-        """To the last bit what a `Box` draws, which takes as long as two solves."""
+        """Return a random action that equals the sample of a `Box` bit for bit.
+
+        The sample of a `Box` takes as long as two solutions of the model.
+        """
         if mask is not None or probability is not None:
-            return super().sample(mask, probability)  # says why not
+            return super().sample(mask, probability)  # a box refuses these arguments with the reason
         return 2.0 * self.np_random.random(self.shape) - 1.0

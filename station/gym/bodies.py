@@ -1,4 +1,4 @@
-"""k robots that are moved by actions within their limits, each with hidden faults of its tubes and a hidden load."""
+"""k simulated robots that actions move within their limits. Each has hidden errors of its tubes and a hidden load."""
 
 from dataclasses import dataclass, replace
 
@@ -8,25 +8,25 @@ from core.compiled import compiled
 from core.robot.robot import Array, Indices, Robot, Section, Tube
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
-from station.gym.shapes import ExactShapes, LoadedShapes, Shapes
+from station.gym.shapes import ExactShapes, LoadedShapes, ShapeSolver
 
-#: Left between tubes that are in each other's way [m].
-RESERVE = 1e-9
-#: Draws of a pose before a robot file is given up.
-MOST_DRAWS = 10_000
+#: Smallest distance between the ends of neighbouring tubes [m].
+MIN_TUBE_DISTANCE_M = 1e-9
+#: Largest number of random poses that are tried to find a valid one; without success the robot file is refused.
+MAX_DRAWS = 10_000
 
 Bools = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What is moved, and what is hidden from whoever moves it."""
+class EpisodeSettings:
+    """Robot and hidden parameters of an episode."""
 
-    robot: str = "paper"  #: preset or .toml file
+    robot: str = "paper"  #: name of a preset robot, or of a .toml file
     load: float = 0.2  #: largest force at the tip, in any direction [N]
     tube_error: float = 0.0  #: largest relative error of each tube's stiffness and curvatures
-    exact: bool = False  #: the exact rod instead of the loaded model
-    period: float = 0.1  #: of an action [s]
+    exact: bool = False  #: whether the exact rod simulates the robot instead of the loaded model
+    period: float = 0.1  #: duration of an action [s]
 
     def __post_init__(self) -> None:
         for name, value, low, high in (
@@ -38,10 +38,10 @@ class Setting:
                 raise ConfigError(f"{name} = {value:g} is outside {low:g} ... {high:g}")
 
 
-class Bodies:
-    """The robots; an action is a part, -1 ... 1, of every joint's speed."""
+class RobotBatch:
+    """k simulated robots; an action is a fraction, -1 ... 1, of every joint's top speed."""
 
-    def __init__(self, setting: Setting, rows: int) -> None:
+    def __init__(self, setting: EpisodeSettings, rows: int) -> None:
         file = load_robot(setting.robot)
         self.setting, self.rows, self.robot = setting, rows, file.robot()
         limits = file.limits()
@@ -52,47 +52,49 @@ class Bodies:
         self._slides = self.slides.astype(np.int64)
         self._bounds: Array = np.array([self.lower, self.upper, self.stride])
         base = np.abs(self.robot.base.position)
-        #: In each direction the tip is never further from the world's origin [m].
+        #: Largest distance of the tip from the world's origin in each direction [m].
         self.reach: Array = base + self.robot.tubes[0].length
-        self.shapes: Shapes = (ExactShapes if setting.exact else LoadedShapes)(self.robot, rows)
+        self.shapes: ShapeSolver = (ExactShapes if setting.exact else LoadedShapes)(self.robot, rows)
         self.robots = [self.robot] * rows
-        self._width = self.felt_bounds.size
+        self._width = self.observation_bounds.size
         self.joints, self.wrenches = np.zeros((rows, self.lower.size)), np.zeros((rows, 6))
         self.tips = np.zeros((rows, 3))
 
-    def disturbed(self, random: np.random.Generator) -> Robot:
-        """The robot with tubes that are not quite as described."""
+    def disturb_robot(self, random: np.random.Generator) -> Robot:
+        """Return the robot with random errors of its tubes."""
         error = self.setting.tube_error
         if error == 0.0:
             return self.robot
-        return replace(self.robot, tubes=tuple(_disturbed(tube, error, random) for tube in self.robot.tubes))
+        return replace(self.robot, tubes=tuple(_disturb_tube(tube, error, random) for tube in self.robot.tubes))
 
-    def drawn_load(self, random: np.random.Generator) -> Array:
-        """A force (6,) in any direction [N]."""
+    def draw_load(self, random: np.random.Generator) -> Array:
+        """Draw a force (6,) in any direction [N]."""
         direction = random.normal(size=3)
         size = self.setting.load * random.uniform()
         return np.concatenate((direction * (size / np.linalg.norm(direction)), np.zeros(3)))
 
-    def drawn_pose(self, random: np.random.Generator) -> Array:
-        """Joints (n,) anywhere in their travel where the tubes stand, at most half a turn from zero."""
+    def draw_pose(self, random: np.random.Generator) -> Array:
+        """Draw valid joint positions (n,) inside the travel, at most half a turn from zero."""
         lower = np.where(self.slides, self.lower, np.maximum(self.lower, -np.pi))
         upper = np.where(self.slides, self.upper, np.minimum(self.upper, np.pi))
-        for _ in range(MOST_DRAWS):
+        for _ in range(MAX_DRAWS):
             joints = random.uniform(lower, upper)
-            if self.robot.stands(joints) and bool((self._room(joints[None]) >= 0.0).all()):
+            if self.robot.is_valid_pose(joints) and bool((self._clearance(joints[None]) >= 0.0).all()):
                 return joints
-        raise ConfigError(f"robot '{self.robot.name}': its tubes stand hardly anywhere in the travel of its joints")
+        raise ConfigError(
+            f"robot '{self.robot.name}': almost no joint position is valid (tubes collide): check lengths and travel"
+        )
 
     def put(self, row: int, robot: Robot, joints: Array, wrench: Array) -> Array:
-        """A robot at the first of the poses (m, n); the tips (m, 3) of all of them, NaN where there is no shape."""
+        """Set a robot at the first of the poses (m, n); return the tips (m, 3) of all poses, NaN without a shape."""
         self.robots[row] = robot
         self.shapes.replace(row, robot)
-        tips = self.shapes.look(row, joints, wrench)
+        tips = self.shapes.solve_from_rest(row, joints, wrench)
         self.joints[row], self.wrenches[row], self.tips[row] = joints[0], wrench, tips[0]
         return tips
 
     def move(self, actions: Array) -> None:
-        """Move all robots on by actions (k, n) for a period; one that would have no shape stays where it was."""
+        """Move all robots by actions (k, n) for a period; a robot without a shape at its next pose stays."""
         to = _moved(self.joints, actions, self._bounds)
         if self._order[1].size:
             to = self._in_order(to)
@@ -102,40 +104,44 @@ class Bodies:
         self.joints, self.tips = to, tips
 
     @property
-    def felt_bounds(self) -> Array:
-        """How large each part of what is felt may be (m,)."""
+    def observation_bounds(self) -> Array:
+        """Bounds of the observation's elements (m,)."""
         return np.concatenate((np.ones(self.lower.size + np.count_nonzero(~self.slides)), self.reach))
 
-    def felt(self) -> Array:
-        """What is known of the robots (k, m): cosine and sine, or -1 ... 1 of its travel, of each joint; the tip."""
-        felt = np.empty((self.rows, self._width))
-        self.feel(felt)
-        return felt
+    def observe(self) -> Array:
+        """Return the observations of all robots (k, m).
 
-    def feel(self, felt: Array) -> None:
-        """The same, written into the first m columns of an array."""
-        _felt(self.joints, self.tips, self._slides, self._bounds, felt)
+        An observation has cosine and sine of each rotation, each translation scaled to -1 ... 1 of its travel, and the
+        tip [m].
+        """
+        observations = np.empty((self.rows, self._width))
+        self.observe_into(observations)
+        return observations
 
-    def _room(self, joints: Array) -> Array:
-        """What is left between the tubes (k, m) [m]."""
+    def observe_into(self, observations: Array) -> None:
+        """Write the observations of all robots into the first m columns of an array."""
+        _observe(self.joints, self.tips, self._slides, self._bounds, observations)
+
+    def _clearance(self, joints: Array) -> Array:
+        """Return the distances between the tubes' ends (k, m) [m]."""
         matrix, bound = self._order
-        return bound - RESERVE - joints @ matrix.T
+        return bound - MIN_TUBE_DISTANCE_M - joints @ matrix.T
 
     def _in_order(self, to: Array) -> Array:
-        """The translations stop, all of them, where tubes would get in each other's way."""
-        room, after = self._room(self.joints), self._room(to)
+        """Stop all translations where tubes would pass each other's ends."""
+        clearance, after = self._clearance(self.joints), self._clearance(to)
         if not (after < 0.0).any():
             return to
         with np.errstate(divide="ignore", invalid="ignore"):
-            parts = np.where(after < 0.0, room / (room - after), 1.0)
+            parts = np.where(after < 0.0, clearance / (clearance - after), 1.0)
         part = np.nan_to_num(parts).clip(0.0, 1.0).min(axis=1, keepdims=True)
-        part = np.where(part < 1.0, (part - 1e-6).clip(0.0, 1.0), part)  # and not a rounding error beyond it
+        part = np.where(part < 1.0, (part - 1e-6).clip(0.0, 1.0), part)  # with a margin for rounding errors
         return np.where(self.slides, self.joints + part * (to - self.joints), to)
 
 
 @compiled
 def _moved(joints: Array, actions: Array, bounds: Array) -> Array:
-    """Joints after a period, within their travel; numpy's own functions take longer than a solve for one row."""
+    """Return joints after a period, within their travel; with numpy functions this takes longer than a solve."""
     to = np.empty_like(joints)
     for row in range(joints.shape[0]):
         for j in range(joints.shape[1]):
@@ -145,32 +151,32 @@ def _moved(joints: Array, actions: Array, bounds: Array) -> Array:
 
 
 @compiled
-def _felt(joints: Array, tips: Array, slides: Indices, bounds: Array, felt: Array) -> None:
-    """See `Bodies.felt`."""
+def _observe(joints: Array, tips: Array, slides: Indices, bounds: Array, observations: Array) -> None:
+    """See `RobotBatch.observe`."""
     for row in range(joints.shape[0]):
         at = 0
         for j in range(joints.shape[1]):
             if slides[j]:
                 along = (2.0 * joints[row, j] - bounds[0, j] - bounds[1, j]) / (bounds[1, j] - bounds[0, j])
-                felt[row, at] = min(max(along, -1.0), 1.0)
+                observations[row, at] = min(max(along, -1.0), 1.0)
                 at += 1
             else:
-                felt[row, at], felt[row, at + 1] = np.cos(joints[row, j]), np.sin(joints[row, j])
+                observations[row, at], observations[row, at + 1] = np.cos(joints[row, j]), np.sin(joints[row, j])
                 at += 2
         for k in range(3):
-            felt[row, at + k] = tips[row, k]
+            observations[row, at + k] = tips[row, k]
 
 
-def _disturbed(tube: Tube, error: float, random: np.random.Generator) -> Tube:
-    stiffer, rounder = 1.0 + error * random.uniform(-1.0, 1.0, 2)
-    torsional = None if tube.torsional_stiffness is None else float(tube.torsional_stiffness * stiffer)
+def _disturb_tube(tube: Tube, error: float, random: np.random.Generator) -> Tube:
+    stiffness, curvature = 1.0 + error * random.uniform(-1.0, 1.0, 2)
+    torsional = None if tube.torsional_stiffness is None else float(tube.torsional_stiffness * stiffness)
     sections = tuple(
-        Section(section.length, (float(rounder * section.curvature[0]), float(rounder * section.curvature[1])))
+        Section(section.length, (float(curvature * section.curvature[0]), float(curvature * section.curvature[1])))
         for section in tube.sections
     )
     return replace(
         tube,
-        bending_stiffness=float(tube.bending_stiffness * stiffer),
+        bending_stiffness=float(tube.bending_stiffness * stiffness),
         torsional_stiffness=torsional,
         sections=sections,
     )

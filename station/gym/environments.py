@@ -1,6 +1,7 @@
-"""The tasks as Gymnasium's environments: one episode, or many at once on the model in batches.
+"""Gymnasium environments of the tasks `Reach` and `Track`, with a single episode or with many in parallel.
 
-A single environment is a task of one row, so that both show the same.
+Parallel episodes solve the model in batches. A single environment is a task with one row, so that it gives the same
+results as parallel episodes.
 """
 
 from typing import Any, Literal, Protocol
@@ -13,16 +14,16 @@ from gymnasium.vector.utils import batch_space
 
 from core.robot.robot import Array
 from station.gym import REACH_STEPS, TRACK_STEPS
-from station.gym.bodies import Bodies, Bools, Setting
+from station.gym.bodies import Bools, EpisodeSettings, RobotBatch
 from station.gym.picture import Pixels, picture
 from station.gym.reach import Reach
 from station.gym.track import Track
 
 
-class Task(Protocol):
-    """Episodes side by side, one a row."""
+class EnvironmentTask(Protocol):
+    """Interface of a task with parallel episodes, one per row."""
 
-    bodies: Bodies
+    bodies: RobotBatch
     observation_space: Any
     action_space: Any
 
@@ -33,27 +34,27 @@ class Task(Protocol):
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
-    """One episode."""
+    """A Gymnasium environment with one episode of a task."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - as declared there
 
-    def __init__(self, task: Task, render_mode: str | None) -> None:
+    def __init__(self, task: EnvironmentTask, render_mode: str | None) -> None:
         self.task, self.render_mode = task, render_mode
         self.observation_space, self.action_space = task.observation_space, task.action_space
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Draw robot, load and task."""
+        """Start an episode: draw robot, load and task at random."""
         super().reset(seed=seed, options=options)
         self.task.reset(0, self.np_random)
         return self._first(self.task.observe()), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """An action lasts a period; an episode ends by its time only."""
+        """Execute an action for a period; an episode ends only by its number of steps."""
         rewards, more = self.task.step(np.asarray(action, np.float64)[None])
         return self._first(self.task.observe()), float(rewards[0]), False, False, {k: v[0] for k, v in more.items()}
 
     def render(self) -> Any:
-        """Pixels, if they were asked for."""
+        """Return pixels in the render mode `rgb_array`."""
         return _picture(self.task, 0) if self.render_mode == "rgb_array" else None
 
     @staticmethod
@@ -62,7 +63,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
 
 
 class ReachEnv(TaskEnv):
-    """`CtrReach-v0`; arguments of `Setting`, tolerance [m] and reward of `Reach`."""
+    """`CtrReach-v0`; takes the arguments of `EpisodeSettings`, and tolerance [m] and reward of `Reach`."""
 
     def __init__(
         self,
@@ -71,44 +72,47 @@ class ReachEnv(TaskEnv):
         reward: Literal["sparse", "dense"] = "sparse",
         **setting: Any,
     ) -> None:
-        task = Reach(1, Setting(**setting), tolerance, reward)
+        task = Reach(1, EpisodeSettings(**setting), tolerance, reward)
         self.compute_reward = task.compute_reward
         super().__init__(task, render_mode)
 
     def compute_terminated(self, achieved: Any, desired: Any, info: Any) -> bool:  # noqa: ARG002
-        """Never: an episode ends by its time."""
+        """Return False: an episode ends only by its number of steps."""
         return False
 
     def compute_truncated(self, achieved: Any, desired: Any, info: Any) -> bool:  # noqa: ARG002
-        """Not by what was achieved."""
+        """Return False: truncation does not depend on the achieved goal."""
         return False
 
 
 class TrackEnv(TaskEnv):
-    """`CtrTrack-v0`; arguments of `Setting`, and steps of the path."""
+    """`CtrTrack-v0`; takes the arguments of `EpisodeSettings`, and the steps of the path."""
 
     def __init__(self, render_mode: str | None = None, steps: int = TRACK_STEPS, **setting: Any) -> None:
-        super().__init__(Track(1, Setting(**setting), steps), render_mode)
+        super().__init__(Track(1, EpisodeSettings(**setting), steps), render_mode)
 
 
 class TaskVectorEnv(VectorEnv[Any, Any, Any]):
-    """Many episodes; one that has ended begins anew with the next step, as in Gymnasium's own."""
+    """A Gymnasium environment with parallel episodes.
+
+    An episode that has ended restarts with the next step, as in Gymnasium's vector environments.
+    """
 
     metadata: dict[str, Any] = {**TaskEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
-    def __init__(self, task: Task, num_envs: int, max_episode_steps: int, render_mode: str | None) -> None:
+    def __init__(self, task: EnvironmentTask, num_envs: int, max_episode_steps: int, render_mode: str | None) -> None:
         self.task, self.num_envs, self.render_mode = task, num_envs, render_mode
         self.single_observation_space, self.single_action_space = task.observation_space, task.action_space
         self.observation_space = batch_space(task.observation_space, num_envs)
         self.action_space = batch_space(task.action_space, num_envs)
-        self._most, self._steps = max_episode_steps, np.zeros(num_envs, np.int64)
+        self._max_steps, self._steps = max_episode_steps, np.zeros(num_envs, np.int64)
         self._over: Bools = np.zeros(num_envs, np.bool_)
         self._randoms: list[np.random.Generator] = []
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """All begin; with one seed each has its own, counted on from it."""
+        """Start all episodes; from one seed each episode gets a consecutive seed."""
         super().reset(seed=seed if isinstance(seed, int) else None, options=options)
         seeds = seed if isinstance(seed, list) else [None if seed is None else seed + i for i in range(self.num_envs)]
         if seed is not None or not self._randoms:
@@ -119,27 +123,27 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         return self.task.observe(), {}
 
     def step(self, actions: Any) -> tuple[Any, Array, Bools, Bools, dict[str, Any]]:
-        """A period for all."""
+        """Execute an action in every episode."""
         rewards, more = self.task.step(np.asarray(actions, np.float64))
         self._steps += 1
-        told = ~self._over
+        reported = ~self._over
         if self._over.any():
             for row in np.flatnonzero(self._over).tolist():
                 self.task.reset(row, self._randoms[row])
             rewards, self._steps = np.where(self._over, 0.0, rewards), np.where(self._over, 0, self._steps)
-        truncated = self._steps >= self._most
-        infos = {name: part for key, value in more.items() for name, part in ((key, value), (f"_{key}", told))}
+        truncated = self._steps >= self._max_steps
+        infos = {name: part for key, value in more.items() for name, part in ((key, value), (f"_{key}", reported))}
         self._over = truncated
         return self.task.observe(), rewards, np.zeros(self.num_envs, np.bool_), truncated.copy(), infos
 
     def render(self) -> Any:
-        """Pixels of each, if they were asked for."""
-        asked = self.render_mode == "rgb_array"
-        return tuple(_picture(self.task, row) for row in range(self.num_envs)) if asked else None
+        """Return pixels of each episode in the render mode `rgb_array`."""
+        enabled = self.render_mode == "rgb_array"
+        return tuple(_picture(self.task, row) for row in range(self.num_envs)) if enabled else None
 
 
 class ReachVectorEnv(TaskVectorEnv):
-    """Many of `ReachEnv`."""
+    """Vector environment with parallel episodes of `ReachEnv`."""
 
     def __init__(
         self,
@@ -150,13 +154,13 @@ class ReachVectorEnv(TaskVectorEnv):
         reward: Literal["sparse", "dense"] = "sparse",
         **setting: Any,
     ) -> None:
-        task = Reach(num_envs, Setting(**setting), tolerance, reward)
+        task = Reach(num_envs, EpisodeSettings(**setting), tolerance, reward)
         self.compute_reward = task.compute_reward
         super().__init__(task, num_envs, max_episode_steps, render_mode)
 
 
 class TrackVectorEnv(TaskVectorEnv):
-    """Many of `TrackEnv`."""
+    """Vector environment with parallel episodes of `TrackEnv`."""
 
     def __init__(
         self,
@@ -166,10 +170,10 @@ class TrackVectorEnv(TaskVectorEnv):
         steps: int = TRACK_STEPS,
         **setting: Any,
     ) -> None:
-        super().__init__(Track(num_envs, Setting(**setting), steps), num_envs, max_episode_steps, render_mode)
+        super().__init__(Track(num_envs, EpisodeSettings(**setting), steps), num_envs, max_episode_steps, render_mode)
 
 
-def _picture(task: Task, row: int) -> Pixels:
+def _picture(task: EnvironmentTask, row: int) -> Pixels:
     bodies = task.bodies
     return picture(
         bodies.robots[row], bodies.joints[row], bodies.wrenches[row], bodies.tips[row], task.marks(row)

@@ -1,4 +1,4 @@
-"""A picture of one robot, as pixels."""
+"""Draws a picture of one robot for the render mode `rgb_array` of the environments."""
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -7,16 +7,16 @@ from matplotlib.figure import Figure
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 
-#: Pixels a side.
-SIZE = 480
+#: Width and height of a picture [pixels].
+IMAGE_PX = 480
 Pixels = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
 
 
 def picture(robot: Robot, joints: Array, wrench: Array, tip: Array, marks: Array) -> Pixels:
-    """The shape by the loaded model, the tip and what it is to reach (m, 3); (SIZE, SIZE, 3)."""
+    """Return pixels (IMAGE_PX, IMAGE_PX, 3) of the loaded model's shape, the tip and its targets (m, 3)."""
     model = Statics(robot)
     line = 1e3 * model.shape(model.solve(joints, wrench))[:, 10:13]
-    figure = Figure((SIZE / 100, SIZE / 100), dpi=100)
+    figure = Figure((IMAGE_PX / 100, IMAGE_PX / 100), dpi=100)
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_subplot(projection="3d")
     axes.plot(*line.T, color="#3b6ea5", linewidth=3)

@@ -1,6 +1,7 @@
-"""Where the tips of k robots are while their joints move: the loaded model in batches, or the exact rod one by one.
+"""Computes the tips of k robots while their joints move: by the loaded model in batches, or by exact rods one by one.
 
-Each robot keeps to its branch, so that it snaps where a real one would.
+A robot can have several shapes at the same joint positions. Each solver continues the robot's previous shape, so that
+the robot snaps where a real one would.
 """
 
 from typing import Protocol
@@ -8,60 +9,63 @@ from typing import Protocol
 import numpy as np
 
 from core.errors import CtrError
+from core.model.batch import Solutions
 from core.model.cosserat import ExactRod, Rod
-from core.model.many import Solutions
-from core.model.solution import PASSES, Solution, count
+from core.model.solution import PASSES, Solution, size
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 from station.solve_many import solve_many
 
 
-class Shapes(Protocol):
-    """Robots, one a row."""
+class ShapeSolver(Protocol):
+    """Interface of a solver for the tips of k robots, one per row."""
 
     def replace(self, row: int, robot: Robot) -> None:
-        """Another robot stands in this row from now on."""
+        """Use another robot in this row from now on."""
         ...
 
-    def look(self, row: int, joints: Array, wrench: Array) -> Array:
-        """Tips (m, 3) [m] of a row's robot at joints (m, n), from rest, NaN without shape; it stays at the first."""
+    def solve_from_rest(self, row: int, joints: Array, wrench: Array) -> Array:
+        """Return the tips (m, 3) [m] of a row's robot at joints (m, n), NaN without a shape.
+
+        The solver does not use the robot's previous shape. Afterwards the robot is at the first of the joint positions.
+        """
         ...
 
     def follow(self, joints: Array, wrenches: Array) -> tuple[Array, list[int]]:
-        """Tips (k, 3) [m] of all robots, moved on to joints (k, n) and wrenches (k, 6), and which have no shape there.
+        """Move all robots to joints (k, n) and wrenches (k, 6); return tips (k, 3) [m] and the rows without a shape.
 
-        These stay, and their tips mean nothing.
+        Robots without a shape stay at their pose, and their returned tips are invalid.
         """
         ...
 
 
 class LoadedShapes:
-    """By the loaded model."""
+    """Solver that uses the loaded model."""
 
     def __init__(self, robot: Robot, rows: int) -> None:
         self.models = [Statics(robot)] * rows
         self._alike = True
         self._at = Solutions(
-            np.full((rows, count(len(robot.tubes), len(robot.joints))), np.nan), {},
+            np.full((rows, size(len(robot.tubes), len(robot.joints))), np.nan), {},
             len(robot.tubes), len(robot.joints),
         )  # fmt: skip
 
     def replace(self, row: int, robot: Robot) -> None:
-        """See `Shapes`."""
+        """See `ShapeSolver`."""
         if robot is not self.models[row].robot:
             self.models[row] = Statics(robot)
             self._alike = len(self.models) == 1
 
-    def look(self, row: int, joints: Array, wrench: Array) -> Array:
-        """See `Shapes`."""
+    def solve_from_rest(self, row: int, joints: Array, wrench: Array) -> Array:
+        """See `ShapeSolver`."""
         found = solve_many(self.models[row], joints, np.tile(wrench, (len(joints), 1)), threads=1)
         self._at.numbers[row] = found.numbers[0]
         return found.tip
 
     def follow(self, joints: Array, wrenches: Array) -> tuple[Array, list[int]]:
-        """See `Shapes`."""
+        """See `ShapeSolver`."""
         at = self._at
-        if len(self.models) == 1:  # the same, for less
+        if len(self.models) == 1:  # a single robot needs no batch: the result is the same, but faster
             near = Solution(at.numbers[0]) if at.numbers[0, PASSES] > 0.0 else None
             try:
                 alone = self.models[0].solve(joints[0], wrenches[0], near)
@@ -79,25 +83,25 @@ class LoadedShapes:
 
 
 class ExactShapes:
-    """By the exact rod: another formulation, without a model's sub-links."""
+    """Solver that uses the exact rod, which is formulated differently from the model and has no sub-links."""
 
     def __init__(self, robot: Robot, rows: int) -> None:
         self._models = [ExactRod(robot)] * rows
         self._at: list[Rod | None] = [None] * rows
 
     def replace(self, row: int, robot: Robot) -> None:
-        """See `Shapes`."""
+        """See `ShapeSolver`."""
         if robot is not self._models[row].robot:
             self._models[row] = ExactRod(robot)
 
-    def look(self, row: int, joints: Array, wrench: Array) -> Array:
-        """See `Shapes`."""
+    def solve_from_rest(self, row: int, joints: Array, wrench: Array) -> Array:
+        """See `ShapeSolver`."""
         rods = [self._solve(row, pose, wrench, None) for pose in joints]
         self._at[row] = rods[0]
         return np.array([np.full(3, np.nan) if rod is None else rod.tip for rod in rods])
 
     def follow(self, joints: Array, wrenches: Array) -> tuple[Array, list[int]]:
-        """See `Shapes`."""
+        """See `ShapeSolver`."""
         tips, lost = np.empty((len(joints), 3)), list[int]()
         for row, (pose, wrench) in enumerate(zip(joints, wrenches, strict=True)):
             rod = self._solve(row, pose, wrench, self._at[row])

@@ -1,110 +1,117 @@
-"""The task of `CtrTrack-v0`: keep the tip on a path while a load that nobody tells of comes."""
+"""The task of `CtrTrack-v0`: keep the tip on a path while an unknown load is applied."""
 
 import numpy as np
 from gymnasium.spaces import Box
 
 from core.compiled import compiled
 from core.errors import NoSolution
-from core.model.many import solve_many
+from core.model.batch import solve_many
 from core.model.statics import Statics
 from core.robot.robot import Array, Indices
 from station.config.strict import ConfigError
 from station.gym import TRACK_STEPS
 from station.gym.actions import Actions
-from station.gym.bodies import Bodies, Bools, Setting
-from station.gym.reach import MOST_DRAWS
+from station.gym.bodies import Bools, EpisodeSettings, RobotBatch
+from station.gym.reach import MAX_DRAWS
 
-#: Of their speed the joints need no more than this part to follow the path without load.
-SPARE = 0.5
-#: The load comes within this time [s], at some moment in the first half.
-RAMP = 1.0
-#: Of a path so many points are solved at least; its last quarter of waves is no larger than this [m].
-POINTS, SMOOTH = 64, 1e-5
+#: Largest fraction of the joints' top speed that a path may require from a robot without load.
+MAX_SPEED_SHARE = 0.5
+#: Rise time of the load, which starts at a random time in the first half of the episode [s].
+LOAD_RAMP_S = 1.0
+#: Smallest number of points of a path at which the model is solved, and largest amplitude in the upper quarter of the
+#: path's frequencies [m]. Larger amplitudes mean that the path is not smooth, for example because the robot snaps.
+MIN_PATH_POINTS, MAX_TAIL_AMPLITUDE_M = 64, 1e-5
 
 
 class Track:
-    """So many episodes side by side. The path is where the described robot's tip goes without load, and back."""
+    """The task of following a path, with parallel episodes.
 
-    def __init__(self, rows: int, setting: Setting, steps: int = TRACK_STEPS) -> None:
-        if steps < POINTS:
-            raise ConfigError(f"steps = {steps} are fewer than {POINTS}")
-        self.bodies, self.steps = Bodies(setting, rows), steps
+    The path is a closed motion of the tip of the robot file's robot without load.
+    """
+
+    def __init__(self, rows: int, setting: EpisodeSettings, steps: int = TRACK_STEPS) -> None:
+        if steps < MIN_PATH_POINTS:
+            raise ConfigError(f"steps = {steps} is less than {MIN_PATH_POINTS}")
+        self.bodies, self.steps = RobotBatch(setting, rows), steps
         n, reach = self.bodies.lower.size, self.bodies.reach
         self.paths, self.onsets = np.zeros((rows, steps + 2, 3)), np.zeros(rows)
         self.loads, self.at = np.zeros((rows, 6)), np.zeros(rows, np.int64)
         self._model = Statics(self.bodies.robot)
-        high = np.concatenate((self.bodies.felt_bounds, 2.0 * reach, 2.0 * reach))
+        high = np.concatenate((self.bodies.observation_bounds, 2.0 * reach, 2.0 * reach))
         self._width = high.size
         self.observation_space = Box(-high, high, dtype=np.float64)
         self.action_space = Actions(n)
 
     def reset(self, row: int, random: np.random.Generator) -> None:
-        """Begin an episode in this row: robot, load and path are drawn."""
+        """Start an episode in this row: draw robot, load and path."""
         bodies = self.bodies
-        for _ in range(MOST_DRAWS):
-            robot, load = bodies.disturbed(random), bodies.drawn_load(random)
-            joints = self._drawn_joints(random)
+        for _ in range(MAX_DRAWS):
+            robot, load = bodies.disturb_robot(random), bodies.draw_load(random)
+            joints = self._draw_joints(random)
             path = self._path(joints)
             start = bodies.put(row, robot, joints[:1], np.zeros(6))
             if path is not None and np.isfinite(start).all():
                 self.paths[row], self.loads[row], self.at[row] = path, load, 0
                 self.onsets[row] = random.uniform(0.0, 0.5 * self.steps)
                 return
-        raise NoSolution(f"robot '{bodies.robot.name}': no path was found along which it has shapes")
+        raise NoSolution(f"robot '{bodies.robot.name}': no path with a solution at every point was found")
 
     def observe(self) -> Array:
-        """What the rows feel of their joints, their tips, the ways to their targets and to the next ones [m]."""
+        """Return observed joints, tips, vectors to the targets and to the next targets [m] of all rows."""
         bodies = self.bodies
-        seen = np.empty((bodies.rows, self._width))
-        bodies.feel(seen)
-        _look_ahead(self.paths, self.at, bodies.tips, seen)
-        return seen
+        observations = np.empty((bodies.rows, self._width))
+        bodies.observe_into(observations)
+        _look_ahead(self.paths, self.at, bodies.tips, observations)
+        return observations
 
     def step(self, actions: Array) -> tuple[Array, dict[str, Array | Bools]]:
-        """Rewards (k,), the distance from the path in mm and negative, and the same in metres."""
+        """Execute actions (k, n); return rewards (k,), minus distances from the targets [mm], and distances [m]."""
         bodies = self.bodies
-        _come(self.at, self.steps + 1, self.onsets, RAMP / bodies.setting.period, self.loads, bodies.wrenches)
+        _advance_loads(
+            self.at, self.steps + 1, self.onsets, LOAD_RAMP_S / bodies.setting.period, self.loads, bodies.wrenches
+        )
         bodies.move(actions)
         away = np.empty(bodies.rows)
-        _fall_behind(self.paths, self.at, bodies.tips, away)
+        _distances(self.paths, self.at, bodies.tips, away)
         return -1e3 * away, {"error": away}
 
     def marks(self, row: int) -> Array:
-        """Points (m, 3) to show [m]."""
+        """Return the points (m, 3) that a picture shows [m]."""
         return self.paths[row]
 
     def _path(self, joints: Array) -> Array | None:
-        """The described tip without load (steps + 2, 3) [m]; None where it has no shape, or jumps.
+        """Return the tip's path without load (steps + 2, 3) [m] for the robot file's robot.
 
-        What is closed and smooth is known everywhere by some of its points.
+        The path is None if the robot has no shape or its tip jumps. The model is solved at some points only, because
+        they determine a closed smooth path everywhere.
         """
-        most = self.steps // POINTS
-        every = max((part for part in range(1, most + 1) if self.steps % part == 0), default=1)
+        max_stride = self.steps // MIN_PATH_POINTS
+        every = max((part for part in range(1, max_stride + 1) if self.steps % part == 0), default=1)
         poses = joints[: self.steps : every]
         found = solve_many(self._model, poses, np.zeros((len(poses), 6)), along=True)
         waves = np.fft.rfft(found.tip, axis=0)
-        if not np.abs(waves[-len(waves) // 4 :]).max() < SMOOTH * len(poses):  # NaN included
+        if not np.abs(waves[-len(waves) // 4 :]).max() < MAX_TAIL_AMPLITUDE_M * len(poses):  # NaN included
             return None
         path = every * np.fft.irfft(waves, self.steps, axis=0)
         return np.concatenate((path, path[:2]))
 
-    def _drawn_joints(self, random: np.random.Generator) -> Array:
-        """Joints (steps + 2, n) between three poses, where the tubes stand everywhere: their limits are straight."""
+    def _draw_joints(self, random: np.random.Generator) -> Array:
+        """Draw joints (steps + 2, n) between three poses; all are valid, because the limits are linear."""
         bodies = self.bodies
-        start = bodies.drawn_pose(random)
-        ways = [bodies.drawn_pose(random) - start for _ in range(2)]
+        start = bodies.draw_pose(random)
+        routes = [bodies.draw_pose(random) - start for _ in range(2)]
         turn = 2.0 * np.pi / self.steps
-        # The fastest that a quarter of (1 - cos) takes a joint on in a step, over its stride.
-        fastest = np.max([0.25 * turn * np.abs(ways[0]) + 0.5 * turn * np.abs(ways[1])], axis=0) / bodies.stride
-        part = min(1.0, SPARE / float(fastest.max(initial=1e-12)))
+        # Largest motion of each joint during a step along 0.25 (1 - cos), relative to the largest possible motion.
+        fastest = np.max([0.25 * turn * np.abs(routes[0]) + 0.5 * turn * np.abs(routes[1])], axis=0) / bodies.stride
+        part = min(1.0, MAX_SPEED_SHARE / float(fastest.max(initial=1e-12)))
         phase = turn * np.arange(self.steps + 2)
         first, second = 0.25 * part * (1.0 - np.cos(phase)), 0.25 * part * (1.0 - np.cos(2.0 * phase))
-        return start + first[:, None] * ways[0] + second[:, None] * ways[1]
+        return start + first[:, None] * routes[0] + second[:, None] * routes[1]
 
 
 @compiled
-def _come(at: Indices, last: int, onsets: Array, ramp: float, loads: Array, wrenches: Array) -> None:
-    """On by a step, and as much of the loads as has come then; paths have `steps` + 2 points."""
+def _advance_loads(at: Indices, last: int, onsets: Array, ramp: float, loads: Array, wrenches: Array) -> None:
+    """Advance all episodes by a step and set their present loads; `last` is the index of a path's last point."""
     for row in range(at.shape[0]):
         at[row] = min(at[row] + 1, last)
         part = min(max((at[row] - onsets[row]) / ramp, 0.0), 1.0)
@@ -113,19 +120,19 @@ def _come(at: Indices, last: int, onsets: Array, ramp: float, loads: Array, wren
 
 
 @compiled
-def _look_ahead(paths: Array, at: Indices, tips: Array, seen: Array) -> None:
-    """The ways to the targets and to the next ones, the last six of what is seen (k, m)."""
-    last, behind = paths.shape[1] - 1, seen.shape[1] - 6
+def _look_ahead(paths: Array, at: Indices, tips: Array, observations: Array) -> None:
+    """Write the vectors to the targets and to the next targets into the last six columns of (k, m)."""
+    last, behind = paths.shape[1] - 1, observations.shape[1] - 6
     for row in range(at.shape[0]):
         later = min(at[row] + 1, last)
         for k in range(3):
-            seen[row, behind + k] = paths[row, at[row], k] - tips[row, k]
-            seen[row, behind + 3 + k] = paths[row, later, k] - tips[row, k]
+            observations[row, behind + k] = paths[row, at[row], k] - tips[row, k]
+            observations[row, behind + 3 + k] = paths[row, later, k] - tips[row, k]
 
 
 @compiled
-def _fall_behind(paths: Array, at: Indices, tips: Array, away: Array) -> None:
-    """Distances (k,) from the targets."""
+def _distances(paths: Array, at: Indices, tips: Array, away: Array) -> None:
+    """Write the distances (k,) from the targets."""
     for row in range(at.shape[0]):
         total = 0.0
         for k in range(3):

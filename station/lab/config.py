@@ -1,4 +1,4 @@
-"""Every number of the virtual lab. The defaults are those that results are quoted with."""
+"""All parameters of the virtual lab. Their default values gave the results that the documents report."""
 
 import math
 from collections.abc import Mapping
@@ -11,53 +11,53 @@ from station.config.strict import ConfigError, Format, NotNegative, Strict, Vect
 
 
 class TubeError(Strict):
-    """How a true tube differs from the one the controller believes in, as fractions."""
+    """Differences of a true tube from the controller's model, as fractions."""
 
     stiffness: Annotated[float, Field(gt=-0.9, lt=10.0)] = 0.0
-    """of EI"""
+    """error of the bending stiffness EI"""
     curvature: Annotated[float, Field(gt=-0.9, lt=10.0)] = 0.0
-    """likewise, of every curved section"""
+    """error of the curvature of every curved section"""
 
 
 class PlantConfig(Strict):
-    """The true robot."""
+    """The plant: the simulated real robot, whose parameters the controller does not know."""
 
     tubes: Mapping[str, TubeError] = {
         "inner": TubeError(stiffness=-0.05, curvature=-0.03),
         "outer": TubeError(stiffness=0.04, curvature=0.02),
     }
-    """by tube name; a tube that is not named is as described"""
+    """errors by tube name; a tube without an entry has exactly the robot file's values"""
     poisson_ratio: Annotated[float, Field(gt=-1.0, le=0.5)] | None = 0.35
-    """of all tubes that are described by one"""
+    """Poisson's ratio of all tubes to which the robot file gives one"""
     vary: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.0
-    """draw EI and curvature of each tube within +- this fraction instead, from the seed"""
+    """largest random error of each tube's EI and curvature, as a fraction, drawn from the seed; replaces `tubes`"""
     play: Mapping[str, NotNegative] = {"inner_rotation": math.radians(0.1)}
-    """backlash by joint [rad or m]"""
+    """backlash of the drives by joint name [rad or m]"""
     rod: Literal["smooth", "rough"] = "smooth"
-    """`smooth`: tubes that only share their shape; the bases share the load and rub with the two numbers that follow.
-    `rough`: friction, clearance and weight are in the rod, and each base carries its own tube"""
+    """`smooth`: tubes without friction along the shaft; the bases share the load, with the two friction values below.
+    `rough`: rod with friction, clearance and weight; each base carries its tube"""
     friction_force: NotNegative = 0.05
-    """smooth: between neighbouring bases, along z [N]"""
+    """smooth: friction force between neighbouring bases, along z [N]"""
     friction_moment: NotNegative = 0.5e-3
-    """smooth: between neighbouring bases, about z [N m]"""
+    """smooth: friction moment between neighbouring bases, about z [N m]"""
     friction: Annotated[float, Field(ge=0.0, le=2.0)] = 0.0
-    """rough: coefficient mu where neighbouring tubes hand over their moment"""
+    """rough: friction coefficient mu at the points where neighbouring tubes transfer their bending moment"""
     couple: Annotated[float, Field(ge=1e-3, le=0.1)] = 0.010
-    """rough: distance of the two forces that hand it over [m]"""
+    """rough: distance between the two forces that transfer the bending moment of neighbouring tubes [m]"""
     stick: Annotated[float, Field(ge=1e-6, le=1e-3)] = 5e-6
-    """rough: path on which friction turns round [m]"""
+    """rough: displacement over which friction reverses [m]"""
     clearance: Annotated[float, Field(ge=0.0, le=1e-3)] = 0.0
-    """rough: difference of the diameters that face each other [m]"""
+    """rough: difference of the inner and outer diameters of neighbouring tubes [m]"""
     density: Annotated[float, Field(ge=0.0, le=3e4)] = 0.0
-    """rough: of the tubes' material; their weight bends them along +x [kg/m^3]"""
+    """rough: density of the tubes' material; the tubes' weight bends them along +x [kg/m^3]"""
     walk: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     """rough: random walk of each tube's precurvature, standard deviation after an hour, as a fraction"""
     step: Annotated[float, Field(ge=1e-4, le=0.05)] = 0.020
-    """of the exact rod's integration [m]"""
+    """integration step of the exact rod [m]"""
 
     @model_validator(mode="after")
     def _of_its_rod(self) -> Self:
-        """Refuse numbers that this rod would not look at."""
+        """Refuse parameters that the configured kind of rod does not use."""
         smooth, rough = ("friction_force", "friction_moment"), ("friction", "clearance", "density", "walk")
         for name in smooth if self.rod == "rough" else rough:
             if getattr(self, name) > 0.0:
@@ -66,7 +66,7 @@ class PlantConfig(Strict):
         return self
 
     def check_names(self, robot: RobotFile) -> None:
-        """Refuse tubes and joints that were given by name and that the robot does not have."""
+        """Check that the robot has the configured tubes and joints."""
         for key, given, has in (
             ("tubes", self.tubes, [tube.name for tube in robot.tubes]),
             ("play", self.play, [joint.name for joint in robot.joints]),
@@ -82,134 +82,136 @@ class TrackerConfig(Strict):
     """Electromagnetic tracker."""
 
     rate: Annotated[float, Field(gt=0.0, le=1000.0)] = 40.0
-    """of its frames [1/s]"""
+    """number of frames per second [1/s]"""
     latency: NotNegative = 0.024
-    """from the measurement to its arrival [s]"""
+    """time from a measurement to the arrival of its frame [s]"""
     noise: NotNegative = 0.1e-3
-    """standard deviation an axis [m]"""
+    """standard deviation of the position noise on each axis [m]"""
     distortion: Annotated[float, Field(ge=0.0, le=0.02)] = 0.0
-    """of the field by metal nearby, RMS over the measured cube [m]; its form is drawn from the seed"""
+    """position error by metal in the field, RMS over the measured cube [m]; its form is drawn from the seed"""
     direction_noise: Annotated[float, Field(ge=0.0, le=0.5)] | None = 0.005
-    """standard deviation of the coil's axis about each of two others [rad]; None: the axis is not told"""
+    """standard deviation of the coil's axis about each of two lateral axes [rad]; None: the axis is not reported"""
 
 
 class BaseSensorConfig(Strict):
     """Six-axis sensors at the tubes' bases."""
 
     force_noise: NotNegative = 0.02
-    """standard deviation of one sample [N]"""
+    """standard deviation of the force noise of one sample [N]"""
     moment_noise: NotNegative = 0.2e-3
-    """the same of a moment [N m]"""
+    """standard deviation of the moment noise of one sample [N m]"""
     force_count: NotNegative = 1.0 / 256.0
-    """one count of quantisation [N]"""
+    """quantisation step of the force [N]"""
     moment_count: NotNegative = 0.05e-3
-    """the same of a moment [N m]"""
+    """quantisation step of the moment [N m]"""
     drift: NotNegative = 5e-3 / 60.0
-    """slope of the slow drift of each force axis, either way [N/s]"""
+    """rate of the drift of each force axis, with a random sign [N/s]"""
+    moment_drift: NotNegative = 0.1e-3 / 60.0
+    """rate of the drift of each moment axis [N m/s]; assumed: relative to the range 1.4 times the forces' drift"""
     force_offset: NotNegative = 1.0
-    """largest reading without load before the tare [N]"""
+    """largest force that a sensor reads without load before it is tared [N]"""
     moment_offset: NotNegative = 10e-3
-    """the same of a moment [N m]"""
+    """largest moment that a sensor reads without load before it is tared [N m]"""
     gain: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
-    """largest error of each axis's gain, either way, and of the cross-talk from each other axis, as fractions of the
-    ranges; drawn from the seed"""
+    """largest error of each axis's gain, and largest cross-talk from each other axis, as fractions of the ranges; drawn
+    from the seed"""
 
 
 class HiddenConfig(Strict):
-    """What a new bench does not know about itself; directions and signs are drawn from the seed."""
+    """Errors of a new bench that the station does not know; directions and signs are drawn from the seed."""
 
     registration_translation: NotNegative = 0.0
-    """by how much the tracker stands elsewhere than it is said to [m]"""
+    """position error of the tracker [m]"""
     registration_rotation: NotNegative = 0.0
-    """by how much it is turned against that [rad]"""
+    """orientation error of the tracker [rad]"""
     coil_offset: Vector = (0.0, 0.0, 0.0)
-    """of the coil from the tip, in the frame of the innermost tube's tip [m]"""
-    coil_askew: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
-    """by which angle the coil's axis is turned against the tip's [rad]"""
+    """position of the coil relative to the tip, in the frame of the innermost tube's tip [m]"""
+    coil_misalignment: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """angle between the coil's axis and the tip's [rad]"""
     base_position: NotNegative = 0.0
-    """by how much the plate stands elsewhere than the robot's file says [m]"""
+    """position error of the front plate relative to the robot file [m]"""
     base_rotation: NotNegative = 0.0
-    """by how much it is turned against that [rad]"""
+    """orientation error of the front plate [rad]"""
     rotation_zero: NotNegative = 0.0
-    """largest error of a rotation's zero, but the outermost tube's: that is zero by convention [rad]"""
+    """largest error of the zero of a rotation joint [rad]; the outermost tube has none by convention"""
     translation_zero: NotNegative = 0.0
-    """largest error of a translation's zero [m]"""
+    """largest error of the zero of a translation joint [m]"""
     mirrored: tuple[str, ...] = Field(default=(), strict=False)
-    """joints whose stage runs the other way, about the middle of its travel"""
+    """joints whose stage is reversed about the middle of its travel"""
     tracker_latency: NotNegative = 0.0
-    """on top of the one that is known [s]"""
+    """latency of the tracker in addition to the configured latency [s]"""
     sensor_mounting: NotNegative = 0.0
-    """by which angle each base sensor is mounted askew [rad]"""
+    """misalignment of each base sensor [rad]"""
     sensor_weight: NotNegative = 0.0
-    """of what hangs on each base sensor beside the tube [N]"""
+    """weight that hangs on each base sensor in addition to the tube [N]"""
 
     def check_names(self, robot: RobotFile) -> None:
-        """Refuse joints that the robot does not have."""
+        """Check that the robot has the configured joints."""
         has = [joint.name for joint in robot.joints]
         if unknown := [name for name in self.mirrored if name not in has]:
             raise ConfigError(
-                f"hidden.mirrored: '{unknown[0]}' is no joint of robot '{robot.name}'; it has {', '.join(has)}"
+                f"hidden.mirrored: '{unknown[0]}' is not a joint of robot '{robot.name}'; it has {', '.join(has)}"
             )
 
 
 class TargetConfig(Strict):
-    """What moves beside the robot and carries the tracker's second coil; lines and phases are drawn from the seed."""
+    """Moving target with the tracker's second coil; lines and phases of its motion are drawn from the seed."""
 
     place: Vector = (0.0, 0.0, 0.015)
-    """of its middle, from the tip at power-up [m]"""
+    """position of the middle of the target's motion relative to the tip at power-up [m]"""
     breathing: NotNegative = 5e-3
-    """from the middle to either end of a line [m]"""
+    """amplitude of breathing along a line [m]"""
     breathing_rate: Annotated[float, Field(gt=0.0, le=2.0)] = 0.25
-    """how often it goes there and back [Hz]"""
+    """frequency of breathing [Hz]"""
     breathing_second: Annotated[float, Field(ge=0.0, le=1.0)] = 0.15
-    """part of the size that a wave of twice the rate has"""
+    """amplitude of the breathing at twice its rate, as a fraction of `breathing`"""
     heartbeat: NotNegative = 0.5e-3
-    """the same along a line of its own [m]"""
+    """amplitude of the heartbeat along a second line [m]"""
     heartbeat_rate: Annotated[float, Field(gt=0.0, le=5.0)] = 1.2
-    """how often that goes there and back [Hz]"""
+    """frequency of the heartbeat [Hz]"""
     rate_drift: Annotated[float, Field(ge=0.0, le=0.5)] = 0.05
-    """largest change of both rates, there and back in a minute, as a part"""
+    """largest change of both rates, with a period of 60 s, as a fraction"""
     size_drift: Annotated[float, Field(ge=0.0, le=0.5)] = 0.1
-    """of both sizes"""
+    """largest change of both amplitudes, with a period of 45 s, as a fraction"""
 
 
 class LabConfig(Strict):
     """The virtual lab."""
 
     format: Format = 1
-    """of this file"""
+    """number of the file format"""
     title: str = "virtual lab: simulated tubes and devices, parameters that differ from the controller's"
-    """as recordings and reports call it"""
+    """title of the lab in recordings and reports"""
     devices: Literal["wire", "ideal"] = "wire"
-    """as real ones behave on their wires, or without flaw: no noise, no delay, no wires"""
+    """`wire`: the devices are simulated with their wires; `ideal`: the devices have no noise, delay and wires"""
     plant: PlantConfig = PlantConfig()
-    """the true tubes, and what they rub on"""
+    """parameters of the plant: its true tubes and their friction"""
     tracker: TrackerConfig = TrackerConfig()
-    """how the simulated one measures"""
+    """parameters of the simulated tracker"""
     sensors: BaseSensorConfig = BaseSensorConfig()
-    """how the simulated ones measure"""
+    """parameters of the simulated base sensors"""
     hidden: HiddenConfig = HiddenConfig()
-    """what the station is told wrongly"""
+    """errors of the bench that the station does not know"""
     target: TargetConfig | None = None
-    """none: the tracker has one coil"""
+    """motion of the target; without a target the tracker has a single coil"""
 
     @model_validator(mode="after")
     def _coil_on_a_wire(self) -> Self:
-        """Refuse a target that nobody would see."""
+        """Refuse a target with ideal devices, whose tracker has no second coil."""
         if self.target is not None and self.devices == "ideal":
             raise ValueError("target: ideal devices have no second coil; use devices = 'wire'")
         return self
 
 
-#: Labs that had another name.
+#: Former names of preset labs and their present names, because old files still use them.
 FORMER_NAMES = {"default": "gentle"}
 
 
 def load_lab(name: str, robot: RobotFile) -> LabConfig:
-    """A virtual lab for a robot, by preset name or by file.
+    """Load a virtual lab for a robot, by preset name or from a file.
 
     Raises:
-        ConfigError: with file, key, value and what was expected.
+        ConfigError: the file is invalid; the message names file, key, value and what was expected.
     """
     path = preset("labs", FORMER_NAMES.get(name, name))
     lab = check(LabConfig, read_toml(path), str(path))

@@ -1,4 +1,4 @@
-"""The live virtual lab as a bench: its endpoints, told as a station file tells a real one's."""
+"""Converts the endpoints of the live virtual lab to the `[devices]` of a station file."""
 
 import math
 from collections.abc import Mapping
@@ -6,15 +6,15 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from station.config.strict import check
-from station.control.clock import REAL_TIME, StationClock
+from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.devices.config import BenchFile
-from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.coil import GENERATOR_POSE
 from station.lab.aurora.simulated import TARGET_SERIAL
 from station.lab.config import LabConfig
 
 
-def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationClock = REAL_TIME) -> BenchFile:
-    """The `[devices]` of a lab that has told its endpoints, on a computer for which `clock` has patience."""
+def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationClock = REAL_TIME_CLOCK) -> BenchFile:
+    """Return the `[devices]` of a lab with these endpoints; `clock` sets their timeouts."""
     tubes = {box["tube"]: _box(box) for box in endpoints["netft"]}
     tables: dict[str, dict[str, Any]] = {
         "stages": {"driver": "zaber", "port": endpoints["zaber"], "deadline": clock.patience},
@@ -23,8 +23,8 @@ def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationCl
             "port": endpoints["aurora"],
             "frame_rate": config.tracker.rate,
             "latency": config.tracker.latency,
-            # A turn by half about x, as MOUNT has it.
-            "mount": {"position": MOUNT.position.tolist(), "rotation_vector": [math.pi, 0.0, 0.0]},
+            # The generator is upside down, as in `GENERATOR_POSE`: half a turn about x.
+            "mount": {"position": GENERATOR_POSE.position.tolist(), "rotation_vector": [math.pi, 0.0, 0.0]},
         },
         "sensors": {"driver": "netft", "tubes": tubes, "stale_after": clock.patience},
     }

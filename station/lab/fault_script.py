@@ -1,4 +1,4 @@
-"""Faults that come and go at the simulated devices, each at its time."""
+"""Starts and ends the configured faults of the simulated devices at their times."""
 
 import math
 from collections.abc import Sequence
@@ -7,45 +7,45 @@ from typing import NamedTuple, Protocol
 from station.config.robots import RobotFile
 from station.devices.links.link import Link
 from station.lab.aurora.simulated import AuroraFaults, SimulatedAurora
-from station.lab.faults import LabFault, Target
+from station.lab.faults import FaultTarget, LabFault
 from station.lab.netft.simulated import NetftFaults, SimulatedNetft
 from station.lab.zaber.simulated import Faults, SimulatedChain
 
-ANALOG_BOARD = 1 << 28  #: of a Net F/T box's status
+ANALOG_BOARD = 1 << 28  #: status bit of a Net F/T box that reports a failure of its analog board
 
 
 class Plug(Protocol):
-    """What can be pulled."""
+    """A plug that can be pulled."""
 
     def unplug(self) -> None:
-        """Pull it."""
+        """Pull the plug."""
         ...
 
     def plug(self) -> None:
-        """Put it back."""
+        """Plug it in again."""
         ...
 
 
 class DeviceLine(Link, Plug, Protocol):
-    """The device's end of a serial line; without its cable the host's port is gone."""
+    """The device's end of a serial line; without its cable the host's port disappears."""
 
 
 class Incident(NamedTuple):
-    """A fault with its times."""
+    """A fault with its start and end time."""
 
     fault: LabFault
-    target: Target
-    begin: float  #: [s]
-    end: float  #: infinite: for ever [s]
+    target: FaultTarget
+    start: float  #: [s]
+    end: float  #: [s]; infinite: permanent
 
     @property
     def size(self) -> float:
-        """How large the fault is; 0 where it has no size."""
+        """Size of the fault; 0 for a kind without a size."""
         return self.fault.value or 0.0
 
 
 class FaultScript:
-    """What is wrong with a lab's devices and when. Look at `due` each tick: it costs a comparison."""
+    """Schedule of the faults of a lab's devices. Compare `due` with the time in each tick, which is fast."""
 
     def __init__(
         self,
@@ -55,49 +55,49 @@ class FaultScript:
         boxes: Sequence[SimulatedNetft],
         lines: tuple[DeviceLine, DeviceLine],
     ) -> None:
-        """`lines` are those of the chain and of the Aurora."""
-        self.due = math.inf  #: when `apply` has something to do next [s]
-        self.active: tuple[Incident, ...] = ()  #: what is wrong now
+        """`lines` are the lines of the chain and of the Aurora."""
+        self.due = math.inf  #: time at which the next fault starts or ends, for `apply` [s]
+        self.active: tuple[Incident, ...] = ()  #: faults that are active now
         self._robot, self._chain, self._aurora, self._boxes, self._lines = robot, chain, aurora, tuple(boxes), lines
         self._planned: list[Incident] = []
 
     def inject(self, faults: Sequence[LabFault], start: float) -> None:
-        """Let these happen, instead of those that are on or to come; their times count from `start` [s].
+        """Replace all active and planned faults; times count from `start` [s].
 
         Raises:
-            ConfigError: one cannot happen to this robot's devices.
+            ConfigError: this robot's devices cannot have one of the faults.
         """
         targets = [fault.target(self._robot) for fault in faults]
         self._planned.clear()
         if self.active:
             self._become(())
         for fault, target in zip(faults, targets, strict=True):
-            begin = start + fault.at
-            end = math.inf if fault.duration is None else begin + fault.duration
-            self._planned.append(Incident(fault, target, begin, end))
+            first = start + fault.at
+            end = math.inf if fault.duration is None else first + fault.duration
+            self._planned.append(Incident(fault, target, first, end))
         self._plan()
 
     def apply(self, now: float) -> None:
-        """Begin and end what is due at `now` [s]."""
-        begun = tuple(one for one in self._planned if one.begin <= now)
-        self._planned = [one for one in self._planned if one.begin > now]
-        lasting = tuple(one for one in (*self.active, *begun) if one.end > now and one.fault.kind != "restart")
+        """Start and end the faults that are due at `now` [s]."""
+        started = tuple(one for one in self._planned if one.start <= now)
+        self._planned = [one for one in self._planned if one.start > now]
+        lasting = tuple(one for one in (*self.active, *started) if one.end > now and one.fault.kind != "restart")
         self._become(lasting)
-        for one in begun:
+        for one in started:
             if one.fault.kind == "restart":
                 self._restart(one.target, now)
         self._plan()
 
     def _plan(self) -> None:
-        times = [one.begin for one in self._planned] + [one.end for one in self.active]
+        times = [one.start for one in self._planned] + [one.end for one in self.active]
         self.due = min(times, default=math.inf)
 
     def _become(self, active: tuple[Incident, ...]) -> None:
-        """Set every device to what is wrong from now on."""
+        """Set the active faults of every device."""
         self._chain.faults = zaber_faults(active)
         self._aurora.faults = aurora_faults(active)
-        for place, box in enumerate(self._boxes):
-            box.faults = netft_faults(active, place)
+        for index, box in enumerate(self._boxes):
+            box.faults = netft_faults(active, index)
         for part, line in zip(("stages", "tracker"), self._lines, strict=True):
             self._switch("disconnect", part, active, line)
         self._switch("unplug", "tracker", active, self._aurora)
@@ -112,33 +112,33 @@ class FaultScript:
         elif out(self.active) and not out(active):
             plug.plug()
 
-    def _restart(self, target: Target, now: float) -> None:
+    def _restart(self, target: FaultTarget, now: float) -> None:
         if target.part == "tracker":
             self._aurora.restart(now)
-        for place in target.places:
+        for index in target.indices:
             if target.part == "sensor":
-                self._boxes[place].reboot()
+                self._boxes[index].reboot()
             else:
-                self._chain.power_cycle(place + 1)
+                self._chain.power_cycle(index + 1)
 
 
 def zaber_faults(active: Sequence[Incident]) -> Faults:
-    """What is wrong with the chain."""
+    """Return the active faults of the stages' chain, as the simulated chain expects them."""
     mine = [one for one in active if one.target.part in ("stages", "joint")]
-    places = {kind: frozenset(p + 1 for p in _places(mine, kind)) for kind in ("mute", "stall")}
-    cuts = [place + 1 for place in _places(mine, "disconnect")]
+    slots = {kind: frozenset(i + 1 for i in _indices(mine, kind)) for kind in ("mute", "stall")}
+    cuts = [index + 1 for index in _indices(mine, "disconnect")]
     return Faults(
         drop=_worst(mine, "drop_bytes"),
         flip=_worst(mine, "flip_bits"),
         delay=_worst(mine, "delay"),
-        mute=places["mute"],
+        mute=slots["mute"],
         cut=min(cuts, default=None),
-        stalled=places["stall"],
+        stalled=slots["stall"],
     )
 
 
 def aurora_faults(active: Sequence[Incident]) -> AuroraFaults:
-    """What is wrong with the tracker."""
+    """Return the active faults of the tracker, as the simulated Aurora expects them."""
     mine = [one for one in active if one.target.part == "tracker"]
     kinds = {one.fault.kind for one in mine}
     return AuroraFaults(
@@ -153,15 +153,15 @@ def aurora_faults(active: Sequence[Incident]) -> AuroraFaults:
     )
 
 
-def netft_faults(active: Sequence[Incident], place: int) -> NetftFaults:
-    """What is wrong with the box of a tube."""
-    mine = [one for one in active if one.target.part == "sensor" and place in one.target.places]
+def netft_faults(active: Sequence[Incident], index: int) -> NetftFaults:
+    """Return the active faults of the force sensor at tube `index`, as its simulated Net F/T box expects them."""
+    mine = [one for one in active if one.target.part == "sensor" and index in one.target.indices]
     kinds = {one.fault.kind for one in mine}
     return NetftFaults(
         drop=_worst(mine, "drop_bytes"),
         flip=_worst(mine, "flip_bits"),
         delay=_worst(mine, "delay"),
-        # Datagrams have no connection to lose.
+        # Datagrams have no connection, so a disconnected box is mute.
         mute=bool(kinds & {"mute", "disconnect"}),
         saturate="saturate" in kinds,
         freeze="freeze" in kinds,
@@ -173,5 +173,5 @@ def _worst(incidents: Sequence[Incident], kind: str) -> float:
     return max((one.size for one in incidents if one.fault.kind == kind), default=0.0)
 
 
-def _places(incidents: Sequence[Incident], kind: str) -> list[int]:
-    return [place for one in incidents if one.fault.kind == kind for place in one.target.places]
+def _indices(incidents: Sequence[Incident], kind: str) -> list[int]:
+    return [index for one in incidents if one.fault.kind == kind for index in one.target.indices]

@@ -1,4 +1,4 @@
-"""What can go wrong at the simulated devices, as an experiment file says it.
+"""Faults of the simulated devices, as configured in an experiment file.
 
 ```toml
 [[faults]]
@@ -37,53 +37,53 @@ FaultKind = Literal[
 ]
 
 
-class Kind(NamedTuple):
-    """A kind of fault: what it can befall, and whether it has a size and an end."""
+class FaultProperties(NamedTuple):
+    """Properties of a kind of fault: possible targets, bound of its size, and whether it has a duration."""
 
     parts: tuple[Part, ...]
-    most: float | None = None  #: of `value`, which is above 0; None: it has none
+    maximum: float | None = None  #: largest `value` of the fault, which is above 0; None: the kind has no value
     unit: str = ""
     lasts: bool = True
 
 
-PROBABILITY, LONGEST_DELAY, FARTHEST_JUMP = 1.0, 60.0, 0.5
-LINES: tuple[Part, ...] = ("stages", "tracker", "sensor")
-ALL: tuple[Part, ...] = ("stages", "joint", "tracker", "sensor")
-KINDS: dict[FaultKind, Kind] = {
-    # a part of the bytes, of a force sensor's datagrams, either way
-    "drop_bytes": Kind(LINES, PROBABILITY, "probability"),
-    "flip_bits": Kind(LINES, PROBABILITY, "probability"),
-    # of every reply on top of the usual
-    "delay": Kind(LINES, LONGEST_DELAY, "s"),
-    # nothing is answered
-    "mute": Kind(ALL),
-    # the computer's port is gone; the cable to a joint's unit, and with it to those behind; a sensor's network
-    "disconnect": Kind(ALL),
-    # off and on
-    "restart": Kind(ALL, lasts=False),
-    # the motor counts steps that it does not make
-    "stall": Kind(("joint",)),
-    # the coil is not seen
-    "lose_tool": Kind(("tracker",)),
-    # the same of the target's coil, where there is one
-    "lose_target": Kind(("tracker",)),
+PROBABILITY, MAX_DELAY_S, MAX_JUMP_M = 1.0, 60.0, 0.5
+SERIAL_TARGETS: tuple[Part, ...] = ("stages", "tracker", "sensor")
+FAULT_TARGETS: tuple[Part, ...] = ("stages", "joint", "tracker", "sensor")
+FAULT_KINDS: dict[FaultKind, FaultProperties] = {
+    # `value` is the share of bytes, or of a force sensor's datagrams, that are lost in both directions
+    "drop_bytes": FaultProperties(SERIAL_TARGETS, PROBABILITY, "probability"),
+    "flip_bits": FaultProperties(SERIAL_TARGETS, PROBABILITY, "probability"),
+    # `value` is the additional delay of every reply
+    "delay": FaultProperties(SERIAL_TARGETS, MAX_DELAY_S, "s"),
+    # the device does not reply
+    "mute": FaultProperties(FAULT_TARGETS),
+    # stages, tracker: the computer's port disappears; joint: its cable, also to the units behind; sensor: its network
+    "disconnect": FaultProperties(FAULT_TARGETS),
+    # power off and on
+    "restart": FaultProperties(FAULT_TARGETS, lasts=False),
+    # the motor counts steps without moving
+    "stall": FaultProperties(("joint",)),
+    # the tracker does not see the coil
+    "lose_tool": FaultProperties(("tracker",)),
+    # the tracker does not see the target's coil
+    "lose_target": FaultProperties(("tracker",)),
     # the coil's plug is pulled
-    "unplug": Kind(("tracker",)),
-    # the coil seems to be so far off, along the world's x
-    "jump": Kind(("tracker",), FARTHEST_JUMP, "m"),
-    "saturate": Kind(("sensor",)),
-    # the same sample or frame again and again
-    "freeze": Kind(("tracker", "sensor")),
-    # the box says that its analog board has failed
-    "bad_status": Kind(("sensor",)),
+    "unplug": FaultProperties(("tracker",)),
+    # `value` offsets the coil's position along the world's x
+    "jump": FaultProperties(("tracker",), MAX_JUMP_M, "m"),
+    "saturate": FaultProperties(("sensor",)),
+    # the device repeats one sample or frame
+    "freeze": FaultProperties(("tracker", "sensor")),
+    # the box reports a failure of its analog board
+    "bad_status": FaultProperties(("sensor",)),
 }
 
 
-class Target(NamedTuple):
-    """Whom a fault befalls."""
+class FaultTarget(NamedTuple):
+    """The devices that a fault affects."""
 
     part: Part
-    places: tuple[int, ...]  #: of joints or tubes, in the robot's order
+    indices: tuple[int, ...]  #: indices of joints or tubes, in the robot file's order
 
 
 class LabFault(Strict):
@@ -93,52 +93,52 @@ class LabFault(Strict):
     device: str
     """stages, tracker, sensors, or one of them by its joint's or tube's name"""
     at: NotNegative = 0.0
-    """from the motion's start, or from now on when it is injected [s]"""
+    """start time of the fault, relative to the motion's start or to the injection [s]"""
     duration: Positive | None = None
-    """None: for ever [s]"""
+    """duration of the fault [s]; None: permanent"""
     value: Positive | None = None
-    """how much: a probability, of a delay seconds, of a jump metres"""
+    """size of the fault: a probability, a delay [s] or a jump [m]"""
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
-        kind = KINDS[self.kind]
-        if kind.most is None and self.value is not None:
+        kind = FAULT_KINDS[self.kind]
+        if kind.maximum is None and self.value is not None:
             raise ValueError(f"'{self.kind}' has no value")
-        if kind.most is not None and (self.value is None or self.value > kind.most):
-            raise ValueError(f"'{self.kind}' needs a value above 0, at most {kind.most:g} ({kind.unit})")
+        if kind.maximum is not None and (self.value is None or self.value > kind.maximum):
+            raise ValueError(f"'{self.kind}' needs a value above 0, at most {kind.maximum:g} ({kind.unit})")
         if not kind.lasts and self.duration is not None:
             raise ValueError(f"'{self.kind}' happens at once and has no duration")
         return self
 
-    def target(self, robot: RobotFile) -> Target:
-        """Whom it befalls.
+    def target(self, robot: RobotFile) -> FaultTarget:
+        """Return the device with the fault.
 
         Raises:
-            ConfigError: the robot has no such device, or this cannot happen to it.
+            ConfigError: the robot has no such device, or the device cannot have this fault.
         """
         joints, tubes = [joint.name for joint in robot.joints], [tube.name for tube in robot.tubes]
-        whole: dict[str, Target] = {
-            "stages": Target("stages", tuple(range(len(joints)))),
-            "tracker": Target("tracker", ()),
-            "sensors": Target("sensor", tuple(range(len(tubes)))),
+        whole: dict[str, FaultTarget] = {
+            "stages": FaultTarget("stages", tuple(range(len(joints)))),
+            "tracker": FaultTarget("tracker", ()),
+            "sensors": FaultTarget("sensor", tuple(range(len(tubes)))),
         }
         found = [whole[self.device]] if self.device in whole else []
-        found += [Target("joint", (i,)) for i, name in enumerate(joints) if name == self.device]
-        found += [Target("sensor", (i,)) for i, name in enumerate(tubes) if name == self.device]
+        found += [FaultTarget("joint", (i,)) for i, name in enumerate(joints) if name == self.device]
+        found += [FaultTarget("sensor", (i,)) for i, name in enumerate(tubes) if name == self.device]
         if not found:
             names = ", ".join([*whole, *joints, *tubes])
             raise ConfigError(f"device = '{self.device}': expected one of {names} (robot '{robot.name}')")
-        possible = [target for target in found if target.part in KINDS[self.kind].parts]
+        possible = [target for target in found if target.part in FAULT_KINDS[self.kind].parts]
         if not possible:
-            able = [kind for kind, about in KINDS.items() if found[0].part in about.parts]
-            raise ConfigError(f"kind = '{self.kind}': to '{self.device}' can happen {', '.join(able)}")
+            able = [kind for kind, about in FAULT_KINDS.items() if found[0].part in about.parts]
+            raise ConfigError(f"kind = '{self.kind}': '{self.device}' cannot have it, but {', '.join(able)}")
         if len(possible) > 1:
             raise ConfigError(f"device = '{self.device}': robot '{robot.name}' has a joint and a tube of that name")
         return possible[0]
 
 
 def check_faults(faults: Sequence[LabFault], robot: RobotFile) -> None:
-    """Refuse faults that cannot happen to this robot's devices; raises ConfigError with the key."""
+    """Check that this robot's devices can have the faults; raises ConfigError with the key."""
     for number, fault in enumerate(faults):
         try:
             fault.target(robot)

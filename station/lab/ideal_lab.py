@@ -1,7 +1,7 @@
-"""A virtual lab whose devices have no flaw: for simulations of the model and the strategies alone.
+"""A virtual lab with ideal devices, for simulations of the model and the strategies alone.
 
-Real devices cannot be like that, and a line of 9600 baud even less, so these have no bytes: each tick the
-stages take every joint's velocity at once, and the sensors show what is.
+These devices have no wires. In each tick the stages accept every joint's velocity at once, and the sensors report the
+true values.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,23 +12,31 @@ import numpy as np
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
-from station.devices.interfaces import Condition, Devices, JointReading, TipReading, Trouble, Truth, WrenchReading
+from station.devices.interfaces import (
+    Condition,
+    DeviceFault,
+    Devices,
+    GroundTruth,
+    JointReading,
+    TipReading,
+    WrenchReading,
+)
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
-from station.lab.loads import Load, NoLoad
+from station.lab.loads import Load, NoLoad, force_of
 from station.lab.true_plant import true_plant
 
 
 class IdealLab:
-    """The plant and what pulls at it, without a wire between."""
+    """The plant with its load and ideal devices, which have no wires."""
 
-    trouble = ""  #: the true robot always follows, or `advance` raises
+    trouble = ""  #: always empty: the plant (simulated real robot) follows, or `advance` raises
 
     def __init__(self, robot: RobotFile, config: LabConfig, seed: int, positions: Array) -> None:
-        """The joints are at `positions` (n,).
+        """Create the lab with the joints at `positions` (n,).
 
         Raises:
-            PoseError, NoSolution: the true robot cannot stand there.
+            PoseError, NoSolution: the plant (simulated real robot) has no shape there.
         """
         self._plant = true_plant(robot.robot(), config.plant, np.random.default_rng(seed), positions)
         self._stages = IdealStages(robot, positions)
@@ -41,34 +49,34 @@ class IdealLab:
 
     @property
     def true_robot(self) -> Robot:
-        """The robot as it really is."""
+        """The robot with its true parameters."""
         return self._plant.robot
 
     def true_joints(self, positions: Array) -> Array:
-        """Where the joints really are (n,) when the stages count `positions` (n,): there."""
+        """Return the true joints (n,) when the stages count `positions` (n,): they are equal in an ideal lab."""
         return positions
 
     def apply_load(self, load: Load, start: float) -> None:
-        """Put a load on the tip whose time counts from `start` [s]."""
+        """Apply a load to the tip; its time counts from `start` [s]."""
         self._load, self._load_start = load, start
 
-    def inject(self, faults: Sequence[LabFault], start: float) -> None:  # noqa: ARG002 - there is no wire to disturb
-        """Devices without flaw have no faults.
+    def inject(self, faults: Sequence[LabFault], start: float) -> None:  # noqa: ARG002 - there are no wires
+        """Refuse faults: ideal devices have none.
 
         Raises:
-            ConfigError: some were asked for.
+            ConfigError: faults were requested.
         """
         if faults:
             raise ConfigError("faults: ideal devices have none; use a lab with devices = 'wire'")
 
-    def advance(self, now: float) -> Truth:
-        """Let time pass until `now` [s].
+    def advance(self, now: float) -> GroundTruth:
+        """Advance the simulation until `now` [s].
 
         Raises:
-            PoseError, NoSolution: the true robot cannot stand so.
+            PoseError, NoSolution: the plant (simulated real robot) has no shape.
         """
         self._stages.advance(now)
-        force = self._load.force(now - self._load_start)
+        force = force_of(self._load, now - self._load_start)
         truth, wrenches = self._plant.advance(self._stages.positions, force, now=now)
         self._tracker.direction = truth.direction
         self._tracker.tip, self._sensors.reading = truth.tip, WrenchReading(now, wrenches)
@@ -76,7 +84,7 @@ class IdealLab:
 
 
 class _Faultless:
-    """What needs no connecting and never fails."""
+    """Base of devices that are always connected and never fail."""
 
     condition = Condition.CONNECTED
     ready = True
@@ -85,9 +93,9 @@ class _Faultless:
         """Nothing to do: an ideal device is always connected."""
 
     def home(self, now: float) -> None:
-        """Nothing to do: ideal stages know where they are."""
+        """Nothing to do: ideal stages are always homed."""
 
-    def trouble(self, now: float) -> Trouble | None:  # noqa: ARG002 - never
+    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - never
         """None."""
         return None
 
@@ -100,7 +108,7 @@ class _Faultless:
 
 
 class IdealStages(_Faultless):
-    """Motors that run at the velocity they were told, from the moment they were told, to the end of travel."""
+    """Motors that run at the commanded velocity without delay, up to the end of the travel."""
 
     def __init__(self, robot: RobotFile, positions: Array) -> None:
         self.positions = positions.copy()  #: (n,) [rad or m]
@@ -111,33 +119,33 @@ class IdealStages(_Faultless):
         self._time = 0.0
 
     def poll(self, now: float) -> JointReading:  # noqa: ARG002 - the lab has moved to `now` already
-        """Where they are."""
+        """Return positions and velocities."""
         return JointReading(self.positions.copy(), self._velocity.copy())
 
     def command(self, velocities: Array, now: float) -> None:  # noqa: ARG002 - at once
-        """Take velocities (n,)."""
+        """Set the velocities (n,)."""
         self._velocity = np.minimum(np.maximum(velocities, -self._speed), self._speed)
 
     def stop(self, now: float) -> None:  # noqa: ARG002 - at once
-        """Stand still."""
+        """Stop all joints."""
         self._velocity = np.zeros_like(self._velocity)
 
     def advance(self, now: float) -> None:
-        """Run until `now` [s]."""
-        there = self.positions + (now - self._time) * self._velocity
-        self.positions, self._time = np.minimum(np.maximum(there, self._lower), self._upper), now
+        """Move the joints until `now` [s]."""
+        reached = self.positions + (now - self._time) * self._velocity
+        self.positions, self._time = np.minimum(np.maximum(reached, self._lower), self._upper), now
 
 
 class IdealTracker(_Faultless):
     """Frames without noise and delay."""
 
     def __init__(self, rate: float) -> None:
-        self.tip = np.zeros(3)  #: the true one [m]
-        self.direction: Array | None = None  #: (3,) the true one
+        self.tip = np.zeros(3)  #: true position [m]
+        self.direction: Array | None = None  #: (3,) true direction
         self._rate, self._frame = rate, -1
 
     def poll(self, now: float) -> TipReading | None:
-        """The frame of `now`, if there is one."""
+        """Return the frame at `now`, if there is a new one."""
         frame = int(now * self._rate + 1e-6)
         if frame == self._frame:
             return None
@@ -146,10 +154,10 @@ class IdealTracker(_Faultless):
 
 
 class IdealSensors(_Faultless):
-    """What the bases feel."""
+    """Base sensors that report the true wrenches."""
 
     reading: WrenchReading
 
     def poll(self, now: float) -> WrenchReading:  # noqa: ARG002 - the lab has moved to `now` already
-        """The wrenches of now."""
+        """Return the present wrenches."""
         return self.reading

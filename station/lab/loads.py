@@ -1,4 +1,4 @@
-"""What pulls at the tip, as a force over time. Gravity points along +x."""
+"""Simulated loads: the force at the robot's tip or on its shaft as a function of time. Gravity points along +x."""
 
 import bisect
 import math
@@ -8,15 +8,16 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from core.contract import name_of, numbers, result_of
 from core.robot.robot import Array
 from station.config.strict import Direction, NotNegative, Row, Strict
 
 GRAVITY = (1.0, 0.0, 0.0)
-#: The base sensors saturate at 18 N; nothing that a millimetre of nitinol is asked to bear comes near it [N].
-MOST = 20.0
-Force = Annotated[float, Field(ge=0.0, le=MOST)]
-SignedForce = Annotated[float, Field(ge=-MOST, le=MOST)]
-#: Beyond these nothing is left of a number in the formulas below.
+#: Largest force of a load [N]: the base sensors saturate at 18 N, and nitinol tubes of a millimetre bear much less.
+MAX_FORCE_N = 20.0
+Force = Annotated[float, Field(ge=0.0, le=MAX_FORCE_N)]
+SignedForce = Annotated[float, Field(ge=-MAX_FORCE_N, le=MAX_FORCE_N)]
+#: Bounds of the frequencies [Hz] and durations [s] of a load. Inside them the formulas of all loads are accurate.
 Frequency = Annotated[float, Field(ge=1e-3, le=100.0)]
 Time = Annotated[float, Field(ge=0.01, le=1e5)]
 
@@ -31,52 +32,52 @@ def _unit(direction: tuple[float, float, float]) -> Array:
 class _AtTip(Strict):
     @property
     def contact(self) -> float:
-        """Arc length from the plate at which it acts [m]; inf for the tip."""
+        """Arc length from the plate to the point of application [m]; inf for the tip."""
         return math.inf
 
     @property
     def changes(self) -> tuple[float, ...]:
-        """When it begins to change after it has stood still [s], the first time being its onset; empty: never."""
+        """Times at which the constant load starts to change [s]; the first is its onset; empty: never."""
         return (0.0,)
 
     @property
     def onset(self) -> float:
-        """When it first pulls [s]; inf for never."""
+        """Time at which the load starts [s]; inf for never."""
         return next(iter(self.changes), math.inf)
 
 
 class _Directed(_AtTip):
     direction: Direction = GRAVITY
-    """in which it pulls, world frame; its length does not matter"""
+    """direction of the force, world frame; its length does not matter"""
 
     def _along(self, magnitude: float) -> Array:
         return magnitude * _unit(self.direction)
 
 
 class NoLoad(_AtTip):
-    """Nothing."""
+    """No load."""
 
     kind: Literal["none"] = "none"
 
     @property
     def changes(self) -> tuple[float, ...]:
-        """Never."""
+        """Times at which the load starts to change: none."""
         return ()
 
     def force(self, time: float) -> Array:  # noqa: ARG002 - none at any time
-        """(3,) [N]."""
+        """Return the force (3,) [N]: zero."""
         return np.zeros(3)
 
 
 class ConstantLoad(_Directed):
-    """A weight that always hangs."""
+    """A constant weight."""
 
     kind: Literal["constant"] = "constant"
     magnitude: Force
-    """of the weight [N]"""
+    """force of the weight [N]"""
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        """Return the force (3,) [N] at `time` [s] since the motion's start; zero before."""
         return self._along(self.magnitude if time >= 0.0 else 0.0)
 
 
@@ -85,56 +86,56 @@ class SineLoad(_Directed):
 
     kind: Literal["sine"] = "sine"
     amplitude: Force
-    """to either side [N]"""
+    """largest force in each direction [N]"""
     frequency: Frequency
-    """there and back in a second [Hz]"""
+    """frequency of the sine wave [Hz]"""
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        """Return the force (3,) [N] at `time` [s] since the motion's start; zero before."""
         return self._along(self.amplitude * math.sin(2.0 * math.pi * self.frequency * max(time, 0.0)))
 
 
 class RaisedCosineLoad(_Directed):
-    """Up to `peak` and back every period, starting from nothing: peak / 2 (1 - cos(2 pi t / period))."""
+    """A periodic load from 0 to `peak` and back: peak / 2 (1 - cos(2 pi t / period))."""
 
     kind: Literal["raised_cosine"] = "raised_cosine"
     peak: Force
-    """largest pull, in the middle of each period [N]"""
+    """largest force, in the middle of each period [N]"""
     period: Time
-    """from nothing to nothing [s]"""
+    """duration of a period, from zero force to zero force [s]"""
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        """Return the force (3,) [N] at `time` [s] since the motion's start; zero before."""
         return self._along(0.5 * self.peak * (1.0 - math.cos(2.0 * math.pi * max(time, 0.0) / self.period)))
 
 
 class RampLoad(_Directed):
-    """Straight lines between points in time; constant after the last."""
+    """Linear ramps between points in time; constant after the last."""
 
     kind: Literal["ramps"] = "ramps"
     times: tuple[NotNegative, ...] = Field(min_length=1, strict=False)
-    """rising [s]"""
+    """times of the points, increasing [s]"""
     magnitudes: Annotated[tuple[SignedForce, ...], Row]
-    """at these times, one each; negative pushes [N]"""
+    """forces at the points, one for each time; a negative force is opposite to `direction` [N]"""
 
     @model_validator(mode="after")
     def _match(self) -> Self:
         if len(self.times) != len(self.magnitudes):
             raise ValueError(f"{len(self.times)} times but {len(self.magnitudes)} magnitudes")
         if any(b <= a for a, b in zip(self.times, self.times[1:], strict=False)):
-            raise ValueError("times must rise")
+            raise ValueError("times must increase")
         return self
 
     @property
     def changes(self) -> tuple[float, ...]:
-        """Corners after which it changes though it stood still before, or jumps from nothing."""
+        """Times of the points at which the constant load starts to change, or jumps from zero [s]."""
         moves = [a != b for a, b in zip((0.0, *self.magnitudes), self.magnitudes, strict=False)]  # up to each point
         jump = self.times[:1] if moves[0] else ()
         corners = zip(self.times, moves, (*moves[1:], False), strict=True)
         return (*jump, *(time for time, until, after in corners if after and not until))
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the motion's start; nothing before the first point."""
+        """Return the force (3,) [N] at `time` [s] since the motion's start; zero before the first point."""
         after = bisect.bisect_right(self.times, time)
         if after == 0:
             return np.zeros(3)
@@ -145,34 +146,34 @@ class RampLoad(_Directed):
 
 
 class TrapezoidLoad(_Directed):
-    """A load that is put on in a straight line, stays, and is taken off again; in no time at all it is a step."""
+    """A load that rises linearly, stays constant and falls linearly; rise and fall of 0 s make a step."""
 
     kind: Literal["trapezoid"] = "trapezoid"
     magnitude: Force
-    """once it is on [N]"""
+    """force while the load is constant [N]"""
     rise: NotNegative
-    """time in which it is put on [s]; 0 for a step"""
+    """duration of the rise [s]; 0 for a step"""
     fall: NotNegative = 0.0
-    """time in which it is taken off [s]; 0 for a step"""
+    """duration of the fall [s]; 0 for a step"""
     stay: NotNegative | None = None
-    """time between [s]; for ever when left out"""
+    """duration of the constant load [s]; default: unlimited"""
     start: NotNegative = 0.0
-    """when it begins [s]"""
+    """start time of the rise [s]"""
 
     @property
     def changes(self) -> tuple[float, ...]:
-        """When it is put on, and when it is taken off."""
+        """Start times of the rise and of the fall [s]."""
         return (self.start,) if self.stay is None else (self.start, self._off)
 
     @property
     def _off(self) -> float:
-        """When it begins to be taken off [s]."""
+        """Start time of the fall [s]."""
         return math.inf if self.stay is None else self.start + self.rise + self.stay
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
-        on = _part(time - self.start, self.rise)
-        return self._along(self.magnitude * (on - _part(time - self._off, self.fall)))
+        """Return the force (3,) [N] at `time` [s] since the motion's start; zero before."""
+        on = _ramp_share(time - self.start, self.rise)
+        return self._along(self.magnitude * (on - _ramp_share(time - self._off, self.fall)))
 
 
 class TapLoad(_Directed):
@@ -180,60 +181,62 @@ class TapLoad(_Directed):
 
     kind: Literal["tap"] = "tap"
     peak: Force
-    """in the middle of the tap [N]"""
+    """largest force, in the middle of the tap [N]"""
     duration: Time = 0.05
-    """of the tap [s]"""
+    """duration of the tap [s]"""
     start: NotNegative = 0.0
-    """when it begins [s]"""
+    """start time of the tap [s]"""
 
     @property
     def changes(self) -> tuple[float, ...]:
-        """When it begins."""
+        """Start time of the tap [s]."""
         return (self.start,)
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the motion's start; nothing before and after."""
+        """Return the force (3,) [N] at `time` [s] since the motion's start; zero before and after the tap."""
         part = min(max((time - self.start) / self.duration, 0.0), 1.0)
         return self._along(self.peak * max(math.sin(math.pi * part), 0.0))
 
 
-def _part(time: float, length: float) -> float:
-    """0 before, 1 after, a straight line for `length` [s] between; all of it from time 0 on when there is no length."""
+def _ramp_share(time: float, length: float) -> float:
+    """Return 0 before time 0, 1 after `length` [s], and a linear ramp between; a step for length 0."""
     if time < 0.0:
         return 0.0
     return 1.0 if time >= length else time / length
 
 
 class HungWeightLoad(_Directed):
-    """A weight lowered onto a rubber band: it goes on swinging at the band's own frequency.
+    """A weight lowered on a rubber band: it oscillates at the natural frequency of the band.
 
-    The tip's own motion is small against the band's stretch and left out.
+    The tip's motion is small compared with the band's stretch and is neglected.
     """
 
     kind: Literal["hung_weight"] = "hung_weight"
     weight: Force
-    """of what hangs there once it is at rest [N]"""
+    """force of the weight at rest [N]"""
     lowering: Time = 2.0
-    """time in which the hand lets go [s]"""
+    """duration of the lowering by hand [s]"""
     frequency: Frequency = 2.0
-    """of the weight on the band [Hz]"""
+    """natural frequency of the weight on the band [Hz]"""
     damping: Annotated[float, Field(ge=1e-3, le=0.999)] = 0.05
-    """part of the critical one"""
+    """damping of the oscillation, as a fraction of critical damping"""
     start: NotNegative = 0.0
-    """when the lowering begins [s]"""
+    """start time of the lowering [s]"""
 
     @property
     def changes(self) -> tuple[float, ...]:
-        """When the lowering begins."""
+        """Start time of the lowering [s]."""
         return (self.start,)
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the motion's start; nothing before the lowering begins."""
+        """Return the force (3,) [N] at `time` [s] since the motion's start; zero before the lowering starts."""
         time -= self.start
-        return self._along(self.weight * (self._taken_up(time) - self._taken_up(time - self.lowering)) / self.lowering)
+        return self._along(
+            self.weight * (self._step_integral(time) - self._step_integral(time - self.lowering)) / self.lowering
+        )
 
-    def _taken_up(self, time: float) -> float:
-        """Integral of the oscillator's step response [s]."""
+    def _step_integral(self, time: float) -> float:
+        """Return the integral of the oscillator's step response [s]."""
         if time <= 0.0:
             return 0.0
         rate = 2.0 * math.pi * self.frequency
@@ -243,42 +246,42 @@ class HungWeightLoad(_Directed):
 
 
 class AllAroundLoad(_AtTip):
-    """A pull of one size whose direction goes over the whole sphere: from +z down to -z, and around meanwhile."""
+    """A constant force whose direction covers the sphere: it moves from +z to -z while it rotates about z."""
 
     kind: Literal["all_around"] = "all_around"
     magnitude: Force
-    """of the force, whatever its direction [N]"""
+    """size of the force, the same in every direction [N]"""
     period: Time
-    """from one pole to the other [s]; then the same way back"""
+    """duration of the motion from one pole to the other [s]; the force then moves back along the same path"""
     turns: Annotated[float, Field(ge=0.0, le=100.0)] = 2.0
-    """around z from pole to pole"""
+    """number of turns about z from pole to pole"""
     ramp: Time = 5.0
-    """time in which it sets in [s]"""
+    """duration of the initial ramp [s]"""
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        """Return the force (3,) [N] at `time` [s] since the motion's start; zero before."""
         down, around = math.pi * time / self.period, 2.0 * math.pi * self.turns * time / self.period
-        size = self.magnitude * _part(time, self.ramp)
+        size = self.magnitude * _ramp_share(time, self.ramp)
         across = size * math.sin(down)
         return np.array([across * math.cos(around), across * math.sin(around), size * math.cos(down)])
 
 
 class ContactLoad(_Directed):
-    """Something leans on the shaft."""
+    """A contact force on the shaft."""
 
     kind: Literal["contact"] = "contact"
     magnitude: Force
-    """of its push [N]"""
+    """size of the force [N]"""
     place: NotNegative
-    """arc length from the plate [m]"""
+    """arc length from the front plate to the contact [m]"""
 
     @property
     def contact(self) -> float:
-        """Where on the shaft."""
+        """Arc length of the contact [m]."""
         return self.place
 
     def force(self, time: float) -> Array:
-        """(3,) [N] at `time` [s] since the motion's start; nothing before."""
+        """Return the force (3,) [N] at `time` [s] since the motion's start; zero before."""
         return self._along(self.magnitude if time >= 0.0 else 0.0)
 
 
@@ -295,3 +298,13 @@ Load = Annotated[
     | ContactLoad,
     Field(discriminator="kind"),
 ]
+
+
+def force_of(load: Load, time: float) -> Array:
+    """Return the force (3,) [N] of a load at `time` [s] since the motion's start.
+
+    Raises:
+        ContractError: a custom load raised, or returned something other than three finite numbers.
+    """
+    who = f"load '{name_of(load)}'"
+    return numbers(who, "the force", result_of(who, load.force, time), (3,), "N")

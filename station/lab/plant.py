@@ -1,8 +1,8 @@
-"""The true robot: exact rods with their own parameters, play in the drive, friction between tubes.
+"""The smooth plant: a simulated real robot of exact rods, with play of the drives and friction at the tubes' bases.
 
-The smooth one; `rough_plant` is as hard as a real bench. It answers to stage positions and a tip
-force with the tip and with what each base sensor would feel. Quasi-static: the tubes are light and
-stiff against 500 Hz.
+`frictional_plant` is the realistic alternative. From stage positions and a tip force the plant computes the tip and the
+wrench on each base sensor. The simulation is quasi-static, because the tubes are so light and stiff that they follow
+changes at 500 Hz at once.
 """
 
 from dataclasses import replace
@@ -14,19 +14,19 @@ from core.compiled import compiled, copy
 from core.model.cosserat import ExactRod, Rod, shoot
 from core.model.solution import pure_force
 from core.robot.robot import Array, Robot, tube_poses, unpack
-from station.devices.interfaces import Truth
+from station.devices.interfaces import GroundTruth
 from station.lab.config import PlantConfig
 
 
 class PlantState(NamedTuple):
-    """Where the true robot stands."""
+    """State of the simulated real robot."""
 
-    truth: Truth
-    wrenches: Array  #: (q, 6) that each tube exerts on its base sensor, in the sensor's axes [N, N m]
+    truth: GroundTruth
+    wrenches: Array  #: (q, 6) wrench that each tube exerts on its base sensor, in the sensor's axes [N, N m]
 
 
 def true_robot(robot: Robot, config: PlantConfig, rng: np.random.Generator) -> Robot:
-    """The robot as it really is: errors by name, or drawn within +-`vary` from `rng`."""
+    """Return the robot with the configured errors of its tubes, given by tube name or drawn within +-`vary`."""
     tubes = []
     for tube in robot.tubes:
         error = config.tubes.get(tube.name)
@@ -47,21 +47,21 @@ def true_robot(robot: Robot, config: PlantConfig, rng: np.random.Generator) -> R
 
 
 class Plant:
-    """The true robot at the stages' positions."""
+    """The simulated real robot, which follows the stages' positions."""
 
     def __init__(self, robot: Robot, config: PlantConfig, rng: np.random.Generator, positions: Array) -> None:
         self.robot = true_robot(robot, config, rng)
-        # 1e-7 of the end conditions leaves less than 1e-8 m at the tip.
+        # A tolerance of 1e-7 of the boundary conditions leaves an error below 1e-8 m at the tip.
         self._exact = ExactRod(self.robot, step=config.step, tolerance=1e-7)
         q, n = len(robot.tubes), len(robot.joints)
         self._packed = np.zeros(_size(q, n))
         self._memory = memory = _unpack(self._packed, q, n)
         memory.play[:] = [config.play.get(joint.name, 0.0) for joint in robot.joints]
-        memory.most[:] = config.friction_force, config.friction_moment
+        memory.limit[:] = config.friction_force, config.friction_moment
         memory.stiffness[:] = [tube.bending_stiffness / tube.stiffness_ratio for tube in self.robot.tubes]
         memory.tubes_at[:] = positions
         memory.poses[:] = self.robot.tube_poses(positions)
-        self._take(self._exact.solve(positions, np.zeros(6)))
+        self._store(self._exact.solve(positions, np.zeros(6)))
 
     @property
     def rotation(self) -> Array:
@@ -73,60 +73,60 @@ class Plant:
         positions: Array,
         force: Array,
         contact: float = np.inf,
-        now: float = 0.0,  # noqa: ARG002 - nothing here changes by itself
+        now: float = 0.0,  # noqa: ARG002 - no parameter changes over time
     ) -> PlantState:
         """Move the joints to `positions` (n,) with `force` (3,) [N] at arc length `contact` [m], inf for the tip.
 
         Raises:
-            NotFinite, NoSolution: the true robot cannot stand so; it stays as it was.
+            NotFinite, NoSolution: the plant (simulated real robot) has no shape there; it keeps the last one.
         """
         exact, memory = self._exact, self._memory
         if not _advance(self.robot.packed, self._packed, positions, force, contact, exact.step, exact.tolerance):
             wrench = pure_force(force)
-            self._take(exact.solve_tubes(*self.robot.tube_poses(memory.tubes_at), wrench, None, contact))
-            _feel(self.robot.packed, self._packed, force, contact)
-        truth = Truth(memory.tip.copy(), force, direction=memory.rotation[:, 2].copy())
+            self._store(exact.solve_tubes(*self.robot.tube_poses(memory.tubes_at), wrench, None, contact))
+            _base_wrenches(self.robot.packed, self._packed, force, contact)
+        truth = GroundTruth(memory.tip.copy(), force, direction=memory.rotation[:, 2].copy())
         return PlantState(truth, memory.wrenches.copy())
 
-    def _take(self, rod: Rod) -> None:
-        """Go on from this solution."""
+    def _store(self, rod: Rod) -> None:
+        """Store a solution as the start of the next tick."""
         memory = self._memory
         memory.unknowns[:] = rod.unknowns
         memory.chord[:], memory.tip[:], memory.rotation[:] = rod.chord, rod.tip, rod.rotation
 
 
-class _Memory(NamedTuple):
-    """What a plant keeps from one tick to the next, for the compiled code: views of one packed array."""
+class _PlantMemory(NamedTuple):
+    """State of a plant between ticks: views of one packed array, as compiled code needs it."""
 
-    tubes_at: Array  #: (n,) where the tubes are behind the play of their drives [rad or m]
-    play: Array  #: (n,) [rad or m]
+    tubes_at: Array  #: (n,) joint positions of the tubes behind the play of their drives [rad or m]
+    play: Array  #: (n,) play of each joint's drive [rad or m]
     poses: Array  #: (2, q) rotations [rad] and proximal ends [m] of the tubes at the last tick
     friction: Array  #: (q, 2) axial force [N] and moment [N m] between a tube and the next outer one
-    most: Array  #: (2,) of the friction
-    stiffness: Array  #: (q,) GJ [N m^2]
-    unknowns: Array  #: (2, q + 2) of the rod, now and at the tick before
-    chord: Array  #: (q + 2, q + 2)
-    tip: Array  #: (3,) world frame [m]
-    wrenches: Array  #: (q, 6)
+    limit: Array  #: (2,) largest friction force [N] and moment [N m]
+    stiffness: Array  #: (q,) torsional stiffness GJ of each tube [N m^2]
+    unknowns: Array  #: (2, q + 2) unknowns of the rod's boundary-value problem, now and at the tick before
+    chord: Array  #: (q + 2, q + 2) inverse derivative of the boundary conditions, from which Newton's method starts
+    tip: Array  #: (3,) position of the tip, world frame [m]
+    wrenches: Array  #: (q, 6) wrench on each base sensor [N, N m]
     rotation: Array  #: (3, 3) frame of the innermost tube at the tip, world frame
 
 
 @compiled
 def _size(q: int, n: int) -> int:
-    """Length of the packed memory of q tubes and n joints."""
+    """Return the length of the packed memory of q tubes and n joints."""
     return 2 * n + 2 * q + 2 * q + 2 + q + 2 * (q + 2) + (q + 2) * (q + 2) + 3 + 6 * q + 9
 
 
 @compiled
-def _unpack(packed: Array, q: int, n: int) -> _Memory:
-    """Views of the packed memory."""
+def _unpack(packed: Array, q: int, n: int) -> _PlantMemory:
+    """Return views of the packed memory."""
     a = 2 * n
     b = a + 2 * q
     c = b + 2 * q
     d = c + 2 + q
     e = d + 2 * (q + 2)
     f = e + (q + 2) * (q + 2)
-    return _Memory(
+    return _PlantMemory(
         packed[:n],
         packed[n:a],
         packed[a:b].reshape(2, q),
@@ -145,7 +145,7 @@ def _unpack(packed: Array, q: int, n: int) -> _Memory:
 def _advance(
     robot: Array, packed: Array, positions: Array, force: Array, contact: float, step: float, tolerance: float
 ) -> bool:
-    """One tick in one call; false where the rod has not followed, with only the tubes moved."""
+    """Compute one tick; return false if the rod has no solution, with only the tubes moved."""
     layout = unpack(robot)
     q, n = layout.counts.shape[0], positions.shape[0]
     memory = _unpack(packed, q, n)
@@ -155,7 +155,7 @@ def _advance(
     alpha, beta, _ = tube_poses(layout, memory.tubes_at)
     wrench, guess = np.zeros(6), np.empty(q + 2)
     copy(force, wrench)
-    # Along a steady motion the line through the last two solutions ends next to this one.
+    # The solver starts from the extrapolation of the last two solutions, which is accurate during a steady motion.
     for i in range(q + 2):
         guess[i] = 2.0 * memory.unknowns[0, i] - memory.unknowns[1, i]
     unknowns, chord, tip, rotation, _, residual = shoot(
@@ -170,32 +170,31 @@ def _advance(
         copy(chord[i], memory.chord[i])
     for i in range(3):
         copy(rotation[i], memory.rotation[i])
-    _feel(robot, packed, force, contact)
+    _base_wrenches(robot, packed, force, contact)
     return True
 
 
-#: How far tubes move against each other before friction has turned round [m, rad].
-STICK = (20e-6, 1.7e-3)
+#: Relative displacement of tubes over which friction reverses [m, rad].
+STICK_PATH = (20e-6, 1.7e-3)
 
 
 @compiled
-def _feel(robot: Array, packed: Array, load: Array, contact: float) -> None:
-    """Shares of the load at the bases (q, 6), each in its sensor's axes; friction goes on with the motion.
+def _base_wrenches(robot: Array, packed: Array, load: Array, contact: float) -> None:
+    """Compute the wrench on each base sensor (q, 6), in the sensor's axes, and update the friction.
 
-    The guide belongs to the outermost tube's holder and takes all bending; an inner tube's base
-    feels its own torsion and friction, the innermost also the axial pull of the load. The shares
-    add up to the tip load, so the way they are split cancels in the fusion. Friction is Coulomb's
-    with a stick zone: what the outer of two neighbours does to the inner one, and back.
+    The guide belongs to the outermost tube's holder and takes all bending. An inner tube's base measures its torsion
+    and friction, the innermost also the axial force of the load. The shares add up to the tip load, so their split
+    cancels in the sum. Friction is Coulomb friction with a stick zone between two neighbours, with opposite signs.
     """
     layout = unpack(robot)
     q, n = layout.counts.shape[0], layout.joint_tube.shape[0]
     memory = _unpack(packed, q, n)
-    friction, most, poses, world = memory.friction, memory.most, memory.poses, memory.wrenches
+    friction, limit, poses, world = memory.friction, memory.limit, memory.poses, memory.wrenches
     now = np.empty((2, q))
     alphas, betas, _ = tube_poses(layout, memory.tubes_at)
     copy(alphas, now[0])
     copy(betas, now[1])
-    # The sensors stand on the plate: load and tip as seen from there.
+    # The sensors are on the plate: transform load and tip to its frame.
     force, tip = np.zeros(3), np.zeros(3)
     for i in range(3):
         for k in range(3):
@@ -205,8 +204,8 @@ def _feel(robot: Array, packed: Array, load: Array, contact: float) -> None:
     for i in range(q - 1):
         for k in range(2):
             slip = (now[1 - k, i + 1] - poses[1 - k, i + 1]) - (now[1 - k, i] - poses[1 - k, i])
-            rubbed = friction[i, k] + slip * most[k] / STICK[k]
-            friction[i, k] = min(max(rubbed, -most[k]), most[k])
+            trial = friction[i, k] + slip * limit[k] / STICK_PATH[k]
+            friction[i, k] = min(max(trial, -limit[k]), limit[k])
             world[i, 2 + 3 * k] += friction[i, k]
             world[i + 1, 2 + 3 * k] -= friction[i, k]
         world[i, 5] += memory.stiffness[i] * memory.unknowns[0, 2 + i]
@@ -218,7 +217,7 @@ def _feel(robot: Array, packed: Array, load: Array, contact: float) -> None:
         tip[0] * force[1] - tip[1] * force[0],
     )
     if contact < np.inf:
-        # What the rod carries at the plate: r x F of wherever on the shaft the force acts.
+        # Moment of the rod at the plate: r x F for the point on the shaft at which the force acts.
         twist = 0.0
         for i in range(q):
             twist += memory.stiffness[i] * memory.unknowns[0, 2 + i]
@@ -233,7 +232,7 @@ def _feel(robot: Array, packed: Array, load: Array, contact: float) -> None:
         alpha, beta = now[0, i], now[1, i]
         cos, sin = np.cos(alpha), np.sin(alpha)
         fx, fy = world[i, 0], world[i, 1]
-        # moment about (0, 0, beta): m - (0, 0, beta) x f
+        # The sensor measures the moment about the tube's proximal end (0, 0, beta): m - (0, 0, beta) x f.
         mx, my = world[i, 3] + beta * fy, world[i, 4] - beta * fx
         world[i, 0], world[i, 1] = cos * fx + sin * fy, cos * fy - sin * fx
         world[i, 3], world[i, 4] = cos * mx + sin * my, cos * my - sin * mx

@@ -1,4 +1,7 @@
-"""The virtual lab's moving target: breathing and a heartbeat along lines of their own, drifting in rate and size."""
+"""The moving target of the virtual lab: it breathes along one line and beats like a heart along another line.
+
+Rate and size of both oscillations drift, so that the station has to predict a target that is not exactly periodic.
+"""
 
 import math
 from typing import NamedTuple
@@ -8,39 +11,44 @@ import numpy as np
 from core.robot.robot import Array
 from station.lab.config import TargetConfig
 
-#: In how long rate and size swing there and back [s].
-RATE_SWING, SIZE_SWING = 60.0, 45.0
+#: Periods with which rate and size of the target's oscillations drift [s].
+RATE_DRIFT_PERIOD_S, SIZE_DRIFT_PERIOD_S = 60.0, 45.0
 
 
-class Motion(NamedTuple):
-    """One of the two: to and fro along a line."""
+class TargetWaves(NamedTuple):
+    """One of the two oscillations of the target along a line: breathing or heartbeat."""
 
-    way: Array  #: (3,) from its middle to its end [m]
-    rate: float  #: on average [Hz]
-    second: float  #: size of the wave of twice the rate, as a part of the first
-    rate_drift: float  #: largest change of the rate, either way, as a part
-    size_drift: float  #: of the size
-    phases: tuple[float, float, float]  #: at 0 s: its own, of the rate's swing, of the size's [rad]
+    amplitude: Array  #: (3,) displacement from the middle to the end of the line [m]
+    rate: float  #: mean frequency of the oscillation [Hz]
+    second: float  #: amplitude at twice the rate, as a fraction of the amplitude at the rate
+    rate_drift: float  #: largest change of the rate in both directions, as a fraction
+    size_drift: float  #: largest change of the amplitude in both directions, as a fraction
+    phases: tuple[float, float, float]  #: phases at 0 s of the oscillation and of the drifts of rate and size [rad]
 
     def at(self, time: float) -> Array:
-        """(3,) from the target's middle [m]."""
+        """Return the displacement (3,) from the target's middle [m]."""
         own, of_rate, of_size = self.phases
         turn = 2.0 * math.pi
-        # The integral of a rate that swings.
-        swung = self.rate_drift * RATE_SWING / turn * (math.cos(of_rate) - math.cos(turn * time / RATE_SWING + of_rate))
-        phase = turn * self.rate * (time + swung) + own
-        size = 1.0 + self.size_drift * math.sin(turn * time / SIZE_SWING + of_size)
-        return self.way * (size * (math.sin(phase) + self.second * math.cos(2.0 * phase)))
+        # The phase of the oscillation is the integral of its drifting rate; this is the part of the drift.
+        drift = (
+            self.rate_drift
+            * RATE_DRIFT_PERIOD_S
+            / turn
+            * (math.cos(of_rate) - math.cos(turn * time / RATE_DRIFT_PERIOD_S + of_rate))
+        )
+        phase = turn * self.rate * (time + drift) + own
+        size = 1.0 + self.size_drift * math.sin(turn * time / SIZE_DRIFT_PERIOD_S + of_size)
+        return self.amplitude * (size * (math.sin(phase) + self.second * math.cos(2.0 * phase)))
 
 
 class MovingTarget:
-    """Where the target is; a function of time alone, drawn once."""
+    """Position of the target as a function of time; its lines and phases are drawn once."""
 
     def __init__(self, config: TargetConfig, tip: Array, rng: np.random.Generator) -> None:
-        """Its middle stands at the configured place from `tip` (3,) [m]."""
+        """The target's middle is at the configured offset from `tip` (3,) [m]."""
         self._middle = tip + np.array(config.place)
         self._motions = tuple(
-            Motion(
+            TargetWaves(
                 size * _direction(rng), rate, second, config.rate_drift, config.size_drift,
                 tuple(rng.uniform(0.0, 2.0 * math.pi, 3).tolist()),
             )
@@ -51,7 +59,7 @@ class MovingTarget:
         )  # fmt: skip
 
     def at(self, time: float) -> Array:
-        """(3,) at `time` [s], world frame [m]."""
+        """Return the position of the target (3,) at `time` [s], world frame [m]."""
         breathing, heartbeat = self._motions
         return self._middle + breathing.at(time) + heartbeat.at(time)
 

@@ -1,4 +1,4 @@
-"""Which true robot a lab has: the smooth one, or the one that is as hard as a real bench."""
+"""Selects the plant (the simulated real robot) of a virtual lab: the smooth one or the frictional one."""
 
 from typing import Protocol
 
@@ -6,14 +6,14 @@ import numpy as np
 
 from core.robot.robot import Array, Robot
 from station.lab.config import PlantConfig
+from station.lab.frictional_plant import FrictionalPlant
 from station.lab.plant import Plant, PlantState
-from station.lab.rough_plant import RoughPlant
 
 
 class TruePlant(Protocol):
-    """The true robot at the stages' positions."""
+    """Interface of a plant: the simulated real robot at the stages' positions."""
 
-    robot: Robot  #: with its own parameters
+    robot: Robot  #: the robot with its true parameters
 
     @property
     def rotation(self) -> Array:
@@ -26,9 +26,9 @@ class TruePlant(Protocol):
 
 
 def true_plant(robot: Robot, config: PlantConfig, rng: np.random.Generator, positions: Array) -> TruePlant:
-    """The one that the lab asks for, at `positions` (n,).
+    """Return the configured plant with its stages at `positions` (n,).
 
     Raises:
-        PoseError, NoSolution: it cannot stand there.
+        PoseError, NoSolution: the robot has no shape there.
     """
-    return (RoughPlant if config.rod == "rough" else Plant)(robot, config, rng, positions)
+    return (FrictionalPlant if config.rod == "rough" else Plant)(robot, config, rng, positions)

@@ -1,4 +1,4 @@
-"""A bench in virtual time: the plant, its simulated devices, and the drivers that a real bench has too."""
+"""A simulated bench in virtual time: the plant, its simulated devices, and the drivers that a real bench uses."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -6,14 +6,14 @@ from typing import NamedTuple, Protocol
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.devices.aurora.settings import AuroraSettings
-from station.devices.aurora.tracker import AuroraTracker, Registration
-from station.devices.interfaces import Devices, Truth
+from station.devices.aurora.tracker import AuroraTracker, TrackerMounting
+from station.devices.interfaces import Devices, GroundTruth
 from station.devices.links.link import reopen
 from station.devices.netft.page import read_page
 from station.devices.netft.sensors import NetftSensors
-from station.devices.zaber.setup import Port
+from station.devices.zaber.setup import PortSetup
 from station.devices.zaber.stages import ZaberStages
-from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.coil import GENERATOR_POSE
 from station.lab.aurora.simulated import TARGET_SERIAL
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
@@ -23,72 +23,72 @@ from station.lab.simulated_bench import SimulatedBench
 
 
 class Lab(Protocol):
-    """What goes on at the other side of the devices."""
+    """The simulated world behind the devices."""
 
-    trouble: str  #: why the true robot has stayed where it was; empty when it follows its stages
+    trouble: str  #: reason why the plant cannot follow its stages; empty if it follows
 
     @property
     def true_robot(self) -> Robot:
-        """The robot as it really is."""
+        """The robot with its true parameters."""
         ...
 
     def true_joints(self, positions: Array) -> Array:
-        """Where the joints really are (n,) when the stages count `positions` (n,) [rad or m]."""
+        """Return the true joints (n,) when the stages count `positions` (n,) [rad or m]."""
         ...
 
     def apply_load(self, load: Load, start: float) -> None:
-        """Put a load on the tip whose time counts from `start` [s]."""
+        """Apply a load to the tip; its time counts from `start` [s]."""
         ...
 
     def inject(self, faults: Sequence[LabFault], start: float) -> None:
-        """Let these happen, instead of those that are on or to come; their time counts from `start` [s]."""
+        """Replace all active and planned faults; times count from `start` [s]."""
         ...
 
-    def advance(self, now: float) -> Truth:
-        """Let time pass until `now` [s]."""
+    def advance(self, now: float) -> GroundTruth:
+        """Advance the simulation until `now` [s]."""
         ...
 
 
 class VirtualBench(NamedTuple):
-    """A lab and the devices that lead to it."""
+    """A lab and the drivers of its devices."""
 
     lab: Lab
     devices: Devices
 
 
 def virtual_bench(
-    robot: RobotFile, config: LabConfig, seed: int, positions: Array, registration: Registration | None = None
+    robot: RobotFile, config: LabConfig, seed: int, positions: Array, registration: TrackerMounting | None = None
 ) -> VirtualBench:
-    """Stages homed, with the joints at `positions` (n,); nothing is connected yet. Everything random is from `seed`.
+    """Return a bench with homed stages and the joints at `positions` (n,); nothing is connected yet.
 
-    The tracker is believed to stand at `registration`; where the lab's stands unless told otherwise.
+    `seed` determines everything random. `registration` is the assumed pose of the tracker, by default the lab's.
 
     Raises:
-        PoseError, NoSolution: the true robot cannot stand there.
+        PoseError, NoSolution: the plant (simulated real robot) has no shape there.
     """
     if config.devices == "ideal":
         ideal = IdealLab(robot, config, seed, positions)
         return VirtualBench(ideal, ideal.devices)
     lab = SimulatedBench(robot, config, seed, positions, homed=True)
-    return VirtualBench(lab, drivers(lab, registration or MOUNT))
+    return VirtualBench(lab, drivers(lab, registration or GENERATOR_POSE))
 
 
-def drivers(lab: SimulatedBench, registration: Registration = MOUNT) -> Devices:
-    """Drivers on the other ends of the lab's wires in memory."""
+def drivers(lab: SimulatedBench, registration: TrackerMounting = GENERATOR_POSE) -> Devices:
+    """Return drivers at the host ends of the lab's wires in memory."""
     tracker = lab.config.tracker
     target = "" if lab.config.target is None else TARGET_SERIAL
     settings = AuroraSettings(
         target_serial=target,
         frame_rate=tracker.rate,
         latency=tracker.latency,
-        tells_axis=tracker.direction_noise is not None,
+        measures_axis=tracker.direction_noise is not None,
     )
     return Devices(
-        ZaberStages(lab.setups, [Port(lab.hosts.zaber, tuple(range(len(lab.setups))))], reopen=_reopened),
+        ZaberStages(lab.setups, [PortSetup(lab.hosts.zaber, tuple(range(len(lab.setups))))], reopen=_reopened),
         AuroraTracker(lab.hosts.aurora, settings, registration, reopen),
         NetftSensors(lab.hosts.netft, [read_page(box.page() or b"") for box in lab.boxes]),
     )
 
 
-def _reopened(ports: Sequence[Port]) -> list[Port]:
-    return [Port(reopen(port.link), port.stages) for port in ports]
+def _reopened(ports: Sequence[PortSetup]) -> list[PortSetup]:
+    return [PortSetup(reopen(port.link), port.stages) for port in ports]

@@ -1,8 +1,8 @@
-"""The growing part of an MCAP file: whole chunks, one after the other, nothing kept in memory.
+"""Data section of an MCAP file: complete chunks are appended to the file, and none is kept in memory.
 
-The `mcap` library knows the records; its writer is not used, because it makes a Python object of every
-message and keeps an index entry of every chunk until the end: too slow for 500 rows a second beside a
-control loop, and too large after a day. `summary.py` makes the index when the file ends.
+This module uses the records of the `mcap` library but not its writer. That writer creates a Python object for every
+message, which is too slow for 500 rows a second while a control loop runs. It also keeps an index of all chunks, which
+grows during a run of days. `summary.py` creates the index at the end of the file instead.
 """
 
 import fcntl
@@ -21,47 +21,47 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
-from station.recording.row_message import PREFIX, Rows
+from station.recording.row_message import MESSAGE_HEADER_BYTES, Rows
 
-#: What the header says wrote the file.
+#: Name of this program in the header of the MCAP file.
 LIBRARY = "ctr-station"
-#: Of zstd: a third less time than level 1 for four hundredths more bytes.
-LEVEL = -1
+#: Compression level of zstd: it takes a third less time than level 1 and gives 4 % more bytes.
+ZSTD_LEVEL = -1
 
 
 class Topic(NamedTuple):
-    """A stream of messages of one kind; its id is its place in the file's list, from 1."""
+    """Stream of MCAP messages of one kind; the id of a topic is its position in the file's list, counted from 1."""
 
     name: str
-    encoding: str  #: of the messages: ros1 or json
+    encoding: str  #: encoding of the messages: ros1 or json
     schema: str
     schema_encoding: str  #: ros1msg or jsonschema
     definition: str
 
 
-class Said(NamedTuple):
-    """A message that is not a row."""
+class WrittenMessage(NamedTuple):
+    """MCAP message that is not a telemetry row: an event or a drawing."""
 
     topic: int
-    time: int  #: [ns]
+    time: int  #: time of the message [ns]
     data: bytes
 
 
 class DataSection:
-    """An MCAP file that is being written; locked, so that nobody takes it for one that was left behind."""
+    """MCAP file that is being written; it is locked, so that a recovery does not treat its writer as killed."""
 
     def __init__(self, path: Path, metadata: Mapping[str, Mapping[str, str]], topics: Sequence[Topic]) -> None:
-        """Make the file and write what comes before the messages.
+        """Create the MCAP file and write the records that precede the messages: header, metadata and topics.
 
         Raises:
-            OSError: it cannot be made or written.
+            OSError: the file cannot be created or written.
         """
         self.path = path
         self._file = path.open("xb", buffering=0)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self._end = 0  # what lies beyond is not whole
-            self._compressor = zstandard.ZstdCompressor(level=LEVEL)
+            self._end = 0  # offset after the last complete record
+            self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
             head = RecordBuilder()
             head.write(MCAP0_MAGIC)
             Header("", LIBRARY).write(head)
@@ -75,25 +75,25 @@ class DataSection:
             self._file.close()
             raise
 
-    def write_chunk(self, rows: Rows, topic: int, said: Sequence[Said]) -> None:
-        """Add a chunk with rows of one topic and messages of others, and hand it to the operating system.
+    def write_chunk(self, rows: Rows, topic: int, messages: Sequence[WrittenMessage]) -> None:
+        """Append a chunk with rows of one topic and messages of others, and give it to the operating system.
 
         Raises:
-            OSError: the disk does not take it; the file ends with the chunk before.
+            OSError: the chunk cannot be written; the file then ends with the previous chunk.
         """
         body, index = io.BytesIO(), {}
         body.write(rows.records)
         if len(rows.times):
-            places = np.empty((len(rows.times), 2), "<u8")
-            places[:, 0], places[:, 1] = rows.times, rows.offsets
-            index[topic] = places.tobytes()
-        for message in said:
+            entries_of_rows = np.empty((len(rows.times), 2), "<u8")
+            entries_of_rows[:, 0], entries_of_rows[:, 1] = rows.times, rows.offsets
+            index[topic] = entries_of_rows.tobytes()
+        for message in messages:
             entry = struct.pack("<QQ", message.time, body.tell())
             index[message.topic] = index.get(message.topic, b"") + entry
             body.write(message_record(message))
         if not index:
             return
-        times = [*rows.times[:1].tolist(), *rows.times[-1:].tolist(), *(message.time for message in said)]
+        times = [*rows.times[:1].tolist(), *rows.times[-1:].tolist(), *(message.time for message in messages)]
         content = body.getvalue()
         group = RecordBuilder()
         Chunk(
@@ -109,33 +109,39 @@ class DataSection:
         self._append(group.end())
 
     def close(self) -> None:
-        """Let go of the file, cut after the last whole chunk."""
+        """Cut the file after the last complete chunk, and close it."""
         with self._file:
             self._file.truncate(self._end)
 
     def _append(self, data: bytes) -> None:
         left = memoryview(data)
         while left:
-            # A full disk takes a part first and says so at the next attempt.
+            # A full disk accepts only a part of the data; the next attempt to write raises the error.
             left = left[self._file.write(left) or 0 :]
         self._end += len(data)
 
 
-def message_record(message: Said) -> bytes:
-    """One message as it stands in a chunk."""
+def message_record(message: WrittenMessage) -> bytes:
+    """Return an MCAP message as the record that a chunk contains."""
     head = struct.pack(
-        "<BQHIQQ", Opcode.MESSAGE, PREFIX - 9 + len(message.data), message.topic, 0, message.time, message.time
+        "<BQHIQQ",
+        Opcode.MESSAGE,
+        MESSAGE_HEADER_BYTES - 9 + len(message.data),
+        message.topic,
+        0,
+        message.time,
+        message.time,
     )
     return head + message.data
 
 
 def index_record(topic: int, entries: bytes) -> bytes:
-    """Where the messages of a topic are in the chunk before: pairs of time and offset."""
+    """Return the index record of a topic's messages in the chunk before it; `entries` are pairs of time and offset."""
     return struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(entries), topic, len(entries)) + entries
 
 
 def sync_folder(folder: Path) -> None:
-    """Make names in a folder outlive a power cut."""
+    """Flush a folder's list of file names to the disk, so that new names survive a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,4 +1,4 @@
-"""The robot as Foxglove draws it: tubes as lines, the force as an arrow, the tips as poses."""
+"""Drawing of the robot for Foxglove: tubes as lines, force at the tip as an arrow, tip positions as poses."""
 
 import math
 from collections.abc import Sequence
@@ -6,19 +6,28 @@ from collections.abc import Sequence
 from core.robot.robot import Array, Robot
 from station.config import palette
 from station.control.telemetry import Channel
-from station.recording.data_section import Said, Topic
-from station.recording.foxglove import Colour, FrameTransforms, Line, arrow, json_topic, position_in_frame, scene_update
-from station.recording.posed import Posed, Poser, place_of
+from station.recording.data_section import Topic, WrittenMessage
+from station.recording.foxglove import (
+    Colour,
+    FrameTransforms,
+    LineStrip,
+    arrow,
+    json_topic,
+    position_in_frame,
+    scene_update,
+)
+from station.recording.robot_pose import PoseReader, RobotPose, columns_of
 
-#: Length of the arrow [m/N] and its width [m].
-ARROW_SCALE, ARROW_WIDTH = 0.2, 0.002
-#: Below this there is no arrow [N].
-FORCE_SHOWN = 0.005
-#: Innermost tube first; two digits of a colour are enough in a message that is written over and over.
-TUBES = tuple(Colour(*(round(part / 255, 2) for part in colour)) for colour in palette.TUBES)
-FORCE = Colour(*(round(part / 255, 2) for part in palette.FORCE))
-#: Topic by group of channels. The truth is there only where there is one.
-TIPS = {
+#: Length [m/N] and width [m] of the arrow that shows the force.
+ARROW_SCALE_M_PER_N, ARROW_WIDTH_M = 0.2, 0.002
+#: Smallest force for which an arrow is drawn [N].
+MIN_DRAWN_FORCE_N = 0.005
+#: Colours of the tubes, innermost tube first. Two digits are enough and keep the messages short, of which a recording
+#: has many.
+TUBE_COLOURS = tuple(Colour(*(round(part / 255, 2) for part in colour)) for colour in palette.TUBES)
+FORCE_COLOUR = Colour(*(round(part / 255, 2) for part in palette.FORCE))
+#: Channel group with a tip position, by topic. The true tip exists only in recordings of a virtual lab.
+TIP_TOPICS = {
     "/tip/measured": "tip_measured",
     "/tip/estimated": "tip_estimated",
     "/tip/desired": "tip_desired",
@@ -27,30 +36,37 @@ TIPS = {
 
 
 class Drawing:
-    """Messages for one robot, from rows with its channels."""
+    """Creates the drawing messages of one robot from telemetry rows."""
 
     def __init__(self, robot: Robot, channels: Sequence[Channel], first_topic: int) -> None:
-        """Say which id the first of `topics` has in the file."""
+        """Prepare the messages; `first` is the id of the first of `topics` in the file."""
         self.topics: tuple[Topic, ...] = (
             json_topic("/tf", "foxglove.FrameTransforms"),
             json_topic("/scene", "foxglove.SceneUpdate"),
-            *(json_topic(name, "foxglove.PoseInFrame") for name in TIPS),
+            *(json_topic(name, "foxglove.PoseInFrame") for name in TIP_TOPICS),
         )
         self._first = first_topic
-        self._poser = Poser(robot, channels)
+        self._poser = PoseReader(robot, channels)
         self._frames = FrameTransforms(("plate", "tip", *(f"{tube.name} base" for tube in robot.tubes)))
-        self._lines = [Line(tube.outer_diameter, TUBES[i % len(TUBES)]) for i, tube in enumerate(robot.tubes)]
-        self._force, self._known = place_of(channels, "force_filtered"), place_of(channels, "truth_known").start
-        self._tips = [(number, name, place_of(channels, group)) for number, (name, group) in enumerate(TIPS.items(), 2)]
+        self._lines = [
+            LineStrip(tube.outer_diameter, TUBE_COLOURS[i % len(TUBE_COLOURS)]) for i, tube in enumerate(robot.tubes)
+        ]
+        self._force, self._known = columns_of(channels, "force_filtered"), columns_of(channels, "truth_known").start
+        self._tips = [
+            (number, name, columns_of(channels, group)) for number, (name, group) in enumerate(TIP_TOPICS.items(), 2)
+        ]
 
-    def messages(self, row: Array, stamp: int) -> list[Said]:
-        """What there is to draw of a row at `stamp` [ns]; without a shape only the tips."""
+    def messages(self, row: Array, stamp: int) -> list[WrittenMessage]:
+        """Return the drawing messages of a telemetry row at `stamp` [ns].
+
+        If the model has no solution, only the messages of the tip positions are returned.
+        """
         return self.posed(row, self._poser.of(row), stamp)
 
-    def posed(self, row: Array, posed: Posed | None, stamp: int) -> list[Said]:
-        """The same of a row whose shape is known already."""
+    def posed(self, row: Array, posed: RobotPose | None, stamp: int) -> list[WrittenMessage]:
+        """Return the drawing messages of a telemetry row whose robot pose is already known."""
         said = [
-            Said(self._first + number, stamp, position_in_frame(stamp, row[at].tolist()))
+            WrittenMessage(self._first + number, stamp, position_in_frame(stamp, row[at].tolist()))
             for number, name, at in self._tips
             if name != "/tip/true" or row[self._known] > 0.0
         ]
@@ -58,23 +74,23 @@ class Drawing:
             return said
         poses = [posed.plate, posed.tip, *posed.bases]
         return [
-            Said(self._first, stamp, self._frames.message(stamp, poses)),
-            Said(self._first + 1, stamp, self._scene(stamp, posed, row[self._force])),
+            WrittenMessage(self._first, stamp, self._frames.message(stamp, poses)),
+            WrittenMessage(self._first + 1, stamp, self._scene(stamp, posed, row[self._force])),
             *said,
         ]
 
-    def _scene(self, stamp: int, posed: Posed, force: Array) -> bytes:
+    def _scene(self, stamp: int, posed: RobotPose, force: Array) -> bytes:
         lines = [line.through(points) for line, points in zip(self._lines, posed.lines, strict=True)]
         size = math.sqrt(force @ force)
         arrows: list[str] = []
-        if size > FORCE_SHOWN:
+        if size > MIN_DRAWN_FORCE_N:
             turned = _from_x([part / size for part in force.tolist()])
-            arrows.append(arrow(posed.tip[0], turned, ARROW_SCALE * size, ARROW_WIDTH, FORCE))
+            arrows.append(arrow(posed.tip[0], turned, ARROW_SCALE_M_PER_N * size, ARROW_WIDTH_M, FORCE_COLOUR))
         return scene_update(stamp, "robot", lines, arrows)
 
 
 def _from_x(direction: Sequence[float]) -> tuple[float, float, float, float]:
-    """The shortest turn of the x axis to a unit vector."""
+    """Return the shortest rotation of the x axis to a unit vector, as a quaternion x, y, z, w."""
     x, y, z = direction
     if x < -1.0 + 1e-9:
         return 0.0, 0.0, 1.0, 0.0

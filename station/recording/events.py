@@ -1,4 +1,4 @@
-"""What happened during a run: state changes, faults, commands. Foxglove's log panel lists them."""
+"""Events of a run: state changes, faults, commands. The log panel of Foxglove lists them."""
 
 import json
 from collections.abc import Mapping
@@ -6,22 +6,22 @@ from typing import Any, NamedTuple
 
 TOPIC = "/events"
 SCHEMA = "foxglove.Log"
-#: Levels of foxglove.Log.
+#: Severity levels of the message type foxglove.Log.
 INFO, WARNING, ERROR, FATAL = 2, 3, 4, 5
 
 
-class Event(NamedTuple):
-    """Something that happened."""
+class RecordedEvent(NamedTuple):
+    """Event of a run: a change of state, a fault, a command, ..."""
 
-    time: float  #: as the rows' channel `time` has it [s]
+    time: float  #: time of the event, on the same clock as the channel `time` [s]
     kind: str  #: state, command, fault, ...
-    text: str  #: for a person
+    text: str  #: human-readable text
     level: int = INFO
-    data: Mapping[str, Any] = {}  #: for a program; what JSON can say
+    data: Mapping[str, Any] = {}  #: machine-readable JSON values
 
 
-def event_json(event: Event, stamp: int) -> bytes:
-    """The message for an event that happened at `stamp` [ns]."""
+def event_json(event: RecordedEvent, stamp: int) -> bytes:
+    """Return an event as the JSON of a foxglove.Log message at `stamp` [ns]."""
     message = {
         "timestamp": {"sec": stamp // 10**9, "nsec": stamp % 10**9},
         "level": event.level,
@@ -35,6 +35,6 @@ def event_json(event: Event, stamp: int) -> bytes:
     return json.dumps(message, allow_nan=False).encode()
 
 
-def event_of(message: Mapping[str, Any]) -> Event:
-    """Inverse of `event_json`."""
-    return Event(message["time"], message["name"], message["message"], message["level"], message["data"])
+def event_of(message: Mapping[str, Any]) -> RecordedEvent:
+    """Return the event from the JSON object of a message that `event_json` has created."""
+    return RecordedEvent(message["time"], message["name"], message["message"], message["level"], message["data"])

@@ -1,7 +1,7 @@
-"""Recordings for other programs: CSV, Parquet, MATLAB, with the unit in every column's name.
+"""Export of recordings to CSV, Parquet and MATLAB files, with the unit in the name of every column.
 
-CSV and Parquet are written block by block, whatever the length. A MATLAB file is one array a channel
-and is made in memory.
+CSV and Parquet files are written block by block, so a recording may be longer than the memory. A MATLAB file has one
+array for each channel and is created in memory.
 """
 
 import re
@@ -13,17 +13,17 @@ import numpy as np
 
 from core.robot.robot import Array
 from station.control.telemetry import Channel
-from station.recording.label import RecordingError
 from station.recording.read import CaseReader, open_case
-from station.recording.run_folder import RECORDING
+from station.recording.run_folder import RECORDING_SUFFIX
+from station.recording.run_outcome import RecordingError
 
 FORMATS = ("csv", "parquet", "mat")
-#: Rows of a Parquet row group: large enough to compress, small enough to hold.
-GROUP = 50_000
-#: Longest name that MATLAB takes.
-MATLAB_NAME = 63
-#: Version 5 of the MATLAB format holds no more in one variable [bytes].
-MATLAB_LIMIT = 2**31
+#: Number of rows in a row group of a Parquet file: large enough to compress well, small enough for the memory.
+ROW_GROUP_ROWS = 50_000
+#: Longest variable name that MATLAB allows [characters].
+MAX_MATLAB_NAME = 63
+#: Largest variable that version 5 of the MATLAB file format allows [bytes].
+MAX_MATLAB_BYTES = 2**31
 
 
 def export_run(
@@ -32,63 +32,63 @@ def export_run(
     """Write every case of a run in another format.
 
     Args:
-        folder: of the run.
+        folder: folder of the run.
         kind: one of FORMATS.
-        out: a file for a run with one case, a folder for more; None for beside the recording.
-        progress: told the case and the part of it that is done.
+        out: a file for a run with one case, a folder for a run with several; None: the folder of the recordings.
+        progress: receives the name of a case and the fraction of it that is done.
 
     Returns:
-        The files, each whole.
+        Paths of the written files, which are complete.
 
     Raises:
-        RecordingError: no recording, one that cannot be read, or a disk that takes no more.
+        RecordingError: the run has no recording, one cannot be read, or the disk is full.
     """
-    recordings = sorted(folder.glob(f"*{RECORDING}"))
+    recordings = sorted(folder.glob(f"*{RECORDING_SUFFIX}"))
     if not recordings:
-        raise RecordingError(f"{folder}: no recording there")
+        raise RecordingError(f"{folder}: the folder has no recording")
     if out is not None and out.suffix == f".{kind}" and not out.is_dir():
         if len(recordings) > 1:
             names = ", ".join(path.stem for path in recordings)
             raise RecordingError(f"{out}: one file for the cases {names}; give a folder")
-        places = [out]
+        targets = [out]
     else:
-        places = [(out or folder) / f"{path.stem}.{kind}" for path in recordings]
-    for recording, place in zip(recordings, places, strict=True):
-        export_case(recording, kind, place, lambda part, name=recording.stem: progress(name, part))
-    return places
+        targets = [(out or folder) / f"{path.stem}.{kind}" for path in recordings]
+    for recording, target in zip(recordings, targets, strict=True):
+        export_case(recording, kind, target, lambda part, name=recording.stem: progress(name, part))
+    return targets
 
 
-def export_case(recording: Path, kind: str, place: Path, progress: Callable[[float], None] = lambda _: None) -> None:
-    """Write a recording as `place`, which gets its name only when it is whole.
+def export_case(recording: Path, kind: str, target: Path, progress: Callable[[float], None] = lambda _: None) -> None:
+    """Write a recording in another format to the file `target`, which gets its name only when it is complete.
 
     Raises:
-        RecordingError: the recording cannot be read, or the disk takes no more.
+        RecordingError: the recording cannot be read, or the disk is full.
     """
     write = {"csv": _csv, "parquet": _parquet, "mat": _mat}[kind]
-    unfinished = place.with_name(place.name + ".partial")
+    unfinished = target.with_name(target.name + ".partial")
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
         with open_case(recording) as case:
             try:
                 write(case, _watched(case, progress), unfinished)
-                unfinished.replace(place)
+                unfinished.replace(target)
             finally:
                 unfinished.unlink(missing_ok=True)
     except OSError as error:
-        raise RecordingError(f"{place}: cannot be written: {error.strerror or error}") from None
+        raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from None
 
 
 def matlab_names(channels: Sequence[Channel]) -> list[str]:
-    """Legal names, all different: `force.x [N]` becomes `force_x_N`."""
+    """Return a valid and unique MATLAB variable name for each channel: `force.x [N]` becomes `force_x_N`."""
     taken: set[str] = set()
     names: list[str] = []
     for channel in channels:
         plain = re.sub(r"\W+", "_", f"{channel.name}_{channel.unit.replace('/', '_per_')}", flags=re.ASCII).strip("_")
-        plain = base = (plain if plain[:1].isalpha() else f"c_{plain}")[:MATLAB_NAME]
+        plain = base = (plain if plain[:1].isalpha() else f"c_{plain}")[:MAX_MATLAB_NAME]
         number = 2
         while plain in taken:
             ending = f"_{number}"
-            plain, number = base[: MATLAB_NAME - len(ending)] + ending, number + 1
+            plain, number = base[: MAX_MATLAB_NAME - len(ending)] + ending, number + 1
         taken.add(plain)
         names.append(plain)
     return names
@@ -102,9 +102,9 @@ def _watched(case: CaseReader, progress: Callable[[float], None]) -> Iterable[Ar
         progress(done / case.ticks)
 
 
-def _csv(case: CaseReader, blocks: Iterable[Array], place: Path) -> None:
-    """Numbers that read back to the same bits."""
-    with place.open("w", encoding="utf-8") as file:
+def _csv(case: CaseReader, blocks: Iterable[Array], target: Path) -> None:
+    """Write a CSV file whose numbers have enough digits to be read back to the same bits."""
+    with target.open("w", encoding="utf-8") as file:
         file.write(",".join(_quoted(channel.column) for channel in case.channels) + "\n")
         for rows in blocks:
             file.writelines(",".join(map(repr, row)) + "\n" for row in rows.tolist())
@@ -114,7 +114,7 @@ def _quoted(name: str) -> str:
     return f'"{name}"' if "," in name else name
 
 
-def _parquet(case: CaseReader, blocks: Iterable[Array], place: Path) -> None:
+def _parquet(case: CaseReader, blocks: Iterable[Array], target: Path) -> None:
     try:
         import pyarrow
         from pyarrow import parquet
@@ -132,21 +132,21 @@ def _parquet(case: CaseReader, blocks: Iterable[Array], place: Path) -> None:
         columns = np.ascontiguousarray(np.concatenate(rows).T) if rows else np.empty((len(fields), 0))
         return pyarrow.Table.from_arrays([pyarrow.array(column) for column in columns], schema=schema)
 
-    with parquet.ParquetWriter(place, schema, compression="zstd") as writer:
+    with parquet.ParquetWriter(target, schema, compression="zstd") as writer:
         gathered: list[Array] = []
         for rows in blocks:
             gathered.append(rows)
-            if sum(map(len, gathered)) >= GROUP:
+            if sum(map(len, gathered)) >= ROW_GROUP_ROWS:
                 writer.write_table(table(gathered))
                 gathered = []
         writer.write_table(table(gathered))
 
 
-def _mat(case: CaseReader, blocks: Iterable[Array], place: Path) -> None:
+def _mat(case: CaseReader, blocks: Iterable[Array], target: Path) -> None:
     from scipy.io import savemat
 
-    if 8 * case.ticks >= MATLAB_LIMIT:
-        raise RecordingError(f"{place}: {case.ticks} rows are more than a .mat file holds; export as parquet")
+    if 8 * case.ticks >= MAX_MATLAB_BYTES:
+        raise RecordingError(f"{target}: {case.ticks} rows are more than a .mat file can store; export as parquet")
     columns = np.empty((len(case.channels), case.ticks))
     filled = 0
     for rows in blocks:
@@ -159,4 +159,4 @@ def _mat(case: CaseReader, blocks: Iterable[Array], place: Path) -> None:
         "channels": {name: channel.name for name, channel in zip(names, case.channels, strict=True)},
         "label": str(case.label),
     }
-    savemat(place, dict(content), appendmat=False, do_compression=True, long_field_names=True)
+    savemat(target, dict(content), appendmat=False, do_compression=True, long_field_names=True)

@@ -1,4 +1,4 @@
-"""Messages that Foxglove draws by itself: poses, frames and lines, as JSON of its well-known schemas."""
+"""Messages that Foxglove can draw: poses, frames, lines and arrows, as JSON of its well-known schemas."""
 
 import json
 from collections.abc import Sequence
@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 from core.robot.robot import Array
 from station.recording.data_section import Topic
 
-#: The frame that everything is drawn in.
+#: Name of the coordinate frame in which everything is drawn.
 WORLD = "world"
 
 
 class Colour(NamedTuple):
-    """0 ... 1."""
+    """Colour with components from 0 to 1."""
 
     red: float
     green: float
@@ -73,12 +73,12 @@ _SCHEMAS = {
 
 
 def json_topic(name: str, schema: str) -> Topic:
-    """A topic of one of the well-known kinds."""
+    """Return an MCAP topic whose JSON messages have one of the well-known schemas of Foxglove."""
     return Topic(name, "json", schema, "jsonschema", json.dumps({"title": schema, **_SCHEMAS[schema]}))
 
 
-# Templates with `%`: filling one takes a third of the time of building the same JSON from objects,
-# and a process that draws 25 times a second beside a control loop should not be noticed.
+# The messages are templates with `%`. Filling a template takes a third of the time that building the same JSON from
+# objects takes, and a process that draws 25 times a second must not slow down the control loop.
 _STAMP = '{"sec":%d,"nsec":%d}'
 _XYZ = '{"x":%.6f,"y":%.6f,"z":%.6f}'
 _XYZW = '{"x":%.7f,"y":%.7f,"z":%.7f,"w":%.7f}'
@@ -96,12 +96,12 @@ _SCENE = (
 
 
 def position_in_frame(stamp: int, position: Sequence[float]) -> bytes:
-    """foxglove.PoseInFrame of a point (3) [m], whose orientation is not known, at `stamp` [ns]."""
+    """Return a foxglove.PoseInFrame of a point (3) [m] without orientation, at `stamp` [ns]."""
     return (_TIP % (*divmod(stamp, 10**9), *position)).encode()
 
 
 class FrameTransforms:
-    """foxglove.FrameTransforms of the same frames again and again."""
+    """Template of a foxglove.FrameTransforms message for a fixed list of frames."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._template = ",".join(
@@ -111,17 +111,17 @@ class FrameTransforms:
         )
 
     def message(self, stamp: int, poses: Sequence[tuple[Sequence[float], Sequence[float]]]) -> bytes:
-        """Position [m] and quaternion x, y, z, w of each, in the world."""
+        """Return the message for the pose of each frame in the world: position [m] and quaternion x, y, z, w."""
         time = divmod(stamp, 10**9)
         numbers = tuple(number for position, turn in poses for number in (*time, *position, *turn))
         return f'{{"transforms":[{self._template % numbers}]}}'.encode()
 
 
-class Line:
-    """A foxglove.LinePrimitive of one look."""
+class LineStrip:
+    """Template of a foxglove.LinePrimitive with one colour and thickness."""
 
     def __init__(self, thickness: float, colour: Colour) -> None:
-        """A polyline of this thickness [m]."""
+        """Create the template of a polyline with this thickness [m]."""
         self._before = (
             f'{{"type":0,"pose":{{"position":{{"x":0,"y":0,"z":0}},"orientation":{_UPRIGHT}}},'
             f'"thickness":{thickness:.6f},"scale_invariant":false,"points":['
@@ -129,18 +129,18 @@ class Line:
         self._after = f'],"color":{_colour(colour)},"colors":[],"indices":[]}}'
 
     def through(self, points: Array) -> str:
-        """From point to point (n, 3) [m]."""
+        """Return the polyline through points (n, 3) [m]."""
         return f"{self._before}{_corners(len(points)) % tuple(points.ravel().tolist())}{self._after}"
 
 
 def arrow(position: Sequence[float], quaternion: Sequence[float], length: float, width: float, colour: Colour) -> str:
-    """A foxglove.ArrowPrimitive of a length [m] along the x axis that the quaternion turns."""
+    """Return a foxglove.ArrowPrimitive of a length [m] along the x axis rotated by the quaternion."""
     sizes = (0.8 * length, width, 0.2 * length, 2.0 * width)
     return _ARROWS % (*position, *quaternion, *sizes, _colour(colour))
 
 
 def scene_update(stamp: int, entity: str, lines: Sequence[str], arrows: Sequence[str]) -> bytes:
-    """foxglove.SceneUpdate with one entity, which replaces what it was before."""
+    """Return a foxglove.SceneUpdate with one entity, which replaces its previous state."""
     return (_SCENE % (*divmod(stamp, 10**9), entity, ",".join(arrows), ",".join(lines))).encode()
 
 
@@ -154,5 +154,5 @@ def _colour(colour: Colour) -> str:
 
 
 def _literal(name: str) -> str:
-    """As JSON, inside a template."""
+    """Return a name as JSON that can be part of a template: percent signs are doubled."""
     return json.dumps(name).replace("%", "%%")

@@ -1,41 +1,42 @@
-"""The runs that are kept: found by name, listed, annotated, thrown away."""
+"""Access to stored runs: find a run by name, list the runs, annotate and delete them."""
 
 import contextlib
 import json
 import math
 import shutil
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from station.config.strict import Strict
-from station.recording.label import RecordingError
-from station.recording.outcome import CaseOutcome, outcomes
-from station.recording.run_folder import RECORDING, SUMMARY, write_json
-from station.recording.writer import PARTIAL
+from station.recording.outcome import CaseOutcome, case_outcomes
+from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE, write_json
+from station.recording.run_outcome import RecordingError
+from station.recording.writer import PARTIAL_SUFFIX
 
-#: What a person wrote about a run.
-NOTES = "notes.json"
-#: What a sweep leaves beside the folders of its runs.
-SWEEP = "sweep.json"
-#: The newest run, wherever a name is asked for.
+#: Name of the file with the user's notes about a run.
+NOTES_FILE = "notes.json"
+#: Name of the file with the results of a sweep.
+SWEEP_FILE = "sweep.json"
+#: Name that stands for the newest run.
 LATEST = "latest"
-#: No run has started then, whatever a summary says [s since 1970].
-LATER = 1e11
-#: Longest notes [characters].
-LONGEST = 20_000
+#: Largest plausible start time in a summary [s since 1970].
+MAX_START_TIME = 1e11
+#: Longest notes about a run [characters].
+MAX_NOTES_CHARS = 20_000
 
 
 class RunError(RecordingError):
-    """No such run, or not to be done with it."""
+    """A run does not exist, or the operation on it failed."""
 
 
 class NoRunError(RunError):
-    """A run or case that is not there."""
+    """The requested run or case does not exist."""
 
 
-class Run(Strict):
-    """A run at one look."""
+class RunEntry(Strict):
+    """Entry of one run in the list of runs."""
 
     id: str
     """name of its folder"""
@@ -44,78 +45,80 @@ class Run(Strict):
     label: str
     """complete, stopped, interrupted or incomplete"""
     cause: str
-    """why it is not complete"""
+    """reason why it is not complete"""
     started: float
-    """[s] since 1970"""
+    """start time [s since 1970]"""
     cases: tuple[str, ...]
-    """those with a recording"""
+    """names of the cases with a recording"""
     size: int
-    """[bytes]"""
+    """size of its files [bytes]"""
     notes: str
     outcomes: Mapping[str, CaseOutcome] = {}
     """errors and force of each case that has them"""
 
 
-class RunDetails(Run):
-    """A run with its summary: errors, counts, timing, as far as the run has them."""
+class RunDetails(RunEntry):
+    """Entry of a run with its whole summary: errors, counts and timing, if the run has them."""
 
     summary: Mapping[str, Any]
 
 
-class History:
-    """Runs in one folder."""
+class RunHistory:
+    """Access to all stored runs in one folder."""
 
     def __init__(self, runs: Path) -> None:
         self._runs = runs
 
     def runs(self, experiment: str = "", label: str = "", text: str = "") -> list[RunDetails]:
-        """Runs, newest first.
+        """Return the stored runs, newest first.
 
         Args:
-            experiment, label: only these; empty for all.
-            text: only those with it in name, title, cause or notes; upper and lower case are the same.
+            experiment, label: return only runs with this experiment or label; empty: all runs.
+            text: return only runs with this text in name, title, cause or notes, ignoring upper and lower case.
         """
-        found = [run for folder in self._folders() if (run := _look(folder)) is not None]
-        words = text.casefold()
+        found = [run for folder in self._folders() if (run := _run_entry(folder)) is not None]
+        query = text.casefold()
         chosen = [
             run
             for run in found
             if experiment in ("", run.experiment)
             and label in ("", run.label)
-            and words in " ".join((run.id, run.title, run.cause, run.notes)).casefold()
+            and query in " ".join((run.id, run.title, run.cause, run.notes)).casefold()
         ]
-        return sorted(chosen, key=lambda run: (run.started, run.id), reverse=True)
+        # The computer's clock may have been set back. A run with a start in the future is listed as the oldest.
+        now = time.time()
+        return sorted(chosen, key=lambda run: (run.started <= now, run.started, run.id), reverse=True)
 
     def find(self, name: str) -> Path:
-        """The folder of a run by its name; `latest` is the newest.
+        """Return the folder of a run by its name; `latest` is the newest run.
 
         Raises:
-            NoRunError: there is no such run here.
+            NoRunError: there is no such run.
         """
         if name == LATEST:
             newest = self.runs()
             if not newest:
-                raise NoRunError(f"{self._runs}: no runs there yet")
+                raise NoRunError(f"{self._runs}: the folder has no runs yet")
             return self._runs / newest[0].id
-        # Compared with what is there and never made into a path: a name cannot lead elsewhere.
+        # The name is compared with existing folders and never used as a path. So it cannot point outside the folder.
         for folder in self._folders():
             if folder.name == name:
                 return folder
         raise NoRunError(f"'{name}' is not one of the runs in {self._runs}")
 
     def run(self, name: str) -> RunDetails:
-        """One run.
+        """Return the entry and summary of one run.
 
         Raises:
-            NoRunError: there is no such run here.
+            NoRunError: there is no such run.
         """
-        return self._looked_at(self.find(name))
+        return self._details(self.find(name))
 
     def recording(self, name: str, case: str = "") -> Path:
-        """The recording of a case; of the only one when no case is named.
+        """Return the path of a case's recording; without a name, of the only case of the run.
 
         Raises:
-            NoRunError: no such run or case, or several cases to choose from.
+            NoRunError: there is no such run or case, or the run has several cases and none was named.
         """
         folder = self.find(name)
         cases = {path.stem: path for path in _recordings(folder)}
@@ -123,74 +126,81 @@ class History:
             return cases[case]
         if not case and len(cases) == 1:
             return next(iter(cases.values()))
-        wrong = f"'{case}' is not one of the cases" if case else "choose one of the cases" if cases else "no recording"
-        raise NoRunError(f"run '{folder.name}': {wrong}{': ' if cases else ''}{', '.join(cases)}")
+        reason = f"'{case}' is not one of the cases" if case else "choose one of the cases" if cases else "no recording"
+        raise NoRunError(f"run '{folder.name}': {reason}{': ' if cases else ''}{', '.join(cases)}")
 
     def set_notes(self, name: str, notes: str) -> RunDetails:
-        """Replace a run's notes.
+        """Replace the notes about a run and return its entry.
 
         Raises:
-            RunError: no such run, too long, or the disk does not take them.
+            RunError: there is no such run, the notes are too long, or they cannot be written.
         """
         folder = self.find(name)
-        if len(notes) > LONGEST:
-            raise RunError(f"notes have {len(notes)} characters; at most {LONGEST} are kept")
+        if len(notes) > MAX_NOTES_CHARS:
+            raise RunError(f"notes have {len(notes)} characters; at most {MAX_NOTES_CHARS} are allowed")
         try:
-            write_json(folder / NOTES, {"notes": notes})
+            write_json(folder / NOTES_FILE, {"notes": notes})
         except OSError as error:
             raise RunError(f"run '{folder.name}': notes cannot be written: {error.strerror}") from None
-        return self._looked_at(folder)
+        return self._details(folder)
 
     def delete(self, name: str, confirm: str) -> None:
-        """Remove a run for good.
+        """Delete a run permanently.
 
         Args:
-            name: of the run; `latest` is refused, it may be another one by now.
-            confirm: the same name again.
+            name: name of the run; `latest` is refused, because another run may have become the latest.
+            confirm: the same name again, as a confirmation.
 
         Raises:
-            RunError: no such run, not confirmed, or it cannot be removed.
+            RunError: there is no such run, the deletion was not confirmed, or it failed.
         """
         folder = self.find(name) if name != LATEST else None
         if folder is None or confirm != folder.name:
-            raise RunError(f"to delete run '{name}' for good, confirm with its own name, not '{confirm}'")
+            raise RunError(f"to delete run '{name}' permanently, confirm with the same name, not '{confirm}'")
         try:
             shutil.rmtree(folder)
         except OSError as error:
             raise RunError(f"run '{folder.name}': cannot be deleted: {error.strerror}") from None
 
-    def _looked_at(self, folder: Path) -> RunDetails:
-        found = _look(folder)
+    def _details(self, folder: Path) -> RunDetails:
+        found = _run_entry(folder)
         if found is None:
             raise NoRunError(f"run '{folder.name}' has been removed from {self._runs}, or cannot be read")
         return found
 
     def _folders(self) -> Iterator[Path]:
-        """Folders of finished runs; what cannot be read, and names that are not UTF-8, are left alone, as links are."""
+        """Yield the folders of finished runs; links, unreadable folders and names that are not UTF-8 are skipped."""
         if not self._runs.is_dir():
             return
         for folder in self._runs.iterdir():
-            if folder.name.endswith(PARTIAL) or not _is_text(folder) or folder.is_symlink() or not folder.is_dir():
+            if (
+                folder.name.endswith(PARTIAL_SUFFIX)
+                or not _is_text(folder)
+                or folder.is_symlink()
+                or not folder.is_dir()
+            ):
                 continue
             with contextlib.suppress(OSError):
-                if any((folder / name).is_file() for name in (SUMMARY, SWEEP)) or any(folder.glob(f"*{RECORDING}")):
+                if any((folder / name).is_file() for name in (SUMMARY_FILE, SWEEP_FILE)) or any(
+                    folder.glob(f"*{RECORDING_SUFFIX}")
+                ):
                     yield folder
 
 
 def resolve_run(name: str, runs: Path) -> Path:
-    """The folder of a run, given as a folder, as a name in `runs` or as `latest`.
+    """Return the folder of a run, given as a folder, as a name in `runs` or as `latest`.
 
     Raises:
-        RunError: there is none.
+        RunError: there is no such run.
     """
     folder = Path(name)
     if folder.is_dir() and name != LATEST:
         return folder
-    return History(runs).find(name)
+    return RunHistory(runs).find(name)
 
 
-def _look(folder: Path) -> RunDetails | None:
-    """What is in the folder; None: it has just been removed, or cannot be read."""
+def _run_entry(folder: Path) -> RunDetails | None:
+    """Return the entry of the run in a folder; None if the folder was removed meanwhile or cannot be read."""
     try:
         return _run_in(folder)
     except OSError:
@@ -198,41 +208,43 @@ def _look(folder: Path) -> RunDetails | None:
 
 
 def _run_in(folder: Path) -> RunDetails:
-    summary = _json(folder / SUMMARY)
+    summary = _json(folder / SUMMARY_FILE)
     recordings = _recordings(folder)
-    told = summary.get("started")
+    start = summary.get("started")
     return RunDetails(
         id=folder.name,
         experiment=str(summary.get("experiment", "")),
         title=str(summary.get("title", "")),
         label=str(summary.get("label", "complete" if summary.get("completed") else "stopped")),
         cause=str(summary.get("cause", "")),
-        started=float(told) if isinstance(told, int | float) and abs(told) < LATER else folder.stat().st_mtime,
+        started=float(start)
+        if isinstance(start, int | float) and abs(start) < MAX_START_TIME
+        else folder.stat().st_mtime,
         cases=tuple(path.stem for path in recordings),
         size=sum(path.stat().st_size for path in folder.iterdir() if path.is_file()),
-        notes=str(_json(folder / NOTES).get("notes", "")),
-        outcomes=outcomes(summary),
+        notes=str(_json(folder / NOTES_FILE).get("notes", "")),
+        outcomes=case_outcomes(summary),
         summary=summary,
     )
 
 
 def _json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file; empty when a person has spoilt or removed it. NaN and infinity become null."""
+    """Return the JSON object in a file; empty if the file is invalid or missing. NaN and infinity become null."""
     try:
         text = path.read_text(encoding="utf-8")
         found = json.loads(text, parse_constant=lambda _: None, parse_float=_finite)
-        json.dumps(found, ensure_ascii=False).encode()  # half of a surrogate pair is no text
+        json.dumps(found, ensure_ascii=False).encode()  # raises for a lone surrogate, which is not valid text
     except (OSError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
 
 
 def _recordings(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.glob(f"*{RECORDING}") if _is_text(path))
+    return sorted(path for path in folder.glob(f"*{RECORDING_SUFFIX}") if _is_text(path))
 
 
 def _is_text(path: Path) -> bool:
-    """Whether the name is UTF-8."""
+    """Return whether the file name is valid UTF-8."""
     try:
         path.name.encode()
     except UnicodeEncodeError:

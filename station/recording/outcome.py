@@ -1,4 +1,4 @@
-"""How well a run went, at one look: the tip's errors and the force on it, case by case, from its summary."""
+"""Outcome of each case of a run: tip errors and force, read from the run's summary."""
 
 import math
 from collections.abc import Mapping
@@ -10,10 +10,10 @@ from station.config.strict import Strict, Vector
 
 
 class CaseOutcome(Strict):
-    """One case, in millimetres and newtons, from the moment on from which errors count."""
+    """Tip errors and force of one case, counted from `counted_from` on."""
 
     against: Literal["true", "measured"]
-    """what the desired tip is compared with: the virtual lab's own, or the tracker's where nobody knows the truth"""
+    """tip that is compared with the desired one: the virtual lab's, or the tracker's without a ground truth"""
     largest: Vector
     """largest error in x, y, z [mm]"""
     largest_distance: float
@@ -25,11 +25,11 @@ class CaseOutcome(Strict):
     force: float | None = None
     """largest filtered force at the tip [N]; null in runs of older versions"""
     counted_from: float = 0.0
-    """errors count from so long after the motion's start on [s]"""
+    """time after the motion's start from which errors count [s]"""
 
 
-def outcomes(summary: Mapping[str, Any]) -> dict[str, CaseOutcome]:
-    """Of every case that has errors; a summary that somebody has spoilt has none."""
+def case_outcomes(summary: Mapping[str, Any]) -> dict[str, CaseOutcome]:
+    """Return the outcome of every case for which a summary has errors; an invalid summary gives none."""
     cases = summary.get("cases")
     if not isinstance(cases, Mapping):
         return {}

@@ -1,4 +1,4 @@
-"""Reading recordings: the whole case at once, or block by block for what does not fit into memory."""
+"""Reading of recordings: a whole case at once, or block by block if the case is larger than the memory."""
 
 import json
 import struct
@@ -20,40 +20,40 @@ from zstandard import ZstdError
 from core.robot.robot import Array
 from station.control.telemetry import Channel
 from station.recording.events import TOPIC as EVENTS
-from station.recording.events import Event, event_of
-from station.recording.label import Label, RecordingError
-from station.recording.metadata import CHANNELS, RUN, channels_of, is_later, values_of
-from station.recording.row_message import PREFIX, TOPIC
-from station.recording.summary import HEAD, RESULT
+from station.recording.events import RecordedEvent, event_of
+from station.recording.metadata import CHANNELS_RECORD, RUN_RECORD, channels_of, format_of, is_later, values_of
+from station.recording.row_message import MESSAGE_HEADER_BYTES, TOPIC
+from station.recording.run_outcome import RecordingError, RunOutcome
+from station.recording.summary import RECORD_HEADER_BYTES, RESULT_RECORD
 
 
 class CaseRecording(NamedTuple):
-    """One case as it was recorded."""
+    """One recorded case of a run, in memory."""
 
     channels: tuple[Channel, ...]
     rows: Array  #: (ticks, channels)
-    events: tuple[Event, ...]
-    metadata: Mapping[str, Any]  #: configuration, versions, seed, start: what the writer was told
-    label: Label
-    cause: str  #: why it is not complete
+    events: tuple[RecordedEvent, ...]
+    metadata: Mapping[str, Any]  #: metadata of the writer: configuration, versions, seed, start
+    label: RunOutcome
+    cause: str  #: reason why the run is not complete
 
     def of(self, group: str) -> Array:
-        """The columns of a group, e.g. `tip_measured`: (ticks, 3).
+        """Return the columns of a channel group; `tip_measured` has (ticks, 3).
 
         Raises:
-            RecordingError: it has no such channels.
+            RecordingError: the recording has no such channels.
         """
         return self.rows[:, columns(self.channels, group)]
 
 
 class CaseReader:
-    """An open recording; its rows are read as they are asked for."""
+    """Recording that is open for reading; its rows are read on demand."""
 
     def __init__(self, path: Path, file: IO[bytes]) -> None:
-        """Read what is not rows.
+        """Read everything in the recording except the rows.
 
         Raises:
-            RecordingError: damaged, never finished, of a later format, or not a recording of this program.
+            RecordingError: the file is damaged, unfinished, of a later format, or not a recording of this program.
         """
         self._path, self._file = path, file
         with _undamaged(path):
@@ -64,18 +64,19 @@ class CaseReader:
             self._summary: Summary = summary
             self._topics = {topic.topic: number for number, topic in summary.channels.items()}
             written = {record.name: record.metadata for record in self._reader.iter_metadata()}
-            self.metadata: Mapping[str, Any] = values_of(written[RUN])
+            self.metadata: Mapping[str, Any] = values_of(written[RUN_RECORD])
             if later := is_later(self.metadata):
                 raise RecordingError(f"{path}: {later}")
-            self.channels = channels_of(written[CHANNELS])
-            #: How it ended: label, cause, wall time; of a live one also rows missed and what the recorder took.
-            self.result: Mapping[str, Any] = values_of(written[RESULT])
-            self.label, self.cause = Label(self.result["label"]), str(self.result["cause"])
-            #: Rows in the file.
+            self.channels = channels_of(written[CHANNELS_RECORD], format_of(self.metadata))
+            #: Outcome of the run: label, cause, end time; for a live run also the number of missed rows and the
+            #: processor time of the recorder.
+            self.result: Mapping[str, Any] = values_of(written[RESULT_RECORD])
+            self.label, self.cause = RunOutcome(self.result["label"]), str(self.result["cause"])
+            #: Number of telemetry rows in the recording.
             self.ticks = summary.statistics.channel_message_counts.get(self._topics[TOPIC], 0)
 
     def blocks(self) -> Iterator[Array]:
-        """All rows in the order they were recorded, a chunk at a time: (n, channels).
+        """Yield all rows in the recorded order, the rows of one chunk at a time: (n, channels).
 
         Raises:
             RecordingError: a chunk is damaged.
@@ -83,15 +84,15 @@ class CaseReader:
         topic = self._topics[TOPIC]
         for index in sorted(self._summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
             if topic not in index.message_index_offsets:
-                continue  # pictures or events only
+                continue  # this chunk has only drawings or events
             with _undamaged(self._path):
-                self._file.seek(index.chunk_start_offset + HEAD)
+                self._file.seek(index.chunk_start_offset + RECORD_HEADER_BYTES)
                 stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(self._file)), validate_crc=True)
                 rows = _rows(stream.read(length), topic, len(self.channels))
             yield rows
 
-    def events(self) -> tuple[Event, ...]:
-        """Everything that happened, in time.
+    def events(self) -> tuple[RecordedEvent, ...]:
+        """Return all events in the order of their time.
 
         Raises:
             RecordingError: a chunk is damaged.
@@ -103,10 +104,10 @@ class CaseReader:
 
 @contextmanager
 def open_case(path: Path) -> Iterator[CaseReader]:
-    """A recording to be read block by block.
+    """Open a recording for reading block by block.
 
     Raises:
-        RecordingError: there is none, it is damaged, or it was never finished.
+        RecordingError: the file does not exist, is damaged, or was never finished.
     """
     try:
         file = path.open("rb")
@@ -120,23 +121,23 @@ def open_case(path: Path) -> Iterator[CaseReader]:
 def _undamaged(path: Path) -> Iterator[None]:
     try:
         yield
-    # What a damaged file makes of the library's arithmetic is in nobody's documentation.
+    # The mcap library does not document which exceptions a damaged file causes, so several types are caught.
     except (McapError, ZstdError, OSError, ValueError, KeyError, IndexError, struct.error) as error:
         raise RecordingError(f"{path}: not a recording of this program, or damaged: {error!r}") from None
 
 
-def read_case(path: Path, most: int | None = None) -> CaseRecording:
-    """All of a recording in memory.
+def read_case(path: Path, max_rows: int | None = None) -> CaseRecording:
+    """Return a whole recording in memory.
 
     Args:
-        path: the file.
-        most: rows; of a longer recording every second, third, ... one is read, as few as are not too many.
+        path: file of the recording.
+        max_rows: largest number of rows; of a longer recording only every n-th row is returned.
 
     Raises:
-        RecordingError: there is none, it is damaged, or it was never finished.
+        RecordingError: the file does not exist, is damaged, or was never finished.
     """
     with open_case(path) as case:
-        stride = 1 if most is None else max(1, -(-case.ticks // most))
+        stride = 1 if max_rows is None else max(1, -(-case.ticks // max_rows))
         rows = np.empty((-(-case.ticks // stride), len(case.channels)))
         passed, filled = 0, 0
         for block in case.blocks():
@@ -147,10 +148,10 @@ def read_case(path: Path, most: int | None = None) -> CaseRecording:
 
 
 def columns(channels: tuple[Channel, ...], group: str) -> list[int]:
-    """Places of a group's channels.
+    """Return the column indices of a group's channels.
 
     Raises:
-        RecordingError: there are none.
+        RecordingError: the recording has no channels of this group.
     """
     found = [at for at, channel in enumerate(channels) if group in (channel.name, channel.name.rpartition(".")[0])]
     if not found:
@@ -159,15 +160,20 @@ def columns(channels: tuple[Channel, ...], group: str) -> list[int]:
 
 
 def _rows(content: bytes, topic: int, width: int) -> Array:
-    """Rows in a chunk's content: (n, width)."""
+    """Return the telemetry rows (n, width) in the decompressed content of a chunk."""
     size = 8 * width
     rows: list[Array] = []
-    place = 0
-    while place < len(content):
-        length = int.from_bytes(content[place + 1 : place + HEAD], "little")
-        if content[place] == Opcode.MESSAGE and content[place + HEAD] + 256 * content[place + HEAD + 1] == topic:
-            rows.append(np.frombuffer(content, "<f8", width, place + PREFIX))
-            if length != PREFIX - HEAD + size:
-                raise ValueError(f"a row of {length - PREFIX + HEAD} bytes instead of {size}")
-        place += HEAD + length
+    offset = 0
+    while offset < len(content):
+        length = int.from_bytes(content[offset + 1 : offset + RECORD_HEADER_BYTES], "little")
+        if (
+            content[offset] == Opcode.MESSAGE
+            and content[offset + RECORD_HEADER_BYTES] + 256 * content[offset + RECORD_HEADER_BYTES + 1] == topic
+        ):
+            rows.append(np.frombuffer(content, "<f8", width, offset + MESSAGE_HEADER_BYTES))
+            if length != MESSAGE_HEADER_BYTES - RECORD_HEADER_BYTES + size:
+                raise ValueError(
+                    f"a row of {length - MESSAGE_HEADER_BYTES + RECORD_HEADER_BYTES} bytes instead of {size}"
+                )
+        offset += RECORD_HEADER_BYTES + length
     return np.array(rows) if rows else np.empty((0, width))

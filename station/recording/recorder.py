@@ -1,7 +1,8 @@
-"""The live recorder: a process of its own that copies the telemetry ring to disk every 0.2 s, to the end of a run.
+"""Live recorder: a separate process that copies the telemetry ring to the disk every 0.2 s until the end of a run.
 
-It only ever reads the ring's rows, so the control loop cannot feel it; what the ring has overwritten before it
-was read is counted. When its parent is gone it finishes the recording as interrupted and ends.
+The recorder only reads the rows of the ring, so it does not affect the control loop. It counts rows that were
+overwritten before it could read them. When its parent process is gone, it finishes the recording as interrupted and
+ends.
 """
 
 import contextlib
@@ -17,108 +18,110 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from station.config.robots import RobotFile
-from station.control.child import Child
-from station.control.clock import REAL_TIME, StationClock
-from station.control.realtime import show_as
+from station.control.child_process import ChildProcess
+from station.control.clock import REAL_TIME_CLOCK, StationClock
+from station.control.realtime import set_process_name
 from station.control.ring import RECORDER_HEARTBEAT, Ring
 from station.control.telemetry import Channels
 from station.recording.drawing import Drawing
-from station.recording.events import WARNING, Event
-from station.recording.label import Label, RecordingError
+from station.recording.events import WARNING, RecordedEvent
 from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
+from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.run_rows import RunRows
 from station.recording.tracking_errors import motion_errors
 from station.recording.writer import CaseWriter
 
-#: A chunk is closed and handed to the operating system so often [s].
-FLUSH = 0.2
-#: The process has this long to begin and to finish a recording [s].
-START_TIME, ANSWER_TIME = 60.0, 10.0
-#: Of a longer run the errors are those of every second, third, ... tick.
-MOST_ROWS = 1_000_000
-#: Name of the only case of a live run.
-CASE = "run"
-#: A motion of a joint, which has no path for the tip.
-SWEEP = "joint_sweep"
+#: Time between two chunks of a recording [s]. A chunk that is given to the operating system survives a kill.
+FLUSH_INTERVAL_S = 0.2
+#: Longest time to wait for the first reply of the recorder's process, which has to start, and for any later reply [s].
+START_TIMEOUT_S, REPLY_TIMEOUT_S = 60.0, 10.0
+#: Largest number of rows from which the errors of a run are computed; of a longer run only every n-th row is used.
+MAX_SUMMARY_ROWS = 1_000_000
+#: File name of the only case of a live run.
+LIVE_CASE = "run"
+#: Kind of a motion that sweeps one joint, so it has no desired path of the tip and no tip errors.
+JOINT_SWEEP = "joint_sweep"
 
 
-class Begin(NamedTuple):
-    """Parent -> recorder."""
+class StartRecording(NamedTuple):
+    """Request to the recorder: start a recording."""
 
     name: str
     metadata: Mapping[str, Any]
-    since: int  #: number of the first row
-    counted_from: float  #: errors count from so long after the motion's start on [s]
+    counted_from: float  #: time after the motion's start from which errors count [s]
 
 
-class End(NamedTuple):
-    """Parent -> recorder."""
+class EndRecording(NamedTuple):
+    """Request to the recorder: finish the recording."""
 
-    label: Label
+    label: RunOutcome
     cause: str
-    numbers: Mapping[str, Any]  #: what its summary says besides
+    numbers: Mapping[str, Any]  #: further numbers that are added to the summary
 
 
-class Answer(NamedTuple):
-    """Recorder -> parent: begun or ended as asked, or why not."""
+class RecorderReply(NamedTuple):
+    """Reply of the recorder to a request."""
 
-    path: Path | None  #: the run's folder
+    path: Path | None  #: folder of the run; None: the request failed
     problem: str
 
 
-class Trouble(NamedTuple):
-    """Recorder -> parent, unasked: the recording has ended by itself."""
+class RecorderFault(NamedTuple):
+    """Unsolicited message of the recorder: the recording has ended without a request, e.g. because of a full disk."""
 
     text: str
 
 
 class Recorder:
-    """The parent's side. One thread may use it at a time."""
+    """Interface through which the parent process uses the recorder. Only one thread may use it at a time."""
 
-    def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock = REAL_TIME) -> None:
-        """Start the process.
+    def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock = REAL_TIME_CLOCK) -> None:
+        """Start the process of the recorder.
 
         Args:
             ring: telemetry to record, owned by the caller.
-            robot: whose telemetry it is.
-            runs: folder of runs.
-            clock: of the station that it belongs to.
+            robot: robot of the telemetry.
+            runs: folder of the runs.
+            clock: clock of the station.
         """
         self._ring, self._clock = ring, clock
         self._trouble = ""
-        self.child = Child(run_recorder, ring.name, robot, runs, clock, name="recorder")
-        self._begun = False
+        self.child = ChildProcess(run_recorder, ring.name, robot, runs, clock, name="recorder")
+        self._replied = False
 
     def begin(self, name: str, metadata: Mapping[str, Any], counted_from: float = 0.0) -> Path:
-        """Record from the next row on, to the end of its motion, as a run called `name`; where its folder will be.
+        """Start to record a run until the end of its motion, and return the final path of its folder.
 
-        The tip's errors count from `counted_from` [s] after the motion's start on.
+        The recording starts with the next row after the reply. It cannot start with the request, because a recorder
+        that is just starting may take longer to reply than the ring keeps rows.
+
+        The tip errors count from `counted_from` [s] after the start of the motion.
 
         Raises:
-            RecordingError: the folder cannot be made, or the recorder is gone.
+            RecordingError: the folder cannot be created, or the recorder is gone.
         """
         self._trouble = ""
-        begin = Begin(name, metadata, self._ring.written, counted_from)
-        path = self._ask(begin, ANSWER_TIME if self._begun else START_TIME)
-        self._begun = True
+        request = StartRecording(name, metadata, counted_from)
+        path = self._request(request, REPLY_TIMEOUT_S if self._replied else START_TIMEOUT_S)
+        self._replied = True
         return path
 
-    def event(self, event: Event) -> None:
-        """Note something that happened; without a recording it is forgotten."""
-        self.child.tell(event)  # `trouble` says when the recorder is gone
+    def event(self, event: RecordedEvent) -> None:
+        """Record an event of the run; without an active recording the event is dropped."""
+        self.child.send(event)  # if the recorder is gone, `trouble` reports this later
 
-    def end(self, label: Label, cause: str = "", numbers: Mapping[str, Any] | None = None) -> Path:
-        """Finish the recording, with the rows so far where its motion has not ended; the run's folder.
+    def end(self, label: RunOutcome, cause: str = "", numbers: Mapping[str, Any] | None = None) -> Path:
+        """Finish the recording with the rows that are in the ring, and return the run's folder.
 
         Raises:
-            RecordingError: it could not be finished, had ended before, or the recorder is gone.
+            RecordingError: the recording could not be finished, has already ended, or the recorder is gone.
         """
-        return self._ask(End(label, cause, numbers or {}), ANSWER_TIME)
+        return self._request(EndRecording(label, cause, numbers or {}), REPLY_TIMEOUT_S)
 
     def trouble(self) -> str:
-        """Why the recording has ended by itself; empty while all is well. Never waits."""
+        """Return why the recording has ended without a request, or an empty text; never blocks."""
         try:
             while self.child.pipe.poll():
                 self._note(self.child.pipe.recv())
@@ -127,123 +130,125 @@ class Recorder:
         return self._trouble
 
     def close(self) -> None:
-        """End the process; a recording that is on is finished as interrupted."""
-        self.child.close(self._clock.real(ANSWER_TIME))
+        """End the process of the recorder, which finishes an active recording as interrupted."""
+        self.child.close(self._clock.real(REPLY_TIMEOUT_S))
 
-    def _ask(self, question: Begin | End, patience: float) -> Path:
-        deadline = self._clock.now() + patience
+    def _request(self, request: StartRecording | EndRecording, timeout: float) -> Path:
+        deadline = self._clock.now() + timeout
         try:
-            self.child.pipe.send(question)
+            self.child.pipe.send(request)
             while self.child.pipe.poll(self._clock.real(max(0.0, deadline - self._clock.now()))):
                 message = self.child.pipe.recv()
-                if isinstance(message, Answer):
+                if isinstance(message, RecorderReply):
                     if message.path is None:
                         raise RecordingError(message.problem)
                     return message.path
                 self._note(message)
         except (EOFError, OSError):
             raise RecordingError(self._gone()) from None
-        # A late answer would be taken for the answer to the next question.
+        # The process is killed, because a late reply would be mistaken for the reply to the next request.
         self.child.kill()
         raise RecordingError(
-            f"the recorder did not answer within {patience:g} s and was ended (a slow disk?); reset starts another one"
+            f"the recorder did not reply within {timeout:g} s and was ended (a slow disk?); reset starts a new one"
         )
 
-    def _note(self, message: Answer | Trouble) -> None:
-        if isinstance(message, Trouble):
+    def _note(self, message: RecorderReply | RecorderFault) -> None:
+        if isinstance(message, RecorderFault):
             self._trouble = message.text
 
     def _gone(self) -> str:
         how = self.child.ended(self._clock.real(1.0))
-        return f"the recorder ended {how}; reset starts another one, and recovers what it had written"
+        return f"the recorder ended {how}; reset starts a new one and recovers the recording"
 
 
 def run_recorder(
     ring_name: str, robot: RobotFile, runs: Path, clock: StationClock, pipe: Connection, parent: int
 ) -> None:
     """Main function of the recorder's process."""
-    show_as("ctr-recorder")
-    # Ctrl-C in a terminal reaches the whole group: the parent decides when we end.
+    set_process_name("ctr-recorder")
+    # Ctrl-C in a terminal reaches every process of the group. This process ignores it: the parent decides when it ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    asked: list[int] = []
-    signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
+    signals: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
     channels = Channels(robot.robot())
     ring = Ring(len(channels), ring_name)
     _warm_up(robot, channels)
     recording: _Recording | None = None
-    # `Connection.poll` makes a selector for every call: a tenth of all the work there is.
-    asks = select.poll()
-    asks.register(pipe.fileno(), select.POLLIN)
-    due = clock.now() + FLUSH
+    # `Connection.poll` creates a selector for every call and would need a tenth of the recorder's processor time.
+    poller = select.poll()
+    poller.register(pipe.fileno(), select.POLLIN)
+    due = clock.now() + FLUSH_INTERVAL_S
     try:
-        while not asked and os.getppid() == parent:
+        while not signals and os.getppid() == parent:
             ring.numbers[RECORDER_HEARTBEAT] = clock.now()
-            if asks.poll(max(0.0, 1e3 * clock.real(due - clock.now()))):
-                message: Begin | End | Event | None = pipe.recv()
+            if poller.poll(max(0.0, 1e3 * clock.real(due - clock.now()))):
+                message: StartRecording | EndRecording | RecordedEvent | None = pipe.recv()
                 if message is None:
                     break
-                if isinstance(message, Begin):
-                    recording, answer = _begin(message, recording, robot, channels, runs, ring)
-                    ring.numbers[RECORDER_HEARTBEAT] = clock.now()  # from here on somebody looks
-                    pipe.send(answer)
-                elif isinstance(message, End):
-                    answer = recording.end(message) if recording else Answer(None, "nothing is being recorded")
+                if isinstance(message, StartRecording):
+                    recording, reply = _start(message, recording, robot, channels, runs, ring)
+                    ring.numbers[RECORDER_HEARTBEAT] = clock.now()  # from now on the parent checks this heartbeat
+                    pipe.send(reply)
+                elif isinstance(message, EndRecording):
+                    reply = recording.end(message) if recording else RecorderReply(None, "no recording is active")
                     recording = None
-                    ring.numbers[RECORDER_HEARTBEAT] = clock.now()  # it may have taken a while
-                    pipe.send(answer)
+                    ring.numbers[RECORDER_HEARTBEAT] = clock.now()  # finishing the recording may have taken long
+                    pipe.send(reply)
                 elif recording is not None:
                     recording.writer.event(message)
                 continue
-            # A machine that was asleep does not make up for what it missed.
-            due = max(due + FLUSH, clock.now())
+            # If the computer was suspended, the missed intervals are skipped.
+            due = max(due + FLUSH_INTERVAL_S, clock.now())
             if recording is not None:
                 try:
                     recording.copy()
                 except RecordingError as error:
                     recording.give_up(str(error))
                     recording = None
-                    pipe.send(Trouble(str(error)))
+                    pipe.send(RecorderFault(str(error)))
     except (EOFError, OSError):
-        pass  # the parent is gone; what it had begun is finished below
+        pass  # the parent is gone; an active recording is finished below
     finally:
         if recording is not None:
-            recording.end(End(Label.INTERRUPTED, "the station process is gone", {}))
+            recording.end(EndRecording(RunOutcome.INTERRUPTED, "the station process is gone", {}))
         ring.close(remove=os.getppid() != parent)
 
 
 def _warm_up(robot: RobotFile, channels: Channels) -> None:
-    """Load the model's compiled code now: at the first rows it would hold them back for longer than a kill may cost."""
+    """Load the compiled code of the robot's model before the first rows, which it would delay too long."""
     row = np.zeros(len(channels))
     channels.of(row, "joints")[:] = [0.5 * (joint.lower + joint.upper) for joint in robot.joints]
     Drawing(robot.robot(), channels.all, 1).messages(row, 0)
 
 
 class _Recording:
-    """The recording that is on."""
+    """Recording that is active in the process of the recorder."""
 
-    def __init__(self, folder: RunFolder, writer: CaseWriter, begin: Begin, ring: Ring, channels: Channels) -> None:
+    def __init__(
+        self, folder: RunFolder, writer: CaseWriter, request: StartRecording, ring: Ring, channels: Channels
+    ) -> None:
         self.writer = writer
-        self._of_run = RunRows(channels)
-        self._folder, self._ring, self._begin = folder, ring, begin
-        self._next = begin.since
+        self._run_rows = RunRows(channels)
+        self._folder, self._ring, self._request = folder, ring, request
+        self._next = ring.written
         self._cpu = time.process_time()
         self._missed = 0
         self._last = 0.0
 
     def copy(self) -> None:
-        """Rows of the run since the last time, to disk."""
+        """Copy the new rows of the run from the telemetry ring to the disk."""
         rows, self._next, missed = self._ring.read(self._next)
-        if missed and not self._of_run.over:
+        if missed and not self._run_rows.over:
             self._missed += missed
-            text = f"{missed} rows were overwritten before the recorder came to read them"
-            self.writer.event(Event(self._last, "recorder", text, WARNING, {"missed": missed}))
-        rows = self._of_run.take(rows)
+            text = f"{missed} rows were overwritten before the recorder read them"
+            self.writer.event(RecordedEvent(self._last, "recorder", text, WARNING, {"missed": missed}))
+        rows = self._run_rows.take(rows)
         if len(rows):
             self._last = float(rows[-1, 0])
         self.writer.write(rows)
 
-    def end(self, end: End) -> Answer:
-        """Finish as asked."""
+    def end(self, end: EndRecording) -> RecorderReply:
+        """Finish the recording and return the reply."""
         try:
             self.copy()
             self.writer.close(end.label, end.cause, missed=self._missed, cpu_s=time.process_time() - self._cpu)
@@ -251,52 +256,49 @@ class _Recording:
             self._folder.finish(self._summary(end.label, end.cause, numbers))
         except RecordingError as error:
             self.give_up(str(error))
-            return Answer(None, str(error))
-        return Answer(self._folder.path, "")
+            return RecorderReply(None, str(error))
+        return RecorderReply(self._folder.path, "")
 
     def give_up(self, problem: str) -> None:
-        """The disk takes no more: what is there is kept, by the next recovery if not now."""
+        """End the recording because the disk is full; the written rows are kept, now or by the next recovery."""
         with contextlib.suppress(RecordingError):
-            self._folder.finish(self._summary(Label.INCOMPLETE, problem, {}))
+            self._folder.finish(self._summary(RunOutcome.INCOMPLETE, problem, {}))
 
     def _errors(self) -> Mapping[str, Any]:
-        """Of the tip, if its motion has begun and settled, and had a path to keep to."""
-        start, first = self._of_run.motion_start, self._begin.counted_from
+        """Return the tip errors of the run; empty if its motion did not settle or has no path of the tip."""
+        start, first = self._run_rows.motion_start, self._request.counted_from
         if start is None:
             return {}
-        if self._begin.metadata.get("settings", {}).get("trajectory", {}).get("kind") == SWEEP:
+        if self._request.metadata.get("settings", {}).get("trajectory", {}).get("kind") == JOINT_SWEEP:
             return {"motion_start": start, "counted_from_s": first}
-        recording = read_case(self._folder.case(CASE), MOST_ROWS)
+        recording = read_case(self._folder.case(LIVE_CASE), MAX_SUMMARY_ROWS)
         found = motion_errors(recording.of, start, first)
         return {"motion_start": start, "counted_from_s": first, **found}
 
-    def _summary(self, label: Label, cause: str, numbers: Mapping[str, Any]) -> dict[str, Any]:
-        told = {
-            key: self._begin.metadata[key]
-            for key in ("experiment", "title", "seed", "clock_rate")
-            if key in self._begin.metadata
-        }
-        done = label is Label.COMPLETE
+    def _summary(self, label: RunOutcome, cause: str, numbers: Mapping[str, Any]) -> dict[str, Any]:
+        metadata = self._request.metadata
+        known = {key: metadata[key] for key in ("experiment", "title", "seed", "clock_rate") if key in metadata}
+        done = label is RunOutcome.COMPLETE
         return {
-            **told, "started": self.writer.started, "label": label, "cause": cause, "completed": done,
-            "cases": {CASE: {"completed": done, "cause": cause, **numbers}},
+            **known, "started": self.writer.started, "label": label, "cause": cause, "completed": done,
+            "cases": {LIVE_CASE: {"completed": done, "cause": cause, **numbers}},
         }  # fmt: skip
 
 
-def _begin(
-    begin: Begin, before: _Recording | None, robot: RobotFile, channels: Channels, runs: Path, ring: Ring
-) -> tuple[_Recording | None, Answer]:
-    if before is not None:
-        return before, Answer(None, "a recording is on already")
+def _start(
+    request: StartRecording, active: _Recording | None, robot: RobotFile, channels: Channels, runs: Path, ring: Ring
+) -> tuple[_Recording | None, RecorderReply]:
+    if active is not None:
+        return active, RecorderReply(None, "another recording is active")
     try:
-        folder = RunFolder(runs, begin.name)
+        folder = RunFolder(runs, request.name)
     except RecordingError as error:
-        return None, Answer(None, str(error))
+        return None, RecorderReply(None, str(error))
     try:
-        about = {**begin.metadata, "run": folder.path.name, "robot": robot.model_dump(mode="json")}
-        writer = CaseWriter(folder.case(CASE), robot.robot(), channels.all, about)
+        about = {**request.metadata, "run": folder.path.name, "robot": robot.model_dump(mode="json")}
+        writer = CaseWriter(folder.case(LIVE_CASE), robot.robot(), channels.all, about)
     except RecordingError as error:
         folder.let_go()
         recover(runs)
-        return None, Answer(None, str(error))
-    return _Recording(folder, writer, begin, ring, channels), Answer(folder.path, "")
+        return None, RecorderReply(None, str(error))
+    return _Recording(folder, writer, request, ring, channels), RecorderReply(folder.path, "")

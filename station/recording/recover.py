@@ -1,6 +1,7 @@
-"""Recordings whose writer was killed: cut after the last whole chunk, indexed, labelled, given their names.
+"""Recovery of recordings whose writer was killed.
 
-Done at the next start. Killed in the middle it is simply done again: chunks are never touched.
+A recovery cuts the file after its last complete chunk, adds the index and a label, and renames it. It takes place when
+a command starts the next time. A recovery that is killed can be repeated, because it never changes a chunk.
 """
 
 import contextlib
@@ -16,39 +17,39 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk, Metadata
 from mcap.stream_reader import StreamReader
 
-from station.recording.label import Label, RecordingError
-from station.recording.metadata import RUN, is_later, texts, values_of
+from station.recording.metadata import RUN_RECORD, is_later, texts, values_of
 from station.recording.read import open_case
-from station.recording.run_folder import RECORDING, SUMMARY, lock_folder, write_json
+from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE, lock_folder, write_json
+from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import finish_file
-from station.recording.writer import FULL, PARTIAL
+from station.recording.writer import FULL_SUFFIX, PARTIAL_SUFFIX
 
 CAUSES = {
-    Label.INTERRUPTED: "the process that recorded it was gone; recovered up to the last chunk that reached the disk",
-    Label.INCOMPLETE: "the disk took no more",
+    RunOutcome.INTERRUPTED: "the recording process ended; recovered up to the last chunk that reached the disk",
+    RunOutcome.INCOMPLETE: "the disk was full",
 }
 
 
 def recover(runs: Path) -> list[Path]:
-    """Finish every run that nobody is writing any more, but those of a later ctr-station: `left_alone` names them.
+    """Finish every run that no process writes any more, except runs of a later ctr-station (see `unrecoverable`).
 
     Args:
-        runs: the folder of runs; it need not exist.
+        runs: folder of the runs; it need not exist.
 
     Returns:
-        The folders that have got their names.
+        The recovered folders with their final names.
 
     Raises:
-        RecordingError: the disk has no room; nothing is lost by trying again later.
+        RecordingError: the disk is full; a later attempt can finish the runs without loss.
     """
     recovered: list[Path] = []
-    for folder in sorted(runs.glob(f"*{PARTIAL}")):
+    for folder in sorted(runs.glob(f"*{PARTIAL_SUFFIX}")):
         try:
             if _of_later(folder):
-                continue  # what it means is not known here
+                continue  # this version does not know the format of the run
             lock = lock_folder(folder)
             if lock is None:
-                continue  # being written
+                continue  # another process is writing this run
             try:
                 done = _recover_folder(folder)
             finally:
@@ -60,18 +61,18 @@ def recover(runs: Path) -> list[Path]:
     return recovered
 
 
-def left_alone(runs: Path) -> list[str]:
-    """Of each run that was cut off and that only a later ctr-station can finish: which, and what to do about it."""
+def unrecoverable(runs: Path) -> list[str]:
+    """Return a message with instructions for each interrupted run that only a later ctr-station can finish."""
     return [
-        f"{folder}: cut off, and not recovered: {why}"
-        for folder in sorted(runs.glob(f"*{PARTIAL}"))
+        f"{folder}: interrupted, and not recovered: {why}"
+        for folder in sorted(runs.glob(f"*{PARTIAL_SUFFIX}"))
         if (why := _of_later(folder))
     ]
 
 
 def _of_later(folder: Path) -> str:
-    """Why what was left in a folder cannot be finished here; empty when it can."""
-    for path in sorted(folder.glob(f"*{RECORDING}*")):
+    """Return why this version of ctr-station cannot finish the recordings in a folder; empty if it can."""
+    for path in sorted(folder.glob(f"*{RECORDING_SUFFIX}*")):
         with contextlib.suppress(OSError), path.open("rb") as file:
             if later := is_later(_run(file)):
                 return f"{path.name}: {later}"
@@ -79,30 +80,32 @@ def _of_later(folder: Path) -> str:
 
 
 def _left(folder: Path) -> list[Path]:
-    return sorted((*folder.glob(f"*{RECORDING}{PARTIAL}"), *folder.glob(f"*{RECORDING}{FULL}")))
+    return sorted(
+        (*folder.glob(f"*{RECORDING_SUFFIX}{PARTIAL_SUFFIX}"), *folder.glob(f"*{RECORDING_SUFFIX}{FULL_SUFFIX}"))
+    )
 
 
 def _run(file: IO[bytes]) -> Mapping[str, Any]:
-    """What a recording that ends anywhere says of its run, before its rows; empty when it does not come to that."""
+    """Return the metadata record `run` of an incomplete recording; empty if the file ends before this record."""
     try:
         for record in StreamReader(file).records:
-            if isinstance(record, Metadata) and record.name == RUN:
+            if isinstance(record, Metadata) and record.name == RUN_RECORD:
                 return values_of(record.metadata)
             if isinstance(record, Chunk):
                 break
     except (McapError, ValueError, struct.error):
-        pass  # cut off before
+        pass  # the file ends before the metadata record
     return {}
 
 
 def recover_file(left: Path) -> Path | None:
-    """Finish one recording that was left behind; None when nothing of it had reached the disk.
+    """Finish one recording of a killed writer and return its path; None if nothing had reached the disk.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
-    suffix = FULL if left.name.endswith(FULL) else PARTIAL
-    label = Label.INCOMPLETE if suffix == FULL else Label.INTERRUPTED
+    suffix = FULL_SUFFIX if left.name.endswith(FULL_SUFFIX) else PARTIAL_SUFFIX
+    label = RunOutcome.INCOMPLETE if suffix == FULL_SUFFIX else RunOutcome.INTERRUPTED
     result = {"label": label, "cause": CAUSES[label], "ended": left.stat().st_mtime}
     try:
         finish_file(left, texts(result), verify=True)
@@ -117,34 +120,34 @@ def recover_file(left: Path) -> Path | None:
 def _recover_folder(folder: Path) -> Path | None:
     for left in _left(folder):
         recover_file(left)
-    recordings = sorted(folder.glob(f"*{RECORDING}"))
+    recordings = sorted(folder.glob(f"*{RECORDING_SUFFIX}"))
     if not recordings:
         shutil.rmtree(folder)
         return None
-    if not (folder / SUMMARY).exists():
-        write_json(folder / SUMMARY, _summary(recordings))
-    place = folder.with_name(folder.name.removesuffix(PARTIAL))
+    if not (folder / SUMMARY_FILE).exists():
+        write_json(folder / SUMMARY_FILE, _summary(recordings))
+    target = folder.with_name(folder.name.removesuffix(PARTIAL_SUFFIX))
     number = 2
-    while place.exists():
-        place, number = folder.with_name(f"{folder.name.removesuffix(PARTIAL)}-{number}"), number + 1
-    folder.rename(place)
-    return place
+    while target.exists():
+        target, number = folder.with_name(f"{folder.name.removesuffix(PARTIAL_SUFFIX)}-{number}"), number + 1
+    folder.rename(target)
+    return target
 
 
 def _summary(recordings: list[Path]) -> Mapping[str, Any]:
-    """What the recordings themselves say of the run."""
+    """Return a summary of a recovered run, computed from its recordings."""
     cases: dict[str, Any] = {}
-    labels: list[Label] = []
+    labels: list[RunOutcome] = []
     run: Mapping[str, Any] = {}
     for path in recordings:
         try:
             with open_case(path) as case:
                 run = case.metadata
                 labels.append(case.label)
-                cases[path.stem] = {"completed": case.label is Label.COMPLETE, "cause": case.cause}
-        except RecordingError as error:  # the others are worth keeping, and the station is to start
+                cases[path.stem] = {"completed": case.label is RunOutcome.COMPLETE, "cause": case.cause}
+        except RecordingError as error:  # one damaged recording must not prevent the station's start
             cases[path.stem] = {"completed": False, "cause": str(error)}
-    # The run itself did not get to its end, whatever its cases did.
-    label = Label.INCOMPLETE if Label.INCOMPLETE in labels else Label.INTERRUPTED
+    # The run is never labelled complete: it did not reach its end, even if all recorded cases did.
+    label = RunOutcome.INCOMPLETE if RunOutcome.INCOMPLETE in labels else RunOutcome.INTERRUPTED
     kept = {key: run[key] for key in ("experiment", "title", "seed", "started") if key in run}
     return json.loads(json.dumps({**kept, "label": label, "cause": CAUSES[label], "completed": False, "cases": cases}))

@@ -1,9 +1,8 @@
-"""A row of telemetry as an MCAP message, exact to the bit and readable by Foxglove at the full rate.
+"""Telemetry row as an MCAP message, which keeps every bit and which Foxglove can read at the full rate.
 
-The payload is the row itself: little-endian float64, one after the other. That is also how ROS 1
-serialises a message whose fields are all float64, so the schema that goes with it is a ROS 1 message
-definition: one field a channel, channels of a group in a part of their own, the unit as a comment.
-No ROS is needed: `numpy.frombuffer(data, "<f8")` is the row, in the order of the schema.
+The payload is the row as consecutive little-endian float64 numbers. ROS 1 serialises a message of float64 fields in the
+same form, so the schema is a ROS 1 message definition: a field for each channel, a nested message for each group, and
+the unit as a comment. No ROS is needed: `numpy.frombuffer(data, "<f8")` is the row, in the order of the schema.
 """
 
 import re
@@ -20,23 +19,23 @@ from station.control.telemetry import Channel
 
 TOPIC = "/telemetry"
 SCHEMA = "ctr_station/Telemetry"
-#: Bytes of a message record before its payload: opcode, length, topic, sequence and two times.
-PREFIX = 31
+#: Length of an MCAP message record before its payload: opcode, length, topic, sequence number and two times [bytes].
+MESSAGE_HEADER_BYTES = 31
 
 
 class Rows(NamedTuple):
-    """Consecutive message records, one a row, and where each begins."""
+    """Consecutive message records, one for each row, with their offsets."""
 
-    times: NDArray[np.uint64]  #: (n,) [ns]
+    times: NDArray[np.uint64]  #: time of each row (n,) [ns]
     records: bytes
-    offsets: NDArray[np.uint64]  #: (n,) from the start of `records`
+    offsets: NDArray[np.uint64]  #: offset of each record from the start of `records` (n,) [bytes]
 
 
 NO_ROWS = Rows(np.empty(0, np.uint64), b"", np.empty(0, np.uint64))
 
 
 def definition(channels: Sequence[Channel]) -> str:
-    """The ROS 1 message definition of a row with these channels."""
+    """Return the ROS 1 message definition of a row with these channels."""
     main: list[str] = []
     parts: list[str] = []
     fields, types = _Names(), _Names()
@@ -53,11 +52,11 @@ def definition(channels: Sequence[Channel]) -> str:
 
 
 def message_records(rows: Array, times: NDArray[np.uint64], topic: int, first: int) -> Rows:
-    """Message records of rows (n, width).
+    """Return the MCAP message records of telemetry rows (n, width).
 
     Args:
-        rows: what was recorded.
-        times: of each row (n,) [ns].
+        rows: recorded rows.
+        times: time of each row (n,) [ns].
         topic: MCAP channel id.
         first: sequence number of the first row.
     """
@@ -72,7 +71,7 @@ def message_records(rows: Array, times: NDArray[np.uint64], topic: int, first: i
 
 
 def row_of(payload: bytes) -> Array:
-    """The row that a message carries."""
+    """Return the telemetry row in the payload of a message."""
     return np.frombuffer(payload, "<f8")
 
 
@@ -91,7 +90,10 @@ def _record(width: int) -> np.dtype[np.void]:
 
 
 def _grouped(channels: Sequence[Channel]) -> Iterator[tuple[str, list[tuple[str, Channel]]]]:
-    """Group name and members by their own names; a channel outside a group has the empty one."""
+    """Yield the name of each channel group with its members.
+
+    A channel without a group is a group with a single member, whose name is empty.
+    """
 
     def group(channel: Channel) -> str:
         return channel.name.rpartition(".")[0] or channel.name
@@ -107,13 +109,13 @@ def _comment(channel: Channel) -> str:
 
 
 def _identifier(name: str) -> str:
-    """The name as a ROS field may be called."""
+    """Return the name as a valid name of a ROS field."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)
     return plain if plain[:1].isalpha() else f"c_{plain}"
 
 
 class _Names:
-    """Keeps apart what becomes the same when only letters, digits and underscores are left."""
+    """Makes ROS field names unique after their conversion to letters, digits and underscores."""
 
     def __init__(self) -> None:
         self._taken: set[str] = set()

@@ -1,4 +1,4 @@
-"""The folder of a run: `<case>.mcap`, `experiment.toml`, `summary.json`; it gets its name when all is in it."""
+"""Folder of a run with `<case>.mcap`, `experiment.toml` and `summary.json`; it gets its name when the run has ended."""
 
 import contextlib
 import fcntl
@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from station.recording.data_section import sync_folder
-from station.recording.label import RecordingError
-from station.recording.writer import PARTIAL
+from station.recording.run_outcome import RecordingError
+from station.recording.writer import PARTIAL_SUFFIX
 
-SUMMARY = "summary.json"
-EXPERIMENT = "experiment.toml"
-RECORDING = ".mcap"
+SUMMARY_FILE = "summary.json"
+EXPERIMENT_FILE = "experiment.toml"
+RECORDING_SUFFIX = ".mcap"
 
 
 class RunFolder:
-    """A folder of its own for a run, under a provisional name and locked until it is finished."""
+    """Folder of one run; until it is finished it has a provisional name and is locked."""
 
     def __init__(self, runs: Path, name: str) -> None:
-        """Make it.
+        """Create the folder of the run under its provisional name.
 
         Raises:
             RecordingError: `runs` cannot be written to.
@@ -33,45 +33,46 @@ class RunFolder:
         with self._written():
             runs.mkdir(parents=True, exist_ok=True)
             for number in itertools.count(1):
-                self.path = runs / (name if number == 1 else f"{name}-{number}")  #: its final place
-                self.partial = self.path.with_name(self.path.name + PARTIAL)  #: its place until then
+                self.path = runs / (name if number == 1 else f"{name}-{number}")  #: final path of the run's folder
+                #: Path of the folder until the run is finished.
+                self.partial = self.path.with_name(self.path.name + PARTIAL_SUFFIX)
                 try:
                     self.partial.mkdir()
                 except FileExistsError:
                     continue
-                # A recovery of another process may have seen it empty and unlocked.
+                # A recovery by another process may have found the new folder empty and unlocked, and removed it.
                 self._lock = lock_folder(self.partial)
                 if self._lock is not None and not self.path.exists():
                     break
                 self.let_go()
                 with contextlib.suppress(FileNotFoundError):
                     self.partial.rmdir()
-        self.started = time.time()  #: [s] since 1970
+        self.started = time.time()  #: start of the run [s since 1970]
 
     def add_source(self, text: str) -> None:
-        """Keep the experiment's file beside the recordings.
+        """Write the experiment's file into the folder.
 
         Raises:
-            RecordingError: the disk does not take it.
+            RecordingError: the file cannot be written.
         """
         with self._written():
-            (self.partial / EXPERIMENT).write_text(text, encoding="utf-8")
+            (self.partial / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
 
     def case(self, name: str) -> Path:
-        """Where the recording of a case goes."""
-        return self.partial / f"{name}{RECORDING}"
+        """Return the path at which the recording of a case is to be written."""
+        return self.partial / f"{name}{RECORDING_SUFFIX}"
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Add the summary; then the folder gets its name.
+        """Write the summary and give the folder its final name.
 
         Raises:
-            RecordingError: the disk does not take it, or did not take the end of a recording; the next
-                recovery finishes the folder.
+            RecordingError: the summary cannot be written, or a recording is unfinished because the disk was full; the
+                next recovery finishes the folder.
         """
         try:
             with self._written():
-                write_json(self.partial / SUMMARY, summary)
-                if left := [path.name for path in self.partial.glob(f"*{RECORDING}.*")]:
+                write_json(self.partial / SUMMARY_FILE, summary)
+                if left := [path.name for path in self.partial.glob(f"*{RECORDING_SUFFIX}.*")]:
                     raise RecordingError(f"{self.partial}: {left[0]} is not finished; the next start recovers it")
                 self.partial.rename(self.path)
                 sync_folder(self._runs)
@@ -79,7 +80,7 @@ class RunFolder:
             self.let_go()
 
     def let_go(self) -> None:
-        """Leave the folder as it is; the next recovery finishes it, or removes it when nothing was recorded."""
+        """Unlock the unfinished folder; the next recovery finishes it, or removes it if it has no recording."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -89,11 +90,14 @@ class RunFolder:
         try:
             yield
         except OSError as error:
-            raise RecordingError(f"{self._runs}: cannot write results there: {error.strerror}") from None
+            raise RecordingError(f"{self._runs}: cannot write results: {error.strerror}") from None
 
 
 def lock_folder(folder: Path) -> int | None:
-    """Hold a folder until the descriptor is closed or this process ends; None: somebody has it or has removed it."""
+    """Lock a folder and return the descriptor of the lock; None: another process has locked or removed it.
+
+    The lock ends when the descriptor is closed or this process ends.
+    """
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except FileNotFoundError:
@@ -110,7 +114,7 @@ def lock_folder(folder: Path) -> int | None:
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Replace a file at once: a reader sees the old one or the new one."""
+    """Replace a JSON file atomically: a reader sees the old content or the new one."""
     whole = path.with_name(path.name + ".new")
     whole.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
     whole.replace(path)

@@ -1,24 +1,24 @@
-"""Whether a disk has room for a recording, asked before a run starts."""
+"""Check of the free disk space for a recording before a run starts."""
 
 import os
 import shutil
 from pathlib import Path
 
-#: What a recording takes [bytes/s]: 500 rows of about a hundred numbers compressed to three quarters, and
-#: 10 pictures (measured: 400 kB/s with two tubes), with something to spare.
-RATE = 650_000.0
-#: Left free on the disk for everybody else [bytes].
-RESERVE = 100e6
+#: Largest growth of a recording [bytes/s]: 500 rows of about 160 numbers that cannot be compressed, and 10 drawings.
+#: Random numbers with two tubes need 711 kB/s; a real run needs about half of this.
+RECORDING_BYTES_PER_S = 750_000.0
+#: Disk space that stays free for other programs [bytes].
+FREE_SPACE_BYTES = 100e6
 
 
 def free_space_problem(folder: Path, duration: float) -> str:
-    """Why a recording of `duration` [s] cannot be kept in `folder`, and what to do; empty when it can."""
-    there = folder.absolute()
-    while not there.exists():
-        there = there.parent
-    if not os.access(there, os.W_OK):
-        return f"{folder}: recordings cannot be written there; give another folder or the right to write"
-    free, needed = shutil.disk_usage(there).free, RATE * duration + RESERVE
+    """Return why a recording of `duration` [s] does not fit into `folder`, with what to do; empty if it fits."""
+    existing = folder.absolute()
+    while not existing.exists():
+        existing = existing.parent
+    if not os.access(existing, os.W_OK):
+        return f"{folder}: recordings cannot be written; choose another folder or change its permissions"
+    free, needed = shutil.disk_usage(existing).free, RECORDING_BYTES_PER_S * duration + FREE_SPACE_BYTES
     if free >= needed:
         return ""
     return (

@@ -1,7 +1,7 @@
-"""The end of an MCAP file: cut what is not whole, say how it ended, write the index.
+"""End of an MCAP file: cut incomplete records, then write the outcome and the index.
 
-The same way for a recording that ends well and for one that was left behind, so that recovery is the
-ordinary close. It may be killed at any point and begun again: the chunks are never touched.
+A regular end and a recovery after a kill use the same code. This code may be killed at any point and can then be
+repeated, because it never changes a chunk.
 """
 
 import fcntl
@@ -31,71 +31,71 @@ from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
 from station.recording.data_section import index_record
-from station.recording.label import RecordingError
+from station.recording.run_outcome import RecordingError
 
-#: Name of the metadata record that says how the recording ended.
-RESULT = "result"
-#: Bytes before a record's content: opcode and length.
-HEAD = 9
-#: Bytes of a chunk before its messages, apart from the name of the compression.
-CHUNK_HEAD = 40
-LONGEST_NAME = 16
+#: Name of the metadata record with the outcome of the recording.
+RESULT_RECORD = "result"
+#: Length of the header of an MCAP record: opcode and length of the content [bytes].
+RECORD_HEADER_BYTES = 9
+#: Length of a chunk's header before its messages, without the name of the compression [bytes].
+CHUNK_HEADER_BYTES = 40
+MAX_COMPRESSION_NAME = 16
 
 
 @dataclass
 class _Contents:
-    """What a walk along the file has found."""
+    """Contents of an MCAP file up to its last complete record, as the index needs them."""
 
-    end: int = len(MCAP0_MAGIC)  #: of what is whole
+    end: int = len(MCAP0_MAGIC)  #: offset after the last complete record [bytes]
     schemas: bytearray = field(default_factory=bytearray)
     topics: bytearray = field(default_factory=bytearray)
     chunks: bytearray = field(default_factory=bytearray)
     metadata: bytearray = field(default_factory=bytearray)
-    counts: dict[int, int] = field(default_factory=dict)  #: messages by topic
+    counts: dict[int, int] = field(default_factory=dict)  #: number of messages by topic
     schema_count: int = 0
     chunk_count: int = 0
     metadata_count: int = 0
-    times: tuple[int, int] | None = None  #: of the first and the last message [ns]
-    repair: bytearray = field(default_factory=bytearray)  #: message indexes that the last chunk lacks
-    result: Mapping[str, str] | None = None  #: of an earlier end that was not finished
+    times: tuple[int, int] | None = None  #: times of the first and the last message [ns]
+    repair: bytearray = field(default_factory=bytearray)  #: message indexes that are missing after the last chunk
+    result: Mapping[str, str] | None = None  #: outcome that an earlier, unfinished end has written
 
 
 def finish_file(path: Path, result: Mapping[str, str], *, verify: bool) -> Mapping[str, str]:
-    """Make a whole MCAP file of one that ends anywhere.
+    """Complete an MCAP file that may end anywhere.
 
     Args:
-        path: the file, not being written by anybody.
-        result: how it ended; an end that was begun earlier stands.
-        verify: look into every chunk, because the file was left behind.
+        path: file to complete; no process may be writing it.
+        result: outcome of the recording; an outcome that an earlier, unfinished end has written takes precedence.
+        verify: whether to check every chunk, which is necessary if the writer was killed.
 
     Returns:
-        The result that stands in the file.
+        The outcome that is in the file.
 
     Raises:
-        RecordingError: there is no MCAP file in it.
-        OSError: it cannot be written; what was whole stays so.
+        RecordingError: the file is not an MCAP file.
+        OSError: the file cannot be written; its complete records stay unchanged.
     """
     with path.open("r+b", buffering=0) as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if os.pread(file.fileno(), len(MCAP0_MAGIC), 0) != MCAP0_MAGIC:
-            raise RecordingError(f"{path}: the disk has nothing of this recording, not even its first bytes")
+            raise RecordingError(f"{path}: the file has no recording, its first bytes are missing")
         found = _walk(file.fileno(), verify=verify)
-        stands = result if found.result is None else found.result
+        kept = result if found.result is None else found.result
         file.truncate(found.end)
         file.seek(found.end)
-        tail = memoryview(_tail(found, stands))
+        tail = memoryview(_tail(found, kept))
         while tail:
             tail = tail[file.write(tail) or 0 :]
         os.fsync(file.fileno())
-    return stands
+    return kept
 
 
 def _walk(descriptor: int, *, verify: bool) -> _Contents:
-    """From record to record to the last one that is whole."""
+    """Read the records of a file up to the last complete one and return the contents for the index."""
     found, size = _Contents(), os.fstat(descriptor).st_size
-    while len(head := os.pread(descriptor, HEAD, found.end)) == HEAD:
+    while len(head := os.pread(descriptor, RECORD_HEADER_BYTES, found.end)) == RECORD_HEADER_BYTES:
         opcode, length = struct.unpack("<BQ", head)
-        start, end = found.end, found.end + HEAD + length
+        start, end = found.end, found.end + RECORD_HEADER_BYTES + length
         if end > size or opcode in (0, Opcode.DATA_END):
             break
         if opcode == Opcode.CHUNK:
@@ -104,10 +104,10 @@ def _walk(descriptor: int, *, verify: bool) -> _Contents:
                 break
             found.end = after
             continue
-        record = os.pread(descriptor, HEAD + length, start)
+        record = os.pread(descriptor, RECORD_HEADER_BYTES + length, start)
         if opcode == Opcode.METADATA:
-            metadata = Metadata.read(ReadDataStream(BytesIO(record[HEAD:])))
-            if metadata.name == RESULT:
+            metadata = Metadata.read(ReadDataStream(BytesIO(record[RECORD_HEADER_BYTES:])))
+            if metadata.name == RESULT_RECORD:
                 found.result = metadata.metadata
                 break
             _add(found.metadata, MetadataIndex(start, len(record), metadata.name))
@@ -117,47 +117,52 @@ def _walk(descriptor: int, *, verify: bool) -> _Contents:
             found.schema_count += 1
         elif opcode == Opcode.CHANNEL:
             found.topics += record
-            found.counts[struct.unpack_from("<H", record, HEAD)[0]] = 0
+            found.counts[struct.unpack_from("<H", record, RECORD_HEADER_BYTES)[0]] = 0
         found.end = end
     return found
 
 
 def _chunk(descriptor: int, start: int, end: int, size: int, found: _Contents, *, verify: bool) -> int | None:
-    """Note the chunk at `start` and its message indexes; where the next record begins, None if it is not whole."""
-    stream = ReadDataStream(BytesIO(os.pread(descriptor, CHUNK_HEAD + LONGEST_NAME, start + HEAD)))
+    """Add the chunk at `start` and its message indexes to `found`.
+
+    Return the offset of the next record, or None if the chunk is incomplete.
+    """
+    stream = ReadDataStream(
+        BytesIO(os.pread(descriptor, CHUNK_HEADER_BYTES + MAX_COMPRESSION_NAME, start + RECORD_HEADER_BYTES))
+    )
     first, last, uncompressed = stream.read8(), stream.read8(), stream.read8()
     stream.read4()
     compression = str(stream.read(stream.read4()), "ascii")
     content = None
     if verify:
         try:
-            content = _content(os.pread(descriptor, end - start - HEAD, start + HEAD))
+            content = _content(os.pread(descriptor, end - start - RECORD_HEADER_BYTES, start + RECORD_HEADER_BYTES))
         except (CRCValidationError, ZstdError, EndOfFile, ValueError):
             return None
     offsets: dict[int, int] = {}
-    place = end
-    while len(head := os.pread(descriptor, HEAD + 6, place)) == HEAD + 6:
+    offset = end
+    while len(head := os.pread(descriptor, RECORD_HEADER_BYTES + 6, offset)) == RECORD_HEADER_BYTES + 6:
         opcode, length, topic, entries = struct.unpack("<BQHI", head)
-        if opcode != Opcode.MESSAGE_INDEX or place + HEAD + length > size:
+        if opcode != Opcode.MESSAGE_INDEX or offset + RECORD_HEADER_BYTES + length > size:
             break
-        offsets[topic] = place
+        offsets[topic] = offset
         found.counts[topic] = found.counts.get(topic, 0) + entries // 16
-        place += HEAD + length
+        offset += RECORD_HEADER_BYTES + length
     if content is not None:
-        # A kill may fall between a chunk and its indexes; they follow from the chunk.
+        # A kill may happen between writing a chunk and its indexes. Missing indexes are computed from the chunk.
         for topic, listed in _entries(content).items():
             if topic not in offsets:
-                offsets[topic] = place + len(found.repair)
+                offsets[topic] = offset + len(found.repair)
                 found.counts[topic] = found.counts.get(topic, 0) + len(listed) // 16
                 found.repair += index_record(topic, listed)
     index = ChunkIndex(
         chunk_length=end - start,
         chunk_start_offset=start,
         compression=compression,
-        compressed_size=end - start - HEAD - CHUNK_HEAD - len(compression),
+        compressed_size=end - start - RECORD_HEADER_BYTES - CHUNK_HEADER_BYTES - len(compression),
         message_start_time=first,
         message_end_time=last,
-        message_index_length=place + len(found.repair) - end,
+        message_index_length=offset + len(found.repair) - end,
         message_index_offsets=offsets,
         uncompressed_size=uncompressed,
     )
@@ -165,36 +170,36 @@ def _chunk(descriptor: int, start: int, end: int, size: int, found: _Contents, *
     found.chunk_count += 1
     earliest, latest = found.times or (first, last)
     found.times = (min(earliest, first), max(latest, last))
-    return place
+    return offset
 
 
 def _content(record: bytes) -> bytes:
-    """The messages of a chunk, decompressed and found undamaged."""
+    """Return the decompressed content of a chunk after a check of its CRC."""
     chunk = Chunk.read(ReadDataStream(BytesIO(record)))
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)
     return stream.read(length)
 
 
 def _entries(content: bytes) -> dict[int, bytes]:
-    """Message index entries of a chunk's content by topic."""
+    """Return the message index entries of a chunk's content by topic."""
     found: dict[int, bytes] = {}
-    place = 0
-    while place < len(content):
-        opcode, length = struct.unpack_from("<BQ", content, place)
+    offset = 0
+    while offset < len(content):
+        opcode, length = struct.unpack_from("<BQ", content, offset)
         if opcode == Opcode.MESSAGE:
-            topic, _sequence, time = struct.unpack_from("<HIQ", content, place + HEAD)
-            found[topic] = found.get(topic, b"") + struct.pack("<QQ", time, place)
-        place += HEAD + length
+            topic, _sequence, time = struct.unpack_from("<HIQ", content, offset + RECORD_HEADER_BYTES)
+            found[topic] = found.get(topic, b"") + struct.pack("<QQ", time, offset)
+        offset += RECORD_HEADER_BYTES + length
     return found
 
 
 def _tail(found: _Contents, result: Mapping[str, str]) -> bytes:
-    """What the last chunk lacks, result, end of the data, summary and footer."""
+    """Return the end of the file: missing indexes, result, end of the data, summary and footer."""
     tail = RecordBuilder()
     tail.write(found.repair)
-    Metadata(RESULT, dict(result)).write(tail)
-    place = len(found.repair)
-    _add(found.metadata, MetadataIndex(found.end + place, tail.count - place, RESULT))
+    Metadata(RESULT_RECORD, dict(result)).write(tail)
+    offset = len(found.repair)
+    _add(found.metadata, MetadataIndex(found.end + offset, tail.count - offset, RESULT_RECORD))
     DataEnd(0).write(tail)
     start = found.end + tail.count
     first, last = found.times or (0, 0)

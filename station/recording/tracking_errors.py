@@ -1,6 +1,6 @@
-"""How far the tip was from where it should have been, as the paper counts it: per axis, after the settling time.
+"""Tracking errors of the tip as in the paper: per axis, after the settling time.
 
-A load is never part of the settling: errors count from its onset at the latest.
+If the load starts within the settling time, errors count from this onset: the load's effect is not part of settling.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,33 +11,33 @@ from numpy.typing import NDArray
 
 from core.robot.robot import Array
 
-#: Errors of a free motion count from here on [s], or from half of it if it is shorter than twice that.
-SETTLING = 20.0
+#: Settling time of a free motion [s], but at most half of its duration.
+SETTLING_S = 20.0
 
 
 def settling_time(duration: float) -> float:
-    """Of a motion that does not say when it has settled [s]."""
-    return min(SETTLING, 0.5 * duration)
+    """Return the settling time of a motion without a configured one [s]."""
+    return min(SETTLING_S, 0.5 * duration)
 
 
 def counted_from(settling: float, onset: float) -> float:
-    """When errors begin to count: after the settling time, or from the load's onset if that is earlier [s]."""
+    """Return the time from which errors count: the settling time, or the load's onset if that is earlier [s]."""
     return min(settling, onset)
 
 
 def which_count(cases: Mapping[str, Mapping[str, Any]]) -> str:
-    """Which moments errors are taken from, in a sentence; `cases` are those of a summary."""
-    begins = {name: numbers["counted_from_s"] for name, numbers in cases.items() if "counted_from_s" in numbers}
-    if not begins:
+    """Return a sentence about the time from which errors count in each of the `cases` of a summary."""
+    starts = {name: numbers["counted_from_s"] for name, numbers in cases.items() if "counted_from_s" in numbers}
+    if not starts:
         return "Errors count after the settling time."
-    if len(set(begins.values())) == 1:
-        return f"Errors count from {next(iter(begins.values())):g} s after the motion's start on."
-    each = ", ".join(f"{name} {begin:g} s" for name, begin in begins.items())
+    if len(set(starts.values())) == 1:
+        return f"Errors count from {next(iter(starts.values())):g} s after the motion's start on."
+    each = ", ".join(f"{name} {start:g} s" for name, start in starts.items())
     return f"Errors count from these times after the motion's start on: {each}."
 
 
 def errors(prefix: str, error: Array) -> dict[str, Any]:
-    """Largest by axis and as a distance, root mean square and mean of tip errors (samples, 3) [m], in millimetres."""
+    """Return statistics of tip errors (samples, 3) [m]: largest and RMS by axis, largest and mean distance [mm]."""
     millimetres = 1e3 * error
     return {
         f"{prefix}max_abs_error_mm": rounded(np.abs(millimetres).max(axis=0)),
@@ -48,29 +48,30 @@ def errors(prefix: str, error: Array) -> dict[str, Any]:
 
 
 def desired(of: Callable[[str], Array], target: str) -> Array:
-    """Where the tip should be (ticks, 3) [m]: at the setpoint; beside a target while one is followed.
+    """Return the desired tip position (ticks, 3) [m]: the setpoint, or a followed target plus its offset.
 
-    `of` gives the columns of a group of channels (ticks, k); `target` is the group that says where the target is.
+    `of` returns the columns of a group of channels (ticks, k); `target` is the group with the target's position.
     """
     return np.where(of("target_followed") > 0.0, of(target) + of("target_offset"), of("tip_desired"))
 
 
 def frame_errors(of: Callable[[str], Array], frames: NDArray[np.bool_], start: float) -> Array:
-    """Desired minus measured (f, 3) [m] at `frames` (ticks,), of a motion that began at `start` [s].
+    """Return desired minus measured tip (f, 3) [m] at `frames` (ticks,) of a motion that started at `start` [s].
 
-    A setpoint is that of the moment at which the frame was taken; a target was measured in the frame itself.
+    Each frame is compared with the setpoint at the time of its measurement. A followed target needs no such shift,
+    because it was measured in the same frame.
     """
     time, taken = of("time")[:, 0] - start, of("tip_time")[frames, 0] - start
-    wanted = np.stack([np.interp(taken, time, column) for column in of("tip_desired").T], axis=1)
-    beside = desired(of, "target_measured")[frames]
-    return np.where(of("target_followed")[frames] > 0.0, beside, wanted) - of("tip_measured")[frames]
+    setpoints = np.stack([np.interp(taken, time, column) for column in of("tip_desired").T], axis=1)
+    followed = desired(of, "target_measured")[frames]
+    return np.where(of("target_followed")[frames] > 0.0, followed, setpoints) - of("tip_measured")[frames]
 
 
 def motion_errors(of: Callable[[str], Array], start: float, first: float) -> Mapping[str, Any]:
-    """Errors of a motion that began at `start` [s] of its rows, from `first` [s] on, and the largest force meanwhile.
+    """Return the tip errors of a motion from `first` [s] after its `start` [s] on, and the largest force since then.
 
-    Empty when there are none. `of` gives the columns of a group of channels (ticks, k). `true_` errors are those of
-    the virtual lab's tip.
+    Empty if the tracker has sent no frame since then. `of` returns the columns of a channel group (ticks, k). Errors
+    with the prefix `true_` are those of the virtual lab's true tip.
     """
     counted = of("time")[:, 0] - start >= first
     frames = counted & (of("tip_new")[:, 0] > 0.0)
@@ -83,15 +84,15 @@ def motion_errors(of: Callable[[str], Array], start: float, first: float) -> Map
 
 
 def largest_force(force: Array) -> dict[str, Any]:
-    """The size of the largest of some forces (samples, 3) [N]."""
+    """Return the summary entry with the magnitude of the largest of several forces (samples, 3) [N]."""
     return {"force_max_N": rounded(np.linalg.norm(force, axis=1).max())}
 
 
 def rms(error: Array) -> Array:
-    """Root mean square of each column."""
+    """Return the root mean square of each column of an array."""
     return np.sqrt(np.mean(error * error, axis=0))
 
 
 def rounded(value: Any, digits: int = 4) -> float | Sequence[float]:
-    """For JSON."""
+    """Return rounded numbers for JSON."""
     return np.round(value, digits).tolist()

@@ -1,4 +1,4 @@
-"""One case on disk: rows, events and what Foxglove draws, in chunks that are whole or not there."""
+"""Writer of one case's recording: rows, events and drawings for Foxglove, in chunks that are complete or absent."""
 
 import contextlib
 import time
@@ -11,27 +11,27 @@ from numpy.typing import NDArray
 
 from core.robot.robot import Array, Robot
 from station.control.telemetry import Channel
-from station.recording.data_section import DataSection, Said, Topic
+from station.recording.data_section import DataSection, Topic, WrittenMessage
 from station.recording.drawing import Drawing
 from station.recording.events import SCHEMA as EVENTS_SCHEMA
 from station.recording.events import TOPIC as EVENTS
-from station.recording.events import Event, event_json
+from station.recording.events import RecordedEvent, event_json
 from station.recording.foxglove import json_topic
-from station.recording.label import Label, RecordingError
-from station.recording.metadata import CHANNELS, FORMAT, RUN, channel_texts, texts, versions
+from station.recording.metadata import CHANNELS_RECORD, FORMAT, RUN_RECORD, channel_texts, texts, versions
 from station.recording.row_message import NO_ROWS, SCHEMA, TOPIC, Rows, definition, message_records
+from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import finish_file
 
-#: A file that is being written, or was when its writer was killed.
-PARTIAL = ".partial"
-#: A file that the disk had no room to finish.
-FULL = ".full"
-#: Pictures a second: one costs as much as thirty rows.
-PICTURES = 10.0
-#: They are drawn so many together, when the processor has the code at hand: that halves what they cost. A kill
-#: may take the latest of them, which follow from the rows.
-TOGETHER = 10
-ROWS, EVENT, DRAWN = 1, 2, 3  #: topics by id
+#: Suffix of a recording that is being written, or whose writer was killed.
+PARTIAL_SUFFIX = ".partial"
+#: Suffix of a recording that could not be finished because the disk was full.
+FULL_SUFFIX = ".full"
+#: Number of drawings of the robot in a second. A drawing takes as much processor time as thirty rows.
+DRAWINGS_PER_S = 10.0
+#: Number of drawings that are created together, which halves their time because the code stays in the cache. A kill may
+#: lose the latest of them, which can be computed from the rows.
+DRAWINGS_PER_BATCH = 10
+ROWS_CHANNEL, EVENT_CHANNEL, FIRST_DRAWING_CHANNEL = 1, 2, 3  #: ids of the MCAP topics
 
 
 class CaseWriter:
@@ -43,30 +43,30 @@ class CaseWriter:
         robot: Robot,
         channels: Sequence[Channel],
         metadata: Mapping[str, Any],
-        pictures: float = PICTURES,
+        pictures: float = DRAWINGS_PER_S,
     ) -> None:
-        """Make the file.
+        """Create the file under its provisional name.
 
         Args:
-            path: its final name.
-            robot: to be drawn.
-            channels: of the rows.
-            metadata: everything the run depends on, by name; versions and the start are added.
-            pictures: drawn for each second of the run.
+            path: final path of the file.
+            robot: robot for the drawings.
+            channels: channels of the rows.
+            metadata: everything that the run depends on, by name; versions and the start are added.
+            pictures: number of drawings in a second of the run.
 
         Raises:
-            RecordingError: it cannot be made.
+            RecordingError: the file cannot be created.
         """
         self.path = path
         self.channels = channels
-        self.label: Label | None = None  #: how it ended, once it has
-        self.started = time.time()  #: [s] since 1970
-        self._epoch: int | None = None  #: of the rows' own time, which may count from anywhere [ns] since 1970
-        self._drawing = Drawing(robot, channels, DRAWN)
-        self._said: list[Said] = []
+        self.label: RunOutcome | None = None  #: outcome of the recording; None until its end
+        self.started = time.time()  #: start of the recording [s since 1970]
+        self._epoch: int | None = None  #: wall time at which the rows' clock was 0 [ns since 1970]
+        self._drawing = Drawing(robot, channels, FIRST_DRAWING_CHANNEL)
+        self._messages: list[WrittenMessage] = []
         self._rate = pictures
-        self._picture: int | None = None  #: period of the latest
-        self._undrawn: list[tuple[Array, int]] = []  #: rows and wall times
+        self._picture: int | None = None  #: number of the period in which the latest drawing was made
+        self._undrawn: list[tuple[Array, int]] = []  #: rows to draw with their wall times
         self._rows = 0
         self._section: DataSection | None = None
         topics = (
@@ -76,48 +76,50 @@ class CaseWriter:
         )
         run = {"format": FORMAT, "started": self.started, "versions": versions(), **metadata}
         try:
-            self._section = DataSection(self._partial, {RUN: texts(run), CHANNELS: channel_texts(channels)}, topics)
+            self._section = DataSection(
+                self._partial, {RUN_RECORD: texts(run), CHANNELS_RECORD: channel_texts(channels)}, topics
+            )
         except OSError as error:
             raise RecordingError(f"{path}: cannot be recorded: {error.strerror}") from None
 
     @property
     def _partial(self) -> Path:
-        return self.path.with_name(self.path.name + PARTIAL)
+        return self.path.with_name(self.path.name + PARTIAL_SUFFIX)
 
-    def event(self, event: Event) -> None:
-        """Note something that happened; it goes with the next rows."""
+    def event(self, event: RecordedEvent) -> None:
+        """Record an event of the run; it is written together with the next rows."""
         stamp = self._start(event.time) + round(1e9 * event.time)
-        self._said.append(Said(EVENT, stamp, event_json(event, stamp)))
+        self._messages.append(WrittenMessage(EVENT_CHANNEL, stamp, event_json(event, stamp)))
 
     def write(self, rows: Array) -> None:
-        """Write rows (n, channels) and the events since the last time; they outlive this process from now on.
+        """Write rows (n, channels) and the events since the last call; they then survive the end of this process.
 
         Raises:
-            RecordingError: the disk does not take them. The recording has ended and is labelled so.
+            RecordingError: the rows cannot be written; the recording has ended and is labelled incomplete.
         """
         if self._section is None:
             raise RecordingError(f"{self.path}: the recording has ended")
         stamps = self._stamps(rows[:, 0])
         self._undrawn += [(rows[number].copy(), int(stamps[number])) for number in self._pictures(rows[:, 0])]
-        if len(self._undrawn) >= TOGETHER:
+        if len(self._undrawn) >= DRAWINGS_PER_BATCH:
             self._draw()
-        self._put(self._section, message_records(rows, stamps, ROWS, self._rows))
+        self._put(self._section, message_records(rows, stamps, ROWS_CHANNEL, self._rows))
         self._rows += len(rows)
 
-    def close(self, label: Label, cause: str = "", **more: Any) -> None:
-        """Finish the file and give it its name.
+    def close(self, label: RunOutcome, cause: str = "", **more: Any) -> None:
+        """Finish the file and give it its final name.
 
         Args:
-            label, cause: how the run ended.
-            more: what else is known only at the end.
+            label, cause: outcome of the run and its reason.
+            more: further values that are known only at the end.
 
         Raises:
-            RecordingError: the disk has no room for what is left, and the recording is labelled incomplete; or
-                not for the end, and the next recovery finishes the file.
+            RecordingError: the disk is full. If the remaining rows do not fit, the recording is labelled incomplete. If
+                the end of the file does not fit, the next recovery finishes it.
         """
         if self._section is None:
             return
-        if label is not Label.INCOMPLETE:
+        if label is not RunOutcome.INCOMPLETE:
             self._draw()
             self._put(self._section, NO_ROWS)
         section, self._section = self._section, None
@@ -128,34 +130,34 @@ class CaseWriter:
             finish_file(section.path, texts(result), verify=False)
             section.path.rename(self.path)
         except OSError as error:
-            if label is Label.INCOMPLETE:
-                section.path.rename(self.path.with_name(self.path.name + FULL))
+            if label is RunOutcome.INCOMPLETE:
+                section.path.rename(self.path.with_name(self.path.name + FULL_SUFFIX))
             raise RecordingError(f"{self.path}: the recording cannot be finished: {error.strerror}") from None
 
     def _put(self, section: DataSection, rows: Rows) -> None:
-        """Rows, and all that was said meanwhile."""
+        """Write rows together with the events and drawings that are pending."""
         try:
-            section.write_chunk(rows, ROWS, self._said)
+            section.write_chunk(rows, ROWS_CHANNEL, self._messages)
         except OSError as error:
-            problem = f"{self.path}: the disk takes no more of the recording: {error.strerror}"
-            with contextlib.suppress(RecordingError):  # the reason is the one above
-                self.close(Label.INCOMPLETE, problem)
+            problem = f"{self.path}: the recording cannot be continued: {error.strerror}"
+            with contextlib.suppress(RecordingError):  # the caller reports the error above
+                self.close(RunOutcome.INCOMPLETE, problem)
             raise RecordingError(problem) from None
-        self._said = []
+        self._messages = []
 
     def _draw(self) -> None:
         for row, stamp in self._undrawn:
-            self._said += self._drawing.messages(row, stamp)
+            self._messages += self._drawing.messages(row, stamp)
         self._undrawn = []
 
     def _stamps(self, times: Array) -> NDArray[np.uint64]:
-        """Wall time (n,) [ns] of rows' times."""
+        """Convert the times of rows to wall times (n,) [ns since 1970]."""
         if len(times) == 0:
             return np.empty(0, np.uint64)
         return (1e9 * times + 0.5).astype(np.int64).astype(np.uint64) + np.uint64(self._start(float(times[-1])))
 
     def _pictures(self, times: Array) -> list[int]:
-        """Which rows are to be drawn: the first of each period of the pictures."""
+        """Return the indices of the rows to draw: the first row in each period of the drawings."""
         periods = (self._rate * times + 1e-6).astype(np.int64)
         before, drawn = self._picture, list[int]()
         for number, period in enumerate(periods.tolist()):
@@ -166,7 +168,7 @@ class CaseWriter:
         return drawn
 
     def _start(self, moment: float) -> int:
-        """When the rows' time was 0, from the newest moment of the first that are heard of [ns] since 1970."""
+        """Return the wall time at which the rows' time was 0, computed from the first known time [ns since 1970]."""
         if self._epoch is None:
             self._epoch = time.time_ns() - round(1e9 * moment)
         return self._epoch

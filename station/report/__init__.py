@@ -1,7 +1,8 @@
-"""Pages and figures of runs.
+"""Report pages and figures of runs.
 
-Before matplotlib is imported, by whichever module: its folder is in the cache, where its list of fonts is anyhow. A
-home that takes nothing else would be complained of, and nobody's own settings change how a report looks.
+This module sets the configuration folder of matplotlib before any module imports matplotlib. The folder is in the
+user's cache, where matplotlib also keeps its list of fonts. So an unwritable home folder causes no warning, and
+the user's matplotlib settings do not change the style of a report.
 """
 
 import contextlib
@@ -11,6 +12,6 @@ from pathlib import Path
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "matplotlib")
 
 if "MPLCONFIGDIR" not in os.environ:
-    with contextlib.suppress(OSError):  # then matplotlib finds a place by itself, and says so
+    with contextlib.suppress(OSError):  # if the folder cannot be created, matplotlib uses another and warns
         CACHE.mkdir(parents=True, exist_ok=True)
         os.environ["MPLCONFIGDIR"] = str(CACHE)

@@ -1,4 +1,4 @@
-"""Error and force of a run as curves that are small enough for a page, their peaks kept."""
+"""Curves of tip error and force of a run for the operator's page, reduced to a few hundred points with all peaks."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,62 +9,62 @@ from pydantic import TypeAdapter, ValidationError
 
 from core.robot.robot import Array
 from station.config.strict import Row, Strict
-from station.report.run import Case, read_run
-from station.report.written import ReportError, written
+from station.report.atomic_write import ReportError, write_atomically
+from station.report.run import RecordedCase, read_run
 
-NAME = "curves.json"
-#: Of each line the largest value of so many pieces is kept.
-PIECES = 240
+CURVES_FILE = "curves.json"
+#: Number of time intervals into which a curve is divided; the largest value of each interval is kept.
+CURVE_BINS = 240
 
 
-class Line(Strict):
-    """Values over the time since the motion's start."""
+class CurveLine(Strict):
+    """Line of a curve: values over the time since the motion's start."""
 
     time: tuple[float, ...] = Row
-    """[s]"""
+    """time since the motion's start [s]"""
     value: tuple[float, ...] = Row
 
 
 class Curve(Strict):
-    """One case."""
+    """Curves of tip error and force of one case."""
 
     against: Literal["true", "measured"]
-    """what the desired tip is compared with"""
-    error: Line | None
-    """distance from the desired tip [mm]; null where there is no path for the tip"""
-    force: Line
-    """size of the filtered force at the tip [N]"""
+    """tip that is compared with the desired tip"""
+    error: CurveLine | None
+    """distance from the desired tip [mm]; null without a path of the tip"""
+    force: CurveLine
+    """magnitude of the filtered force at the tip [N]"""
     counted_from: float
-    """errors count from here on [s]"""
+    """time from which errors count [s]"""
 
 
 Curves = TypeAdapter(dict[str, Curve])
 
 
 def write_curves(folder: Path) -> Path:
-    """Leave the curves of the run in `folder` there.
+    """Write the curves of the run in `folder` as a file into this folder, and return its path.
 
     Raises:
-        NoRun: there is no run in the folder.
+        NoRun: the folder has no run.
         ConfigError, RecordingError: a file of the run cannot be read.
         ReportError: the file cannot be written.
     """
     found = {case.name: _curve(case) for case in read_run(folder).cases if case.moved}
     try:
-        return written(Curves.dump_json(found).decode(), folder / NAME)
+        return write_atomically(Curves.dump_json(found).decode(), folder / CURVES_FILE)
     except OSError as error:
-        raise ReportError(f"{folder}: cannot write curves there: {error.strerror}") from None
+        raise ReportError(f"{folder}: cannot write curves: {error.strerror}") from None
 
 
 def read_curves(folder: Path) -> Mapping[str, Curve] | None:
-    """Those that were left in `folder`; None: there are none, or somebody has spoilt them."""
+    """Return the stored curves of the run in `folder` by case; None if the file is missing or invalid."""
     try:
-        return Curves.validate_json((folder / NAME).read_bytes())
+        return Curves.validate_json((folder / CURVES_FILE).read_bytes())
     except (OSError, ValidationError):
         return None
 
 
-def _curve(case: Case) -> Curve:
+def _curve(case: RecordedCase) -> Curve:
     times, error = (case.time, case.true_error()) if case.truth_known else case.measured_error()
     return Curve(
         against="true" if case.truth_known else "measured",
@@ -74,14 +74,14 @@ def _curve(case: Case) -> Curve:
     )
 
 
-def peaks(times: Array, values: Array, pieces: int = PIECES) -> Line:
-    """The largest value of each piece of a line, when it was.
+def peaks(times: Array, values: Array, pieces: int = CURVE_BINS) -> CurveLine:
+    """Return the largest value of a line in each of several time intervals, with its time.
 
     Args:
         times: (m,) [s].
         values: (m,).
-        pieces: at most.
+        pieces: largest number of time intervals.
     """
     each = max(1, -(-len(values) // pieces))
     at = [first + int(values[first : first + each].argmax()) for first in range(0, len(values), each)]
-    return Line(time=tuple(np.round(times[at], 3).tolist()), value=tuple(np.round(values[at], 4).tolist()))
+    return CurveLine(time=tuple(np.round(times[at], 3).tolist()), value=tuple(np.round(values[at], 4).tolist()))

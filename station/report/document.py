@@ -1,9 +1,9 @@
-"""The HTML around a report: one file, no network, made for the screen and for paper."""
+"""HTML elements of a report, which is one file without network access, for the screen and for printing."""
 
 from collections.abc import Iterable, Sequence
 from html import escape
 
-STYLE = """
+DOCUMENT_CSS = """
 :root { color-scheme: light; }
 body { font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #15191d; background: #fff;
   max-width: 62rem; margin: 2rem auto; padding: 0 1.25rem; }
@@ -35,32 +35,32 @@ pre { font: .8rem/1.4 ui-monospace, "DejaVu Sans Mono", monospace; background: #
 
 
 def document(title: str, parts: Iterable[str]) -> str:
-    """A whole page."""
+    """Return the HTML of a whole report page with its style sheet."""
     body = "\n".join(parts)
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{escape(title)}</title>\n'
-        f"<style>{STYLE}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
+        f"<style>{DOCUMENT_CSS}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
     )
 
 
 def heading(text: str) -> str:
-    """The heading of a section."""
+    """Return the HTML heading of a section."""
     return f"<h2>{escape(text)}</h2>"
 
 
 def paragraph(text: str, kind: str = "") -> str:
-    """Plain text; `kind` is a class of the style."""
+    """Return an HTML paragraph of plain text, which is escaped; `kind` is a CSS class."""
     return f"<p{f' class={kind!r}' if kind else ''}>{escape(text)}</p>"
 
 
 def text_block(text: str) -> str:
-    """Text as it is, line by line."""
+    """Return an HTML element with preformatted text, e.g. a TOML file."""
     return f"<pre>{escape(text)}</pre>"
 
 
 def picture(source: str, alt: str, title: str, caption: str) -> str:
-    """A figure; `source` is a data URI."""
+    """Return an HTML figure with title and caption; `source` is the picture as a data URI."""
     return (
         f'<figure><img src="{source}" alt="{escape(alt, quote=True)}">'
         f"<figcaption><b>{escape(title)}.</b> {escape(caption)}</figcaption></figure>"
@@ -68,7 +68,10 @@ def picture(source: str, alt: str, title: str, caption: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1) -> str:
-    """A table; the first `texts` columns are words, the others numbers. A repeated first cell is left out."""
+    """Return an HTML table; the first `texts` columns are texts, the others numbers.
+
+    A first cell that repeats that of the row above is left empty.
+    """
 
     def cell(tag: str, column: int, text: str) -> str:
         return f"<{tag}{'' if column < texts else ' class=' + chr(34) + 'number' + chr(34)}>{escape(text)}</{tag}>"

@@ -1,4 +1,4 @@
-"""What a report says besides figures: how it ended, what was simulated, the line, configuration and versions."""
+"""Texts and tables of a report: outcome, simulated parts, serial line, configuration and versions."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -7,22 +7,29 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from station.recording.outcome import outcomes
+from station.recording.outcome import case_outcomes
 from station.recording.tracking_errors import which_count
 from station.report import document
-from station.report.comparison import all_errors, beside_the_paper
-from station.report.run import Run
+from station.report.comparison import all_errors, paper_comparison
+from station.report.run import RecordedRun
 from station.report.style import AXES
 
 
-def origin(run: Run) -> str:
-    """Where the data come from, short enough for a figure."""
+def origin(run: RecordedRun) -> str:
+    """Return the origin of a run's data as a short text for its figures, e.g. "simulated bench, seed 0"."""
     seed = run.summary.get("seed")
-    return f"simulated bench, seed {seed}" if run.simulated else "bench"
+    if not run.simulated:
+        return "bench"
+    return "simulated bench" if seed is None or not _own_lab(run) else f"simulated bench, seed {seed}"
 
 
-def head(run: Run) -> Iterator[str]:
-    """Title, and in plain words what was simulated."""
+def _own_lab(run: RecordedRun) -> bool:
+    """Return whether the devices were those of the built-in virtual lab, whose random numbers have a seed."""
+    return any(case.truth_known for case in run.cases)
+
+
+def head(run: RecordedRun) -> Iterator[str]:
+    """Yield the title of a report, and notes about simulated parts, deviations from the case and incomplete cases."""
     title = run.table.get("title") or run.summary.get("title") or run.experiment
     yield f"<h1>{escape(str(title))}</h1>"
     yield document.paragraph(run.folder.name, "sub")
@@ -31,15 +38,15 @@ def head(run: Run) -> Iterator[str]:
         first = next(iter(labs.values())) or str(run.summary.get("lab", "virtual lab"))
         others = "".join(f" Case '{name}': {title}." for name, title in labs.items() if title not in ("", first))
         yield document.paragraph(
-            f"Simulated bench, seed {run.summary.get('seed')}: {first}.{others}"
-            " The paper's numbers come from a real bench (those of its Figs. 3 and 4 from a simulation of its own).",
+            f"{origin(run)[0].upper()}{origin(run)[1:]}: {first}.{others}"
+            " The paper's numbers come from a real bench (those of its Figs. 3 and 4 from a simulation).",
             "note",
         )
     for case in run.cases:
         for text in case.metadata.get("otherwise", ()):
             yield document.paragraph(f"Case '{case.name}' was {text}.", "note")
     if (rate := run.summary.get("clock_rate", 1.0)) != 1.0:
-        yield document.paragraph(f"Not in real time: the station's clock went at {rate:g} of it.", "note")
+        yield document.paragraph(f"Not in real time: the station's clock ran at {rate:g} times real time.", "note")
     for name, numbers in run.summary.get("cases", {}).items():
         if not numbers.get("completed", True):
             yield document.paragraph(f"Case '{name}' did not complete: {numbers.get('cause')}", "note")
@@ -48,16 +55,16 @@ def head(run: Run) -> Iterator[str]:
             yield document.paragraph(f"Case '{case.name}' is long: figures show every {case.stride}th tick.", "note")
 
 
-def beside_table(run: Run) -> Iterator[str]:
-    """The paper's numbers beside ours."""
-    printed = list(beside_the_paper(run))
+def paper_table(run: RecordedRun) -> Iterator[str]:
+    """Yield a table that compares the measured numbers with those of the paper."""
+    printed = list(paper_comparison(run))
     bent = any(row.case.endswith("_distorted") for row in printed)
     if printed:
         yield document.heading("The paper's numbers and ours")
         yield document.paragraph(
-            "Millimetres. Measured: against the tracker, as in the paper. True: against the simulated tip."
-            " Ratio: measured here to the paper's number."
-            + (" Distorted: the tracker's field is bent, so that it shows the tip where it is not." if bent else "")
+            "Millimetres. Measured: error of the tracker's tip, as in the paper. True: error of the simulated tip."
+            " Ratio: measured number divided by the paper's number."
+            + (" Distorted: the tracker's field is bent, so that its positions have an error." if bent else "")
         )
         head = ("case", "quantity", "paper", "here, measured", "here, true", "ratio")
         cells = (
@@ -68,17 +75,18 @@ def beside_table(run: Run) -> Iterator[str]:
         yield document.table(head, cells, texts=2)
 
 
-def result(run: Run) -> Iterator[str]:
-    """How it ended and how well it went: a sentence for each case, then all errors."""
+def result(run: RecordedRun) -> Iterator[str]:
+    """Yield the outcome of a run, a sentence for each case, and a table of all errors."""
     yield document.heading("Result")
     if label := run.summary.get("label"):
         cause = run.summary.get("cause")
         yield document.paragraph(f"Ended: {label}{f', {cause}' if cause else ''}.")
-    for name, found in outcomes(run.summary).items():
+    for name, found in case_outcomes(run.summary).items():
         case = run.case(name)
         yield document.paragraph(
-            f"The {found.against} tip{'' if case is None else case.words} was at most {found.largest_distance:.2f} mm"
-            f" from where it should have been, {found.rms_distance:.2f} mm RMS"
+            f"The {found.against} tip{'' if case is None else case.title_suffix}"
+            f" was at most {found.largest_distance:.2f} mm"
+            f" from its desired position, {found.rms_distance:.2f} mm RMS"
             + ("." if found.force is None else f"; the force on it was at most {found.force:.2f} N."),
             "result",
         )
@@ -89,15 +97,15 @@ def result(run: Run) -> Iterator[str]:
         yield document.table(("case", "error", *AXES), cells, texts=2)
 
 
-def direction_table(run: Run) -> Iterator[str]:
-    """Of more joints than a place takes: where the tip pointed, and how near the joints came to edges."""
+def direction_table(run: RecordedRun) -> Iterator[str]:
+    """Yield a table of direction errors and smallest margins; only for robots with more than three joints."""
     rows = [
         (
             name,
             f"{numbers['true_p95_distance_mm']:.3f}",
             f"{off['p95']:.2f}",
             f"{off['max']:.2f}",
-            ", ".join(f"{edge.replace('_', ' ')} {room:.3g}" for edge, room in numbers.get("smallest", {}).items()),
+            ", ".join(f"{edge.replace('_', ' ')} {least:.3g}" for edge, least in numbers.get("smallest", {}).items()),
         )
         for name, numbers in run.summary.get("cases", {}).items()
         if (off := numbers.get("true_direction_error_deg"))
@@ -105,39 +113,39 @@ def direction_table(run: Run) -> Iterator[str]:
     if rows:
         yield document.heading("Where the tip pointed")
         yield document.paragraph(
-            "Against the true tip: from where it should have pointed, or from where it did at the start where nothing"
-            " was asked of the direction."
+            "Errors of the true tip. Angles are against the desired direction, or against the direction at the start"
+            " if the direction was not controlled."
         )
         head = ("case", "95 % of distances [mm]", "95 % of angles [deg]", "largest [deg]", "smallest")
         yield document.table(head, rows, texts=1)
 
 
-def bound_table(run: Run) -> Iterator[str]:
-    """Where loads are faster than the joints: what was reached, and the best that was possible."""
+def bound_table(run: RecordedRun) -> Iterator[str]:
+    """Yield a table that compares the errors of a run with the best possible ones; only for too fast loads."""
     rows = [
         (
             name,
-            begin,
+            change,
             f"{part['true_max_distance_mm']:.2f}",
             f"{least:.2f}",
             f"{part['true_max_distance_mm'] / least:.2f}",
         )
         for name, numbers in run.summary.get("cases", {}).items()
-        for begin, part in numbers.get("by_change", {}).items()
+        for change, part in numbers.get("by_change", {}).items()
         if (least := part.get("best_possible_mm"))
     ]
     if rows:
-        yield document.heading("Distance from the possible")
+        yield document.heading("Comparison with the best possible")
         yield document.paragraph(
-            "Largest distance of the true tip from its path, in millimetres, from each moment on at which the load"
-            " begins to change. Best possible: joints at the speeds and accelerations of these stages, on the true"
-            " tubes, that know the load's course from that moment on."
+            "Largest distance of the true tip from its path, in millimetres, after each moment at which the load starts"
+            " to change. Best possible: joints within the speeds and accelerations of these stages, on the true tubes,"
+            " with the load's course known from that moment on."
         )
         yield document.table(("case", "load changes at", "reached", "best possible", "ratio"), rows, texts=2)
 
 
-def line_table(run: Run) -> Iterator[str]:
-    """What each axis really got over its line, where stages were driven over one."""
+def line_table(run: RecordedRun) -> Iterator[str]:
+    """Yield a table of the commands and polls that each axis received over its serial line."""
     rows = [
         (name, axis, f"{rates['velocities_per_s']:.1f}", f"{rates['polls_per_s']:.1f}")
         for name, numbers in run.summary.get("cases", {}).items()
@@ -149,7 +157,7 @@ def line_table(run: Run) -> Iterator[str]:
 
 
 def source(folder: Path) -> Iterator[str]:
-    """The experiment's file."""
+    """Yield the text of the experiment's file."""
     if text := _source_text(folder):
         yield document.heading("Experiment")
         yield document.text_block(text)
@@ -160,8 +168,8 @@ def _source_text(folder: Path) -> str:
     return path.read_text(encoding="utf-8") if path.is_file() else ""
 
 
-def configuration(run: Run) -> Iterator[str]:
-    """The experiment's file, and everything that the recordings know about how they were made."""
+def configuration(run: RecordedRun) -> Iterator[str]:
+    """Yield the sections with the experiment's file and all metadata of the recordings."""
     yield from source(run.folder)
     text = _source_text(run.folder)
     first: dict[str, str] = {}
@@ -169,14 +177,14 @@ def configuration(run: Run) -> Iterator[str]:
         lines = dict(_lines("", {key: value for key, value in case.metadata.items() if value != text}))
         changed = {key: value for key, value in lines.items() if first.get(key) != value}
         if changed:
-            more = ", what differs from the first case" if first else ""
-            yield document.heading(f"Configuration and versions{case.words}{more}")
+            more = ": differences from the first case" if first else ""
+            yield document.heading(f"Configuration and versions{case.title_suffix}{more}")
             yield document.text_block("\n".join(f"{key} = {value}" for key, value in changed.items()))
         first = first or lines
 
 
 def _lines(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Nested tables as dotted keys."""
+    """Yield dotted key and text of each value in nested tables."""
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
             yield from _lines(f"{name}.{key}" if name else str(key), inner)

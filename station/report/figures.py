@@ -1,4 +1,4 @@
-"""Which figures belong to which experiment."""
+"""Choice of the figures in a report by the name of the experiment."""
 
 from collections.abc import Callable, Iterator, Mapping
 
@@ -15,13 +15,13 @@ from station.report import (
     timing,
     tracking,
 )
-from station.report.drawn import Drawn
-from station.report.run import Run
+from station.report.figure import ReportFigure
+from station.report.run import RecordedRun
 
-Draw = Callable[[Run], Iterator[Drawn]]
+Draw = Callable[[RecordedRun], Iterator[ReportFigure]]
 
-#: By the name of the experiment; any other gets the overview.
-FIGURES: Mapping[str, tuple[Draw, ...]] = {
+#: Functions that draw the figures, by the name of the experiment; any other experiment gets the overview.
+FIGURES_BY_EXPERIMENT: Mapping[str, tuple[Draw, ...]] = {
     "fig3": (strategies.draw,),
     "fig4": (deflection.draw, rates.draw),
     "fig6": (model.draw,),
@@ -34,7 +34,7 @@ FIGURES: Mapping[str, tuple[Draw, ...]] = {
 }
 
 
-def figures(run: Run) -> Iterator[Drawn]:
-    """All figures of a run, one after the other."""
-    for draw in (*FIGURES.get(run.experiment, (overview.draw,)), timing.draw):
+def figures(run: RecordedRun) -> Iterator[ReportFigure]:
+    """Yield all figures of a run's report."""
+    for draw in (*FIGURES_BY_EXPERIMENT.get(run.experiment, (overview.draw,)), timing.draw):
         yield from draw(run)

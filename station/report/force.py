@@ -1,4 +1,4 @@
-"""Fig. 9: the force at the tip as the sensors at the tubes' bases tell it."""
+"""Figure like the paper's Fig. 9: force at the tip, estimated from the force sensors at the bases of the tubes."""
 
 import math
 from collections.abc import Iterator
@@ -6,44 +6,57 @@ from collections.abc import Iterator
 import numpy as np
 
 from station.report import style
-from station.report.drawn import Drawn
-from station.report.run import Case, Run
+from station.report.figure import ReportFigure
+from station.report.run import RecordedCase, RecordedRun
 
-#: What the paper shows of its run [s].
-FROM, TO = 100.0, 200.0
+#: Start and end of the time interval that the paper's Fig. 9 shows [s].
+PAPER_START_S, PAPER_END_S = 100.0, 200.0
 
 
-def draw(run: Run) -> Iterator[Drawn]:
-    """Of the first case, 100 to 200 s as in the paper; a shorter run whole."""
+def draw(run: RecordedRun) -> Iterator[ReportFigure]:
+    """Yield the force figure of the first case: 100 to 200 s as in the paper, or the whole of a shorter run."""
     if run.cases:
         case, title = run.cases[0], "Fig. 9: estimated force at the tip"
-        yield force(case, "fig9", title, FROM, TO) if case.time[-1] > FROM else force(case, "fig9", title)
+        yield (
+            force(case, "fig9", title, PAPER_START_S, PAPER_END_S)
+            if case.time[-1] > PAPER_START_S
+            else force(case, "fig9", title)
+        )
 
 
-def force(case: Case, name: str, title: str, begin: float = 0.0, end: float = math.inf) -> Drawn:
-    """Single samples, filtered and, if it is known, true force, per axis, from `begin` to `end` [s]."""
-    shown = (case.time >= begin) & (case.time <= end)
+def force(case: RecordedCase, name: str, title: str, start: float = 0.0, end: float = math.inf) -> ReportFigure:
+    """Return a figure of the force per axis: single samples, filtered and true, from `start` to `end` [s]."""
+    shown = (case.time >= start) & (case.time <= end)
     time = case.time[shown]
     figure, axes = style.stacked([f"$F_{axis}$ [N]" for axis in style.AXES])
+    uncertain = bool(case.names("force_variance"))  # older recordings have no variance
     for column, each in enumerate(axes):
         style.draw(each, time, case.of("force")[shown, column], style.SAMPLES)
-        style.draw(each, time, case.of("force_filtered")[shown, column], style.FILTERED)
+        filtered = case.of("force_filtered")[shown, column]
+        if uncertain:
+            spread = 2.0 * np.sqrt(case.of("force_variance")[shown, column])
+            each.fill_between(
+                time, filtered - spread, filtered + spread, color=style.FILTERED.colour, alpha=0.25, linewidth=0.0
+            )
+        style.draw(each, time, filtered, style.FILTERED)
         if case.truth_known:
             dashed = style.TRUE._replace(dash=(0.0, (4.0, 2.0)), width=1.0)
             style.draw(each, time, case.of("force_true")[shown, column], dashed)
     style.legend(figure, axes[:1])
-    words = ""
+    summary = ""
     if case.truth_known:
         errors = (
             f"{label} {' / '.join(f'{value:.3f}' for value in rms)} N"
             for label, group in (("single samples", "force"), ("filtered", "force_filtered"))
             for rms in [np.sqrt(np.mean((case.of(group) - case.of("force_true"))[shown] ** 2, axis=0))]
         )
-        words = f" RMS error in x / y / z: {', '.join(errors)}."
-    return Drawn(
-        name, f"{title}{case.words}",
+        summary = f" RMS error in x / y / z: {', '.join(errors)}."
+    if uncertain:
+        summary += " The band is two standard deviations, as estimated from the sensors' errors."
+    return ReportFigure(
+        name, f"{title}{case.title_suffix}",
         f"Components of the force fused from the sensors at the tubes' bases,"
-        f" {time[0]:.0f} to {time[-1]:.0f} s.{words}",
-        f"Force in x, y and z over time.{words}",
+        f" {time[0]:.0f} to {time[-1]:.0f} s.{summary}",
+        f"Force in x, y and z over time.{summary}",
         figure,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file with everything in it."""
+"""Report of a run as one self-contained HTML file."""
 
 import threading
 from collections.abc import Iterator
@@ -6,42 +6,43 @@ from pathlib import Path
 
 import matplotlib
 
-from station.experiments.sweep_output import SWEEP
-from station.report import document, facts, rendered, spread, style
-from station.report.drawn import Drawn
+from station.experiments.sweep_output import SWEEP_FILE
+from station.report import document, facts, spread, style, templates
+from station.report.atomic_write import ReportError, write_atomically
+from station.report.figure import ReportFigure
 from station.report.figures import figures
 from station.report.run import read_run
-from station.report.written import ReportError, written
 
-NAME = "report.html"
-#: matplotlib's settings are the process's: reports are drawn one after the other.
+REPORT_FILE = "report.html"
+#: Lock for drawing: matplotlib's settings are global to the process, so only one report may be drawn at a time.
 _DRAWING = threading.Lock()
 
 
 def write_report(folder: Path, out: Path | None = None) -> Path:
-    """Make the report of the run, or of the sweep, in `folder`.
+    """Write the report of the run or sweep in `folder`.
 
     Args:
-        folder: of the run.
-        out: where report.html and PNG and PDF of every figure go; None: report.html alone, into the run's folder.
+        folder: folder of the run.
+        out: folder for report.html and for PNG and PDF files of every figure; None: write only report.html, into the
+            run's folder.
 
     Returns:
-        The HTML file.
+        Path of the HTML file of the report.
 
     Raises:
-        NoRun: there is no run in the folder.
+        NoRun: the folder has no run.
         ConfigError, RecordingError: a file of the run cannot be read.
         ReportError: the report cannot be written.
     """
-    with _DRAWING, matplotlib.rc_context(style.SETTINGS):
+    with _DRAWING, matplotlib.rc_context(style.MATPLOTLIB_SETTINGS):
         try:
             if out is not None:
                 out.mkdir(parents=True, exist_ok=True)
-            is_sweep = (folder / SWEEP).is_file()
+            is_sweep = (folder / SWEEP_FILE).is_file()
             page = document.document(f"{folder.name}: report", (_sweep if is_sweep else _run)(folder, out))
-            return written(page, (out or folder) / NAME)
+            return write_atomically(page, (out or folder) / REPORT_FILE)
         except OSError as error:
-            raise ReportError(f"{out or folder}: cannot write the report there: {error.strerror}") from None
+            raise ReportError(f"{out or folder}: cannot write the report: {error.strerror}") from None
 
 
 def _run(folder: Path, out: Path | None) -> Iterator[str]:
@@ -49,7 +50,7 @@ def _run(folder: Path, out: Path | None) -> Iterator[str]:
     yield from facts.head(run)
     yield from facts.result(run)
     yield from facts.direction_table(run)
-    yield from facts.beside_table(run)
+    yield from facts.paper_table(run)
     yield document.heading("Figures")
     if not run.cases:
         yield document.paragraph("Nothing was recorded.")
@@ -68,8 +69,8 @@ def _sweep(folder: Path, out: Path | None) -> Iterator[str]:
     yield from facts.source(folder)
 
 
-def _shown(drawn: Drawn, origin: str, out: Path | None) -> str:
+def _shown(drawn: ReportFigure, origin: str, out: Path | None) -> str:
     style.finish(drawn.figure, origin)
     if out is not None:
-        rendered.write_files(drawn, out)
-    return document.picture(rendered.data_uri(drawn), drawn.alt, drawn.title, drawn.caption)
+        templates.write_files(drawn, out)
+    return document.picture(templates.data_uri(drawn), drawn.alt, drawn.title, drawn.caption)

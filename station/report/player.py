@@ -1,7 +1,8 @@
-"""A run as one HTML file that plays it: tubes, tips, force and numbers, in any browser, without a network.
+"""Player of a run as one HTML file: it shows tubes, tips, force and numbers in any browser, without a network.
 
-The tubes are the loaded model at the recorded joints and the filtered force. Places are kept as whole
-numbers of a scale that the page is told, 25 frames a second; the page interpolates between them.
+The loaded model computes the shape of the tubes from the recorded joint positions and the filtered force, with 25
+frames a second. Positions are stored as integers with a scale factor, which keeps the file small. The page interpolates
+between frames.
 """
 
 import base64
@@ -17,50 +18,51 @@ from numpy.typing import NDArray
 
 from core.errors import CtrError
 from core.model.solution import Solution
-from core.model.statics import PAPER_SUBLINK, Statics
+from core.model.statics import Statics
 from core.robot.robot import Array, Robot
+from station.config.controllers import ControllerFile
 from station.config.robots import RobotFile
 from station.config.strict import check
-from station.report.run import Case, NoRun, Run, read_run
-from station.report.written import ReportError, written
+from station.report.atomic_write import ReportError, write_atomically
+from station.report.run import NoRun, RecordedCase, RecordedRun, read_run
 
-NAME = "replay.html"
+REPLAY_FILE = "replay.html"
 STATIC = Path(__file__).parent / "static"
-#: Frames a second, and how many at most: a longer run is shown with fewer a second.
-RATE, MOST_FRAMES = 25.0, 15_000
-#: Points of the centre line, evenly along it from the plate to the tip.
-POINTS = 32
-#: Whole numbers reach to here; the one below stands for "not known".
-REACH, UNKNOWN = 32_767, -32_768
-TIPS = ("tip_desired", "tip_measured", "tip_estimated", "tip_true")
+#: Frame rate of the player, and largest number of frames in a file. A longer run has a lower frame rate.
+FRAME_RATE_HZ, MAX_FRAMES = 25.0, 15_000
+#: Number of points that form the centre line of the tubes, equally spaced from the plate to the tip.
+CENTRE_LINE_POINTS = 32
+#: Largest 16-bit integer that codes a position, and the integer that codes an unknown value.
+MAX_CODE, UNKNOWN_CODE = 32_767, -32_768
+TIP_CHANNELS = ("tip_desired", "tip_measured", "tip_estimated", "tip_true")
 
 
-def write_player(folder: Path, out: Path | None = None, told: Callable[[float], None] = lambda _: None) -> Path:
-    """Make the player of the run in `folder`.
+def write_player(folder: Path, out: Path | None = None, report: Callable[[float], None] = lambda _: None) -> Path:
+    """Write the player of the run in `folder` and return its path.
 
     Args:
-        folder: of the run.
-        out: the file; None: replay.html in the run's folder.
-        told: the fraction done.
+        folder: folder of the run.
+        out: path of the file; None: replay.html in the run's folder.
+        report: receives the fraction done.
 
     Raises:
-        NoRun: no run there, nothing recorded, or the recording does not say which robot it was.
+        NoRun: the folder has no run, nothing was recorded, or the recording has no robot.
         ConfigError, RecordingError: a file of the run cannot be read.
         ReportError: the file cannot be written.
     """
     run = read_run(folder)
     if not run.cases:
-        raise NoRun(f"{folder}: nothing was recorded that could be played")
+        raise NoRun(f"{folder}: the run has no recorded rows to play")
     cases = []
     for number, case in enumerate(run.cases):
-        cases.append(_played(case, lambda done, number=number: told((number + done) / len(run.cases))))
+        cases.append(_case_data(case, lambda done, number=number: report((number + done) / len(run.cases))))
     try:
-        return written(_page(run, cases), out or folder / NAME)
+        return write_atomically(_page(run, cases), out or folder / REPLAY_FILE)
     except OSError as error:
-        raise ReportError(f"{out or folder}: cannot write the player there: {error.strerror}") from None
+        raise ReportError(f"{out or folder}: cannot write the player: {error.strerror}") from None
 
 
-def _page(run: Run, cases: list[dict[str, Any]]) -> str:
+def _page(run: RecordedRun, cases: list[dict[str, Any]]) -> str:
     title = str(run.table.get("title") or run.summary.get("title") or run.experiment)
     parts = {
         "TITLE": escape(title),
@@ -79,28 +81,28 @@ def _page(run: Run, cases: list[dict[str, Any]]) -> str:
 
 
 def script_data(value: Any) -> str:
-    """JSON for a script element: no text in it ends the element, or begins a comment or another script."""
+    """Return JSON for a script element, escaped so that no text ends the element or starts a comment."""
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
-def _played(case: Case, told: Callable[[float], None]) -> dict[str, Any]:
-    """What the page needs of a case."""
+def _case_data(case: RecordedCase, report: Callable[[float], None]) -> dict[str, Any]:
+    """Return the data of a case for the player's page."""
     robot = _robot(case)
     time = case.time
-    step = max(1.0 / RATE, float(time[-1] - time[0]) / MOST_FRAMES)
-    wanted = np.arange(time[0], time[-1] + 1e-9, step)
-    rows = np.searchsorted(time, wanted - 1e-9)
-    shapes = _shapes(robot, case, rows, told)
-    places = np.concatenate((shapes, *(_tip(case, group)[rows] for group in TIPS)), axis=1)
-    known = np.isfinite(places)
-    scale = float(np.abs(places[known]).max()) / REACH
-    numbers = np.where(known, np.round(np.where(known, places, 0.0) / scale), UNKNOWN).astype("<i2")
+    step = max(1.0 / FRAME_RATE_HZ, float(time[-1] - time[0]) / MAX_FRAMES)
+    frame_times = np.arange(time[0], time[-1] + 1e-9, step)
+    rows = np.searchsorted(time, frame_times - 1e-9)
+    shapes = _shapes(robot, case, rows, report)
+    positions = np.concatenate((shapes, *(_tip(case, group)[rows] for group in TIP_CHANNELS)), axis=1)
+    known = np.isfinite(positions)
+    scale = float(np.abs(positions[known]).max()) / MAX_CODE
+    numbers = np.where(known, np.round(np.where(known, positions, 0.0) / scale), UNKNOWN_CODE).astype("<i2")
     others = np.concatenate((time[rows, None], case.of("force_filtered")[rows], case.of("joints")[rows]), axis=1)
     units = [channel.unit for channel in case.channels if channel.name.startswith("joints.")]
     return {
         "name": case.name,
         "frames": len(rows),
-        "points": POINTS,
+        "points": CENTRE_LINE_POINTS,
         "scale": scale,
         "tubes": [
             {"name": tube.name, "radius": tube.outer_diameter / 2.0, "length": tube.length} for tube in robot.tubes
@@ -109,25 +111,26 @@ def _played(case: Case, told: Callable[[float], None]) -> dict[str, Any]:
         "joints": [list(pair) for pair in zip(case.names("joints"), units, strict=True)],
         "truth": case.truth_known,
         "desired": not case.sweeps,
-        "packed_places": _packed(numbers),
+        "packed_positions": _packed(numbers),
         "packed_others": _packed(others.astype("<f4")),
     }
 
 
-def _robot(case: Case) -> Robot:
+def _robot(case: RecordedCase) -> Robot:
     described = case.metadata.get("robot")
     if not isinstance(described, Mapping):
-        raise NoRun(f"case '{case.name}': the recording does not say which robot it was")
+        raise NoRun(f"case '{case.name}': the recording has no description of its robot")
     return check(RobotFile, described, f"case '{case.name}', robot").robot()
 
 
-def _shapes(robot: Robot, case: Case, rows: NDArray[np.intp], told: Callable[[float], None]) -> Array:
-    """Length of the centre line, proximal end of each tube, points: (frames, 1 + q + 3 POINTS) [m].
+def _shapes(robot: Robot, case: RecordedCase, rows: NDArray[np.intp], report: Callable[[float], None]) -> Array:
+    """Return the shape of the robot in each frame, as rows of a matrix (frames, 1 + q + 3 CENTRE_LINE_POINTS) [m].
 
-    NaN where the model finds no shape.
+    A row has the length of the centre line, the proximal ends of the q tubes, and the points of the centre line. It is
+    NaN where the model has no solution.
     """
-    statics = Statics(robot, _sublink(case))
-    shapes = np.full((len(rows), 1 + len(robot.tubes) + 3 * POINTS), math.nan)
+    statics = _controller(case).model(robot)
+    shapes = np.full((len(rows), 1 + len(robot.tubes) + 3 * CENTRE_LINE_POINTS), math.nan)
     joints, force = case.of("joints"), case.of("force_filtered")
     near: Solution | None = None
     for frame, row in enumerate(rows.tolist()):
@@ -138,26 +141,30 @@ def _shapes(robot: Robot, case: Case, rows: NDArray[np.intp], told: Callable[[fl
             continue
         shapes[frame] = np.concatenate(list(_line(statics, near)))
         if frame % 250 == 0:
-            told(frame / len(rows))
+            report(frame / len(rows))
     return shapes
 
 
 def _line(statics: Statics, solution: Solution) -> Iterator[Array]:
     sections = statics.shape(solution)
-    arc, places = sections[:, 0], sections[:, 10:13]
-    along = np.linspace(0.0, arc[-1], POINTS)
+    arc, points = sections[:, 0], sections[:, 10:13]
+    along = np.linspace(0.0, arc[-1], CENTRE_LINE_POINTS)
     yield arc[-1:]
     yield statics.robot.tube_poses(solution.joints)[1]
-    yield np.stack([np.interp(along, arc, column) for column in places.T], axis=1).ravel()
+    yield np.stack([np.interp(along, arc, column) for column in points.T], axis=1).ravel()
 
 
-def _sublink(case: Case) -> float:
-    settings = case.metadata.get("settings", {})
-    return float(settings.get("controller", {}).get("sublink", PAPER_SUBLINK))
+def _controller(case: RecordedCase) -> ControllerFile:
+    """Return the controller settings of a recording, which choose the model.
+
+    An older recording does not have the key `integrator` and gets the present default.
+    """
+    settings = case.metadata.get("settings", {}).get("controller", {})
+    return ControllerFile(integrator=settings.get("integrator"), sublink=settings.get("sublink"))
 
 
-def _tip(case: Case, group: str) -> Array:
-    """(ticks, 3) [m], NaN where there is none."""
+def _tip(case: RecordedCase, group: str) -> Array:
+    """Return the positions of a tip (measured, true, ...) over time (ticks, 3) [m], NaN where they are unknown."""
     if (group == "tip_true" and not case.truth_known) or (group == "tip_desired" and case.sweeps):
         return np.full((len(case.rows), 3), math.nan)
     return case.of(group)

@@ -1,4 +1,4 @@
-"""A run as its folder has it: the summary, the experiment's file, and every case's rows by group of channels."""
+"""Reading of a run's folder for a report: summary, experiment's file, and telemetry rows of every case."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -17,40 +17,40 @@ from station.experiments.experiment import variants
 from station.recording.read import open_case
 from station.recording.tracking_errors import desired
 
-#: Groups of channels that reports and players show.
-KEPT = frozenset((
-    "time", "phase", "joints", "force", "force_filtered", "force_true", "tip_new", "tip_time", "tip_measured",
-    "tip_estimated", "tip_unloaded", "tip_desired", "tip_observed", "truth_known", "tip_true", "deflection",
-    "deflection_rate_raw", "deflection_rate", "deflection_rate_exact", "delta_1", "delta_2",
+#: Channel groups of a recording that reports and players need; other groups are not kept in memory.
+KEPT_GROUPS = frozenset((
+    "time", "phase", "joints", "force", "force_filtered", "force_variance", "force_true", "tip_new", "tip_time",
+    "tip_measured", "tip_estimated", "tip_unloaded", "tip_desired", "tip_observed", "truth_known", "tip_true",
+    "deflection", "deflection_rate_raw", "deflection_rate", "deflection_rate_exact", "delta_1", "delta_2",
     "target_followed", "target_measured", "target_offset", "target_true",
 ))  # fmt: skip
-#: Rows of a case that are kept in memory; a recording of more than 33 minutes is thinned out.
-MOST = 1_000_000
-#: What a live run calls its only case; which one of an experiment it is stands in its recording.
-LIVE = "run"
+#: Largest number of rows of a case in memory; of a recording of more than 33 minutes only every n-th row is kept.
+MAX_ROWS = 1_000_000
+#: File name of the only recording of a live run; the metadata have the name of the experiment's case.
+LIVE_CASE = "run"
 
 
 class NoRun(CtrError):
-    """A folder that holds no run that a report could be made of."""
+    """A folder has no run, or none from which a report can be created."""
 
 
 @dataclass(frozen=True)
-class Case:
-    """One case of a run."""
+class RecordedCase:
+    """One recorded case of a run, with its rows, settings and results."""
 
     name: str
     channels: Sequence[Channel]
     rows: Array  #: (ticks, channels)
     file: Mapping[str, Any]  #: the experiment's table with this case's changes
-    numbers: Mapping[str, Any]  #: its part of the summary
+    numbers: Mapping[str, Any]  #: part of the summary about this case
     metadata: Mapping[str, Any]
-    stride: int = 1  #: every n-th tick is here
+    stride: int = 1  #: n if the rows are every n-th tick
 
     def of(self, group: str) -> Array:
-        """The columns of a group, e.g. `tip_measured`: (ticks, 3).
+        """Return the columns of a channel group; `tip_measured` has (ticks, 3).
 
         Raises:
-            NoRun: the recording has no such channels.
+            NoRun: the recording has no channels of this group.
         """
         at = [number for number, channel in enumerate(self.channels) if channel.name.rsplit(".", 1)[0] == group]
         if not at:
@@ -58,120 +58,120 @@ class Case:
         return self.rows[:, at[0] : at[-1] + 1]
 
     def names(self, group: str) -> list[str]:
-        """What the columns of a group are called, the group's name left out."""
+        """Return the names of a channel group's columns, without the name of the group."""
         parts = (channel.name.rsplit(".", 1) for channel in self.channels)
         return [part[1] for part in parts if len(part) == 2 and part[0] == group]
 
     @property
-    def words(self) -> str:
-        """Which case it is, for a title; empty for a free motion, which has no other."""
-        named = str(self.metadata.get("case", "" if self.name == LIVE else self.name))
+    def title_suffix(self) -> str:
+        """Name of the case for a title; empty for a free motion, which has only one."""
+        named = str(self.metadata.get("case", "" if self.name == LIVE_CASE else self.name))
         return f" (case {named.replace('_', ' ')})" if named else ""
 
     @property
     def time(self) -> Array:
-        """(ticks,) since the motion's start [s]."""
+        """Time since the motion's start (ticks,) [s]."""
         return self.of("time")[:, 0]
 
     @property
     def counted_from(self) -> float:
-        """Errors count from here on [s]; in older runs that is the settling time, whatever the load did."""
+        """Time from which errors count [s]; in older runs the settling time, even if the load starts earlier."""
         return float(self.numbers.get("counted_from_s", self.file.get("settling", 0.0)))
 
     @property
     def truth_known(self) -> bool:
-        """Whether a virtual lab said where the tip really was."""
+        """Whether the recording has the true tip of a virtual lab."""
         return bool(self.of("truth_known").all())
 
     @property
     def sweeps(self) -> bool:
-        """Whether a joint was turned, with no path for the tip."""
+        """Whether the motion was a sweep of a joint, which has no desired path of the tip."""
         return self.file.get("trajectory", {}).get("kind") == "joint_sweep"
 
     @property
     def moved(self) -> bool:
-        """Whether its motion began; older recordings do not say that it did not."""
+        """Whether the motion of the run started; True for older recordings, which do not have this information."""
         return all(channel.name != "phase" for channel in self.channels) or bool(
             (self.of("phase") == Phase.MOVING).any()
         )
 
     @property
     def follows(self) -> bool:
-        """Whether a target said where the tip should be."""
+        """Whether the tip followed a target."""
         return self.file.get("trajectory", {}).get("kind") == "follow"
 
     @property
     def settled_from(self) -> float:
-        """What is left of a beginning is over here [s]."""
+        """End of the settling time [s]."""
         return float(self.file.get("settling", 0.0))
 
-    def beside(self) -> Array:
-        """(ticks, 3) where the tip should be [m]: at the setpoint, or at the offset from a true target."""
+    def desired_tip(self) -> Array:
+        """Return the desired tip position (ticks, 3) [m]: the setpoint, or the true target plus its offset."""
         return desired(self.of, "target_true") if self.follows else self.of("tip_desired")
 
     def true_error(self) -> Array:
-        """(ticks, 3) desired minus the plant's tip [mm]."""
-        return 1e3 * (self.beside() - self.of("tip_true"))
+        """Return the desired tip position minus that of the simulated real robot (ticks, 3) [mm]."""
+        return 1e3 * (self.desired_tip() - self.of("tip_true"))
 
     def measured_error(self) -> tuple[Array, Array]:
-        """Desired minus measured of every tracker frame, at the time it was taken: (f,) [s] and (f, 3) [mm]."""
+        """Return measurement times (f,) [s] and desired minus measured tip (f, 3) [mm] of all tracker frames."""
         new = self.of("tip_new")[:, 0] > 0.0
         at = self.of("tip_time")[new, 0]
-        if self.follows:  # both were measured in the same frame
+        if self.follows:  # target and tip were measured in the same frame
             return at, 1e3 * (desired(self.of, "target_measured") - self.of("tip_measured"))[new]
-        wanted = np.stack([np.interp(at, self.time, column) for column in self.of("tip_desired").T], axis=1)
-        return at, 1e3 * (wanted - self.of("tip_measured")[new])
+        setpoints = np.stack([np.interp(at, self.time, column) for column in self.of("tip_desired").T], axis=1)
+        return at, 1e3 * (setpoints - self.of("tip_measured")[new])
 
 
 @dataclass(frozen=True)
-class Run:
-    """A run with all that its folder says about it."""
+class RecordedRun:
+    """A recorded run with everything that its folder contains."""
 
     folder: Path
     experiment: str
     summary: Mapping[str, Any]
-    table: Mapping[str, Any]  #: the experiment's file
-    cases: tuple[Case, ...]  #: those with rows
+    table: Mapping[str, Any]  #: content of the experiment's file
+    cases: tuple[RecordedCase, ...]  #: cases whose recordings have rows
 
     @property
     def simulated(self) -> bool:
-        """Whether a virtual lab stood in for the bench."""
-        return any(case.truth_known for case in self.cases)
+        """Whether the devices were simulated: the recording has the true tip, or the devices reported it."""
+        return any(case.truth_known or case.metadata.get("simulated", False) for case in self.cases)
 
-    def case(self, name: str) -> Case | None:
-        """The case of that name, if it has rows."""
+    def case(self, name: str) -> RecordedCase | None:
+        """Return the case with this name, or None if its recording is missing or has no rows."""
         return next((case for case in self.cases if case.name == name), None)
 
     def paper(self, case: str, quantity: str) -> Mapping[str, float]:
-        """The paper's numbers for a case; a case on the distorted tracker is held against the same ones."""
+        """Return the paper's numbers for a case; a case with a distorted tracker is compared with the same numbers."""
         return self.table.get("paper", {}).get(case.removesuffix("_distorted"), {}).get(quantity, {})
 
 
-def read_run(folder: Path) -> Run:
-    """All of a run that a report needs.
+def read_run(folder: Path) -> RecordedRun:
+    """Return everything that a report needs of a run.
 
     Raises:
-        NoRun: neither a recording nor a summary is there, or the summary is not JSON.
+        NoRun: the folder has neither a recording nor a summary, or the summary is not JSON.
         ConfigError: the experiment's file cannot be read.
         RecordingError: a recording cannot be read.
     """
     recordings = sorted(folder.glob("*.mcap"))
     if not recordings and not (folder / "summary.json").is_file():
-        raise NoRun(f"{folder}: no run in this folder: neither a recording (.mcap) nor summary.json")
+        raise NoRun(f"{folder}: no run in this folder: it has neither a recording (.mcap) nor summary.json")
     summary = read_json(folder / "summary.json") if (folder / "summary.json").is_file() else {}
     table = read_toml(folder / "experiment.toml") if (folder / "experiment.toml").is_file() else {}
     cases = [case for path in recordings if len((case := _read_case(path, table, summary)).rows)]
     order = list(summary.get("cases", {}))
     cases.sort(key=lambda case: order.index(case.name) if case.name in order else len(order))
-    return Run(folder, str(summary.get("experiment", folder.name)), summary, table, tuple(cases))
+    return RecordedRun(folder, str(summary.get("experiment", folder.name)), summary, table, tuple(cases))
 
 
-def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any]) -> Case:
-    """The channels that reports show; of a very long recording every n-th row."""
+def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any]) -> RecordedCase:
+    """Return a case with the channels that reports show; of a very long recording only every n-th row."""
     name = path.stem
     with open_case(path) as recording:
-        columns = [at for at, channel in enumerate(recording.channels) if channel.name.rsplit(".", 1)[0] in KEPT]
-        stride = -(-recording.ticks // MOST)
+        columns = [at for at, channel in enumerate(recording.channels) if channel.name.rsplit(".", 1)[0] in KEPT_GROUPS]
+        stride = -(-recording.ticks // MAX_ROWS)
         rows, before = [np.empty((0, len(columns)))], 0
         for block in recording.blocks():
             rows.append(block[-before % stride :: stride, columns] if stride > 1 else block[:, columns])
@@ -179,19 +179,19 @@ def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any])
         channels = [recording.channels[at] for at in columns]
         file = merged(table, variants(table).get(name, {}))
         numbers = summary.get("cases", {}).get(name, {})
-        whole = _of_the_motion(np.concatenate(rows), channels, float(numbers.get("motion_start", 0.0)))
-        # A live run brings its settings with its recording.
+        whole = _motion_only(np.concatenate(rows), channels, float(numbers.get("motion_start", 0.0)))
+        # A live run may have no experiment file; then its settings are in the metadata of the recording.
         file = file or {"settling": numbers.get("settling", 0.0), **recording.metadata.get("settings", {})}
-        return Case(name, channels, whole, file, numbers, recording.metadata, max(stride, 1))
+        return RecordedCase(name, channels, whole, file, numbers, recording.metadata, max(stride, 1))
 
 
-def _of_the_motion(rows: Array, channels: Sequence[Channel], start: float) -> Array:
-    """The motion of a live run, its times counted from its start; all rows where it never began.
+def _motion_only(rows: Array, channels: Sequence[Channel], start: float) -> Array:
+    """Return the rows of a live run's motion, with times from its start; all rows if the motion never started.
 
     Args:
         rows: (ticks, channels).
-        channels: of the rows.
-        start: of the motion, as the summary says [s]; a run that was recovered has none there.
+        channels: channels of the rows.
+        start: start of the motion according to the summary [s]; the summary of a recovered run does not have it.
     """
     names = [channel.name for channel in channels]
     times = rows[:, names.index("time")]
@@ -209,15 +209,15 @@ def _of_the_motion(rows: Array, channels: Sequence[Channel], start: float) -> Ar
 
 
 def read_json(path: Path) -> Mapping[str, Any]:
-    """A JSON object.
+    """Return the JSON object in a file.
 
     Raises:
-        NoRun: there is none, or it is something else.
+        NoRun: the file does not exist, or has no JSON object.
     """
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise NoRun(f"{path}: no summary of a run there: {error}") from None
+        raise NoRun(f"{path}: cannot read the summary of a run: {error}") from None
     if not isinstance(found, dict):
-        raise NoRun(f"{path}: a JSON object was expected")
+        raise NoRun(f"{path}: must be a JSON object")
     return found

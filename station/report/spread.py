@@ -1,4 +1,8 @@
-"""A sweep: every run as a point, the middle nine tenths of each setting as a line, its median as a bar."""
+"""Report of a sweep.
+
+Its figures have a point for every run. Each setting has a line from the 5th to the 95th percentile and a bar at the
+median.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
@@ -8,66 +12,66 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from station.experiments.sweep_output import PARTS, SWEEP, quantity, setting_words
+from station.experiments.sweep_output import COMPONENT_LABELS, SWEEP_FILE, quantity, setting_label
 from station.report import document, style
-from station.report.drawn import Drawn
+from station.report.figure import ReportFigure
 from station.report.run import read_json
 
-MARKS = ("o", "s", "^")
+MARKERS = ("o", "s", "^")
 
 
-def draw(sweep: Mapping[str, Any]) -> Iterator[Drawn]:
-    """A figure for each case."""
+def draw(sweep: Mapping[str, Any]) -> Iterator[ReportFigure]:
+    """Yield a figure of the errors of all seeds and settings for each case of a sweep."""
     settings = sweep["settings"]
-    name, words, unit, parts = quantity(settings)
+    name, label, unit, parts = quantity(settings)
     for case in dict.fromkeys(group["case"] for group in settings) if parts else ():
         mine = [group for group in settings if group["case"] == case]
-        figure = Figure(figsize=(style.WIDTH, 3.2))
+        figure = Figure(figsize=(style.WIDTH_INCH, 3.2))
         axes = figure.subplots()
         for number, group in enumerate(mine):
             runs = [run for run in sweep["runs"] if run["case"] == case and run["setting"] == group["setting"]]
             for column, part in enumerate(parts):
                 _strip(axes, number + 0.22 * (column - 0.5 * (len(parts) - 1)), column, _values(runs, name, part))
         for column, part in enumerate(parts):
-            look = style.SERIES[2 * column % len(style.SERIES)]
-            axes.plot([], [], MARKS[column % 3], color=look.colour, label=PARTS[part])
-        axes.set_xticks(range(len(mine)), [setting_words(group["setting"]).replace(", ", "\n") for group in mine])
+            line = style.SERIES[2 * column % len(style.SERIES)]
+            axes.plot([], [], MARKERS[column % 3], color=line.colour, label=COMPONENT_LABELS[part])
+        axes.set_xticks(range(len(mine)), [setting_label(group["setting"]).replace(", ", "\n") for group in mine])
         axes.set_xlim(-0.6, len(mine) - 0.4)
         axes.set_ylim(bottom=0.0)
-        axes.set_ylabel(f"{words} [{unit}]")
+        axes.set_ylabel(f"{label} [{unit}]")
         axes.grid(visible=False, axis="x")
         style.legend(figure, [axes])
-        said = "; ".join(
-            f"{setting_words(group['setting'])}: "
+        medians = "; ".join(
+            f"{setting_label(group['setting'])}: "
             + " / ".join(f"{group['spreads'][f'{name}.{part}']['median']:.3f}" for part in parts)
             for group in mine
             if f"{name}.{parts[0]}" in group["spreads"]
         )
-        yield Drawn(
-            f"spread_{case}", f"{words[0].upper() + words[1:]} over {len(sweep['seeds'])} seeds (case '{case}')",
-            f"A point is a run, the line goes from 5 to 95 %, the bar is the median. Medians of"
-            f" {' / '.join(PARTS[part] for part in parts)} [{unit}]: {said}.",
-            f"{words} of every run by setting. Medians: {said}.",
+        yield ReportFigure(
+            f"spread_{case}", f"{label[0].upper() + label[1:]} over {len(sweep['seeds'])} seeds (case '{case}')",
+            f"Point: a run. Line: 5 to 95 %. Bar: median. Medians of"
+            f" {' / '.join(COMPONENT_LABELS[part] for part in parts)} [{unit}]: {medians}.",
+            f"{label} of every run by setting. Medians: {medians}.",
             figure,
         )  # fmt: skip
 
 
 def sweep_parts(folder: Path) -> tuple[Mapping[str, Any], list[str]]:
-    """The sweep's own JSON and what its page says before the figures.
+    """Return the JSON of a sweep and the parts of its page before the figures.
 
     Raises:
-        NoRun: there is none, or it is not JSON.
+        NoRun: the file does not exist, or is not JSON.
     """
-    sweep = read_json(folder / SWEEP)
+    sweep = read_json(folder / SWEEP_FILE)
     parts = [f"<h1>{escape(sweep['title'] or sweep['experiment'])}</h1>"]
     parts.append(document.paragraph(f"{folder.name}: sweep of {len(sweep['runs'])} runs", "sub"))
     simulated = f"Simulated bench. {'; '.join(sweep['labs'])}; seeds {_range(sweep['seeds'])}."
     parts.append(document.paragraph(simulated, "note"))
     if not sweep["completed"]:
         parts.append(document.paragraph(f"Not complete: {sweep['planned']} runs were planned.", "note"))
-    name, words, unit, shown = quantity(sweep["settings"])
+    name, label, unit, shown = quantity(sweep["settings"])
     if shown:
-        parts += [document.heading(f"{words[0].upper() + words[1:]} [{unit}]"), _table(sweep["settings"], name, shown)]
+        parts += [document.heading(f"{label[0].upper() + label[1:]} [{unit}]"), _table(sweep["settings"], name, shown)]
     parts.append(document.heading("Figures"))
     return sweep, parts
 
@@ -75,7 +79,8 @@ def sweep_parts(folder: Path) -> tuple[Mapping[str, Any], list[str]]:
 def _table(settings: Sequence[Mapping[str, Any]], name: str, shown: Sequence[str]) -> str:
     rows = (
         (
-            setting_words(group["setting"]), group["case"], f"{group['completed']} of {group['runs']}", PARTS[part],
+            setting_label(group["setting"]), group["case"], f"{group['completed']} of {group['runs']}",
+            COMPONENT_LABELS[part],
             *(f"{group['spreads'][f'{name}.{part}'][key]:.3f}" for key in ("median", "worst", "p5", "p95")),
         )
         for group in settings
@@ -86,16 +91,18 @@ def _table(settings: Sequence[Mapping[str, Any]], name: str, shown: Sequence[str
     return document.table(head, rows, texts=4)
 
 
-def _strip(axes: Any, place: float, column: int, values: Sequence[float]) -> None:
+def _strip(axes: Any, position: float, column: int, values: Sequence[float]) -> None:
     if not values:
         return
-    look = style.SERIES[2 * column % len(style.SERIES)]
-    # Points beside each other in a fixed order, so that the same sweep gives the same picture.
+    line = style.SERIES[2 * column % len(style.SERIES)]
+    # The points have fixed horizontal offsets, so that the same sweep gives the same figure.
     offsets = 0.05 * (np.arange(len(values)) % 5 - 2) / 2.0
-    axes.plot(place + offsets, values, MARKS[column % 3], color=look.colour, markersize=4.0, alpha=0.7, linewidth=0)
+    axes.plot(
+        position + offsets, values, MARKERS[column % 3], color=line.colour, markersize=4.0, alpha=0.7, linewidth=0
+    )
     p5, median, p95 = np.percentile(values, (5.0, 50.0, 95.0))
-    axes.plot([place, place], [p5, p95], color=style.BLACK, linewidth=1.0)
-    axes.plot([place - 0.08, place + 0.08], [median, median], color=style.BLACK, linewidth=2.0)
+    axes.plot([position, position], [p5, p95], color=style.BLACK, linewidth=1.0)
+    axes.plot([position - 0.08, position + 0.08], [median, median], color=style.BLACK, linewidth=2.0)
 
 
 def _values(runs: Sequence[Mapping[str, Any]], name: str, part: str) -> list[float]:

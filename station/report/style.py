@@ -1,6 +1,7 @@
-"""How every figure looks: colours that colour-blind eyes tell apart (Okabe and Ito), dashes that a grey printer keeps.
+"""Style of all figures: colours for colour-blind readers (Okabe and Ito), and dashes for grey prints.
 
-A thing keeps its colour and its dash in every figure, and as far as there is one the colour of the panel.
+A quantity has the same colour and dash in every figure. If the operator's page shows it too, the colour is that of the
+page.
 """
 
 from collections.abc import Sequence
@@ -19,8 +20,8 @@ ORANGE, VERMILLION = palette.css(palette.ORANGE), palette.css(palette.VERMILLION
 SKY, BLUE = palette.css(palette.SKY), palette.css(palette.BLUE)
 GREEN, PURPLE = palette.css(palette.GREEN), palette.css(palette.PURPLE)
 
-#: What matplotlib is told while figures are drawn and written.
-SETTINGS: dict[Any, Any] = {
+#: Settings of matplotlib while figures are drawn and written.
+MATPLOTLIB_SETTINGS: dict[Any, Any] = {
     "font.size": 8.5,
     "axes.titlesize": 9.0,
     "axes.labelsize": 8.5,
@@ -34,19 +35,19 @@ SETTINGS: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 8.0,
     "figure.constrained_layout.use": True,
-    "pdf.fonttype": 42,  # text stays text
-    "svg.hashsalt": "ctr-station",  # the same data give the same file
+    "pdf.fonttype": 42,  # text in a PDF stays text and can be searched
+    "svg.hashsalt": "ctr-station",  # fixed element ids: the same data give the same file
 }
-WIDTH = 7.0  #: of every figure: the text width of A4 [inch]
+WIDTH_INCH = 7.0  #: width of every figure: the text width of A4 [inch]
 AXES = ("x", "y", "z")
-#: Height of the line that says where the data come from [inch].
-STAMP = 0.14
-#: Pieces of a long line of which lowest and highest values are kept.
-PIECES = 700
+#: Height of the text line at the bottom of a figure that states the origin of the data [inch].
+STAMP_HEIGHT_INCH = 0.14
+#: Number of pieces into which a long line is divided; only the lowest and highest value of each piece are drawn.
+LINE_BINS = 700
 
 
-class Look(NamedTuple):
-    """How one thing is drawn wherever it appears."""
+class LineStyle(NamedTuple):
+    """Line style of one quantity in all figures: label, colour, dash and width."""
 
     label: str
     colour: str
@@ -55,33 +56,33 @@ class Look(NamedTuple):
     alpha: float = 1.0
 
 
-DESIRED = Look("desired", GREEN, (0.0, (5.0, 2.0)), 1.3)
-MEASURED = Look("measured (tracker)", ORANGE, "-", 1.0)
-TRUE = Look("true (simulated plant)", BLACK, "-", 1.2)
-LOADED = Look("loaded model", BLUE, (0.0, (6.0, 1.5)), 1.3)
-UNLOADED = Look("unloaded model", VERMILLION, (0.0, (6.0, 1.5, 1.0, 1.5)), 1.3)
-SAMPLES = Look("single samples", SKY, "-", 0.4, 0.8)
-FILTERED = Look("filtered", PURPLE, "-", 1.2)
-BOUND = Look("largest in the paper (real bench)", GREY, (0.0, (1.0, 1.5)), 1.2)
-#: For things without a look of their own, in their order.
+DESIRED = LineStyle("desired", GREEN, (0.0, (5.0, 2.0)), 1.3)
+MEASURED = LineStyle("measured (tracker)", ORANGE, "-", 1.0)
+TRUE = LineStyle("true (simulated plant)", BLACK, "-", 1.2)
+LOADED = LineStyle("loaded model", BLUE, (0.0, (6.0, 1.5)), 1.3)
+UNLOADED = LineStyle("unloaded model", VERMILLION, (0.0, (6.0, 1.5, 1.0, 1.5)), 1.3)
+SAMPLES = LineStyle("single samples", SKY, "-", 0.4, 0.8)
+FILTERED = LineStyle("filtered", PURPLE, "-", 1.2)
+BOUND = LineStyle("largest in the paper (real bench)", GREY, (0.0, (1.0, 1.5)), 1.2)
+#: Line styles for quantities without a fixed style, in the order in which they are used.
 SERIES = (
-    Look("", VERMILLION, (0.0, (6.0, 1.5, 1.0, 1.5)), 1.2),
-    Look("", SKY, (0.0, (2.0, 1.2)), 1.6),
-    Look("", BLUE, "-", 1.2),
-    Look("", BLACK, (0.0, (6.0, 2.0)), 1.2),
-    Look("", PURPLE, (0.0, (1.0, 1.2)), 1.6),
-    Look("", ORANGE, (0.0, (4.0, 1.0, 1.0, 1.0, 1.0, 1.0)), 1.2),
+    LineStyle("", VERMILLION, (0.0, (6.0, 1.5, 1.0, 1.5)), 1.2),
+    LineStyle("", SKY, (0.0, (2.0, 1.2)), 1.6),
+    LineStyle("", BLUE, "-", 1.2),
+    LineStyle("", BLACK, (0.0, (6.0, 2.0)), 1.2),
+    LineStyle("", PURPLE, (0.0, (1.0, 1.2)), 1.6),
+    LineStyle("", ORANGE, (0.0, (4.0, 1.0, 1.0, 1.0, 1.0, 1.0)), 1.2),
 )
 
 
-def series(number: int, label: str) -> Look:
-    """Of the thing with that number; after the last the looks begin again."""
+def series(number: int, label: str) -> LineStyle:
+    """Return the style of `SERIES` with a number, with a label; after the last style the first one follows again."""
     return SERIES[number % len(SERIES)]._replace(label=label)
 
 
 def stacked(labels: Sequence[str], *, height: float = 1.35, across: str = "time [s]") -> tuple[Figure, list[Axes]]:
-    """A figure of diagrams below each other over one time; `labels` are those of the value axes, with units."""
-    figure = Figure(figsize=(WIDTH, 0.7 + height * len(labels)))
+    """Return a figure with diagrams on top of each other over one time axis, one for each label of a value axis."""
+    figure = Figure(figsize=(WIDTH_INCH, 0.7 + height * len(labels)))
     grid = figure.subplots(len(labels), 1, sharex=True, squeeze=False)
     axes = [row[0] for row in grid]
     for each, label in zip(axes, labels, strict=True):
@@ -92,13 +93,13 @@ def stacked(labels: Sequence[str], *, height: float = 1.35, across: str = "time 
 
 
 def finish(figure: Figure, text: str) -> None:
-    """Say on the figure itself, on a line of its own at the bottom, where its data come from, and lay it out for good.
+    """Add a line with the origin of the data at the bottom of a figure, and fix the layout of the figure.
 
-    All formats show the same layout, and the same data give the same file: the solver's last digits are cut off.
+    SVG, PNG and PDF files get the same layout. Positions are rounded, so that the same data give the same file.
     """
     engine = figure.get_layout_engine()
     if isinstance(engine, ConstrainedLayoutEngine):
-        height = STAMP / figure.get_figheight()
+        height = STAMP_HEIGHT_INCH / figure.get_figheight()
         engine.set(rect=(0.0, height, 1.0, 1.0 - height))
     figure.text(0.998, 0.004, text, ha="right", va="bottom", fontsize=6.5, color=GREY)
     figure.draw_without_rendering()
@@ -108,24 +109,24 @@ def finish(figure: Figure, text: str) -> None:
         axes.set_position((left, bottom, width, height))
 
 
-def draw(axes: Axes, times: Array, values: Array, look: Look, *, label: bool = True) -> None:
-    """One line over time, no more points of it than the eye can tell apart; `label`: name it in the legend."""
+def draw(axes: Axes, times: Array, values: Array, line: LineStyle, *, label: bool = True) -> None:
+    """Draw a line over time, reduced to the points that are visible; `label`: whether it is in the legend."""
     shown, heights = thinned(times, values)
     axes.plot(
-        shown, heights, color=look.colour, linestyle=look.dash, linewidth=look.width, alpha=look.alpha,
-        label=look.label if label else None,
+        shown, heights, color=line.colour, linestyle=line.dash, linewidth=line.width, alpha=line.alpha,
+        label=line.label if label else None,
     )  # fmt: skip
 
 
 def averaged(times: Array, values: Array, span: float) -> tuple[Array, Array]:
-    """Means over pieces of `span` [s] of a line that noise would hide: (p,) and (p,)."""
+    """Return a noisy line averaged over intervals of `span` [s]: times (p,) and values (p,)."""
     each = max(1, round(span / float(np.median(np.diff(times))))) if len(times) > 1 else 1
     whole = len(values) // each * each
     return times[:whole].reshape(-1, each).mean(axis=1), values[:whole].reshape(-1, each).mean(axis=1)
 
 
 def bound(axes: Axes, value: float, *, label: bool = True) -> None:
-    """A limit on either side of zero."""
+    """Draw a bound as two horizontal lines, at `value` and at its negative."""
     for number, height in enumerate((value, -value)):
         axes.axhline(
             height, color=BOUND.colour, linestyle=BOUND.dash, linewidth=BOUND.width,
@@ -134,7 +135,7 @@ def bound(axes: Axes, value: float, *, label: bool = True) -> None:
 
 
 def legend(figure: Figure, axes: Sequence[Axes], columns: int = 4) -> None:
-    """One legend above all diagrams, each name once."""
+    """Add one legend above all diagrams of a figure, in which each label appears once."""
     named = {}
     for each in axes:
         for handle, label in zip(*each.get_legend_handles_labels(), strict=True):
@@ -142,13 +143,13 @@ def legend(figure: Figure, axes: Sequence[Axes], columns: int = 4) -> None:
     figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=columns, handlelength=3.2)
 
 
-def thinned(times: Array, values: Array, pieces: int = PIECES) -> tuple[Array, Array]:
-    """Lowest and highest of each piece of a long line, in their order: peaks stay, points go.
+def thinned(times: Array, values: Array, pieces: int = LINE_BINS) -> tuple[Array, Array]:
+    """Return the lowest and highest point of each piece of a long line, in their order, so that peaks remain.
 
     Args:
         times: (m,).
         values: (m,).
-        pieces: how many of them; a line of less than four points a piece stays whole.
+        pieces: number of pieces; a line with less than four points a piece is returned unchanged.
     """
     each = len(values) // pieces
     if each < 4:

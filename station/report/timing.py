@@ -1,4 +1,4 @@
-"""How punctual the loop was, for runs on a clock."""
+"""Figure of the control loop's timing, for runs in real time: lateness and computing time of the ticks."""
 
 from collections.abc import Iterator
 
@@ -7,23 +7,26 @@ from matplotlib.figure import Figure
 
 from core.robot.robot import Array
 from station.report import style
-from station.report.drawn import Drawn
-from station.report.run import Run
+from station.report.figure import ReportFigure
+from station.report.run import RecordedRun
 
-PARTS = (
+TIMING_PARTS = (
     ("late_counts", "late_us", "from the deadline to the start of the tick [µs]", style.BLUE),
     ("tick_counts", "tick_us", "work of a tick [µs]", style.VERMILLION),
 )
 
 
-def draw(run: Run) -> Iterator[Drawn]:
-    """Two histograms for each case that has them: counts of ticks, a bin a microsecond, the last one open."""
+def draw(run: RecordedRun) -> Iterator[ReportFigure]:
+    """Yield a figure with two histograms for each case that has timing.
+
+    The recorded bins are a microsecond wide; the last bin also counts all longer times.
+    """
     for name, numbers in run.summary.get("cases", {}).items():
         timing = numbers.get("timing")
         if not timing or "late_counts" not in timing:
             continue
-        figure = Figure(figsize=(style.WIDTH, 2.6))
-        for axes, (counts, _, label, colour) in zip(figure.subplots(1, 2), PARTS, strict=True):
+        figure = Figure(figsize=(style.WIDTH_INCH, 2.6))
+        for axes, (counts, _, label, colour) in zip(figure.subplots(1, 2), TIMING_PARTS, strict=True):
             axes.stairs(
                 *even_on_a_log_axis(np.asarray(timing[counts], dtype=float)), fill=True, color=colour, alpha=0.85
             )
@@ -32,28 +35,29 @@ def draw(run: Run) -> Iterator[Drawn]:
             axes.set_ylim(bottom=0.7)
             axes.set_xlabel(label)
             axes.set_ylabel("ticks")
-        words = "; ".join(
+        quantiles = "; ".join(
             f"{what}: median {timing[key]['p50']:.0f}, 99 % {timing[key]['p99']:.0f},"
             f" largest {timing[key]['max']:.0f} µs"
             for key, what in (("late_us", "late"), ("tick_us", "work"))
         )
-        words = (
-            f"{timing['ticks']} ticks, {timing['missed']} periods missed, scheduling {timing['scheduler']}; {words}."
+        caption = (
+            f"{timing['ticks']} ticks, {timing['missed']} periods missed, scheduling {timing['scheduler']};"
+            f" {quantiles}."
         )
         case = run.case(name)
-        yield Drawn(
-            f"timing_{name}", f"Timing of the loop{case.words if case else ''}",
-            f"{words} Bins are equally wide on their axis; the last one holds everything beyond.",
-            f"Histograms of lateness and work. {words}", figure,
+        yield ReportFigure(
+            f"timing_{name}", f"Timing of the loop{case.title_suffix if case else ''}",
+            f"{caption} The bins are equally wide on their axis; the last one includes all larger values.",
+            f"Histograms of lateness and work. {caption}", figure,
         )  # fmt: skip
 
 
 def even_on_a_log_axis(counts: Array, bins: int = 80) -> tuple[Array, Array]:
-    """Counts of a bin a microsecond in bins that widen with their place.
+    """Convert a histogram with bins of a microsecond to bins that have equal widths on a logarithmic axis.
 
     Args:
         counts: (n,) of 0 ... 1 us, 1 ... 2 us, ...
-        bins: about how many are wanted.
+        bins: approximate number of bins on the logarithmic axis.
 
     Returns:
         Counts (m,), and edges (m + 1,) [us]; the first bin, from 0 on, is drawn from half a microsecond on.

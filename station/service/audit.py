@@ -1,7 +1,7 @@
-"""The audit log: who asked for what, from where, and what came of it; refusals too.
+"""The audit log: who sent which request from where, and its outcome, including refusals.
 
-One JSON object a line, with the wall-clock time: what was done in `audit.jsonl`, what was refused in `refused.jsonl`,
-so that no number of refusals pushes a command out.
+Each line is a JSON object with the wall-clock time. Executed requests and events are in `audit.jsonl`, refusals in
+`refused.jsonl`, so that many refusals cannot push a command out of the log.
 """
 
 import json
@@ -11,64 +11,72 @@ from pathlib import Path
 
 from core.errors import CtrError
 from station.config.strict import Strict
-from station.service.lines import Lines
+from station.service.rotating_log import RotatingLog
 
-NAME, REFUSED = "audit.jsonl", "refused.jsonl"
-#: Size at which a new file is begun [bytes], and how many old ones stay.
-LIMIT, KEPT = 2_000_000, 4
-#: Longest text of one field; what is longer is cut.
-LONGEST = 500
+AUDIT_FILE, REFUSALS_FILE = "audit.jsonl", "refused.jsonl"
+#: Size of a log file at which a new file is started [bytes], and number of old files that are kept.
+MAX_FILE_BYTES, KEPT_FILES = 2_000_000, 4
+#: Length at which the text of one field of an entry is cut [characters].
+MAX_FIELD_CHARS = 500
 
 
 class AuditError(CtrError):
-    """The log cannot be written."""
+    """The audit log cannot be written."""
 
 
 class Entry(Strict):
     """One line of the audit log."""
 
     time: str
-    """ISO 8601 with the zone"""
+    """wall-clock time in ISO 8601 with the time zone"""
     who: str
+    """name of the client, or of the part of the station, that caused the entry"""
     what: str
+    """request or event"""
     where: str
+    """address or part of the station that it came from"""
     outcome: str
+    """result, or reason of a refusal"""
 
 
 class Audit:
-    """The log in one folder; any thread may write."""
+    """Audit log in one folder; its methods are thread-safe."""
 
-    def __init__(self, folder: Path, limit: int = LIMIT) -> None:
-        """Open the log, making the folder when it is not there.
+    def __init__(self, folder: Path, limit: int = MAX_FILE_BYTES) -> None:
+        """Open the log and create its folder if necessary.
 
         Raises:
-            AuditError: the folder or the file cannot be written, or has a name that is no text.
+            AuditError: the folder or the file cannot be written, or the folder's name is not valid UTF-8.
         """
         self._lock = threading.Lock()
         try:
             str(folder.absolute()).encode()
             folder.mkdir(parents=True, exist_ok=True)
-            self._done, self._refused = (Lines(folder / name, limit, KEPT) for name in (NAME, REFUSED))
+            self._done, self._refused = (
+                RotatingLog(folder / name, limit, KEPT_FILES) for name in (AUDIT_FILE, REFUSALS_FILE)
+            )
         except UnicodeEncodeError:
-            raise AuditError(f"{str(folder)!r}: a folder's name must be UTF-8; rename it, or give another") from None
+            raise AuditError(
+                f"{str(folder)!r}: a folder's name must be UTF-8; rename it or choose another folder"
+            ) from None
         except OSError as error:
-            raise AuditError(f"{folder / NAME}: the audit log cannot be written: {error.strerror}") from None
+            raise AuditError(f"{folder / AUDIT_FILE}: the audit log cannot be written: {error.strerror}") from None
 
     def write(self, who: str, what: str, where: str, outcome: str) -> None:
-        """Add what was done, or has happened.
+        """Add an executed request or an event.
 
-        A full disk does not keep anybody from stopping the robot: what cannot be written is lost.
+        An entry that cannot be written is lost, so that a full disk does not prevent a STOP.
         """
         self._add(self._done, who, what, where, outcome)
 
     def refused(self, who: str, what: str, where: str, outcome: str) -> None:
-        """Add what was refused, as in `write`."""
+        """Add a refused request to the file of refusals; an entry that cannot be written is lost, as in `write`."""
         self._add(self._refused, who, what, where, outcome)
 
     def tail(self, count: int) -> list[Entry]:
-        """The last `count` lines at most, the newest first; a damaged line is left out.
+        """Return the last entries, at most `count`, the newest first; damaged lines are skipped.
 
-        The clock may have been set back in between: lines that say they come from later than now are old.
+        The clock may have been set back: entries with a time in the future count as old.
         """
         with self._lock:
             lines = [log.last(count) for log in (self._done, self._refused)]
@@ -78,14 +86,14 @@ class Audit:
         return sorted(entries, key=lambda one: (whens[one.time] <= now, whens[one.time]), reverse=True)[:count]
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the log files."""
         with self._lock:
             self._done.close()
             self._refused.close()
 
-    def _add(self, log: Lines, who: str, what: str, where: str, outcome: str) -> None:
-        told = {"who": who, "what": what, "where": where, "outcome": outcome}
-        entry = Entry(time=_now(), **{key: text[:LONGEST] for key, text in told.items()})
+    def _add(self, log: RotatingLog, who: str, what: str, where: str, outcome: str) -> None:
+        fields = {"who": who, "what": what, "where": where, "outcome": outcome}
+        entry = Entry(time=_now(), **{key: text[:MAX_FIELD_CHARS] for key, text in fields.items()})
         with self._lock:
             log.add(json.dumps(entry.model_dump(), ensure_ascii=True))
 
@@ -95,7 +103,7 @@ def _entry(line: str) -> Entry | None:
         entry = Entry(**json.loads(line))
         return entry if datetime.fromisoformat(entry.time).tzinfo else None
     except (ValueError, TypeError, RecursionError):
-        return None  # cut off by a crash
+        return None  # the line was truncated by a crash
 
 
 def _now() -> str:

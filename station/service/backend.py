@@ -1,4 +1,4 @@
-"""What stands behind the devices: a virtual lab's process, onto which a run brings load and faults, or a real bench."""
+"""Backend that provides the devices: the process of a virtual lab, which applies loads and faults, or real hardware."""
 
 import threading
 from collections.abc import Sequence
@@ -11,104 +11,107 @@ from station.lab.faults import LabFault
 from station.lab.host import LabError, LabHost
 from station.lab.loads import Load, NoLoad
 from station.lab.process import LabBench
-from station.service.bench import Bench
-from station.service.own_bench import OwnBench
-from station.service.start import Start
+from station.service.hardware_rig import HardwareRig
+from station.service.rig import Rig
+from station.service.run_request import StartRequest
 
 
 class Backend:
-    """Owner of the lab's process, once it is opened; any thread may ask."""
+    """Owner of the virtual lab's process, or access to real hardware; its methods are thread-safe."""
 
-    def __init__(self, bench: Bench, ring: Ring) -> None:
+    def __init__(self, bench: Rig, ring: Ring) -> None:
         self._bench, self._ring = bench, ring
         self._lock = threading.Lock()
-        self._told: BenchFile | None = None
+        self._devices: BenchFile | None = None
         self._motion_start: float | None = None
-        self._brought: Start | None = None  # by the motion that is on
-        self._host: LabHost | OwnBench | None = None
+        self._applied: StartRequest | None = None  # start request whose load and faults are applied now
+        self._host: LabHost | HardwareRig | None = None
 
     def open(self) -> None:
-        """Start a lab, or another one in the place of one that has died."""
+        """Start the lab, or replace a lab that has died."""
         if self._host is not None:
             self._host.close()
-        # Until the new one is there the old one answers: other threads ask meanwhile.
-        self._host, self._told = self._start(), None
+        # Other threads use the old host until the new one is assigned.
+        self._host, self._devices = self._start(), None
 
     @property
     def alive(self) -> bool:
-        """Whether there is something behind the devices."""
+        """Whether the lab's process runs; always true for real hardware."""
         return self._host is not None and self._host.alive
 
     @property
     def pid(self) -> int | None:
-        """Of the lab's process, while it lives."""
+        """Process ID of the lab while it runs; None for real hardware."""
         return self._host.pid if isinstance(self._host, LabHost) and self._host.alive else None
 
     def devices(self) -> BenchFile:
-        """What the control process has to open; waits for a lab that is coming up.
+        """Return the devices that the control process has to open; wait for a lab that is starting.
 
         Raises:
-            LabError: it did not come up.
+            LabError: the lab did not start.
         """
-        if self._told is None:
+        if self._devices is None:
             if self._host is None:
                 raise LabError("the lab was not started")
-            self._told = self._host.devices()
-        return self._told
+            self._devices = self._host.devices()
+        return self._devices
 
     def apply_load(self, load: Load) -> None:
-        """Put a load on the tip, now."""
+        """Apply a load to the tip of the virtual lab's robot now."""
         if self._host is not None:
             self._host.apply_load(load, self._bench.clock.now())
 
     def inject(self, faults: Sequence[LabFault]) -> None:
-        """Let these faults happen from now on; none: clear all.
+        """Inject faults into the simulated devices from now on; an empty sequence clears all faults.
 
         Raises:
-            ConfigError: a bench of one's own has faults of its own.
+            ConfigError: the devices are real.
         """
         self.check(faults)
         if self._host is not None:
             self._host.inject(faults, self._bench.clock.now())
 
     def check(self, faults: Sequence[LabFault]) -> None:
-        """Whether faults can be asked for here.
+        """Check that the faults can be injected into the devices of this station.
 
         Raises:
-            ConfigError: a bench of one's own has faults of its own.
+            ConfigError: the devices are real.
         """
         if faults and self._bench.devices is not None:
-            raise ConfigError("faults can be injected into the virtual lab only; this station has devices of its own")
+            raise ConfigError("faults can be injected into the virtual lab only; this station has real devices")
 
-    def motion(self, start: Start | None, begun: float | None) -> None:
-        """The motion of a start has begun at `begun` by the station's clock [s], or none is on any more (None)."""
+    def motion(self, start: StartRequest | None, motion_start: float | None) -> None:
+        """Apply the load and faults of a run whose motion started at `motion_start`, by the station's clock [s].
+
+        With `motion_start` None the motion has ended, so its load and faults are cleared.
+        """
         with self._lock:
-            if begun == self._motion_start:
+            if motion_start == self._motion_start:
                 return
-            # What a run has brought goes with it: the next one may have been asked for already.
-            ended, self._brought = self._brought, None if begun is None else start
-            self._motion_start = begun
+            # Clear the load and faults of the ended run; the next run may already have been requested.
+            ended, self._applied = self._applied, None if motion_start is None else start
+            self._motion_start = motion_start
         if self._host is None:
             return
         if ended is not None and ended.load is not None:
             self._host.apply_load(NoLoad(), 0.0)
         if ended is not None and ended.faults:
             self._host.inject((), 0.0)
-        if begun is not None and start is not None:
+        if motion_start is not None and start is not None:
             if start.load is not None:
-                self._host.apply_load(start.load, begun)
+                self._host.apply_load(start.load, motion_start)
             if start.faults:
-                self._host.inject(start.faults, begun)
+                self._host.inject(start.faults, motion_start)
 
     def close(self) -> None:
-        """End the lab; a bench of one's own stays."""
+        """End the lab's process; with real hardware do nothing."""
         if self._host is not None:
             self._host.close()
             self._host = None
 
-    def _start(self) -> LabHost | OwnBench:
+    def _start(self) -> LabHost | HardwareRig:
         bench = self._bench
         if bench.devices is not None:
-            return OwnBench(bench.devices)
+            return HardwareRig(bench.devices)
         lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals, bench.clock)
         return LabHost(lab, self._ring.name, ring_width(bench.robot))

@@ -1,4 +1,4 @@
-"""One procedure on a running station, from its first step to its end; `run` belongs in a thread of its own."""
+"""Execution of one calibration procedure on a running station, from its first step to its end."""
 
 import contextlib
 import shutil
@@ -12,226 +12,239 @@ from pydantic import computed_field
 
 from core.errors import CtrError
 from core.robot.robot import Array
-from station.calibration.catalogue import OFFERS
-from station.calibration.procedure import AbortedError, Answer, Ask, GoTo, Step, Swung
-from station.calibration.visiting import SWINGING, measured, still, task
-from station.calibration.worker import Finished, Job
+from station.calibration.catalogue import PROCEDURES
+from station.calibration.procedure import AbortedError, Answer, GoToPose, OperatorPrompt, Step, SwingRecord
+from station.calibration.visiting import SWING_DECAY_S, measurement_of, rest_orders, task
+from station.calibration.worker import CalibrationJob, JobFinished
 from station.calibration.worker_host import WorkerHost
 from station.config.strict import Strict
 from station.control.states import RefusedError, State
-from station.control.task import Task
+from station.control.task import MotionTask
 from station.lab.loads import ConstantLoad, NoLoad
-from station.service.start import Start
+from station.service.permits import Permit
+from station.service.run_request import StartRequest
 from station.service.supervisor import Supervisor
 
-#: Between two looks at the station [s].
-LOOK = 0.05
-#: In which a procedure goes on; any other ends it.
-WELL = (State.READY, State.RUNNING)
+#: Interval between two checks of the station's state while a procedure waits [s].
+POLL_INTERVAL_S = 0.05
+#: States in which a procedure continues; any other state ends it.
+OPERATING_STATES = (State.READY, State.RUNNING)
 
 
-class Stage(StrEnum):
-    """What a procedure is doing."""
+class SessionStage(StrEnum):
+    """Stage of a calibration procedure."""
 
-    THINKING = "thinking"  #: poses are being chosen, or numbers worked out
-    MOVING = "moving"
-    ASKING = "asking"  #: it waits for a person
+    THINKING = "thinking"  #: poses are being selected, or results computed
+    MOVING = "moving"  #: the robot moves, or rests at a pose for a measurement
+    ASKING = "asking"  #: the procedure waits for the operator
     DONE = "done"
     ABORTED = "aborted"
-    FAILED = "failed"  #: what was measured does not tell what was looked for
+    FAILED = "failed"  #: the measurements do not determine the result
 
 
-class Report(Strict):
-    """The procedure that is on, or the last one: how it is getting on, or how it has ended."""
+class SessionReport(Strict):
+    """Progress or result of the present or last calibration procedure."""
 
     what: str
+    """name of the procedure"""
     effort: float
-    """so many times the usual number of poses"""
-    stage: Stage
+    """factor on the usual number of poses"""
+    stage: SessionStage
+    """stage of the procedure"""
     done: float = 0.0
-    """part of it, 0 ... 1"""
-    says: str
-    """what is going on, or why it has ended"""
-    asked: str = ""
-    """what a person is asked to do; empty when nothing"""
-    hangs: float = 0.0
-    """known to hang at the tip, or to be hung there now [N]"""
+    """completed part, 0 ... 1"""
+    message: str
+    """present activity, or the reason of the end"""
+    instruction: str = ""
+    """instruction for the operator; empty when there is none"""
+    weight: float = 0.0
+    """known weight at the tip, or weight to attach now [N]"""
     elapsed: float = 0.0
-    """[s]"""
+    """time since the start [s]"""
     left: float = 0.0
-    """as expected [s]"""
+    """expected remaining time [s]"""
     result: str = ""
-    """name of the folder with what was found; empty while there is nothing"""
+    """name of the folder with the result; empty without a result"""
 
     @computed_field
     @property
     def on(self) -> bool:
-        """Whether it has not ended."""
-        return self.stage in (Stage.THINKING, Stage.MOVING, Stage.ASKING)
+        """Whether the procedure has not ended."""
+        return self.stage in (SessionStage.THINKING, SessionStage.MOVING, SessionStage.ASKING)
 
-    def now(self, **changes: Any) -> "Report":
-        """With these changes."""
+    def now(self, **changes: Any) -> "SessionReport":
+        """Return a copy of the report with these changes."""
         return self.model_copy(update=changes)
 
 
 class CalibrationSession:
-    """A procedure under way. Other threads may look at `report`, say `done` and `abort`."""
+    """One procedure: a separate thread calls `run`; other threads may read `report` and call `done` and `abort`."""
 
-    def __init__(self, supervisor: Supervisor, job: Job) -> None:
+    def __init__(self, supervisor: Supervisor, job: CalibrationJob, permit: Permit) -> None:
         self._supervisor, self._job, self._clock = supervisor, job, supervisor.bench.clock
+        self._permit = permit  # ends the procedure after a STOP or a reset that came after its request
         self._controller = supervisor.bench.controlled(supervisor.bench.controller)
-        self._answered, self._abort = threading.Event(), ""
-        self._began, self._ended = self._clock.now(), 0.0
-        self._expected = OFFERS[job.what].expected(job.effort, len(job.weights))
+        self._confirmed, self._abort = threading.Event(), ""
+        self._start_time, self._end_time = self._clock.now(), 0.0
+        self._expected = PROCEDURES[job.what].expected(job.effort, len(job.weights))
         self._zero: float | None = None  # telemetry's time at the first measurement [s]
-        self._hung = 0.0  # at the tip, on a person's word [N]
-        self._visits, self._trouble = 0, self._troubles()
-        self._now = Report(what=job.what, effort=job.effort, stage=Stage.THINKING, says="it begins")
+        self._attached = 0.0  # weight at the tip that the operator has confirmed [N]
+        self._visits = 0
+        self._now = SessionReport(what=job.what, effort=job.effort, stage=SessionStage.THINKING, message="starting")
 
     @property
-    def report(self) -> Report:
-        """How it is getting on."""
-        now, elapsed = self._now, (self._ended or self._clock.now()) - self._began
+    def report(self) -> SessionReport:
+        """Progress or result of the calibration procedure."""
+        now, elapsed = self._now, (self._end_time or self._clock.now()) - self._start_time
         if not now.on:
             return now.now(elapsed=elapsed)
-        # Not by the pace so far: it has persons' time in it.
+        # The elapsed time is no basis for an estimate, because it includes waiting times for the operator.
         return now.now(elapsed=elapsed, left=self._expected * (1.0 - now.done))
 
     def done(self) -> None:
-        """A person has done what was asked for.
+        """Confirm that the operator has carried out the instruction.
 
         Raises:
-            RefusedError: nothing is asked for.
+            RefusedError: there is no instruction.
         """
-        if self._now.stage is not Stage.ASKING:
-            raise RefusedError("no procedure asks for anything now")
-        self._answered.set()
+        if self._now.stage is not SessionStage.ASKING:
+            raise RefusedError("no procedure waits for the operator now")
+        self._confirmed.set()
 
     def abort(self, cause: str) -> None:
-        """End it at its next look; what moves is stopped, and nothing is kept.
+        """End the procedure at its next check; motion is stopped and no result is kept.
 
         Raises:
-            RefusedError: it has ended.
+            RefusedError: the procedure has ended.
         """
         if not self._now.on:
-            raise RefusedError("no procedure is on")
+            raise RefusedError("no procedure is running")
         self._abort = cause
 
     def run(self) -> None:
-        """Carry it out to the end, whatever that is."""
-        ending, why = Stage.FAILED, "the procedure has ended unasked"
+        """Execute the procedure until it is done, aborted or failed."""
+        ending, why = SessionStage.FAILED, "the procedure has ended unexpectedly"
         try:
             with contextlib.closing(WorkerHost(self._job)) as guide:
-                said = self._heard(guide, "the first poses are being chosen")
-                while not isinstance(said, Finished):
-                    guide.answer(self._carried_out(said))
-                    said = self._heard(guide, "what was measured is being worked out")
-            self._show(Stage.MOVING, 1.0, "the results are there; going back to the start pose", self._job.folder.name)
-            ending, why = Stage.DONE, ""
-            with contextlib.suppress(AbortedError, RefusedError):  # the results stand all the same
+                step = self._next_step(guide, "selecting the first poses")
+                while not isinstance(step, JobFinished):
+                    guide.answer(self._execute(step))
+                    step = self._next_step(guide, "computing results from the measurements")
+            self._show(
+                SessionStage.MOVING, 1.0, "the results are ready; returning to the start pose", self._job.folder.name
+            )
+            ending, why = SessionStage.DONE, ""
+            with contextlib.suppress(
+                AbortedError, RefusedError
+            ):  # the results are valid even if the robot does not return
                 self._go_back()
         except (AbortedError, RefusedError) as error:
-            ending, why = Stage.ABORTED, str(error)
+            ending, why = SessionStage.ABORTED, str(error)
         except CtrError as error:
-            ending, why = Stage.FAILED, str(error)
+            ending, why = SessionStage.FAILED, str(error)
         finally:
             self._finish(ending, why)
 
-    def _finish(self, ending: Stage, why: str) -> None:
+    def _finish(self, ending: SessionStage, why: str) -> None:
         if self._supervisor.status().state is State.RUNNING:
             self._supervisor.stop()
-        if ending is not Stage.DONE:
+        if ending is not SessionStage.DONE:
             shutil.rmtree(self._job.folder, ignore_errors=True)
-        if hangs := max(self._now.hangs, self._hung):
-            self._supervisor.apply_load(NoLoad())  # in a virtual lab; from a real tip a person has to take it
-            why = f"{why}; a weight of {hangs:g} N may hang at the tip: take it off"
-        self._ended = self._clock.now()
-        self._now = self._now.now(stage=ending, says=why, asked="", hangs=0.0, left=0.0)
+        if weight := max(self._now.weight, self._attached):
+            self._supervisor.apply_load(
+                NoLoad()
+            )  # this removes the weight in the virtual lab; the operator removes a real one
+            why = f"{why}; a weight of {weight:g} N may be attached to the tip: remove it"
+        self._end_time = self._clock.now()
+        self._now = self._now.now(stage=ending, message=why, instruction="", weight=0.0, left=0.0)
 
     # Steps
 
-    def _heard(self, guide: WorkerHost, says: str) -> Step | Finished:
-        """What comes next."""
-        self._show(Stage.THINKING, self._now.done, says)
-        while (said := guide.heard(LOOK)) is None:
-            self._look()
-        return said
+    def _next_step(self, guide: WorkerHost, message: str) -> Step | JobFinished:
+        """Wait for the next step of the procedure."""
+        self._show(SessionStage.THINKING, self._now.done, message)
+        while (step := guide.receive(POLL_INTERVAL_S)) is None:
+            self._check_state()
+        return step
 
-    def _carried_out(self, step: Step) -> Answer:
-        if isinstance(step, Ask):
-            self._ask(step)
+    def _execute(self, step: Step) -> Answer:
+        if isinstance(step, OperatorPrompt):
+            self._prompt_operator(step)
             return None
         self._visits += 1
-        says = f"pose {self._visits}" if isinstance(step, GoTo) else "all joints swing to and fro"
-        self._show(Stage.MOVING, step.done, says)
+        activity = f"pose {self._visits}" if isinstance(step, GoToPose) else "all joints swing back and forth"
+        self._show(SessionStage.MOVING, step.done, activity)
         before = self._joints()
-        rows = self._rows(task(step, self._controller), f"calibrate {self._job.what}, {says}")
-        answer = measured(self._supervisor.channels, rows, step, before, self._controller)
-        if isinstance(answer, Swung):
+        rows = self._rows(task(step, self._controller), f"calibrate {self._job.what}, {activity}")
+        answer = measurement_of(self._supervisor.channels, rows, step, before, self._controller)
+        if isinstance(answer, SwingRecord):
             return answer
-        # Counted from the first measurement: sensors drift by the hour, not by what the station's clock happens to say.
+        # Times count from the first measurement: the drift of a sensor does not depend on the station's clock.
         self._zero = answer.time if self._zero is None else self._zero
         return answer._replace(time=answer.time - self._zero)
 
-    def _ask(self, step: Ask) -> None:
-        self._answered.clear()
+    def _prompt_operator(self, step: OperatorPrompt) -> None:
+        self._confirmed.clear()
         self._now = self._now.now(
-            stage=Stage.ASKING, done=step.done, says="waiting for a person", asked=step.text, hangs=step.weight
+            stage=SessionStage.ASKING,
+            done=step.done,
+            message="waiting for the operator",
+            instruction=step.text,
+            weight=step.weight,
         )
-        while not self._answered.wait(LOOK):
-            self._look()
-        self._hung = step.weight
-        # The virtual lab's part of a person's work; at a real bench nothing happens here.
+        while not self._confirmed.wait(POLL_INTERVAL_S):
+            self._check_state()
+        self._attached = step.weight
+        # In the virtual lab this attaches the weight; with real devices it does nothing.
         self._supervisor.apply_load(ConstantLoad(magnitude=step.weight) if step.weight > 0.0 else NoLoad())
-        self._show(Stage.MOVING, step.done, "the weight comes to rest")
-        end = self._clock.now() + SWINGING
+        self._show(SessionStage.MOVING, step.done, "waiting until the weight is at rest")
+        end = self._clock.now() + SWING_DECAY_S
         while self._clock.now() < end:
-            self._look()
-            time.sleep(LOOK)
+            self._check_state()
+            time.sleep(POLL_INTERVAL_S)
 
-    def _rows(self, what: Task, title: str) -> Array:
-        """Telemetry (m, channels) of a task, carried out to its end."""
-        self._look()
+    def _rows(self, what: MotionTask, title: str) -> Array:
+        """Execute a task to its end and return its telemetry (m, channels)."""
+        self._check_state()
         ring = self._supervisor.ring
         kept, since = list[Array](), ring.written
-        self._supervisor.start_step(Start(what, title, load=None, recorded=False))
+        self._supervisor.start_step(StartRequest(what, title, load=None, recorded=False), self._permit)
         while True:
-            time.sleep(LOOK)
-            running = self._look() is State.RUNNING  # before the rows are read: then the last of them are there
+            time.sleep(POLL_INTERVAL_S)
+            running = (
+                self._check_state() is State.RUNNING
+            )  # check the state before reading the rows, so that the last rows are included
             rows, since, _ = ring.read(since)
             kept.append(rows)
             if not running:
                 return np.concatenate(kept)
 
     def _go_back(self) -> None:
-        """To where it began."""
+        """Move back to the start pose of the procedure."""
         start = self._job.start
-        self._rows(Task(self._controller, still(start.size), 0.0, start), f"calibrate {self._job.what}, going back")
+        self._rows(
+            MotionTask(self._controller, rest_orders(start.size), 0.0, start), f"calibrate {self._job.what}, returning"
+        )
 
-    # Looks
+    # Progress and state
 
-    def _show(self, stage: Stage, done: float, says: str, result: str = "") -> None:
-        self._now = self._now.now(stage=stage, done=done, says=says, asked="", result=result)
+    def _show(self, stage: SessionStage, done: float, message: str, result: str = "") -> None:
+        self._now = self._now.now(stage=stage, done=done, message=message, instruction="", result=result)
 
-    def _look(self) -> State:
-        """The station's state.
+    def _check_state(self) -> State:
+        """Return the station's state after checking that the procedure may continue.
 
         Raises:
-            AbortedError: it is none in which a procedure goes on, or was so meanwhile, or a person has had enough.
+            AbortedError: the state ends the procedure, or the operator has aborted it.
+            VoidError: the station was stopped or reset in the meantime.
         """
         if self._abort:
             raise AbortedError(self._abort)
-        stopped = self._troubles() != self._trouble  # counted first: then a stop that is still on is told by its cause
         status = self._supervisor.status()
-        if status.state not in WELL:
+        if status.state not in OPERATING_STATES:
             raise AbortedError(f"the station is {status.state.name}: {status.cause or 'the cause is in the log'}")
-        if stopped:
-            raise AbortedError("the station was stopped meanwhile; the cause is in the log")
+        self._permit.check(f"calibrate {self._job.what}")
         return status.state
-
-    def _troubles(self) -> int:
-        """How often the station was stopped so far."""
-        return sum(self._supervisor.entered(state) for state in State if state not in WELL)
 
     def _joints(self) -> Array:
         return self._supervisor.status().values["joints"]

@@ -1,243 +1,298 @@
-"""The station process's side of control: it starts and hears the control process, and stops the stages after it."""
+"""Owner of the control process: starts it, receives its reports, and stops the stages after its end."""
 
 import itertools
 import math
 import threading
 import traceback
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any, NamedTuple
 
 from core.errors import CtrError
-from station.control.child import Child
-from station.control.installed import called
-from station.control.messages import Command, DeviceReport, Notice, Refused, Reply
+from station.control.child_process import ChildProcess
+from station.control.driver_guard import driver_in_call
+from station.control.messages import Command, CommandRefused, DeviceReport, Reply, StateNotice
 from station.control.process import run_control
-from station.control.realtime import ask_for_fifo
-from station.control.ring import CALLED, HEARTBEAT, Ring
-from station.control.states import Event, RefusedError
+from station.control.realtime import request_fifo
+from station.control.ring import DRIVEN, DRIVER_IN_CALL, HEARTBEAT, Ring
+from station.control.states import RefusedError, Transition
 from station.devices.config import BenchFile
-from station.service.bench import Bench
-from station.service.last_stop import NOTHING, LastStop, Stopped
+from station.service.fallback_stop import NO_STAGES, PRESS, PRIORITY, FallbackStop, StopOutcome
+from station.service.permits import Permit
+from station.service.rig import Rig
 
-#: The control process answers a command within this time or counts as gone [s].
-ANSWER_TIME = 1.0
-#: It has this long to end once it is asked to [s].
-END_TIME = 3.0
-#: The last stop is over after this time, or hangs [s].
-LAST_STOP_TIME = 10.0
-#: Of the threads that stop the stages when the control process cannot; below its own.
-WATCHER_PRIORITY = 45
+#: Longest time for the control process to answer a command [s]; after it the process counts as hung.
+REPLY_TIMEOUT_S = 1.0
+#: Number of short waits that `REPLY_TIMEOUT_S` is divided into. If the station process itself is delayed, only few of
+#: them have passed, so an answer that has already arrived is still read.
+ANSWER_SLICES = 20
+#: Longest time for the control process to end after the request to end [s]; after it the process is killed.
+EXIT_TIMEOUT_S = 3.0
+#: Longest time until a STOP request is answered, even if the stages have not confirmed the stop [s].
+STOP_REPLY_TIMEOUT_S = 2.8
+#: Longest time that the end of the station waits for an attempt to stop the stages [s].
+FALLBACK_STOP_TIMEOUT_S = 8.0
+#: Real-time priority of the thread that watches the control process; it is below that of the control process.
+WATCHER_PRIORITY = PRIORITY
 
-Said = Notice | DeviceReport | Refused
+ControlReport = StateNotice | DeviceReport | CommandRefused | StopOutcome
 
 
-class Unanswered(RefusedError):
-    """The control process does not answer, though it lives."""
+class NoReply(RefusedError):
+    """The control process runs but does not answer."""
 
 
-class Ending(NamedTuple):
-    """The control process has ended, though nobody asked it to."""
+class ExitReport(NamedTuple):
+    """Report about an unexpected end of the control process."""
 
-    how: str  #: by which signal, with which status; or why it had to be
-    stopped: str  #: what became of the stages
+    how: str  #: signal or exit status of the process, or why it was killed
+    stages: str  #: what happens to the stages now; a `StopOutcome` follows
 
 
 class ControlHost:
-    """Owner of one control process; when that has ended another one is needed."""
+    """Owner of one control process; a new process needs a new host."""
 
     def __init__(
         self,
-        bench: Bench,
+        bench: Rig,
         ring: Ring,
         devices: Callable[[], BenchFile],
-        hear: Callable[[Said], None],
-        ended: Callable[[Ending], None],
+        on_report: Callable[[ControlReport], None],
+        on_exit: Callable[[ExitReport], None],
     ) -> None:
-        """Start it.
+        """Start the control process.
 
         Args:
-            bench: what it is in charge of.
-            ring: for its telemetry.
-            devices: where the devices are; may wait, and raise LabError.
-            hear, ended: called in a thread of their own with what it says, and when it has ended unasked.
+            bench: rig that the process controls.
+            ring: shared memory for its telemetry.
+            devices: returns the devices to open; may wait, and raise LabError.
+            on_report: called in the watcher's thread with each report of the process. After an unexpected end it also
+                gets a `StopOutcome` of the stages, and another one if that changes.
+            on_exit: called in the same thread after an unexpected end.
         """
         self._fifo, self._clock, self._ring = bench.fifo, bench.clock, ring
-        self._devices, self._registered, self._hear, self._ended = devices, bench.registered, hear, ended
+        self._devices, self._registered = devices, bench.registered
+        self._on_report, self._on_exit = on_report, on_exit
         self._numbers = itertools.count(1)
         self._sending = threading.Lock()
         self._answered = threading.Condition()
         self._waiting: set[int] = set()
         self._replies: dict[int, str] = {}
-        self._deaf = False  # it has ended, and answers nothing more
+        self._ended = False  # whether the process has ended, so that it sends no more answers
         self._robot = bench.robot
-        self._last_stop: LastStop | None = None  # once the stages may have been opened
-        self._stopped = NOTHING
-        self._over = threading.Event()  # the process has ended, and the stages have been stopped
+        self._fallback: FallbackStop | None = None  # exists before the control process may open the stages
+        self._attempt: Future[StopOutcome] | None = None  # attempt to stop the stages after the end of the process
+        self._over = threading.Event()  # set when the process has ended and the attempt to stop its stages has started
         self._closing = False
-        self._killed = ""  # why, if it was
-        self._told: BenchFile | None = None
-        ring.numbers[HEARTBEAT], ring.counters[CALLED] = 0.0, 0
-        self._child = Child(run_control, bench.control, ring.name, name="control")
+        self._killed = ""  # reason for killing the process; empty if it was not killed
+        self._opened: BenchFile | None = None  # devices that the process was instructed to open
+        ring.numbers[HEARTBEAT], ring.counters[DRIVER_IN_CALL] = 0.0, 0
+        self._child = ChildProcess(run_control, bench.control, ring.name, name="control")
         self._watcher = threading.Thread(target=self._watch, name="control watcher")
         self._watcher.start()
 
     @property
     def alive(self) -> bool:
-        """Whether it runs."""
+        """Whether the control process runs."""
         return self._child.alive
 
     @property
     def ticking(self) -> bool:
-        """Whether its loop has begun; nothing moves before."""
+        """Whether the loop of the control process has started; nothing moves before that."""
         return float(self._ring.numbers[HEARTBEAT]) > 0.0
 
     @property
     def waits_for(self) -> str:
-        """The installed driver that its loop is just waiting for; empty if there is none."""
-        return "" if self._told is None else called(self._ring, self._told)
+        """Name of the custom driver or loop whose call the control loop is waiting for; empty if there is none."""
+        return "" if self._opened is None else driver_in_call(self._ring, self._opened)
 
     @property
     def pid(self) -> int:
-        """Number of the control process."""
+        """Process ID of the control process."""
         return self._child.pid
 
-    def ask(self, what: Any, **about: Any) -> None:
-        """Have a command carried out, with what else `Command` says about it.
+    def send_command(self, what: Any, permit: Permit | None = None, **about: Any) -> None:
+        """Send a command and wait for its answer; a command with a permit is sent only while the permit is valid.
 
         Raises:
-            Unanswered: it does not answer in time; what moves anything is not carried out any more then.
-            RefusedError: the state does not allow it, or the process is gone.
+            NoReply: the process does not answer in time; a command that moves the robot then expires.
+            VoidError: a STOP or a reset came after the request, or the permit has expired.
+            RefusedError: the state does not allow it, or the process has ended.
         """
-        until = math.inf if what in (Event.STOP, Event.HOLD) else self._clock.now() + ANSWER_TIME
+        deadline = self._clock.now() + REPLY_TIMEOUT_S
+        until = math.inf if what in (Transition.STOP, Transition.HOLD) else deadline
         command = Command(next(self._numbers), what, until=until, **about)
-        silent = Unanswered(f"the control process did not answer '{what}' within {ANSWER_TIME:g} s")
+        if (
+            permit is not None and what is not Transition.RESET
+        ):  # a reset needs no generation: a later STOP follows it through the same pipe
+            command = command._replace(until=min(until, permit.until), generation=permit.generation)
+        silent = NoReply(f"the control process did not answer '{what}' within {REPLY_TIMEOUT_S:g} s")
         with self._answered:
             self._waiting.add(command.number)
         try:
-            # A process that stands still takes nothing more from a full pipe.
-            if not self._sending.acquire(timeout=self._clock.real(ANSWER_TIME)):
+            # Another sender may block here for long: a process that hangs does not read from a full pipe.
+            if not self._sending.acquire(timeout=self._left(deadline)):
                 raise silent
-            gone = RefusedError("the control process is gone; reset to start it anew")
+            gone = RefusedError("the control process has ended; reset to restart it")
             try:
+                if permit is not None:
+                    permit.check(what)
                 self._child.pipe.send(command)
             except OSError:
                 raise gone from None
             finally:
                 self._sending.release()
             with self._answered:
-                self._answered.wait_for(
-                    lambda: self._deaf or command.number in self._replies, self._clock.real(ANSWER_TIME)
-                )
+                for _ in range(math.ceil(ANSWER_SLICES * (deadline - self._clock.now()) / REPLY_TIMEOUT_S)):
+                    slice_time = self._clock.real(REPLY_TIMEOUT_S / ANSWER_SLICES)
+                    if self._answered.wait_for(lambda: self._ended or command.number in self._replies, slice_time):
+                        break
                 if command.number not in self._replies:
-                    raise gone if self._deaf else silent
+                    raise gone if self._ended else silent
                 refused = self._replies.pop(command.number)
         finally:
             with self._answered:
                 self._waiting.discard(command.number)
         if refused:
+            if permit is not None:
+                permit.check(what)  # raises with the name of the STOP or reset that came in between
             raise RefusedError(refused)
 
     def stop(self, cause: str = "stopped by the operator") -> str:
-        """Stop every axis, without the control process if it does not do it: what a person should know about it."""
+        """Stop every axis, without the control process if necessary, within `STOP_REPLY_TIMEOUT_S`.
+
+        Returns:
+            A warning for the operator; empty when every axis has stopped.
+        """
+        deadline = self._clock.now() + STOP_REPLY_TIMEOUT_S
         try:
-            self.ask(Event.STOP, cause=cause)
+            self.send_command(Transition.STOP, cause=cause)
             return ""
-        except Unanswered as error:
+        except NoReply as error:
             if not self.ticking:
-                return f"{error}: it is starting, and the stop is the next thing that it does"
-            return self._stop_instead(f"{error} and was ended")
+                return f"{error}: it is starting and executes the stop first"
+            return self._stop_instead(f"{error} and was ended", deadline)
         except RefusedError as error:
-            if self._last_stop is None:
-                return "there is no control process and nothing that moves"
-            if self.alive and not self._deaf:
-                return self._stop_instead(f"the control process could not stop ({error}) and was ended")
-            self._after_it()
-            return self._last_stop().text
+            if self.alive and not self._ended:
+                return self._stop_instead(f"the control process could not stop ({error}) and was ended", deadline)
+            if not self._over.wait(self._left(deadline)) or self._fallback is None or not self._driven:
+                return self._outcome(deadline).text or "there is no control process and nothing moves"
+            return self._fallback(deadline - self._clock.now()).text
 
     def hold(self, cause: str) -> None:
-        """End a motion; does not wait for an answer."""
+        """Send a command that ends a motion in HOLD; do not wait for its answer."""
         if self._sending.acquire(blocking=False):
             try:
-                self._child.tell(Command(next(self._numbers), Event.HOLD, cause=cause))
+                self._child.send(Command(next(self._numbers), Transition.HOLD, cause=cause))
             finally:
                 self._sending.release()
 
     def kill(self, why: str) -> None:
-        """End it at once; the stages are stopped then, and `why` is told."""
+        """Kill the control process, stop the stages and report `why`."""
         self._killed = self._killed or why
         self._child.kill()
 
-    def close(self) -> Stopped:
-        """End it, its axes stopped; of one that has ended already only the rest is put away.
+    def close(self) -> StopOutcome:
+        """Stop every axis, end the control process and release its resources.
 
         Returns:
-            What has been seen of the stages' stop.
+            Outcome of stopping the stages.
         """
         self._closing = True
         if self.alive and self.ticking:
             try:
-                self.ask(Event.STOP)
+                self.send_command(Transition.STOP)
             except RefusedError:
-                self._child.kill()  # one that does not listen stops nothing
-        self._child.end(self._clock.real(END_TIME))
-        stopped = self._after_it()
+                self._child.kill()  # a process that does not answer cannot stop the stages
+        self._child.end(self._clock.real(EXIT_TIMEOUT_S))
+        stopped = self._outcome(self._clock.now() + FALLBACK_STOP_TIMEOUT_S)
         self._child.pipe.close()
-        if self._last_stop is not None:
-            self._last_stop.close()
+        if self._fallback is not None:
+            self._fallback.close(FALLBACK_STOP_TIMEOUT_S)
         return stopped
 
-    def _stop_instead(self, why: str) -> str:
-        """Stop the stages in the place of a process that lives and does not; what came of it, in words."""
+    def _stop_instead(self, why: str, deadline: float) -> str:
+        """Stop the stages instead of a process that runs but does not stop them; return a human-readable outcome."""
         waits_for = self.waits_for
         why = f"{why}; it was waiting for {waits_for}" if waits_for else why
         self.kill(why)
-        return f"{why}; {self._after_it().text}"
+        return f"{why}; {self._outcome(deadline).text}"
 
-    def _after_it(self) -> Stopped:
-        """What has become of the stages once the process has ended."""
-        if self._over.wait(self._clock.real(LAST_STOP_TIME)) or self._last_stop is None:
-            return self._stopped
-        return Stopped(False, "the last stop of the stages does not come to an end: press the emergency stop")
+    def _outcome(self, deadline: float) -> StopOutcome:
+        """Return the outcome of stopping the stages after the process has ended, as known at the deadline [s]."""
+        if not self._over.wait(self._left(deadline)):
+            return StopOutcome(False, f"the control process does not end and may still drive the stages: {PRESS}")
+        if self._attempt is None or self._fallback is None:
+            return NO_STAGES
+        # Repeated calls wait only once for an attempt that hangs.
+        patience = min(deadline - self._clock.now(), FALLBACK_STOP_TIMEOUT_S - self._fallback.age)
+        return self._fallback.outcome(self._attempt, patience)
+
+    @property
+    def _driven(self) -> bool:
+        """Whether this station has driven the stages."""
+        return bool(self._ring.counters[DRIVEN])
+
+    def _left(self, deadline: float) -> float:
+        """Return the real time until the deadline [s]."""
+        return self._clock.real(max(0.0, deadline - self._clock.now()))
 
     def _watch(self) -> None:
-        """Give it its devices, take what it says until it ends, stop the stages; its end unasked is a fault."""
+        """Send the devices, receive reports until the process ends, then stop the stages and report the end."""
         if self._fifo:
-            ask_for_fifo(WATCHER_PRIORITY)  # what is left of a run must not wait for a page to be drawn
+            request_fifo(WATCHER_PRIORITY)  # stopping the stages must not wait for a browser that draws the page
         try:
             self._listen()
         except CtrError as error:
             self.kill(str(error))
-        except Exception as error:  # nobody else would stop the stages
+        except Exception as error:  # catch everything, because nothing else would stop the stages
             traceback.print_exc()
-            self.kill(f"the station could not go on with the control process ({type(error).__name__}: {error})")
-        with self._answered:  # nobody waits for the answer of one that has ended
-            self._deaf = True
+            self.kill(
+                f"the station process failed while it served the control process ({type(error).__name__}: {error})"
+            )
+        with self._answered:  # wake every thread that waits for an answer
+            self._ended = True
             self._answered.notify_all()
-        if self._last_stop is not None:
-            self._stopped = self._last_stop()
+        if self._fallback is not None and self._driven:
+            self._attempt = self._fallback.begin()
+        try:
+            if not self._closing:
+                how = (
+                    self._killed or f"the control process ended {self._child.ended(self._clock.real(REPLY_TIMEOUT_S))}"
+                )
+                self._child.kill()  # threads of a custom driver may keep it alive
+                self._on_exit(ExitReport(how, "" if self._attempt is None else "the stages are being stopped"))
+        finally:
+            self._over.set()
+        if self._attempt is not None and self._fallback is not None:
+            so_far = self._fallback.outcome(self._attempt, STOP_REPLY_TIMEOUT_S)
+            if not self._attempt.done():
+                self._report_stop(so_far)
+            self._attempt.add_done_callback(lambda attempt: self._report_stop(attempt.result()))
+
+    def _report_stop(self, stopped: StopOutcome) -> None:
+        """Report the outcome, unless this host is closed: another control process may then drive the stages."""
         if not self._closing:
-            how = self._killed or f"the control process ended {self._child.ended()}"
-            self._ended(Ending(how, self._stopped.text))
-        self._over.set()
+            self._on_report(stopped)
 
     def _listen(self) -> None:
-        self._told = told = self._registered(self._devices())
-        self._last_stop = LastStop(told.stages, self._robot, self._clock)
+        self._opened = devices = self._registered(self._devices())
+        self._fallback = FallbackStop(devices.stages, self._robot, self._clock, fifo=self._fifo)
         try:
             with self._sending:
-                self._child.pipe.send(told)
+                self._child.pipe.send(devices)
             while True:
                 message = self._child.pipe.recv()
                 try:
                     self._take(message)
-                except Exception:  # whatever becomes of one message, the next one is heard
+                except Exception:  # a message that fails must not prevent the next one
                     traceback.print_exc()
         except (EOFError, OSError):
-            return  # it has ended
+            return  # the control process has ended
 
-    def _take(self, message: Reply | Said) -> None:
+    def _take(self, message: Reply | ControlReport) -> None:
         if not isinstance(message, Reply):
-            self._hear(message)
+            self._on_report(message)
             return
         with self._answered:
             if message.number in self._waiting:

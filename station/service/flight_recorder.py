@@ -1,6 +1,6 @@
-"""What the station writes down by itself: changes of state in the audit log, and the last second before faults.
+"""The flight recorder: write changes of state to the audit log, and the last second before a HOLD or FAULT to a file.
 
-All of it in a thread of its own: whoever watches the loop never waits for a disk.
+A separate thread writes, so that the supervision of the loop never waits for a disk.
 """
 
 import csv
@@ -14,16 +14,16 @@ from station.control.states import State
 from station.control.telemetry import Channels
 from station.service.audit import Audit
 
-#: As the audit log names it.
-STATION, WHERE = "station", "control loop"
-#: Folder of the last seconds, rows of one of them at 500 Hz, and how many are kept.
-FOLDER, ROWS, KEPT = "last_seconds", 500, 20
-#: States that something has led to that was not wanted.
-UNWANTED = (State.HOLD, State.FAULT)
+#: Names of the station and of the control loop in the audit log.
+STATION, CONTROL_LOOP = "station", "control loop"
+#: Folder of the files with the last second, rows in a file (one second at 500 Hz), and number of files that are kept.
+LAST_SECONDS_FOLDER, KEPT_ROWS, KEPT_FILES = "last_seconds", 500, 20
+#: States that are caused by a failure; for these a file is written.
+FAILURE_STATES = (State.HOLD, State.FAULT)
 
 
 class FlightRecorder:
-    """Writer of both, as far as there are an audit log and a folder."""
+    """Writer of state changes to the audit log, and of last seconds to files; each is optional."""
 
     def __init__(self, ring: Ring, channels: Channels, audit: Audit | None, folder: Path | None, session: str) -> None:
         self._ring, self._channels, self._audit, self._folder = ring, channels, audit, folder
@@ -31,41 +31,41 @@ class FlightRecorder:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="flight recorder")
 
     def state(self, state: State, cause: str) -> None:
-        """The state has changed; does not wait."""
+        """Record a change of state without waiting for the disk."""
         rows = None
-        if state in UNWANTED and self._folder is not None:
-            # Now, before the ring goes on.
-            rows, _, _ = self._ring.read(max(0, self._ring.written - ROWS))
+        if state in FAILURE_STATES and self._folder is not None:
+            # Read the rows now, before the ring overwrites them.
+            rows, _, _ = self._ring.read(max(0, self._ring.written - KEPT_ROWS))
             self._count += 1
         self._thread.submit(self._write, state, cause, rows, self._count)
 
     def note(self, what: str, outcome: str) -> None:
-        """Something else for the audit log; does not wait."""
+        """Add another entry to the audit log without waiting for the disk."""
         if self._audit is not None:
-            self._thread.submit(self._audit.write, STATION, what, WHERE, outcome)
+            self._thread.submit(self._audit.write, STATION, what, CONTROL_LOOP, outcome)
 
     def close(self) -> None:
-        """Write what is waiting."""
+        """Write the pending entries and end the thread."""
         self._thread.shutdown()
 
     def _write(self, state: State, cause: str, rows: Array | None, number: int) -> None:
         kept = ""
         if rows is not None and len(rows) and self._folder is not None:
             names = (f"{self._session}-{one:03}-{state.name.lower()}.csv" for one in itertools.count(number))
-            # Never over what another station on the same folder has kept.
-            path = next(path for name in names if not (path := self._folder / FOLDER / name).exists())
+            # Never overwrite a file of another station with the same folder.
+            path = next(path for name in names if not (path := self._folder / LAST_SECONDS_FOLDER / name).exists())
             try:
                 _keep(path, rows, self._channels, cause)
                 kept = f" (the last second before it: {path.name})"
             except OSError as error:
                 kept = f" (the last second before it could not be kept: {error.strerror})"
         if self._audit is not None:
-            self._audit.write(STATION, f"state {state.name}", WHERE, f"{cause}{kept}".strip())
+            self._audit.write(STATION, f"state {state.name}", CONTROL_LOOP, f"{cause}{kept}".strip())
 
 
 def _keep(path: Path, rows: Array, channels: Channels, cause: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    for old in sorted(path.parent.glob("*.csv"))[: -(KEPT - 1)]:
+    for old in sorted(path.parent.glob("*.csv"))[: -(KEPT_FILES - 1)]:
         old.unlink(missing_ok=True)
     with path.open("x", newline="", encoding="utf-8") as file:
         file.write(f"# {' '.join(cause.split())}\n")

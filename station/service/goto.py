@@ -1,86 +1,100 @@
-"""Going to a pose in joints: tried on the model first, all joints at the same time, then carried out like a motion.
+"""Motion to a joint-space pose: the path is checked on the model first, and all joints move at the same time.
 
-The working pose is that of the robot's file: where motions have room, and where the station goes after homing.
+The robot's file defines the working pose, where motions have room. The station goes there after homing.
 """
 
 import math
 
 import numpy as np
 
-from core.errors import CtrError
+from core.control.reachability import check_pose, situation
+from core.errors import CtrError, PoseError
 from core.model.statics import Solution
+from core.robot.limits import Limits
 from core.robot.robot import Array
 from station.config.motions import HoldMotion, Orders
 from station.config.robots import named_pose
 from station.config.strict import ConfigError
-from station.control.task import Task
-from station.service.bench import Bench
-from station.service.start import Start
+from station.control.task import MotionTask
+from station.service.rig import Rig
+from station.service.run_request import StartRequest
 
-#: Between two looks of the model at the way: what the quickest joint takes for it at top speed [s].
-STEP = 0.1
-#: The tip does not jump by more than this between two looks [m]; curvature of its path makes a tenth of it.
-JUMP = 2e-3
+#: Distance between two checked poses of a path, as travel time of the joint that takes longest at top speed [s].
+PATH_STEP_S = 0.1
+#: Largest error of the tip position that the Jacobian predicts from one checked pose to the next [m]; a larger error
+#: is a snap. The curvature of a valid path causes a tenth of it.
+MAX_TIP_JUMP_M = 2e-3
 
 
-def to_working_pose(bench: Bench) -> Start:
-    """The way to the working pose.
+def goto_working_pose(bench: Rig) -> StartRequest:
+    """Return the start request of the motion to the working pose.
 
     Raises:
-        ConfigError: the robot's file has none.
+        ConfigError: the robot's file has no working pose.
     """
     robot = bench.robot
     if robot.working_pose is None:
         raise ConfigError(
             f"robot '{robot.name}' has no working_pose: add one to its file, all joints by name [rad or m],"
-            " or say which joints to go to"
+            " or name the joint positions to go to"
         )
-    return to_joints(bench, named_pose(robot.working_pose, robot, "working_pose"), "to the working pose")
+    return goto_joints(bench, named_pose(robot.working_pose, robot, "working_pose"), "to the working pose")
 
 
-def to_joints(bench: Bench, target: Array, title: str) -> Start:
-    """The way to `target` (n,) [rad or m]; neither recorded nor tared, and what hangs at the tip stays.
+def goto_joints(bench: Rig, target: Array, title: str) -> StartRequest:
+    """Return the start request of the motion to `target` (n,) [rad or m], without recording, tare or change of load.
 
     Raises:
-        PoseError: outside the joints' travel, or the tubes cannot stand there.
+        PoseError: the target violates a limit of the robot.
     """
     controller = bench.controlled(bench.controller)
-    controller.limits.check(target)
-    robot = controller.statics.robot
-    robot.check_pose(target)
-    task = Task(controller, Orders(HoldMotion(), robot), 0.0, target, rests=False)
-    return Start(task, title, load=None, recorded=False)
+    check_pose(controller.statics, controller.limits, target)
+    task = MotionTask(controller, Orders(HoldMotion(), controller.statics.robot), 0.0, target, rests=False)
+    return StartRequest(task, title, load=None, recorded=False)
 
 
-def check_way(bench: Bench, start: Start, joints: Array) -> None:
-    """Refuse a way from `joints` (n,) [rad or m] on which the tubes would snap.
+def check_path(bench: Rig, start: StartRequest, joints: Array) -> None:
+    """Refuse a path from `joints` (n,) [rad or m] on which the tubes would snap, or which leaves a limit.
 
-    Travel and the order of the tubes are kept between two poses that keep them.
+    A path that starts outside a limit may lead back inside.
 
     Raises:
-        ConfigError: where on the way, and what is in the way there.
+        ConfigError: the text names the part of the path and the reason.
     """
     task, statics = start.task, start.task.controller.statics
-    assert task.start is not None, "going there needs a where"  # noqa: S101
-    way, least = task.start - joints, bench.margins.stability
-    steps = max(1, math.ceil(np.abs(way / task.controller.limits.speed).max() / STEP))
+    limits, inside = task.controller.limits, False
+    assert task.start is not None, "a motion to a pose needs a target"  # noqa: S101
+    travel, minimum = task.start - joints, bench.margins.stability
+    steps = max(1, math.ceil(np.abs(travel / task.controller.limits.speed).max() / PATH_STEP_S))
     at = None
     for number in range(steps + 1):
-        place, before = f"{start.title}: after {100 * number / steps:.0f} % of the way", at
+        position, before = f"{start.title}: after {100 * number / steps:.0f} % of the path", at
         try:
-            at = statics.solve(joints + number / steps * way, np.zeros(6), before)
+            at = statics.solve(joints + number / steps * travel, np.zeros(6), before)
+            inside = _is_inside(limits, at, required=inside)
         except CtrError as error:
-            raise ConfigError(f"{place}: {error}; go there by way of another pose") from None
-        # A fold that lies between two looks shows as a tip that the Jacobian did not foresee.
-        jump = 0.0 if before is None else _unforeseen(before, at)
-        if at.stability < least or jump > JUMP:
+            raise ConfigError(f"{position}: {error}; go there via another pose") from None
+        # A snap between two checked poses appears as a large prediction error of the Jacobian.
+        jump = 0.0 if before is None else _prediction_error(before, at)
+        if at.stability < minimum or jump > MAX_TIP_JUMP_M:
             raise ConfigError(
-                f"{place} the tubes would snap, or nearly (stability {at.stability:.2g}, at least {least:g};"
-                f" jump of {1e3 * jump:.1f} mm); go there by way of another pose"
+                f"{position} the tubes would snap, or nearly (stability {at.stability:.2g}, at least {minimum:g};"
+                f" jump of {1e3 * jump:.1f} mm); go there via another pose"
             )
 
 
-def _unforeseen(before: Solution, at: Solution) -> float:
-    """How far the tip is from where the Jacobian of the look before has it [m]."""
-    foreseen = before.tip + before.jacobian[:3] @ (at.joints - before.joints)
-    return float(np.linalg.norm(at.tip - foreseen))
+def _is_inside(limits: Limits, at: Solution, *, required: bool) -> bool:
+    """Return whether the pose `at` satisfies every limit; raise PoseError if it does not and `required` is set."""
+    try:
+        limits.check_all(situation(at))
+    except PoseError:
+        if required:
+            raise
+        return False
+    return True
+
+
+def _prediction_error(before: Solution, at: Solution) -> float:
+    """Return the distance of the tip from the position that the previous pose's Jacobian predicts [m]."""
+    predicted = before.tip + before.jacobian[:3] @ (at.joints - before.joints)
+    return float(np.linalg.norm(at.tip - predicted))

@@ -1,4 +1,4 @@
-"""The processes behind a running station: the lab's, the control process, and the watch over both."""
+"""Processes of a running station: start, watch and restart the lab and the control process."""
 
 import os
 import threading
@@ -6,76 +6,84 @@ import traceback
 from collections.abc import Callable, Collection
 from typing import Any
 
-from station.control.messages import Notice
-from station.control.realtime import ask_for_fifo
+from station.control.messages import StateNotice
+from station.control.realtime import load, request_fifo
 from station.control.ring import HEARTBEAT, LAB_HEARTBEAT, STATION_HEARTBEAT, Ring
 from station.control.states import RefusedError, State
 from station.service.backend import Backend
-from station.service.bench import Bench
-from station.service.control_host import WATCHER_PRIORITY, ControlHost, Ending, Said
-from station.service.last_stop import NOTHING, Stopped
-from station.service.sign_of_life import goes_on
-from station.threads import one_thread_each
+from station.service.control_host import WATCHER_PRIORITY, ControlHost, ControlReport, ExitReport
+from station.service.fallback_stop import NO_STAGES, StopOutcome
+from station.service.heartbeat import is_alive
+from station.service.permits import Permit
+from station.service.rig import Rig
+from station.threads import limit_to_one_thread
 
-#: A control process that has begun to tick and has not for so long is hung: it is ended, the stages are stopped [s].
-HUNG = 1.0
-#: The same until it has been READY once: the first ticks of a new installation compile what they meet [s].
-FIRST_TICKS = 60.0
-#: Before a reset a process gets this long to show that it goes on [s].
-SIGN_OF_LIFE = 3.0
-LAB, CONTROL = "the virtual lab", "the control process"
-#: Between two looks of the watchdog [s].
-LOOK = 0.02
+#: Time without a tick after which the control process counts as hung [s]; it is then killed and the stages are stopped.
+HUNG_AFTER_S = 1.0
+#: Time without a tick after which the control process counts as hung before it was READY [s]. It is longer because the
+#: first ticks of a new installation compile code.
+FIRST_TICKS_TIMEOUT_S = 60.0
+#: Longest time that a reset waits for the heartbeat of a process [s].
+HEARTBEAT_TIMEOUT_S = 3.0
+LAB_LABEL, CONTROL_LABEL = "the virtual lab", "the control process"
+#: Interval between two checks by the watchdog [s].
+POLL_INTERVAL_S = 0.02
+#: Delay of a watchdog's check above which the station shows a warning [s], and duration of that warning [s].
+LATE_WARNING_S, WARNING_DURATION_S = 0.5, 30.0
 
 
-class Processes:
-    """Owner of them, once they are opened; any thread may ask."""
+class ProcessSupervisor:
+    """Owner of the lab's process and the control process, and their watchdog; its methods are thread-safe."""
 
     def __init__(
         self,
-        bench: Bench,
+        bench: Rig,
         ring: Ring,
-        hear: Callable[[Said], None],
-        ended: Callable[[Ending], None],
+        on_report: Callable[[ControlReport], None],
+        on_exit: Callable[[ExitReport], None],
         problem: Callable[[], str],
     ) -> None:
-        """No process yet.
+        """Prepare the processes, which `open` starts.
 
         Args:
-            bench: what they are in charge of.
-            ring: for telemetry.
-            hear: called with what the control process says.
-            ended: called when it has ended unasked, the stages stopped.
-            problem: asked again and again: why a motion must not go on; empty while it may.
+            bench: rig that the processes control.
+            ring: shared memory for telemetry.
+            on_report: called with each report of the control process and with the outcome of stopping the stages.
+            on_exit: called after an unexpected end of the control process.
+            problem: polled by the watchdog; returns why a motion must end, or an empty text.
         """
         self.lab = Backend(bench, ring)
         self._bench, self._ring, self._clock = bench, ring, bench.clock
-        self._hear, self._ended, self._problem = hear, ended, problem
-        self._patience = FIRST_TICKS
+        self._on_report, self._on_exit, self._problem = on_report, on_exit, problem
+        self._tick_timeout = FIRST_TICKS_TIMEOUT_S
+        self._checked_at = self._late_at = (
+            0.0  # times of the last check and of the last long delay, by the station's clock [s]
+        )
+        self._late = 0.0  # latest delay of the watchdog that caused a warning [s]
         self._control: ControlHost | None = None
         self._closing, self._changing = threading.Event(), threading.Lock()
         self._watchdog = threading.Thread(target=self._watch, name="watchdog")
 
     def open(self) -> None:
-        """Start them; once."""
-        one_thread_each()
+        """Start the processes and the watchdog; call this once."""
+        limit_to_one_thread()
         self.lab.open()
         self._start_control()
         self._watchdog.start()
 
-    def gone(self) -> tuple[str, ...]:
-        """Those that have died or stand still, in words; a look for a sign of life, which may take a while."""
+    def failed(self) -> tuple[str, ...]:
+        """Return the labels of the processes that have died or hang; this may wait for a heartbeat."""
         control = self._control
         if control is None:
             return ()
-        lab_goes_on = self.lab.alive and (self.lab.pid is None or self._goes_on(LAB_HEARTBEAT, SIGN_OF_LIFE))
-        found = () if lab_goes_on else (LAB,)
-        # Whoever spoke to a lab that has gone has to find the devices of the new one.
-        patience = max(SIGN_OF_LIFE, self._patience)
-        return found if lab_goes_on and control.alive and self._goes_on(HEARTBEAT, patience) else (*found, CONTROL)
+        lab_alive = self.lab.alive and (self.lab.pid is None or self._beats(LAB_HEARTBEAT, HEARTBEAT_TIMEOUT_S))
+        found = () if lab_alive else (LAB_LABEL,)
+        # After the end of a lab the control process has to be restarted, too, to find the devices of the new lab.
+        patience = max(HEARTBEAT_TIMEOUT_S, self._tick_timeout)
+        return found if lab_alive and control.alive and self._beats(HEARTBEAT, patience) else (*found, CONTROL_LABEL)
 
     def pids(self) -> dict[str, int]:
-        """Number of every process that lives."""
+        """Return the process ID of every process that runs, by name."""
         found = {"station": os.getpid()}
         if self._control is not None and self._control.alive:
             found["control"] = self._control.pid
@@ -83,33 +91,34 @@ class Processes:
             found["lab"] = self.lab.pid
         return found
 
-    def ask(self, what: Any, **about: Any) -> None:
-        """Have the control process do something, with what else `Command` says about it.
+    def send_command(self, what: Any, permit: Permit | None = None, **about: Any) -> None:
+        """Send a command to the control process; `about` are further fields of `Command`.
 
         Raises:
-            RefusedError: the state does not allow it, or there is nobody who answers.
+            VoidError: a STOP or a reset came after the request, or the permit has expired.
+            RefusedError: the state does not allow it, or the control process does not answer.
         """
         if self._control is None:
             raise RefusedError("the station was not started: there is no control process")
-        self._control.ask(what, **about)
+        self._control.send_command(what, permit, **about)
 
     def stop(self, cause: str = "stopped by the operator") -> str:
-        """Stop every axis, with the control process or without: what a person should know; empty when it is done."""
+        """Stop every axis; return a warning for the operator, empty when every axis has stopped."""
         if self._control is None:
-            return "there is no control process and nothing that moves"
+            return "there is no control process and nothing moves"
         return self._control.stop(cause)
 
-    def end_dead(self, gone: Collection[str]) -> None:
-        """Put away what is `gone`, and what cannot go on without it."""
+    def end_failed(self, failed: Collection[str]) -> None:
+        """End the processes with these labels and those that depend on them."""
         if self._control is not None:
             if self._control.alive:
-                self._control.kill(f"it was ended: {' and '.join(gone)} did not go on")
+                self._control.kill(f"it was ended because {' and '.join(failed)} did not respond")
             self._control.close()
-        if LAB in gone:
+        if LAB_LABEL in failed:
             self.lab.close()
 
-    def start_anew(self) -> None:
-        """Start what has been put away.
+    def restart(self) -> None:
+        """Start the control process again, and the lab if it has ended.
 
         Raises:
             RefusedError: the station is ending.
@@ -123,60 +132,75 @@ class Processes:
 
     @property
     def closing(self) -> bool:
-        """Whether the station is ending."""
+        """Whether the station is ending, so that no process may be started."""
         return self._closing.is_set()
 
-    def end_control(self) -> Stopped:
-        """End the control process, its axes stopped first; none is started any more.
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings that the station process was delayed."""
+        if not self._late or self._clock.now() - self._late_at > WARNING_DURATION_S:
+            return ()
+        return (
+            f"this computer is too busy: the station process was delayed by {self._late:.1f} s ({load()}), and a STOP"
+            " would be delayed, too; close pages and clients, end other programs; run ctr-station doctor",
+        )
+
+    def end_control(self) -> StopOutcome:
+        """Stop every axis and end the control process; no other one is started after this call.
 
         Returns:
-            What has been seen of the stages' stop.
+            Outcome of stopping the stages.
         """
         with self._changing:
             self._closing.set()
-        return NOTHING if self._control is None else self._control.close()
+        return NO_STAGES if self._control is None else self._control.close()
 
-    def close(self) -> Stopped:
-        """End the control process as `end_control`, then the lab."""
+    def close(self) -> StopOutcome:
+        """End the control process like `end_control`, then the lab."""
         stopped = self.end_control()
         self.lab.close()
         if self._watchdog.is_alive():
             self._watchdog.join(timeout=self._clock.real(3.0))
         return stopped
 
-    def _goes_on(self, heartbeat: int, patience: float) -> bool:
-        return goes_on(self._ring, heartbeat, self._clock, patience)
+    def _beats(self, heartbeat: int, patience: float) -> bool:
+        return is_alive(self._ring, heartbeat, self._clock, patience)
 
     def _start_control(self) -> None:
-        self._control = ControlHost(self._bench, self._ring, self.lab.devices, self._heard, self._ended)
+        self._control = ControlHost(self._bench, self._ring, self.lab.devices, self._receive, self._on_exit)
 
-    def _heard(self, message: Said) -> None:
-        if isinstance(message, Notice) and message.state is State.READY:
-            self._patience = HUNG
-        self._hear(message)
+    def _receive(self, message: ControlReport) -> None:
+        if isinstance(message, StateNotice) and message.state is State.READY:
+            self._tick_timeout = HUNG_AFTER_S
+        self._on_report(message)
 
     def _watch(self) -> None:
-        """Show the control process that this one lives; end it when it hangs."""
+        """Write this process's heartbeat and kill the control process when it hangs."""
         if self._bench.fifo:
-            ask_for_fifo(WATCHER_PRIORITY)
+            request_fifo(WATCHER_PRIORITY)
         failures: set[str] = set()
-        while not self._closing.wait(self._clock.real(LOOK)):
+        while not self._closing.wait(self._clock.real(POLL_INTERVAL_S)):
             try:
-                self._look()
-            except Exception as error:  # whatever fails, the next look comes
+                self._check()
+            except Exception as error:  # the watchdog must continue after any failure
                 if repr(error) not in failures:
                     traceback.print_exc()
                 failures.add(repr(error))
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         now, control = self._clock.now(), self._control
+        late = now - self._checked_at - POLL_INTERVAL_S if self._checked_at else 0.0
+        self._checked_at = now
+        if late > LATE_WARNING_S:
+            self._late, self._late_at = late, now
         self._ring.numbers[STATION_HEARTBEAT] = now
         ticked = float(self._ring.numbers[HEARTBEAT])
         if control is None or not control.alive:
             return
-        if ticked > 0.0 and now - ticked > self._patience:
+        if ticked > 0.0 and now - ticked > self._tick_timeout:
             waits_for = f": it waits for {control.waits_for}" if control.waits_for else ""
-            control.kill(f"the control loop has not ticked for {self._patience:g} s{waits_for}")
+            why = waits_for or f" ({load()}): end other programs on this computer, see ctr-station doctor"
+            control.kill(f"the control loop has not ticked for {self._tick_timeout:g} s{why}")
         elif problem := self._problem():
-            # A run that is not recorded is worth nothing: end it safely.
+            # A run without its recording has no value, so it ends in HOLD.
             control.hold(problem)

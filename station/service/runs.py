@@ -1,43 +1,44 @@
-"""The runs of a station: numbered, recorded where there is a folder for it, one at a time."""
+"""Runs of a station: each has a number, one is active at a time, and it is recorded if there is a folder."""
 
 import itertools
+import math
 import threading
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from station.control.messages import Notice
+from station.control.messages import StateNotice
 from station.control.ring import Ring
 from station.control.states import State
-from station.service.bench import Bench
 from station.service.live_recording import LiveRecording
-from station.service.start import Run, Start
+from station.service.rig import Rig
+from station.service.run_request import RunRequest, StartRequest
 
 
 class Runs:
-    """Who is told of every start and of every change of state; any thread may ask."""
+    """Register of runs and owner of their recording; its methods are thread-safe."""
 
-    def __init__(self, bench: Bench, ring: Ring, folder: Path | None) -> None:
-        """Recordings go into `folder`, if given, once this is opened."""
+    def __init__(self, bench: Rig, ring: Ring, folder: Path | None) -> None:
+        """Prepare runs that are recorded in `folder`, if given; `open` starts the recorder."""
         self._bench, self._ring, self._folder = bench, ring, folder
         self.session = f"{datetime.now().astimezone():%Y%m%d-%H%M%S}"
         self._numbers = itertools.count(1)
         self._lock, self._renewing = threading.Lock(), threading.Lock()
-        self._asked: Run | None = None
-        self._current: Run | None = None
-        self._recorded: Run | None = None  # the one that is being recorded
+        self._prepared: RunRequest | None = None
+        self._current: RunRequest | None = None
+        self._recorded: RunRequest | None = None  # run whose recording is in progress
         self._recording: LiveRecording | None = None
 
     def open(self) -> None:
-        """Start the recorder's process, if there is a folder for it."""
+        """Start the recorder's process, if there is a folder."""
         if self._folder is not None:
             self._recording = LiveRecording(self._ring, self._bench.robot, self._folder, self._bench.clock)
 
     def renew(self) -> bool:
-        """Start another recorder in the place of one that has died or stands still; whether it was so."""
+        """Replace a recorder that has died or hangs; return whether it was replaced."""
         with self._renewing:
             old = self._recording
-            if old is None or old.well:
+            if old is None or old.healthy:
                 return False
             old.kill()
             self._recorded = None
@@ -47,22 +48,22 @@ class Runs:
 
     @property
     def pid(self) -> int | None:
-        """Number of the recorder's process."""
+        """Process ID of the recorder."""
         return None if self._recording is None else self._recording.pid
 
     @property
     def recovered(self) -> list[Path]:
-        """Folders of runs that a station before this one has left unfinished; they are finished now."""
+        """Folders of runs that an earlier station left unfinished and this one has finished."""
         return [] if self._recording is None else self._recording.recovered
 
     @property
-    def left_alone(self) -> list[str]:
-        """What to do about those that only a later ctr-station can finish."""
-        return [] if self._recording is None else self._recording.left_alone
+    def not_recoverable(self) -> list[str]:
+        """Sentences about unfinished runs that only a newer ctr-station can finish."""
+        return [] if self._recording is None else self._recording.not_recoverable
 
     @property
-    def current(self) -> Run | None:
-        """The run that is on, or the last one; None before the first."""
+    def current(self) -> RunRequest | None:
+        """Present run or last run; None before the first run."""
         return self._current
 
     @property
@@ -70,70 +71,71 @@ class Runs:
         """Whether a run is being recorded, or its recording is being finished."""
         return self._recorded is not None or (self._recording is not None and self._recording.finishing)
 
-    def prepare(self, start: Start) -> Run:
-        """Number a start and begin its recording; `accepted` or `refused` has to follow.
+    def prepare(self, start: StartRequest, until: float = math.inf) -> RunRequest:
+        """Give a start request a number and start its recording; the caller must then call `accepted` or `refused`.
 
         Raises:
-            RecordingError: it cannot be recorded.
+            RecordingError: the recording cannot start by `until` on the station's clock [s].
         """
         number = next(self._numbers)
-        run = Run(number, f"{self.session}-{number}", start)
+        run = RunRequest(number, f"{self.session}-{number}", start)
         if self._recording is not None and start.recorded:
             known = {
                 "title": start.title, "seed": self._bench.seed, "clock_rate": self._bench.clock.rate,
                 "lab": self._bench.lab.model_dump(mode="json") if self._bench.devices is None
                 else {"title": self._bench.title},
             }  # fmt: skip
-            # What its folder is called: another station on the same folder may have taken that name.
-            name = self._recording.begin(run.id, start.task.duration, start.counted_from, {**known, **start.about})
+            # The recorder chooses the name: another station with the same folder may use the run's name already.
+            about = {**known, **start.about}
+            name = self._recording.begin(run.id, start.task.duration, start.counted_from, about, until)
             self._recorded = run = replace(run, id=name)
         with self._lock:
-            self._asked = run  # its first notice may come before the answer
+            self._prepared = run  # the run's first state notice may arrive before the answer to its start
         return run
 
-    def accepted(self, run: Run) -> None:
-        """The control process has begun to carry it out."""
+    def accepted(self, run: RunRequest) -> None:
+        """Set the present run after the control process has accepted it."""
         with self._lock:
             self._current = run
 
-    def refused(self, run: Run) -> None:
-        """The control process has refused it."""
+    def refused(self, run: RunRequest) -> None:
+        """Forget a run that the control process has refused."""
         with self._lock:
-            self._asked = None
+            self._prepared = None
         if self._recorded is run:
-            self._finish(State.STOPPED, "it was refused after all")
+            self._finish(State.STOPPED, "the control process refused the run")
 
     def forget(self) -> None:
-        """The control process that knew of the last run is no more."""
+        """Forget the runs of a control process that has ended."""
         with self._lock:
-            self._asked = self._current = None
+            self._prepared = self._current = None
 
-    def find(self, number: int) -> Start | None:
-        """What was asked for with that number, if it is the newest run."""
+    def find(self, number: int) -> StartRequest | None:
+        """Return the start request with this number if it is the newest or the present run."""
         with self._lock:
-            return next((run.start for run in (self._asked, self._current) if run and run.number == number), None)
+            return next((run.start for run in (self._prepared, self._current) if run and run.number == number), None)
 
-    def state_changed(self, notice: Notice) -> None:
-        """Note it in the recording."""
+    def state_changed(self, notice: StateNotice) -> None:
+        """Add a change of the station's state to the recording of the run."""
         if self._recording is not None:
             text = f"{notice.state.name}{notice.cause and ': '}{notice.cause}"
-            self._recording.say(self._time(), "state", text, bad=notice.state in (State.HOLD, State.FAULT))
+            self._recording.add_event(self._time(), "state", text, bad=notice.state in (State.HOLD, State.FAULT))
 
-    def heard(self, notice: Notice) -> None:
-        """End the recording of a run that is no longer carried out."""
+    def on_state(self, notice: StateNotice) -> None:
+        """End the recording if the notice reports the end of its run."""
         if self._recorded is not None and notice.run == self._recorded.number and notice.state is not State.RUNNING:
             self._finish(notice.state, notice.cause)
 
     def interrupted(self, cause: str) -> None:
-        """The process that carried out the run has died."""
+        """End the recording of a run whose control process has died."""
         if self._recording is not None and self._recorded is not None:
             self._recorded = None
             self._recording.interrupted(cause)
 
     def problem(self) -> str:
-        """Why the recording of the run that is on has ended by itself, told once; empty while all is well.
+        """Return why the recording of the present run has failed, only at the first call; empty without a problem.
 
-        The same of the last run, if it could not be finished.
+        Without a present recording, return why the last recording could not be finished.
         """
         if self._recording is None:
             return ""
@@ -145,7 +147,7 @@ class Runs:
         return f"the recording has ended: {problem}"
 
     def close(self) -> None:
-        """Finish what is being recorded, as interrupted."""
+        """End the recorder; it finishes the present recording and labels it *interrupted*."""
         with self._renewing:
             recording, self._recording = self._recording, None
         if recording is not None:
@@ -157,6 +159,6 @@ class Runs:
         self._recorded = None
 
     def _time(self) -> float:
-        """Time of the newest telemetry [s]."""
+        """Return the time of the newest telemetry [s]."""
         row = self._ring.latest()
         return 0.0 if row is None else float(row[0])

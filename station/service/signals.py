@@ -1,28 +1,28 @@
-"""Ctrl-C and SIGTERM end a station in order: the first of them is a KeyboardInterrupt, later ones change nothing."""
+"""Orderly end by Ctrl-C or SIGTERM: the first signal raises KeyboardInterrupt, and later signals are ignored."""
 
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-ENDING = (signal.SIGINT, signal.SIGTERM)
+EXIT_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
-def ended_once() -> Iterator[None]:
-    """Of the main thread: whatever it does at the first one is left, and what it does then is not."""
-    said: list[int] = []
+def exit_on_signal() -> Iterator[None]:
+    """Interrupt the main thread's work at the first signal; ignore signals during the cleanup that follows."""
+    received: list[int] = []
 
-    def hear(number: int, _frame: FrameType | None) -> None:
-        said.append(number)
-        for ending in ENDING:
-            signal.signal(ending, signal.SIG_IGN)  # the interpreter's own end leaves that as it is
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
+        for ending in EXIT_SIGNALS:
+            signal.signal(ending, signal.SIG_IGN)  # stays set during the interpreter's end
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, hear) for number in ENDING}
+    before = {number: signal.signal(number, on_signal) for number in EXIT_SIGNALS}
     try:
         yield
     finally:
-        if not said:
+        if not received:
             for number, handler in before.items():
                 signal.signal(number, handler)

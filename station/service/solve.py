@@ -1,4 +1,4 @@
-"""`ctr-station solve`: the loaded model as a filter, JSON lines in, JSON lines out."""
+"""`ctr-station solve`: read joints and load as JSON lines, and write the model's solutions as JSON lines."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,29 +15,29 @@ from station.config.strict import ConfigError
 
 Stability = Literal["stable", "unstable", "not known to be stable"]
 
-#: Lines are read so far ahead at most [bytes], and from so many on they are solved together.
-MOST, TOGETHER = 1 << 20, 8
+#: Largest part of the input that is read ahead [bytes], and smallest number of lines that are solved together.
+MAX_READ_AHEAD_BYTES, MIN_BATCH_LINES = 1 << 20, 8
 
 
-def as_they_come(source: BinaryIO) -> Iterator[list[str]]:
-    """Lines in batches: those that are there, and nobody waits for more than the first of them."""
-    begun = b""
-    while piece := source.read1(MOST):  # pyright: ignore[reportAttributeAccessIssue] - a buffered reader's
-        *lines, begun = (begun + piece).split(b"\n")
+def batched_lines(source: BinaryIO) -> Iterator[list[str]]:
+    """Yield the available input lines in batches; wait only for the first line of a batch."""
+    rest = b""
+    while piece := source.read1(MAX_READ_AHEAD_BYTES):  # pyright: ignore[reportAttributeAccessIssue] - a buffered reader's
+        *lines, rest = (rest + piece).split(b"\n")
         yield [line.decode(errors="replace") for line in lines]
-    yield [begun.decode(errors="replace")]
+    yield [rest.decode(errors="replace")]
 
 
 def solve_lines(batches: Iterable[Sequence[str]], robot: Robot, sublink: float, exact: bool) -> Iterator[str]:
-    """Answer each line; a line that cannot be answered gets {"error": ...} and the next one its turn.
+    """Yield the answer to each line; a line that cannot be answered gets {"error": ...}.
 
-    The lines of a batch are solved at once, with the answers that each would get alone.
+    The lines of a batch are solved together; the answers are the same as for separate lines.
     """
     statics, rod = Statics(robot, sublink), ExactRod(robot)
     for lines in batches:
         requests = [_request(line, robot) for line in lines if line.strip()]
-        asked = [request for request in requests if not isinstance(request, CtrError)]
-        answers = iter(_exact_answers(rod, asked) if exact else _model_answers(statics, asked))
+        valid = [request for request in requests if not isinstance(request, CtrError)]
+        answers = iter(_exact_answers(rod, valid) if exact else _model_answers(statics, valid))
         for request in requests:
             answer = request if isinstance(request, CtrError) else next(answers)
             yield json.dumps({"error": str(answer)} if isinstance(answer, CtrError) else answer)
@@ -50,22 +50,23 @@ def _request(line: str, robot: Robot) -> tuple[Array, Array] | CtrError:
         return error
 
 
-def _exact_answers(rod: ExactRod, asked: Iterable[tuple[Array, Array]]) -> Iterator[dict[str, Any] | CtrError]:
-    for joints, wrench in asked:
+def _exact_answers(rod: ExactRod, requests: Iterable[tuple[Array, Array]]) -> Iterator[dict[str, Any] | CtrError]:
+    for joints, wrench in requests:
         try:
             yield exact_answer(rod, joints, wrench)
         except CtrError as error:
             yield error
 
 
-def _model_answers(statics: Statics, asked: Sequence[tuple[Array, Array]]) -> Iterator[dict[str, Any] | CtrError]:
-    if len(asked) >= TOGETHER:
-        from station.solve_many import solve_many  # not for somebody who asks one line
+def _model_answers(statics: Statics, requests: Sequence[tuple[Array, Array]]) -> Iterator[dict[str, Any] | CtrError]:
+    if len(requests) >= MIN_BATCH_LINES:
+        from station.solve_many import solve_many  # local import: a single line does not need this module
 
-        together = solve_many(statics, np.array([joints for joints, _ in asked]), np.array([load for _, load in asked]))
+        joint_rows, wrench_rows = (np.array(rows) for rows in zip(*requests, strict=True))
+        together = solve_many(statics, joint_rows, wrench_rows)
     else:
         together = None
-    for row, (joints, wrench) in enumerate(asked):
+    for row, (joints, wrench) in enumerate(requests):
         try:
             yield _answer(statics, statics.solve(joints, wrench) if together is None else together.at(row))
         except CtrError as error:
@@ -73,10 +74,10 @@ def _model_answers(statics: Statics, asked: Sequence[tuple[Array, Array]]) -> It
 
 
 def parse(line: str, robot: Robot) -> tuple[Array, Array]:
-    """Joints (n,) and tip wrench (6,) of a request.
+    """Return the joints (n,) and the tip wrench (6,) of a request.
 
     Raises:
-        ConfigError: what is wrong with it.
+        ConfigError: the request is invalid; the text has the reason.
     """
     try:
         request = json.loads(line)
@@ -102,7 +103,7 @@ def parse(line: str, robot: Robot) -> tuple[Array, Array]:
 
 
 def model_answer(statics: Statics, joints: Array, wrench: Array) -> dict[str, Any]:
-    """Tip [m], Jacobian [m/rad, m/m] and compliance [m/N] of the paper's model, and whether the shape is stable.
+    """Return tip [m], Jacobian [m/rad, m/m], compliance [m/N] and stability, computed by the paper's model.
 
     Raises:
         PoseError, NotFinite, NoSolution: see `Statics.solve`.
@@ -111,9 +112,10 @@ def model_answer(statics: Statics, joints: Array, wrench: Array) -> dict[str, An
 
 
 def _answer(statics: Statics, solution: Solution) -> dict[str, Any]:
-    """To one request."""
+    """Return the answer to one request."""
     return {
         "tip": solution.tip.tolist(),
+        "direction": solution.rotation[:, 2].tolist(),
         "joints": list(statics.robot.joint_names),
         "jacobian": solution.jacobian[:3].tolist(),
         "compliance": solution.compliance[:3, :3].tolist(),
@@ -123,9 +125,9 @@ def _answer(statics: Statics, solution: Solution) -> dict[str, Any]:
 
 
 def stability(statics: Statics, solution: Solution) -> Stability:
-    """Whether the robot stays there, by the second variation of its elastic energy.
+    """Return the stability of a shape by the second variation of its elastic energy.
 
-    A moment at the tip has no energy: what falls under one may stay all the same.
+    A moment at the tip has no potential energy: a shape under a moment may be stable even if this test fails.
     """
     if statics.negative_directions(solution) == 0:
         return "stable"
@@ -133,7 +135,7 @@ def stability(statics: Statics, solution: Solution) -> Stability:
 
 
 def exact_answer(rod: ExactRod, joints: Array, wrench: Array) -> dict[str, Any]:
-    """Tip [m] of the exact rod, whose energy nobody has asked."""
+    """Return the tip [m] of the exact rod; its stability is not evaluated."""
     solution = rod.solve(joints, wrench)
     unknown: Stability = "not known to be stable"
     return {

@@ -1,4 +1,4 @@
-"""The station's own configuration: which robot, which lab, how it comes up."""
+"""Configuration file of a station: robot, lab, devices and startup options."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,141 +7,155 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from core.control.reachability import check_pose
 from core.errors import CtrError
+from core.model.statics import Statics
 from core.robot.robot import Array
-from station.config.controllers import BEST, ControllerFile
+from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile
 from station.config.robots import RobotFile, load_robot, named_pose
-from station.config.strict import ConfigError, Format, Strict, check, on_line, read_toml, use_experiments
+from station.config.strict import ConfigError, Format, Strict, check, line_reference, read_toml, use_experiments
+from station.control.bench_calibration import BenchCalibration
 from station.control.clock import StationClock
-from station.control.known_calibration import Calibration
 from station.control.margins import Margins, check_design
 from station.control.overruns import OverrunLimits
-from station.devices.config import DevicesFile
+from station.devices.config import BenchFile, DevicesFile
 from station.devices.open_devices import plan
 from station.devices.registry import emergency_stop
 from station.lab.config import load_lab
-from station.service.bench import Bench
+from station.service.rig import Rig
 
-#: Said at the start, and on the page.
+#: Warning about stages without an emergency stop, shown at the start and on the page.
 UNSTOPPABLE = (
-    "stages of driver '{driver}' are stopped by nobody when the control process dies: the driver has no emergency_stop;"
+    "nothing stops the stages of driver '{driver}' when the control process dies: the driver has no emergency_stop;"
     " keep a hand at the emergency stop (station/devices/README.md)"
 )
 
 
 class ExperimentsFile(Strict):
-    """Experiments of one's own."""
+    """Table `[experiments]` of a station file."""
 
     folder: str | None = None
-    """where they are, beside this file; found by name like those that come with the station"""
+    """folder of custom experiments, relative to this file; they are found by name like the presets"""
 
 
 class ClockFile(Strict):
-    """The station's own time."""
+    """Table `[clock]` of a station file."""
 
     rate: Annotated[float, Field(ge=0.05, le=1.0)] = 1.0
-    """seconds of the station in a second: below 1 loop, lab, watchdogs, deadlines, leases and recorder are slower
-    together, on the virtual lab only; for tests, and for computers that are too slow for real time"""
-    patience: Annotated[float, Field(ge=0.02, le=10.0)] = StationClock.patience
-    """what a word of the virtual lab's stages and force sensors may take before they count as silent: they share this
-    computer with other programs, which may keep them from it for a while [s]"""
+    """seconds of the station in a second: a rate below 1 slows loop, lab, watchdogs, deadlines, leases and recorder
+    together; with the virtual lab only; for tests, and for computers that are too slow for real time"""
+    patience: Annotated[float, Field(ge=0.02, le=10.0)] | None = None
+    """longest silence of the stages and force sensors before they count as lost [s]. The default is 0.15 for the
+    virtual lab, because other programs on this computer may delay simulated devices. With other devices it sets the
+    `deadline` of `zaber` stages and the `stale_after` of `netft` sensors that have none; the default is that of the
+    drivers. Use it for a bench that `ctr-station lab` simulates"""
 
-    def bears(self, devices: DevicesFile) -> StationClock:
-        """The clock of a station with these devices.
+    def for_devices(self, devices: DevicesFile) -> StationClock:
+        """Return the clock of a station that has these devices.
 
         Raises:
-            ConfigError: real devices cannot be made slower.
+            ConfigError: the devices are real and the rate is not 1.
         """
         if self.rate != 1.0 and devices != "virtual":
             raise ConfigError(
-                f"clock.rate = {self.rate:g}: expected 1 with devices of one's own, which keep real time;"
-                " leave it out, or take the virtual lab"
+                f"clock.rate = {self.rate:g}: expected 1 with real devices, which run in real time;"
+                " remove it, or use the virtual lab"
             )
-        return StationClock(self.rate, self.patience)
+        return StationClock(self.rate, StationClock.patience if self.patience is None else self.patience)
+
+    def with_patience(self, bench: BenchFile) -> BenchFile:
+        """Return the bench with `patience` as the timeout of built-in drivers whose table has no timeout."""
+        if self.patience is None:
+            return bench
+        tables = {
+            kind: {key: self.patience, **table}
+            for kind, driver, key in (("stages", "zaber", "deadline"), ("sensors", "netft", "stale_after"))
+            if (table := getattr(bench, kind))["driver"] == driver
+        }
+        return bench.model_copy(update=tables)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a person should know."""
-        slow = f"not in real time: this station's clock goes at {self.rate:g} of it (clock.rate)"
+        """Warnings for the operator about a slow clock."""
+        slow = f"not in real time: this station's clock runs at {self.rate:g} times real time (clock.rate)"
         return (slow,) if self.rate != 1.0 else ()
 
 
 class StationFile(Strict):
-    """What `ctr-station serve --config FILE` reads."""
+    """Station file of `ctr-station serve --config FILE`."""
 
     format: Format = 1
-    """of this file"""
+    """format of this file"""
     robot: str = "paper"
-    """preset, or a .toml file beside this one"""
+    """preset, or path of a .toml file relative to this file"""
     lab: str = "gentle"
-    """virtual lab: preset, or a .toml file beside this one"""
+    """virtual lab: preset, or path of a .toml file relative to this file"""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """of everything random in the virtual lab"""
+    """seed of everything random in the virtual lab"""
     park: Mapping[str, float] | None = None
-    """joints at power-up [rad or m]; the robot's working pose when left out"""
+    """joint positions of the virtual lab at power-up [rad or m]; by default the robot's working pose"""
     devices: DevicesFile = "virtual"
-    """those of the virtual lab, or of a bench (station/devices/README.md)"""
-    controller: ControllerFile = BEST
-    """the loop's controller until a run brings its own"""
+    """devices of the virtual lab, or of a bench (station/devices/README.md)"""
+    controller: ControllerFile = DEFAULT_CONTROLLER
+    """controller of the loop until a run sets another one"""
     fifo: bool = True
-    """ask for real-time scheduling"""
+    """request real-time scheduling"""
     overruns: OverrunLimits = OverrunLimits()
-    """how much lateness of the loop a motion may suffer"""
+    """limits of the loop's lateness during a motion"""
     margins: Margins = Margins()
-    """how near to a snap a motion may come"""
+    """limits of the distance to a snap during a motion"""
     own_core: bool = True
-    """the control process gets the last processor for itself, where there are two or more"""
+    """reserve the last processor for the control process, if there are two or more"""
     on_operator_loss: Literal["continue", "hold"] = "continue"
-    """what a run does when its operator has gone: closed the page, or said nothing for 10 s"""
+    """what a run does after the loss of its operator: page closed, or no message for 10 s"""
     calibration: str | None = None
-    """folder with what `calibrate` found, beside this file"""
+    """folder with the results of `calibrate`, relative to this file"""
     experiments: ExperimentsFile = ExperimentsFile()
-    """where those of one's own are"""
+    """custom experiments"""
     clock: ClockFile = ClockFile()
-    """how fast the station's time goes"""
+    """rate of the station's clock"""
 
     @model_validator(mode="before")
     @classmethod
     def _earlier_words(cls, table: Any) -> Any:
-        """Files of earlier versions say `alone = "go_on"` or `"hold"`."""
+        """Convert the key `alone` of earlier versions (`"go_on"` or `"hold"`) to `on_operator_loss`."""
         if not isinstance(table, Mapping) or "alone" not in table or "on_operator_loss" in table:
             return table
-        said = table["alone"]
+        value = table["alone"]
         return {key: value for key, value in table.items() if key != "alone"} | {
-            "on_operator_loss": "continue" if said == "go_on" else said
+            "on_operator_loss": "continue" if value == "go_on" else value
         }
 
     _source: str = PrivateAttr("the default station")
     _folder: Path = PrivateAttr(default_factory=Path)
     _table: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 
-    def bench(self) -> Bench:
-        """What the control process needs, all of it checked.
+    def bench(self) -> Rig:
+        """Return the rig that this file describes, after a check.
 
         Raises:
-            ConfigError: with file, key, value and what was expected.
+            ConfigError: the text names file, key, value and the expected value.
         """
         robot = load_robot(self.robot)
         lab = load_lab(self.lab, robot)
         try:
             park = self._park(robot)
-            robot.limits().check(park)
-            robot.robot().check_pose(park)
+            check_pose(Statics(robot.robot()), robot.limits(), park)
             folder = None if self.calibration is None else self._folder / self.calibration
-            calibration = None if folder is None else Calibration.load(folder, robot)
-            believed = robot if calibration is None else calibration.robot
-            self.controller.controller(believed)
-            devices = None if self.devices == "virtual" else self.devices
+            calibration = None if folder is None else BenchCalibration.load(folder, robot)
+            assumed = robot if calibration is None else calibration.robot
+            self.controller.controller(assumed)
+            devices = None if self.devices == "virtual" else self.clock.with_patience(self.devices)
             unstoppable = ""
             if devices is not None:
                 plan(devices, robot)
                 if emergency_stop(devices.stages, robot) is None:
                     unstoppable = UNSTOPPABLE.format(driver=devices.stages["driver"])
-            snaps = check_design(believed, self.margins)
-            clock = self.clock.bears(self.devices)
+            snaps = check_design(assumed, self.margins)
+            clock = self.clock.for_devices(self.devices)
         except CtrError as error:
-            raise ConfigError(f"{self._source}: {error}{on_line(self._table, str(error))}") from None
-        return Bench(
+            raise ConfigError(f"{self._source}: {error}{line_reference(self._table, str(error))}") from None
+        return Rig(
             robot=robot,
             lab=lab,
             seed=self.seed,
@@ -160,33 +174,33 @@ class StationFile(Strict):
         )
 
     def _park(self, robot: RobotFile) -> Array:
-        """Joints at power-up (n,) [rad or m]."""
+        """Return the joint positions of the virtual lab at power-up (n,) [rad or m]."""
         park = robot.working_pose if self.park is None else self.park
         if park is None:
             names = ", ".join(f"{joint.name} = ..." for joint in robot.joints)
             raise ConfigError(
-                f"park is missing: robot '{robot.name}' has no working_pose to begin at; add park = {{ {names} }}"
+                f"park is missing: robot '{robot.name}' has no working_pose to start from; add park = {{ {names} }}"
             )
         return named_pose(park, robot, "park")
 
 
 def load_station(path: Path | None, changes: Mapping[str, Any] = MappingProxyType({})) -> StationFile:
-    """The station's configuration, or the defaults; `changes` are keys that are to be otherwise.
+    """Return the station's configuration, or the defaults; `changes` overrides keys of the file.
 
     Raises:
-        ConfigError: with file, key, value and what was expected.
+        ConfigError: the text names file, key, value and the expected value.
     """
     if path is None:
         return check(StationFile, dict(changes), "the command line")
     table = read_toml(path)
-    file = check(StationFile, {**table, **_beside(path, table), **changes}, str(path), table)
+    file = check(StationFile, {**table, **_resolve_paths(path, table), **changes}, str(path), table)
     file._source, file._table, file._folder = str(path), table, path.parent
     if file.experiments.folder is not None:
         use_experiments(path.parent / file.experiments.folder)
     return file
 
 
-def _beside(path: Path, table: Mapping[str, Any]) -> dict[str, str]:
-    """The files that a station's file names, beside itself."""
+def _resolve_paths(path: Path, table: Mapping[str, Any]) -> dict[str, str]:
+    """Return the paths of robot and lab in a station file, resolved relative to the folder of that file."""
     named = {key: table.get(key) for key in ("robot", "lab")}
     return {key: str(path.parent / to) for key, to in named.items() if isinstance(to, str) and to.endswith(".toml")}

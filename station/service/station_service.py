@@ -1,4 +1,4 @@
-"""What an operator or a script may ask of a running station, checked before anything moves."""
+"""Execute the requests of operators and scripts to a running station, after a check before anything moves."""
 
 import math
 import threading
@@ -8,78 +8,80 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from core.control.leading import Wish
+from core.control.reachability import check_pose
+from core.control.setpoint_request import SetpointRequest
 from core.errors import CtrError, Unreachable
-from station.config.controllers import BEST, ControllerFile
+from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile
 from station.config.motions import HoldMotion, Orders, TipMotion
 from station.config.robots import named_pose
 from station.config.strict import Strict, preset_names
 from station.control.jog import Space
-from station.control.led import Asked
-from station.control.states import Event, State, after
-from station.control.task import Task
-from station.experiments.experiment import load_warnings, offered
-from station.lab.loads import Load, NoLoad
+from station.control.states import Transition
+from station.control.streamed_motion import StreamRequest
+from station.control.task import MotionTask
+from station.experiments.experiment import load_warnings, offered_experiment
+from station.lab.loads import Load, NoLoad, force_of
 from station.recording.tracking_errors import counted_from, settling_time
-from station.service.fits import no_target, otherwise, refusal
-from station.service.goto import check_way, to_joints, to_working_pose
-from station.service.leader import LeadIn
-from station.service.start import Run, Start
-from station.service.suggestion import MORE_ROOM, suggestion
+from station.service.case_compatibility import deviations_from_case, incompatibility, missing_target
+from station.service.goto import check_path, goto_joints, goto_working_pose
+from station.service.permits import Permit
+from station.service.run_request import RunRequest, StartRequest
+from station.service.setpoint_stream import StreamAgreement
+from station.service.suggestion import WORKING_POSE_HINT, suggest_motion
 from station.service.supervisor import Supervisor
 
-#: Of the tip when it is moved by hand [m/s].
-JOG_TIP_SPEED = 0.010
-#: And fastest that its direction is turned by hand [rad/s].
-JOG_TURN_SPEED = 0.1
+#: Largest speed of the tip while jogging [m/s].
+JOG_TIP_SPEED_M_S = 0.010
+#: Largest turning rate of the tip's direction while jogging [rad/s].
+JOG_TURN_SPEED_RAD_S = 0.1
 
 
 class RequestError(CtrError):
-    """A request that makes no sense, whatever the state."""
+    """A request is invalid in every state of the station."""
 
 
-class Settings(Strict):
-    """What the next free motion will be."""
+class StationSettings(Strict):
+    """Settings of the next free motion."""
 
     trajectory: Annotated[TipMotion, Field(discriminator="kind")] = HoldMotion()
-    controller: ControllerFile = BEST
+    controller: ControllerFile = DEFAULT_CONTROLLER
     load: Load = NoLoad()
-    """on the simulated tip; a real bench has its own"""
+    """load on the simulated tip; without effect on real devices"""
     duration: Annotated[float, Field(gt=0.0, le=86400.0)] = 60.0
-    """[s]"""
+    """duration of the motion [s]"""
 
 
 class StationService:
-    """Experiments and free motions on one station."""
+    """Service that starts experiments and free motions on one station."""
 
     def __init__(self, supervisor: Supervisor) -> None:
         self.supervisor = supervisor
-        self._settings = Settings()
+        self._settings = StationSettings()
         self._lock = threading.Lock()
 
     @property
-    def settings(self) -> Settings:
-        """What the next free motion will be."""
+    def settings(self) -> StationSettings:
+        """Settings of the next free motion."""
         with self._lock:
             return self._settings
 
     def set_trajectory(self, trajectory: TipMotion) -> None:
-        """Choose the next free motion."""
+        """Set the trajectory of the next free motion."""
         with self._lock:
             self._settings = self._settings.model_copy(update={"trajectory": trajectory})
 
     def set_controller(self, controller: ControllerFile) -> None:
-        """Choose the controller of the next free motion.
+        """Set the controller of the next free motion.
 
         Raises:
-            DescriptionError: unknown strategy, gain or bandwidth out of range.
+            DescriptionError: the strategy is unknown, or a gain or bandwidth is out of range.
         """
         self.supervisor.bench.controlled(controller)
         with self._lock:
             self._settings = self._settings.model_copy(update={"controller": controller})
 
     def set_load(self, load: Load) -> None:
-        """Choose the load of the next free motion."""
+        """Set the load of the next free motion."""
         with self._lock:
             self._settings = self._settings.model_copy(update={"load": load})
 
@@ -89,45 +91,57 @@ class StationService:
         controller: ControllerFile | None = None,
         load: Load | None = None,
         duration: float | None = None,
-    ) -> Run:
-        """Start a free motion from where the robot is; what is not given is as set before.
+        *,
+        permit: Permit | None = None,
+    ) -> RunRequest:
+        """Start a free motion from the present pose; arguments that are None use the present settings.
 
         Raises:
+            VoidError: a STOP or a reset came after the request, or the permit has expired.
             RefusedError: the state does not allow it.
-            CtrError: the motion or the controller cannot be.
+            CtrError: the motion or the controller is not possible.
         """
+        permit = permit or self.supervisor.permit()
         given = {"trajectory": trajectory, "controller": controller, "load": load, "duration": duration}
         chosen = {key: value for key, value in given.items() if value is not None}
-        return self._start(self.settings.model_copy(update=chosen))
+        return self._start(self.settings.model_copy(update=chosen), permit)
 
-    def start_experiment(self, name: str, case: str | None = None) -> Run:
-        """Start a case of an experiment (the first when none is named) on this bench.
+    def start_experiment(self, name: str, case: str | None = None, *, permit: Permit | None = None) -> RunRequest:
+        """Start a case of an experiment on this rig; with `case` None start the first case.
 
-        The robot goes to the start pose first. The lab is the one that is there; what is otherwise than the case
-        has it is told, and recorded.
+        The robot moves to the start pose first. The present lab or devices are used; deviations from the case are
+        shown as warnings and recorded.
 
         Raises:
-            RequestError: no such preset or case, or one for another robot.
+            RequestError: the preset or case does not exist, or is for another robot.
+            VoidError: a STOP or a reset came after the request, or the permit has expired.
             RefusedError: the state does not allow it.
         """
-        return self.supervisor.start(self.of_experiment(name, case))
+        permit = permit or self.supervisor.permit()
+        return self.supervisor.start(self.of_experiment(name, case, permit), permit)
 
-    def of_experiment(self, name: str, case: str | None = None) -> Start:
-        """The start of a case; raises as `start_experiment` does, whatever the state."""
+    def of_experiment(self, name: str, case: str | None = None, permit: Permit | None = None) -> StartRequest:
+        """Return the start request of a case; without `permit` the station may be in any state.
+
+        Raises:
+            RequestError, VoidError, RefusedError: as in `start_experiment`.
+        """
         if name not in preset_names("experiments"):
             raise RequestError(f"'{name}' is not one of the experiments: {', '.join(preset_names('experiments'))}")
-        experiment = offered(name)
+        if permit is not None:
+            self.supervisor.check(Transition.START, permit)  # refuse before the slow check of every case on the model
+        experiment = offered_experiment(name)
         chosen = experiment.cases[0] if case is None else next((c for c in experiment.cases if c.name == case), None)
         if chosen is None:
             raise RequestError(
                 f"'{case}' is not one of the cases of {name}: {', '.join(c.name for c in experiment.cases)}"
             )
         bench = self.supervisor.bench
-        if refused := refusal(chosen, bench):
+        if refused := incompatibility(chosen, bench):
             raise RequestError(f"{name}, case {chosen.name}: {refused}")
-        differs = otherwise(chosen, bench)
+        differs = deviations_from_case(chosen, bench)
         controller = bench.controlled(chosen.file.controller)
-        task = Task(controller, chosen.orders, chosen.file.duration, chosen.start)
+        task = MotionTask(controller, chosen.orders, chosen.file.duration, chosen.start)
         about = {
             "experiment": name,
             "case": chosen.name,
@@ -135,7 +149,7 @@ class StationService:
             "otherwise": list(differs),
             "source": experiment.source,
         }
-        return Start(
+        return StartRequest(
             task=task,
             title=f"{name}, case {chosen.name}",
             load=chosen.file.load,
@@ -145,103 +159,120 @@ class StationService:
             about=about,
         )
 
-    def home(self, *, then_work: bool = True) -> None:
-        """Home every stage, then go to the working pose, if the robot has one; a person has said the way is clear.
+    def home(self, *, then_work: bool = True, permit: Permit | None = None) -> None:
+        """Home every stage, then go to the working pose if there is one; the caller confirms that the path is clear.
 
         Raises:
-            RefusedError: neither CONNECTED nor READY, or the stages cannot.
+            VoidError: a STOP or a reset came after the request, or the permit has expired.
+            RefusedError: the state is neither CONNECTED nor READY, or the stages cannot be homed.
         """
+        permit = permit or self.supervisor.permit()
+        self.supervisor.check(Transition.HOME, permit)
         bench = self.supervisor.bench
-        self.supervisor.home(to_working_pose(bench) if then_work and bench.robot.working_pose is not None else None)
+        then = goto_working_pose(bench) if then_work and bench.robot.working_pose is not None else None
+        self.supervisor.home(then, permit)
 
-    def go_to(self, joints: Mapping[str, float] | None) -> Run:
-        """Go to `joints` [rad or m], all at the same time; those not named stay. None: to the working pose.
+    def go_to(self, joints: Mapping[str, float] | None, *, permit: Permit | None = None) -> RunRequest:
+        """Move the joints that `joints` names to positions [rad or m], all at the same time; None: to the working pose.
+
+        Other joints keep their position.
 
         Raises:
             RefusedError: the state does not allow it.
-            CtrError: a joint is unknown or outside its travel, the tubes cannot stand there or would snap on the way.
+            CtrError: a joint is unknown or outside its travel, the pose is invalid, or the tubes would snap on the
+                path.
         """
         supervisor = self.supervisor
-        bench, status = supervisor.bench, supervisor.status()
-        after(status.state, Event.START)
-        now = status.values["joints"]
+        permit = permit or supervisor.permit()
+        supervisor.check(Transition.START, permit)
+        bench, now = supervisor.bench, supervisor.status().values["joints"]
         if joints is None:
-            start = to_working_pose(bench)
+            start = goto_working_pose(bench)
         else:
             known = dict(zip(supervisor.robot.joint_names, now.tolist(), strict=True))
             target = named_pose(known | dict(joints), bench.robot, "joints")
-            start = to_joints(bench, target, "to a pose" if len(joints) == len(known) else f"to {', '.join(joints)}")
-        check_way(bench, start, now)
-        return supervisor.start(start)
+            start = goto_joints(bench, target, "to a pose" if len(joints) == len(known) else f"to {', '.join(joints)}")
+        check_path(bench, start, now)
+        return supervisor.start(start, permit)
 
-    def start_led(self, asked: LeadIn) -> Run:
-        """Start a motion from where the robot is that is led by what is asked for while it goes on.
+    def start_stream(self, agreement: StreamAgreement, *, permit: Permit | None = None) -> RunRequest:
+        """Start a motion from the present pose whose setpoints a client streams during the run.
 
         Raises:
             RefusedError: the state does not allow it.
-            CtrError: the controller cannot be.
+            CtrError: the controller is not possible.
         """
-        task = Task(self.supervisor.bench.controlled(asked.controller), asked.lead(), asked.duration)
-        about = {"settings": {"controller": asked.controller.model_dump(mode="json"), "duration": asked.duration,
-                              "led": asked.model_dump(mode="json", exclude={"controller"})}}  # fmt: skip
-        return self.supervisor.start(Start(task=task, title="led from outside", load=None, about=about))
+        permit = permit or self.supervisor.permit()
+        controller = self.supervisor.bench.controlled(agreement.controller)
+        task = MotionTask(controller, agreement.limits(), agreement.duration)
+        values = self.supervisor.status().values
+        if "joints" in values:
+            check_pose(task.controller.statics, task.controller.limits, values["joints"])
+            task.controller.check_loops(values["joints"])
+        settings = {
+            "controller": agreement.controller.model_dump(mode="json"),
+            "duration": agreement.duration,
+            "led": agreement.model_dump(mode="json", exclude={"controller"}),
+        }
+        about = {"settings": settings}
+        return self.supervisor.start(StartRequest(task, "streamed setpoints", load=None, about=about), permit)
 
-    def lead(self, run: Run, wish: Wish | None) -> None:
-        """Ask something of the tip of a run that is led; None: that was all, the tip is to come to rest."""
-        self.supervisor.ring.ask(Asked(run.number, wish))
+    def send_setpoint(self, run: RunRequest, request: SetpointRequest | None) -> None:
+        """Send a setpoint request to a streamed run; None: end the stream, and the tip comes to rest."""
+        self.supervisor.ring.write_request(StreamRequest(run.number, request))
 
-    def jog(self, space: Space, velocity: tuple[float, ...]) -> None:
-        """Move by hand for the next 0.3 s: joints [rad/s or m/s], the tip [m/s], or its direction [rad/s].
+    def jog(self, space: Space, velocity: tuple[float, ...], *, permit: Permit | None = None) -> None:
+        """Jog for the next 0.3 s: joints [rad/s or m/s], the tip [m/s], or its direction [rad/s].
 
         Raises:
-            RequestError: a wrong number of velocities, or one beyond what is allowed by hand.
+            RequestError: the number of velocities is wrong, or a velocity exceeds the limit for jogging.
             RefusedError: the state does not allow it.
         """
         limits = self.supervisor.bench.robot.limits()
         names = self.supervisor.robot.joint_names if space == "joints" else ("x", "y", "z")
-        by_hand = JOG_TIP_SPEED if space == "tip" else JOG_TURN_SPEED
-        most = limits.speed if space == "joints" else np.full(3, by_hand)
+        tip_limit = JOG_TIP_SPEED_M_S if space == "tip" else JOG_TURN_SPEED_RAD_S
+        bounds = limits.speed if space == "joints" else np.full(3, tip_limit)
         if len(velocity) != len(names):
             raise RequestError(
                 f"a jog in {space} needs {len(names)} velocities ({', '.join(names)}), not {len(velocity)}"
             )
-        for name, value, bound in zip(names, velocity, most, strict=True):
+        for name, value, bound in zip(names, velocity, bounds, strict=True):
             if not abs(value) <= bound:
                 raise RequestError(f"jog velocity {name} = {value:g} is outside +-{bound:g} (rad/s or m/s)")
-        self.supervisor.jog(space, np.array(velocity))
+        self.supervisor.jog(space, np.array(velocity), permit)
 
     def apply_load(self, load: Load) -> None:
-        """Put a load on the virtual lab's tip or shaft, now.
+        """Apply a load to the virtual lab's tip or shaft now.
 
         Raises:
-            PoseError: the shaft does not reach to where it acts.
+            PoseError: the load acts beyond the tip.
         """
         self._check(load)
         self.supervisor.apply_load(load)
 
     def _check(self, load: Load) -> None:
-        """The simulated robot cannot be touched beyond its tip."""
+        """Check that a load acts on the robot's shaft and that a custom load returns a force."""
+        force_of(load, 0.0)
         values = self.supervisor.status().values
         if math.isfinite(load.contact) and "joints" in values:
             self.supervisor.robot.check_contact(values["joints"], load.contact)
 
-    def _start(self, settings: Settings) -> Run:
-        """Start a free motion."""
+    def _start(self, settings: StationSettings, permit: Permit) -> RunRequest:
+        """Start a free motion with these settings, after a check on the model."""
         orders = Orders(settings.trajectory, self.supervisor.robot)
-        if orders.follow is not None and (missing := no_target(self.supervisor.bench)):
+        if orders.follow is not None and (missing := missing_target(self.supervisor.bench)):
             raise RequestError(f"{settings.trajectory.kind}: {missing}")
-        task = Task(self.supervisor.bench.controlled(settings.controller), orders, settings.duration)
+        task = MotionTask(self.supervisor.bench.controlled(settings.controller), orders, settings.duration)
         self._check(settings.load)
-        status, warnings = self.supervisor.status(), ()
-        if status.state is State.READY and "joints" in status.values:
-            joints = status.values["joints"]
-            try:
-                orders.check(task.controller, joints, task.duration)
-            except Unreachable as error:
-                instead = suggestion(settings.trajectory, task.controller, joints, task.duration) or MORE_ROOM
-                raise Unreachable(f"{error}; {instead}") from None
-            warnings = load_warnings(orders, task.controller, joints, task.duration, settings.load)
-        start = Start(
+        self.supervisor.check(Transition.START, permit)
+        joints = self.supervisor.status().values["joints"]
+        try:
+            orders.check(task.controller, joints, task.duration)
+        except Unreachable as error:
+            instead = suggest_motion(settings.trajectory, task.controller, joints, task.duration) or WORKING_POSE_HINT
+            raise Unreachable(f"{error}; {instead}") from None
+        warnings = load_warnings(orders, task.controller, joints, task.duration, settings.load)
+        start = StartRequest(
             task=task,
             title=f"{settings.trajectory.kind}, free motion",
             load=settings.load,
@@ -249,4 +280,4 @@ class StationService:
             warnings=warnings,
             about={"settings": settings.model_dump(mode="json")},
         )
-        return self.supervisor.start(start)
+        return self.supervisor.start(start, permit)

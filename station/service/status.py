@@ -1,133 +1,184 @@
-"""Everything about a running station at one look."""
+"""Status of a running station: its state, run, devices, timing and newest telemetry."""
 
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import numpy as np
+
 from core.robot.robot import Array
-from station.control.causes import Causes
 from station.control.clock import StationClock
 from station.control.messages import DeviceStatus
 from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STUCK, Ring, Timing
 from station.control.states import LATCHED, State
+from station.control.stop_reasons import StopReasons
 from station.control.task import Phase
 from station.control.telemetry import Channels
-from station.service.standing import standing
-from station.service.start import Run
+from station.recording.saturation import limited_parts, saturation_warning
+from station.service.run_request import RunRequest
+from station.service.stale_channels import stale_groups
 
-#: Telemetry older than this is shown as stale [s].
-STALE = 0.5
+#: Age above which telemetry is shown as stale [s].
+STALE_AFTER_S = 0.5
+#: Number of status samples kept for the share of time that joints are at their limits.
+SATURATION_SAMPLES = 200
+#: Fewest samples for a warning about joints at their limits.
+MIN_SATURATION_SAMPLES = 20
 STUCK_TEXT = "the simulated robot cannot follow its stages under its load and stays where it is: take the load off"
-#: States that are the station process's own word: a dead control process cannot say them.
-OWN_WORD = (State.OFF, State.FAULT)
+RESET_HINT = "reset to restart it"
+#: States that the station process itself sets: a dead control process cannot report them.
+STATION_STATES = (State.OFF, State.FAULT)
 
 
-class Status(NamedTuple):
-    """One look says everything."""
+class StationStatus(NamedTuple):
+    """Status of a station at one moment."""
 
-    state: State
-    cause: str  #: why it is HOLD, STOPPED or FAULT
-    run: Run | None  #: the run that is on, or the last one
-    recording: bool  #: a run is being recorded, or its recording is being finished
-    phase: Phase
-    progress: float  #: part of the motion that is done
-    age: float  #: since the last tick [s]
-    timing: Timing
-    values: Mapping[str, Array]  #: newest telemetry by group; empty until there is some
-    devices: tuple[DeviceStatus, ...]  #: as reported last; empty before
-    warnings: tuple[str, ...]  #: of this machine, this robot and the run that is on
-    reserved: str  #: why nobody but a procedure may move anything; empty when everybody may
-    standing: frozenset[str] = frozenset()  #: groups of `values` that are old
+    state: State  #: present state
+    cause: str  #: cause of HOLD, STOPPED or FAULT
+    run: RunRequest | None  #: the present run, or the last one
+    recording: bool  #: whether a run is being recorded, or its recording is being finished
+    phase: Phase  #: phase of the run
+    progress: float  #: completed part of the motion, 0 ... 1
+    age: float  #: time since the last tick [s]
+    timing: Timing  #: timing statistics of the control loop
+    values: Mapping[str, Array]  #: newest telemetry by group; empty before the first row
+    devices: tuple[DeviceStatus, ...]  #: devices as last reported; empty before the first report
+    warnings: tuple[str, ...]  #: warnings about this computer, this robot and the present run
+    reserved: str  #: reason why only a calibration procedure may move the robot; empty if it is not reserved
+    stale_groups: frozenset[str] = frozenset()  #: groups of `values` that are stale
 
 
 class StateMonitor:
-    """What the control process has said of itself, and what telemetry shows; any thread may look."""
+    """Monitor of the state that the control process reports and telemetry shows; its methods are thread-safe."""
 
     def __init__(self, ring: Ring, channels: Channels, clock: StationClock) -> None:
         self._ring, self._channels, self._clock = ring, channels, clock
-        self._lock = threading.Lock()
-        self._said, self._cause = State.OFF, ""
+        self._lock = threading.RLock()
+        self._reported, self._cause = State.OFF, ""
+        self._end = ""  # text about the end of the control process, with the earlier causes
         self._entered: Counter[State] = Counter()
         self._devices: tuple[DeviceStatus, ...] = ()
         self._refused: tuple[str, ...] = ()
+        self._at_bound: deque[tuple[float, Array]] = deque(maxlen=SATURATION_SAMPLES)
 
     @property
     def state(self) -> State:
-        """The present one."""
+        """Present state of the station."""
         with self._lock:
-            return self._said if self._said in OWN_WORD else State(int(self._ring.counters[STATE]))
+            return self._reported if self._reported in STATION_STATES else State(int(self._ring.counters[STATE]))
 
     @property
-    def said(self) -> State:
-        """What the control process has told last; `state` may be a moment newer."""
-        return self._said
+    def reported(self) -> State:
+        """State that the control process has reported last; `state` may be slightly newer."""
+        return self._reported
 
     @property
     def cause(self) -> str:
-        """Of the state that was told last."""
+        """Cause of the state that was reported last."""
         return self._cause
 
     def entered(self, state: State) -> int:
-        """How often that state has been entered."""
+        """Return how often the station has entered a state."""
         return self._entered[state]
 
-    def hear(self, state: State, cause: str) -> bool:
-        """The state that is told; whether it is another one."""
+    def set_reported(self, state: State, cause: str) -> bool:
+        """Store a reported state; return whether it differs from the previous one."""
         with self._lock:
-            changed = self._said is not state
-            self._said, self._cause = state, cause
+            changed = self._reported is not state
+            self._reported, self._cause = state, cause
             self._entered[state] += changed
         return changed
 
-    def fault(self, how: str, stopped: str) -> str:
-        """The control process has ended: the cause, which begins with the one that was told before it."""
+    def fault(self, how: str, stages: str) -> str:
+        """Set FAULT after the end of the control process; return the cause, which starts with the earlier causes.
+
+        Args:
+            how: how the process ended.
+            stages: what happens to the stages until `set_stop_outcome`; empty if no process has driven them.
+        """
         with self._lock:
-            before = Causes().add(self._cause if self._said in LATCHED else "")
-            # A process that ends after a fault of its own has said why.
-            why = str(before if self._said is State.FAULT else before.add(how))
-            self._said = State.FAULT
-            self._cause = "; ".join(part for part in (why, stopped, "reset to start it anew") if part)
+            before = StopReasons().add(self._cause if self._reported in LATCHED else "")
+            # A process that ends after its own fault has already reported the cause.
+            self._end = str(before if self._reported is State.FAULT else before.add(how))
+            self._reported = State.FAULT
+            self._cause = f"{self._end}; {stages or RESET_HINT}"
             self._entered[State.FAULT] += 1
             return self._cause
 
-    def forget(self) -> None:
-        """The control process is to be started anew."""
+    def set_stop_outcome(self, text: str) -> None:
+        """Store the outcome of stopping the stages after the control process has ended."""
         with self._lock:
-            self._said, self._cause = State.OFF, ""
+            if self._end:
+                self._cause = f"{self._end}; {text}; {RESET_HINT}"
 
-    def hear_devices(self, devices: tuple[DeviceStatus, ...]) -> None:
-        """How they are doing."""
+    def forget(self) -> None:
+        """Clear the reported state before the control process is restarted."""
+        with self._lock:
+            self._reported, self._cause, self._end = State.OFF, "", ""
+
+    def set_devices(self, devices: tuple[DeviceStatus, ...]) -> None:
+        """Store the reported status of the devices."""
         self._devices = devices
 
-    def hear_refused(self, warnings: tuple[str, ...]) -> None:
-        """What the system has refused the control process."""
+    def set_refusals(self, warnings: tuple[str, ...]) -> None:
+        """Store warnings about what the operating system has refused the control process."""
         self._refused = warnings
 
-    def troubles(self) -> str:
-        """Of the devices, in words; else the state's name."""
-        return "; ".join(device.text for device in self._devices if device.text) or self._said.name
+    @property
+    def devices(self) -> tuple[DeviceStatus, ...]:
+        """Devices as last reported; empty before the first report."""
+        return self._devices
 
-    def look(self, run: Run | None, recording: bool, reserved: str, warnings: tuple[str, ...]) -> Status:
-        """Everything; the arguments are what others know."""
-        ring, state = self._ring, self.state
+    def device_problems(self) -> str:
+        """Return the messages of all devices with a problem, or the name of the state if there are none."""
+        return "; ".join(device.text for device in self._devices if device.text) or self._reported.name
+
+    def snapshot(
+        self, run: RunRequest | None, recording: bool, reserved: str, warnings: tuple[str, ...]
+    ) -> StationStatus:
+        """Return the status of the station; the arguments are the parts that this monitor does not know."""
+        ring = self._ring
+        state, cause = self._state_and_cause()
         row = ring.latest()
         counters, numbers = ring.counters, ring.numbers
         ours = int(counters[RUN]) == (0 if run is None else run.number)
         stuck = (STUCK_TEXT,) if counters[STUCK] else ()
-        told = run.start.warnings if run is not None and ours and state is State.RUNNING else ()
-        return Status(
+        values = {} if row is None else {name: self._channels.of(row, name) for name in self._channels.groups}
+        saturated = self._saturation(values)
+        run_warnings = run.start.warnings if run is not None and ours and state is State.RUNNING else ()
+        return StationStatus(
             state=state,
-            cause=self._cause if state in LATCHED else "",
+            cause=cause,
             run=run,
             recording=recording,
             phase=Phase(int(counters[PHASE])) if ours else Phase.NONE,
             progress=float(numbers[PROGRESS]),
             age=self._clock.now() - float(numbers[HEARTBEAT]),
             timing=ring.timing(),
-            values={} if row is None else {name: self._channels.of(row, name) for name in self._channels.groups},
+            values=values,
             devices=self._devices,
-            warnings=(*warnings, *self._refused, *stuck, *told),
+            warnings=(*warnings, *self._refused, *stuck, *run_warnings, *saturated),
             reserved=reserved,
-            standing=frozenset() if row is None else standing(self._channels, row),
+            stale_groups=frozenset() if row is None else stale_groups(self._channels, row),
         )
+
+    def _state_and_cause(self) -> tuple[State, str]:
+        """Return the present state and its cause, which is empty until it arrives, a moment after the state."""
+        with self._lock:
+            state = self.state
+            return state, self._cause if state in LATCHED and state is self._reported else ""
+
+    def _saturation(self, values: Mapping[str, Array]) -> tuple[str, ...]:
+        """Return a warning while the target that the tip follows needs more than the stages can do."""
+        with self._lock:
+            if not values or not values["target_followed"].any():
+                self._at_bound.clear()
+                return ()
+            time = float(values["time"].ravel()[0])
+            if not self._at_bound or time > self._at_bound[-1][0]:
+                self._at_bound.append((time, values["at_bound"].copy()))
+            samples = np.array([at_bound for _, at_bound in self._at_bound])
+        names = [one.name.removeprefix("at_bound.") for one in self._channels.all if one.name.startswith("at_bound.")]
+        warning = saturation_warning(limited_parts(names, samples, np.ones(len(samples))))
+        return (warning,) if warning and len(samples) >= MIN_SATURATION_SAMPLES else ()

@@ -1,4 +1,4 @@
-"""What would work instead of a motion that cannot be followed: slower first, then smaller, tried on the model."""
+"""Suggest a slower or smaller motion, checked on the model, in place of a motion that cannot be followed."""
 
 from collections.abc import Callable
 
@@ -16,28 +16,35 @@ from station.config.motions import (
     TipMotion,
     WaypointsMotion,
 )  # fmt: skip
-from station.config.units import shown
+from station.config.units import format_quantity
 
-#: How many times slower, and which part of the size, is tried, the mildest change first.
-SLOWER = (1.25, 1.5, 2.0, 3.0, 5.0)
-SMALLER = (0.8, 0.6, 0.4, 0.2)
+#: Factors on the duration and on the size of a motion that are checked, the smallest change first.
+SLOWER_FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0)
+SMALLER_FACTORS = (0.8, 0.6, 0.4, 0.2)
 
-#: Where nothing that was tried works.
-MORE_ROOM = "from the robot's working pose there is more room: go there first (tab Jog, or POST /api/goto)"
+#: Hint that is shown if no slower or smaller motion works.
+WORKING_POSE_HINT = "from the robot's working pose there is more room: go there first (tab Jog, or POST /api/goto)"
 
 Change = Callable[[TipMotion, float], tuple[TipMotion, str] | None]
 
 
-def suggestion(motion: TipMotion, controller: Controller, joints: Array, duration: float) -> str:
-    """A value that would work from `joints` (n,) [rad or m]; empty when none of those tried does.
+def suggest_motion(
+    motion: TipMotion, controller: Controller, joints: Array, duration: float,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> str:  # fmt: skip
+    """Return a text with a value that would work from `joints` (n,) [rad or m]; empty if no checked value works.
 
     Args:
-        motion: that cannot be followed.
-        controller: its model and limits are what others are tried on.
-        joints: where it would start.
-        duration: of the motion [s]; slower waypoints take longer.
+        motion: motion that cannot be followed.
+        controller: controller with the model and limits for the checks.
+        joints: start pose.
+        duration: duration of the motion [s]; slower waypoints take longer.
+        cancelled: whether the result is no longer required.
+
+    Raises:
+        Cancelled: the result is no longer required.
     """
-    for change, factors in ((_slower, SLOWER), (_smaller, SMALLER)):
+    for change, factors in ((_slower, SLOWER_FACTORS), (_smaller, SMALLER_FACTORS)):
         for factor in factors:
             changed = change(motion, factor)
             if changed is None:
@@ -46,7 +53,7 @@ def suggestion(motion: TipMotion, controller: Controller, joints: Array, duratio
             longer = duration * factor if isinstance(motion, WaypointsMotion) and change is _slower else duration
             try:
                 other = type(other).model_validate(other.model_dump())
-                Orders(other, controller.statics.robot).check(controller, joints, longer)
+                Orders(other, controller.statics.robot).check(controller, joints, longer, cancelled=cancelled)
             except (CtrError, ValidationError):
                 continue
             return f"{words} would work from here"
@@ -54,48 +61,52 @@ def suggestion(motion: TipMotion, controller: Controller, joints: Array, duratio
 
 
 def _slower(motion: TipMotion, factor: float) -> tuple[TipMotion, str] | None:
-    """`factor` times as slow; None for what has no pace."""
+    """Return the motion slowed by `factor` and its description; None for a motion without a speed."""
     match motion:
         case CircleMotion():
             period = _round(motion.period * factor)
-            return motion.model_copy(update={"period": period}), f"a period of {shown(period, 's')}"
+            return motion.model_copy(update={"period": period}), f"a period of {format_quantity(period, 's')}"
         case HelixMotion():
             turn = _round(motion.turn * factor)
-            return motion.model_copy(update={"turn": turn}), f"{shown(turn, 's')} for one turn"
+            return motion.model_copy(update={"turn": turn}), f"{format_quantity(turn, 's')} for one turn"
         case SinusoidMotion():
             frequency = _round(motion.frequency / factor)
-            return motion.model_copy(update={"frequency": frequency}), f"a frequency of {shown(frequency, 'Hz')}"
+            return motion.model_copy(
+                update={"frequency": frequency}
+            ), f"a frequency of {format_quantity(frequency, 'Hz')}"
         case WaypointsMotion():
-            points = tuple((time * factor, *place) for time, *place in motion.points)
+            points = tuple((time * factor, *position) for time, *position in motion.points)
             return motion.model_copy(update={"points": points}), f"times {factor:g} times as long"
         case _:
             return None
 
 
 def _smaller(motion: TipMotion, factor: float) -> tuple[TipMotion, str] | None:
-    """`factor` of its size; None for what has none."""
+    """Return the motion scaled by `factor` and its description; None for a motion without a size."""
     match motion:
         case CircleMotion():
             radius = _round(motion.radius * factor)
-            return motion.model_copy(update={"radius": radius}), f"a radius of {shown(radius, 'm')}"
+            return motion.model_copy(update={"radius": radius}), f"a radius of {format_quantity(radius, 'm')}"
         case HelixMotion():
             radius, pitch = _round(motion.radius * factor), _round(motion.pitch * factor)
             changed = motion.model_copy(update={"radius": radius, "pitch": pitch})
-            return changed, f"a radius of {shown(radius, 'm')} and a pitch of {shown(pitch, 'm')}"
+            return changed, f"a radius of {format_quantity(radius, 'm')} and a pitch of {format_quantity(pitch, 'm')}"
         case SinusoidMotion():
             amplitude = _round(motion.amplitude * factor)
-            return motion.model_copy(update={"amplitude": amplitude}), f"an amplitude of {shown(amplitude, 'm')}"
+            return motion.model_copy(
+                update={"amplitude": amplitude}
+            ), f"an amplitude of {format_quantity(amplitude, 'm')}"
         case StepMotion():
             x, y, z = (_round(factor * value) for value in motion.offset)
-            words = f"an offset of {', '.join(shown(value, 'm') for value in (x, y, z))}"
+            words = f"an offset of {', '.join(format_quantity(value, 'm') for value in (x, y, z))}"
             return motion.model_copy(update={"offset": (x, y, z)}), words
         case WaypointsMotion():
-            points = tuple((time, *(factor * value for value in place)) for time, *place in motion.points)
+            points = tuple((time, *(factor * value for value in position)) for time, *position in motion.points)
             return motion.model_copy(update={"points": points}), f"offsets {factor:g} times as large"
         case _:
             return None
 
 
 def _round(value: float) -> float:
-    """To two digits, as a person would choose it."""
+    """Return a value rounded to two significant digits."""
     return float(f"{value:.2g}")

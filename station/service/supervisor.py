@@ -1,11 +1,13 @@
-"""A running station: what may be asked of it, and what follows from what its processes say.
+"""Supervisor of a running station: it executes commands and reacts to the reports of the station's processes.
 
-It is made of its processes, its runs and its state; it touches a device only when the control process has died, to
-stop the stages.
+A station consists of processes, runs and a state. The station process accesses a device only to stop the stages after
+the control process has died.
 """
 
 import contextlib
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,34 +15,37 @@ from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.control.jog import Space
-from station.control.messages import DeviceReport, Notice, Refused
+from station.control.messages import CommandRefused, DeviceReport, StateNotice
 from station.control.process import ring_width
-from station.control.realtime import leave
+from station.control.realtime import move_off_core
 from station.control.ring import STATE, Ring
-from station.control.states import Event, RefusedError, State, after
+from station.control.states import RefusedError, State, Transition, next_state
 from station.control.telemetry import Channels
+from station.devices.interfaces import is_simulated
 from station.lab.faults import LabFault
 from station.lab.loads import Load
+from station.recording.run_outcome import RecordingError
 from station.service.audit import Audit
-from station.service.bench import Bench
-from station.service.control_host import Ending, Said, Unanswered
+from station.service.control_host import ControlReport, ExitReport, NoReply
+from station.service.fallback_stop import StopOutcome
 from station.service.flight_recorder import FlightRecorder
-from station.service.last_stop import Stopped
-from station.service.once_at_a_time import OnceAtATime
-from station.service.processes import CONTROL, Processes
+from station.service.permits import Permit, Permits
+from station.service.processes import CONTROL_LABEL, ProcessSupervisor
+from station.service.rig import Rig
+from station.service.run_request import RunRequest, StartRequest
 from station.service.runs import Runs
-from station.service.start import Run, Start
-from station.service.status import StateMonitor, Status
+from station.service.single_flight import SingleFlight
+from station.service.status import StateMonitor, StationStatus
 
-#: A control process that is started anew has so long to load what it needs and to begin [s].
-RESTART_TIME = 120.0
+#: Longest time until a restarted control process is ready after a reset, including the loading of code [s].
+RESTART_TIMEOUT_S = 120.0
 
 
 class Supervisor:
-    """One station. OFF, without a process, until it is opened; any thread may ask."""
+    """One station, which is OFF and has no processes until `open`; its methods are thread-safe."""
 
-    def __init__(self, bench: Bench, folder: Path | None = None, audit: Audit | None = None) -> None:
-        """Every run is recorded in `folder`, every change of state in `audit`, if given."""
+    def __init__(self, bench: Rig, folder: Path | None = None, audit: Audit | None = None) -> None:
+        """Prepare a station that records runs in `folder` and changes of state in `audit`, if they are given."""
         self.bench, self._clock = bench, bench.clock
         self.robot = bench.robot.robot()
         self.channels = Channels(self.robot)
@@ -49,200 +54,237 @@ class Supervisor:
         self._runs = Runs(bench, self.ring, folder)
         self._state = StateMonitor(self.ring, self.channels, bench.clock)
         self._flight_recorder = FlightRecorder(self.ring, self.channels, audit, folder, self._runs.session)
-        self._processes = Processes(bench, self.ring, self._hear, self._ended, self._runs.problem)
-        self._reset_once = OnceAtATime(self._reset)
-        self._reserved = ""  # why nobody but a procedure may move anything
+        self._processes = ProcessSupervisor(bench, self.ring, self._on_report, self._on_exit, self._runs.problem)
+        self._reset_once = SingleFlight(self._reset)
+        self._permits = Permits(self.ring, bench.clock)
+        self._reset_permit = self._permits.issue().lasting()  # permit of the newest request for a reset
+        self._starting = (
+            threading.Lock()
+        )  # locked from the last check of the state until the control process has answered
+        self._reserved = ""  # reason why only a calibration procedure may move the robot
 
     def open(self) -> None:
-        """Start every process; once."""
+        """Start every process of the station; call this once."""
         self._runs.open()
         for folder in self._runs.recovered:
-            self._flight_recorder.note("recovered", f"run {folder.name}, which was left unfinished")
-        for sentence in self._runs.left_alone:
+            self._flight_recorder.note("recovered", f"run {folder.name}, which had been interrupted")
+        for sentence in self._runs.not_recoverable:
             self._flight_recorder.note("not recovered", sentence)
         self._processes.open()
 
     def wait_ready(self, timeout: float, since: int = 0) -> None:
-        """Wait until telemetry has gone beyond row `since`, or until stages wait for a person to home them.
+        """Wait until telemetry is beyond row `since`, or until the stages wait to be homed.
 
         Raises:
-            CtrError: it does not, in `timeout` [s].
+            CtrError: this does not happen within `timeout` [s].
         """
         deadline = self._clock.now() + timeout
-        while self._state.said is not State.CONNECTED and (
+        while self._state.reported is not State.CONNECTED and (
             self.ring.written <= since or int(self.ring.counters[STATE]) == State.HOMED
         ):
-            if self._state.said is State.FAULT:
-                raise CtrError(f"the station did not come up: {self._state.cause}")
+            if self._state.reported is State.FAULT:
+                raise CtrError(f"the station did not start: {self._state.cause}")
             if self._processes.closing:
                 raise RefusedError("the station is ending")
-            if self._state.said is State.OFF and self._state.cause:
-                raise CtrError(f"the station did not come up: {self._state.cause}; connect to go on")
+            if self._state.reported is State.OFF and self._state.cause:
+                raise CtrError(f"the station did not start: {self._state.cause}; connect to continue")
             if self._clock.now() > deadline:
-                raise CtrError(f"the station did not come up within {timeout:g} s: {self._state.troubles()}")
+                raise CtrError(f"the station did not start within {timeout:g} s: {self._state.device_problems()}")
             self._clock.sleep(0.02)
-        leave(self.bench.core, (pid for name, pid in self.pids().items() if name != "control"))
+        move_off_core(self.bench.core, (pid for name, pid in self.pids().items() if name != "control"))
 
-    def status(self) -> Status:
-        """The present state, timing and newest telemetry."""
-        return self._state.look(self._runs.current, self._runs.recording, self._reserved, self.bench.warnings)
+    def status(self) -> StationStatus:
+        """Return the status of the station: state, run, devices, timing and newest telemetry."""
+        warnings = (*self.bench.warnings, *self._processes.warnings)
+        return self._state.snapshot(self._runs.current, self._runs.recording, self._reserved, warnings)
 
     def pids(self) -> dict[str, int]:
-        """Number of every process that lives."""
+        """Return the process ID of every process that runs, by name."""
         found = self._processes.pids()
         return found if self._runs.pid is None else {**found, "recorder": self._runs.pid}
 
     @property
     def recovered(self) -> list[Path]:
-        """Folders of runs that a station before this one has left unfinished; they are finished now."""
+        """Folders of runs that an earlier station left unfinished and this one has finished."""
         return self._runs.recovered
 
     def entered(self, state: State) -> int:
-        """How often that state has been entered."""
+        """Return how often the station has entered a state."""
         return self._state.entered(state)
 
-    # What may be asked
+    # Commands
 
-    def start(self, start: Start) -> Run:
-        """Have it carried out.
+    def permit(self, gone: Callable[[], bool] | None = None) -> Permit:
+        """Return the permit of a request that arrives now.
+
+        `gone` returns whether the client has disconnected. Commands that move the robot, and a reset, take the permit
+        as `permit`. A command without one gets a new permit.
+        """
+        return self._permits.issue() if gone is None else self._permits.issue(gone)
+
+    def check(self, event: Transition, permit: Permit) -> None:
+        """Refuse a command that moves the robot before any slow check of its motion.
 
         Raises:
-            RefusedError: the state does not allow it, or a procedure is on.
-            ConfigError: faults are asked of devices that are real.
-            RecordingError: it cannot be recorded.
+            VoidError: a STOP or a reset came after the request, or the permit has expired.
+            RefusedError: the state does not allow it, or a procedure has reserved the robot.
+        """
+        permit.check(event)
+        self._check_free()
+        next_state(self._state.state, event)
+
+    def start(self, start: StartRequest, permit: Permit) -> RunRequest:
+        """Start a run, unless a procedure has reserved the robot.
+
+        Raises:
+            VoidError: a STOP or a reset came after the request, or the permit has expired.
+            RefusedError: the state does not allow it, or a procedure has reserved the robot.
+            ConfigError: the run contains simulated faults, but the devices are real.
+            RecordingError: the run cannot be recorded.
         """
         self._check_free()
-        return self._carry_out(start)
+        return self._start_checked(start, permit)
 
-    def start_step(self, start: Start) -> Run:
-        """Have a step of the procedure carried out that has the station to itself.
+    def start_step(self, start: StartRequest, permit: Permit) -> RunRequest:
+        """Start a step of the procedure that has reserved the robot.
 
         Raises:
-            RefusedError, ConfigError, RecordingError: as in `start`.
+            VoidError, RefusedError, ConfigError, RecordingError: as in `start`.
         """
-        return self._carry_out(start)
+        return self._start_checked(start, permit)
 
-    def reserve(self, why: str) -> None:
-        """From now on only `start_step` moves anything, until `release`; STOP and reset are as always.
+    def reserve(self, why: str, permit: Permit) -> None:
+        """Reserve the robot for a procedure: only `start_step` moves it until `release`. STOP and reset still work.
 
         Args:
-            why: is told whoever is refused.
+            why: reason for refusing other commands.
+            permit: permit of the procedure's request.
 
         Raises:
-            RefusedError: not READY, or reserved already.
+            VoidError: a STOP or a reset came after the request, or the permit has expired.
+            RefusedError: the station is not READY, or the robot is already reserved.
         """
-        self._check_free()
-        after(self._state.state, Event.START)
+        self.check(Transition.START, permit)
         self._reserved = why
 
     def release(self) -> None:
-        """Everybody may move the robot again."""
+        """End the reservation; every operator may move the robot again."""
         self._reserved = ""
 
     def stop(self, cause: str = "stopped by the operator") -> str:
-        """Stop every axis; always accepted. What a person should know about it; empty when it is done."""
+        """Stop every axis; always accepted. Return a warning for the operator; empty when every axis has stopped.
+
+        This voids every earlier request for a motion or a reset.
+        """
+        self._permits.void(cause, stop=True)
         return self._processes.stop(cause)
 
-    def reset(self) -> str:
-        """A person has seen the fault, stop or hold; processes that have died or stand still are started anew.
+    def reset(self, who: str = "the operator", permit: Permit | None = None) -> str:
+        """Reset the station after a person has checked the cause; restart processes that have died or hang.
 
-        Two at the same time are one.
+        Simultaneous resets are merged into one. This voids every earlier request for a motion.
 
         Returns:
-            What has been started anew, in words; empty when it was nothing.
+            Human-readable list of restarted processes; empty when none was restarted.
 
         Raises:
+            VoidError: a STOP came after the request.
             RefusedError: there is nothing to reset.
-            CtrError: they do not come back.
+            CtrError: a restarted process does not come up.
         """
+        self._reset_permit = (permit or self.permit()).lasting()
+        self._permits.void(f"reset by {who}", stop=False)
         return self._reset_once()
 
     def _reset(self) -> str:
-        anew = ("the recorder",) if self._runs.renew() else ()
-        gone = self._processes.gone()
-        if not gone:
+        recorder = ("the recorder",) if self._runs.renew() else ()
+        failed = self._processes.failed()
+        if not failed:
             try:
-                self._processes.ask(Event.RESET)
-            except Unanswered:
-                gone = self._processes.gone() or (CONTROL,)
+                self._processes.send_command(Transition.RESET, self._reset_permit)
+            except NoReply:
+                failed = self._processes.failed() or (CONTROL_LABEL,)
             except RefusedError:
-                if not anew:
+                if not recorder:
                     raise
-        if gone:
-            self._processes.end_dead(gone)
+        if failed:
+            self._reset_permit.check(Transition.RESET)
+            self._processes.end_failed(failed)
             self.ring.clear_timing()
             since = self.ring.written
             self._state.forget()
             self._runs.forget()
-            self._processes.start_anew()
-            self.wait_ready(RESTART_TIME, since)
-        told = " and ".join((*anew, *gone))
-        if told:
-            self._flight_recorder.note("reset", f"started anew: {told}")
-        return told and f"started anew: {told}"
+            self._processes.restart()
+            self.wait_ready(RESTART_TIMEOUT_S, since)
+        restarted = " and ".join((*recorder, *failed))
+        if restarted:
+            self._flight_recorder.note("reset", f"restarted: {restarted}")
+        return restarted and f"restarted: {restarted}"
 
-    def connect(self) -> None:
-        """Find the devices, after they were given up.
+    def connect(self, permit: Permit | None = None) -> None:
+        """Search for the devices and connect them.
 
         Raises:
-            RefusedError: not OFF, or a procedure is on.
+            RefusedError: the station is not OFF, or a procedure has reserved the robot.
         """
-        self._ask_freely(Event.CONNECT)
+        self._send_if_free(Transition.CONNECT, permit)
 
-    def home(self, then: Start | None = None) -> None:
-        """Home every stage, and `then` carry that out; a person has said that the way is clear.
+    def home(self, then: StartRequest | None = None, permit: Permit | None = None) -> None:
+        """Home every stage, then start the run `then`; the caller confirms that the path is clear.
 
         Raises:
-            RefusedError: neither CONNECTED nor READY, a procedure is on, or the stages cannot.
+            RefusedError: the state is neither CONNECTED nor READY, a procedure has reserved the robot, or the stages
+                cannot be homed.
         """
         if then is None:
-            self._ask_freely(Event.HOME)
+            self._send_if_free(Transition.HOME, permit)
             return
-        self._check_free()
-        after(self._state.state, Event.HOME)
-        self._ask_for(Event.HOME, then)
+        permit = permit or self.permit()
+        self.check(Transition.HOME, permit)
+        self._start_run(Transition.HOME, then, permit)
 
-    def tare(self) -> None:
-        """Make what the force sensors feel zero.
-
-        Raises:
-            RefusedError: not READY, or a procedure is on.
-        """
-        self._ask_freely("tare")
-
-    def jog(self, space: Space, velocity: Array) -> None:
-        """Move by hand for the next 0.3 s: (n,) [rad/s or m/s] joints, (3,) [m/s] tip, or (3,) [rad/s] its direction.
+    def tare(self, permit: Permit | None = None) -> None:
+        """Tare the force sensors.
 
         Raises:
-            RefusedError: not READY, a procedure is on, or the tip's direction is not controlled.
+            RefusedError: the station is not READY, or a procedure has reserved the robot.
         """
-        self._ask_freely("jog", space=space, velocity=velocity)
+        self._send_if_free("tare", permit)
+
+    def jog(self, space: Space, velocity: Array, permit: Permit | None = None) -> None:
+        """Jog for the next 0.3 s: joints (n,) [rad/s or m/s], tip (3,) [m/s], or the tip's direction (3,) [rad/s].
+
+        Raises:
+            RefusedError: the station is not READY, a procedure has reserved the robot, or the tip's direction is not
+                controlled.
+        """
+        self._send_if_free("jog", permit, space=space, velocity=velocity)
 
     def operator_gone(self) -> None:
-        """Nobody commands any more; as configured, a run that is on goes on or is held."""
+        """React to the loss of the operator: the present run continues or ends in HOLD, as configured."""
         if self.bench.on_operator_loss == "hold" and self._state.state is State.RUNNING:
-            cause = "the operator has gone; this station holds a run then (on_operator_loss = 'hold')"
-            with contextlib.suppress(RefusedError):  # it has just ended
-                self._processes.ask(Event.HOLD, cause=cause)
+            cause = "the operator has disconnected; this station then ends a run in HOLD (on_operator_loss = 'hold')"
+            with contextlib.suppress(RefusedError):  # the refusal means that the run has just ended
+                self._processes.send_command(Transition.HOLD, cause=cause)
 
     def apply_load(self, load: Load) -> None:
-        """Put a load on the virtual lab's tip, now; the next motion brings its own."""
+        """Apply a load to the virtual lab's tip now; the next motion replaces it with its load."""
         self._processes.lab.apply_load(load)
 
     def inject(self, faults: Sequence[LabFault]) -> None:
-        """Let these faults of the virtual lab's devices happen from now on; none: clear all."""
+        """Inject faults into the virtual lab's devices from now on; an empty sequence clears all faults."""
         self._processes.lab.inject(faults)
 
-    def end_control(self) -> Stopped:
-        """End the control process, its axes stopped first; from now on nothing moves any more.
+    def end_control(self) -> StopOutcome:
+        """Stop every axis and end the control process; nothing moves after this call.
 
         Returns:
-            What has been seen of the stages' stop.
+            Outcome of stopping the stages.
         """
         return self._processes.end_control()
 
     def close(self) -> None:
-        """End the control process, its axes stopped, then the lab, and remove the shared memory."""
+        """Stop every axis, end the control process and the lab, and remove the shared memory."""
         self._processes.close()
         self._runs.close()
         self._flight_recorder.close()
@@ -252,49 +294,64 @@ class Supervisor:
         if self._reserved:
             raise RefusedError(self._reserved)
 
-    def _ask_freely(self, what: Event | Literal["tare", "jog"], **about: Any) -> None:
+    def _send_if_free(self, what: Transition | Literal["tare", "jog"], permit: Permit | None, **about: Any) -> None:
         self._check_free()
-        self._processes.ask(what, **about)
+        self._processes.send_command(what, permit or self.permit(), **about)
 
-    def _carry_out(self, start: Start) -> Run:
+    def _start_checked(self, start: StartRequest, permit: Permit) -> RunRequest:
         self._processes.lab.check(start.faults)
-        after(self._state.state, Event.START)
-        return self._ask_for(Event.START, start)
+        return self._start_run(Transition.START, start, permit)
 
-    def _ask_for(self, what: Event, start: Start) -> Run:
-        """Number a start and ask for it; after homing, or now."""
-        run = self._runs.prepare(start)
-        try:
-            self._processes.ask(what, task=start.task, run=run.number)
-        except RefusedError:
-            self._runs.refused(run)
-            raise
-        self._runs.accepted(run)
+    @property
+    def simulated(self) -> bool:
+        """Whether the devices belong to the station's virtual lab, or one of them reports that it is simulated."""
+        return self.bench.devices is None or any(is_simulated(device.details) for device in self._state.devices)
+
+    def _start_run(self, what: Transition, start: StartRequest, permit: Permit) -> RunRequest:
+        """Prepare a run and let the control process execute it, now or after homing; one call at a time."""
+        with self._starting:
+            permit.check(what)
+            next_state(self._state.state, what)
+            start = replace(start, about={"simulated": self.simulated, **start.about})
+            try:
+                run = self._runs.prepare(start, permit.until)
+            except RecordingError:
+                permit.check(what)  # raises if a STOP arrived or the recorder took too long
+                raise
+            try:
+                self._processes.send_command(what, permit, task=start.task, run=run.number)
+            except RefusedError:
+                self._runs.refused(run)
+                raise
+            self._runs.accepted(run)
         return run
 
-    # What its processes say
+    # Reports of the processes
 
-    def _hear(self, message: Said) -> None:
+    def _on_report(self, message: ControlReport) -> None:
         match message:
             case DeviceReport():
-                self._state.hear_devices(message.devices)
-            case Refused():
-                self._state.hear_refused(message.warnings)
+                self._state.set_devices(message.devices)
+            case CommandRefused():
+                self._state.set_refusals(message.warnings)
                 for text in message.warnings:
                     self._flight_recorder.note("warning", text)
-            case Notice():
-                self._take(message)
+            case StateNotice():
+                self._on_state(message)
+            case StopOutcome():
+                self._state.set_stop_outcome(message.text)
+                self._flight_recorder.note("stages", message.text)
 
-    def _take(self, notice: Notice) -> None:
-        if self._state.hear(notice.state, notice.cause):
+    def _on_state(self, notice: StateNotice) -> None:
+        if self._state.set_reported(notice.state, notice.cause):
             self._flight_recorder.state(notice.state, notice.cause)
             self._runs.state_changed(notice)
-        self._runs.heard(notice)
+        self._runs.on_state(notice)
         self._processes.lab.motion(self._runs.find(notice.run), notice.motion_start)
 
-    def _ended(self, ending: Ending) -> None:
-        """The control process has ended unasked, and the stages have been stopped."""
-        cause = self._state.fault(ending.how, ending.stopped)
+    def _on_exit(self, ending: ExitReport) -> None:
+        """React to the unexpected end of the control process; the `ControlHost` is already stopping the stages."""
+        cause = self._state.fault(ending.how, ending.stages)
         self._flight_recorder.state(State.FAULT, cause)
         self._runs.interrupted(cause)
         self._processes.lab.motion(None, None)

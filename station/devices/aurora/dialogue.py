@@ -1,7 +1,7 @@
-"""Talking with an Aurora as a script: its steps, its orders to the port, and a question asked until it is answered.
+"""Scripted communication with an Aurora: steps of a script, commands to the port, and requests with repetitions.
 
-A script is a generator that yields what to send or to wait for and is sent the replies, so that the
-conversation reads in the order in which it happens. Whoever runs it knows the time and has the port.
+A script is a generator. It yields what to send or to wait for, and receives the replies. So the code has the order
+of the communication. The caller that runs a script provides the time and the port.
 """
 
 from collections.abc import Callable, Generator
@@ -11,65 +11,65 @@ from station.devices.aurora.protocol import POWER_UP_BAUD, AuroraError
 from station.devices.aurora.replies import FrameReply, ToolIdentity, error_code, error_words
 from station.devices.aurora.settings import AuroraSettings
 
-#: Errors that a disturbed line makes out of a good command: ask again.
-DISTURBED = (0x01, 0x02, 0x03, 0x04, 0x05)
+#: Errors that a disturbed line can cause for a correct command; the command is repeated.
+RETRY_ERRORS = (0x01, 0x02, 0x03, 0x04, 0x05)
 
 
-class Rate(NamedTuple):
-    """Order to the port: talk at this rate from now on [bit/s]."""
+class RateChange(NamedTuple):
+    """Command to the port: use this rate from now on [bit/s]."""
 
     baud: int
 
 
-class Break(NamedTuple):
-    """Order to the port: hold the line low, or let it go again; a while of that resets the unit to 9600 baud."""
+class SerialBreak(NamedTuple):
+    """Command to the port: set the line low, or release it; a long break resets the unit to 9600 baud."""
 
     low: bool
 
 
 class Pause(NamedTuple):
-    """Step of the script: let time pass."""
+    """Step of the script: wait."""
 
     until: float  #: [s]
 
 
-class Ask(NamedTuple):
+class AuroraRequest(NamedTuple):
     """Step of the script: send a command, unless it is empty, and wait for its answer."""
 
     command: str
-    answers: Callable[[str], bool] | None  #: whether a text is the answer; None: a frame is
+    answers: Callable[[str], bool] | None  #: whether a text is the answer; None: the answer is a frame
     timeout: float
 
 
 Reply = str | FrameReply | None
-Script = Generator[Rate | Break | Pause | Ask, Reply, Reply]
+Script = Generator[RateChange | SerialBreak | Pause | AuroraRequest, Reply, Reply]
 
 
 def is_okay(text: str) -> bool:
-    """Whether a command was carried out, perhaps with a warning."""
+    """Return whether a command was executed, perhaps with a warning."""
     return text == "OKAY" or text.startswith("WARNING")
 
 
 class Dialogue:
-    """One conversation: what was found out of the unit so far, and how to ask for more."""
+    """Communication with one unit: the known state of the unit, and methods for requests."""
 
     def __init__(self, settings: AuroraSettings) -> None:
         self.settings = settings
-        self.now = 0.0  #: kept by whoever runs the script [s]
-        self.baud = POWER_UP_BAUD  #: that is talked at; kept by whoever runs the script
-        self.tx = settings.always_tx  #: whether frames are asked for by TX
-        self.trouble = ""  #: what keeps the unit from tracking, in words; empty when nothing does
+        self.now = 0.0  #: set by the caller that runs the script [s]
+        self.baud = POWER_UP_BAUD  #: present rate, set by the caller that runs the script [bit/s]
+        self.tx = settings.always_tx  #: whether frames are requested by TX
+        self.trouble = ""  #: human-readable reason why the unit does not track; empty if it can track
         self.firmware = ""  #: the unit's freeze tag
         self.tools: dict[int, ToolIdentity] = {}  #: by handle
-        self.handle: int | None = None  #: of the coil at the tip
-        self.target: int | None = None  #: handle of the target's coil; None while it is not plugged in
+        self.handle: int | None = None  #: handle of the coil at the tip
+        self.target: int | None = None  #: handle of the target's coil; None while it is unplugged
 
-    def ask(self, command: str, answers: Callable[[str], bool], timeout: float, tries: int = 3) -> Script:
-        """Ask, again if need be; the text of the answer, perhaps an ERROR."""
+    def query(self, command: str, answers: Callable[[str], bool], timeout: float, tries: int = 3) -> Script:
+        """Send a request, repeat it if it fails, and return the text of the answer, perhaps an ERROR."""
         reply: Reply = None
         for attempt in range(tries):
-            reply = yield Ask(command, answers, timeout)
-            failed = not isinstance(reply, str) or error_code(reply) in DISTURBED
+            reply = yield AuroraRequest(command, answers, timeout)
+            failed = not isinstance(reply, str) or error_code(reply) in RETRY_ERRORS
             if failed or attempt:
                 yield Pause(self.now + self.settings.quiet)
             if not failed:
@@ -79,12 +79,12 @@ class Dialogue:
         raise AuroraError(f"no answer to {command} within {tries} times {timeout:g} s at {self.baud} baud")
 
     def command(self, command: str, timeout: float) -> Script:
-        """Ask for OKAY.
+        """Send a command and return its OKAY.
 
         Raises:
             AuroraError: it was refused.
         """
-        reply = yield from self.ask(command, is_okay, timeout)
+        reply = yield from self.query(command, is_okay, timeout)
         code = error_code(str(reply))
         if code is not None:
             raise AuroraError(f"{command}: {error_words(code)}")

@@ -1,10 +1,10 @@
-"""Framing of NDI's Combined API as an Aurora speaks it: commands and replies as bytes, no port, no clock.
+"""Framing of NDI's Combined API for an Aurora: commands and replies as bytes, without port and clock.
 
 A command is text, its CRC and CR. A reply is either text of the same form, or, to BX, a binary
-frame: C4 A5, body length, CRC of the header, body, CRC of the body, all little-endian. Whatever
-does not carry its own CRC is dropped and counted. What the replies say is read in `aurora_replies`.
-Formats and numbers follow the manufacturer's Combined API as public clients read and write it; a
-value that could not be confirmed is marked so.
+frame: C4 A5, body length, CRC of the header, body, CRC of the body, all little-endian. Bytes
+without a correct CRC are dropped and counted. `replies.py` parses the replies.
+Formats and numbers follow the manufacturer's Combined API as public clients implement it; an
+unconfirmed value is marked as such.
 """
 
 import re
@@ -13,7 +13,7 @@ import struct
 from core.compiled import compiled
 from core.errors import CtrError
 
-#: What COMM calls the rates [bit/s]; the unit wakes at 9600.
+#: Codes of the rates [bit/s] in the command COMM; after power-up the unit uses 9600.
 BAUD_CODES = {
     9600: "0",
     14400: "1",
@@ -26,18 +26,18 @@ BAUD_CODES = {
     230400: "A",
 }
 POWER_UP_BAUD = 9600
-START = b"\xc4\xa5"  #: of a binary reply
-LONGEST_TEXT = 4096  #: of a text reply: one that never ends is noise
-LONGEST_BODY = 1 + 255 * 42 + 2  #: of a BX reply: one entry for each handle there can be
+START_SEQUENCE = b"\xc4\xa5"  #: first bytes of a binary reply
+MAX_TEXT_BYTES = 4096  #: longest text reply; a longer one is noise
+MAX_BODY_BYTES = 1 + 255 * 42 + 2  #: longest BX reply: one entry for each possible handle
 
 
 class AuroraError(CtrError):
-    """The unit refused, answered nothing, or not what was asked."""
+    """The unit refused a command, did not answer, or gave an invalid answer."""
 
 
 @compiled
 def crc16(data: bytes) -> int:
-    """CRC-16/ARC: x^16 + x^15 + x^2 + 1 reflected, from 0, no final XOR."""
+    """Return the CRC-16/ARC: x^16 + x^15 + x^2 + 1 reflected, from 0, no final XOR."""
     crc = 0
     for k in range(len(data)):
         crc ^= data[k]
@@ -47,14 +47,14 @@ def crc16(data: bytes) -> int:
 
 
 def framed(text: str) -> bytes:
-    """A command such as `PHSR:02` or a text reply such as `OKAY`, with CRC and CR."""
+    """Return a command such as `PHSR:02` or a text reply such as `OKAY`, with CRC and CR."""
     data = text.encode("ascii")
     return data + b"%04X\r" % crc16(data)
 
 
 def binary(body: bytes) -> bytes:
-    """A binary reply around `body`."""
-    header = START + struct.pack("<H", len(body))
+    """Return a binary reply with `body`."""
+    header = START_SEQUENCE + struct.pack("<H", len(body))
     return header + struct.pack("<H", crc16(header)) + body + struct.pack("<H", crc16(body))
 
 
@@ -63,16 +63,16 @@ _PERHAPS_A_START = re.compile(rb"[\x00-\x7f\xc4]")
 
 
 class ReplyReader:
-    """Cuts a stream into replies, however it was split; sans-I/O."""
+    """Splits a byte stream into replies, however it was divided; without I/O."""
 
     def __init__(self) -> None:
         self.noise = 0  #: bytes that belonged to no reply
         self.crc_errors = 0  #: texts and binary bodies whose CRC was wrong
         self._buffer = bytearray()
-        crc16(b"")  # what is compiled is loaded here, not in the loop
+        crc16(b"")  # loads the compiled code here, not in the control loop
 
     def feed(self, data: bytes) -> list[str | bytes]:
-        """Replies that are complete with `data`: text as str, the body of a binary one as bytes."""
+        """Return the replies that `data` completes: text as str, the body of a binary reply as bytes."""
         self._buffer += data
         replies: list[str | bytes] = []
         while self._buffer:
@@ -81,7 +81,7 @@ class ReplyReader:
         return replies
 
     def drop(self) -> None:
-        """Forget a reply that has begun: no more of it will come."""
+        """Discard an incomplete reply."""
         self._skip(len(self._buffer))
 
     def _skip(self, count: int) -> None:
@@ -89,10 +89,10 @@ class ReplyReader:
         del self._buffer[:count]
 
     def _text(self, replies: list[str | bytes]) -> bool:
-        """Take a text reply or noise off the buffer; false when more bytes are needed."""
+        """Remove a text reply or noise from the buffer; return False if more bytes are needed."""
         found = _TEXT_END.search(self._buffer)
         if found is None:
-            if len(self._buffer) <= LONGEST_TEXT:
+            if len(self._buffer) <= MAX_TEXT_BYTES:
                 return False
             self.drop()
             return True
@@ -108,13 +108,13 @@ class ReplyReader:
         return True
 
     def _binary(self, replies: list[str | bytes]) -> bool:
-        """Take a binary reply from the buffer, if a whole one is there."""
-        if not START.startswith(self._buffer[:2]):
+        """Remove a complete binary reply or noise from the buffer; return False if more bytes are needed."""
+        if not START_SEQUENCE.startswith(self._buffer[:2]):
             return self._skip_to_a_start()
         if len(self._buffer) < 6:
             return False
         length, check = struct.unpack_from("<HH", self._buffer, 2)
-        if check != crc16(bytes(self._buffer[:4])) or length > LONGEST_BODY:
+        if check != crc16(bytes(self._buffer[:4])) or length > MAX_BODY_BYTES:
             return self._skip_to_a_start()
         if len(self._buffer) < length + 8:
             return False
@@ -123,12 +123,12 @@ class ReplyReader:
             replies.append(body)
             del self._buffer[: length + 8]
             return True
-        # Not all of it is skipped: when bytes were lost, the next reply has begun within this one.
+        # Skip only to the next possible start: if bytes were lost, the next reply starts within this one.
         self.crc_errors += 1
         return self._skip_to_a_start()
 
     def _skip_to_a_start(self) -> bool:
-        """Drop the first byte and what cannot begin a reply after it."""
+        """Drop the first byte and all bytes up to the next possible start of a reply."""
         found = _PERHAPS_A_START.search(self._buffer, 1)
         self._skip(found.start() if found else len(self._buffer))
         return True

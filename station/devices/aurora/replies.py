@@ -1,7 +1,7 @@
-"""What an Aurora's replies say: frames (BX, TX), port handles (PHSR), tools (PHINF), errors, status bits.
+"""Parsers of an Aurora's replies: frames (BX, TX), port handles (PHSR), tools (PHINF), errors, status bits.
 
-The CRC is right when a reply comes here, which proves little: whatever does not have the form of the
-reply, or numbers that no tracker measures, is refused by name.
+The CRC of a reply has been checked, but one error in 65536 passes it. Replies of a wrong form and numbers outside the
+tracker's range are refused by name.
 """
 
 import math
@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from station.devices.aurora.protocol import AuroraError
 
-LARGEST_COORDINATE = 9999.99  #: that TX can print, either way; BX is held to the same [mm]
-LARGEST_ERROR = 9.9999  #: the same of the error figure
-NORM_TOLERANCE = 0.01  #: of a quaternion; TX prints four decimals
+LARGEST_COORDINATE = 9999.99  #: limit of a coordinate in TX, both signs; also applied to BX [mm]
+LARGEST_ERROR = 9.9999  #: the same limit of the error indicator [mm]
+NORM_TOLERANCE = 0.01  #: largest deviation of a quaternion's norm from 1; TX prints four decimals
 
 #: Port status bits of a handle.
 IN_PORT, INITIALISED, ENABLED = 0x01, 0x10, 0x20
@@ -29,14 +29,14 @@ SYSTEM_FAULTS = {
 }
 HARDWARE_FAILURE, PORT_OCCUPIED = 0x10, 0x40
 
-#: Error replies in words.
+#: Human-readable error replies.
 ERRORS = {
     0x01: "invalid command",
     0x02: "command too long",
     0x03: "command too short",
     0x04: "the command's CRC is wrong",
     0x05: "the command timed out",
-    0x06: "communication parameters that it does not have",
+    0x06: "unsupported communication parameters",
     0x07: "wrong number of parameters",
     0x08: "invalid port handle",
     0x09: "invalid tracking priority",
@@ -60,7 +60,7 @@ NOT_IN_THIS_MODE = 0x0C
 
 
 class ToolState(Enum):
-    """What a BX or TX reply says of a handle."""
+    """State of a handle in a BX or TX reply."""
 
     VALID = "valid"
     MISSING = "missing"
@@ -69,20 +69,20 @@ class ToolState(Enum):
 
 
 class Transform(NamedTuple):
-    """Where a tool is, in the field generator's frame."""
+    """Pose of a tool in the field generator's frame."""
 
     quaternion: tuple[float, ...]  #: q0 qx qy qz, unit
     position: tuple[float, ...]  #: x y z [mm]
-    error: float  #: the unit's own figure of the fit [mm]
+    error: float  #: the unit's error indicator of the fit [mm]
 
     @property
     def axis(self) -> tuple[float, ...]:
-        """The tool's z axis, the coil's, as a unit vector: it needs no roll."""
+        """The tool's z axis, along the coil, as a unit vector: independent of the roll angle."""
         w, x, y, z = self.quaternion
         return (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
 
     def ahead(self, distance: float) -> tuple[float, ...]:
-        """The point [mm] so far from the tool's origin along its axis."""
+        """Return the point at `distance` [mm] from the tool's origin along its axis [mm]."""
         if distance == 0.0:
             return self.position
         return tuple(p + distance * a for p, a in zip(self.position, self.axis, strict=True))
@@ -95,20 +95,20 @@ class ToolFrame(NamedTuple):
     state: ToolState
     transform: Transform | None  #: only when VALID
     port_status: int = 0
-    frame: int | None = None  #: None where the reply has none
+    frame: int | None = None  #: None if the reply has no frame number
 
 
 class FrameReply(NamedTuple):
-    """All of a BX or TX reply with reply option 0001, with or without 0800."""
+    """Content of a BX or TX reply with reply option 0001, with or without 0800."""
 
     tools: tuple[ToolFrame, ...]
     system_status: int
 
 
 def _transform(values: tuple[float, ...], handle: int) -> Transform:
-    """Refuse eight numbers that no tracker measures: a CRC of 16 bits lets one error in 65536 pass."""
+    """Return the transform, or refuse numbers outside the tracker's range: one error in 65536 passes the CRC."""
     if not all(map(math.isfinite, values)):
-        raise AuroraError(f"handle {handle:02X}: a transform that is not finite")
+        raise AuroraError(f"handle {handle:02X}: the transform is not finite")
     norm = math.hypot(*values[:4])
     if abs(norm - 1.0) > NORM_TOLERANCE:
         raise AuroraError(f"handle {handle:02X}: quaternion of norm {norm:.4g}, not within {NORM_TOLERANCE:g} of 1")
@@ -124,10 +124,10 @@ _BX_STATES = {0x01: ToolState.VALID, 0x02: ToolState.MISSING, 0x04: ToolState.DI
 
 
 def parse_bx(body: bytes) -> FrameReply:
-    """The body of a BX reply.
+    """Return the content of a BX reply's body.
 
     Raises:
-        AuroraError: it is not one.
+        AuroraError: the reply is malformed.
     """
     tools: list[ToolFrame] = []
     try:
@@ -162,10 +162,10 @@ _TX_FIELDS = (*((i, i + 6, 1e4) for i in (0, 6, 12, 18)), *((i, i + 7, 1e2) for 
 
 
 def parse_tx(text: str) -> FrameReply:
-    """A TX reply without its CRC.
+    """Return the content of a TX reply without its CRC.
 
     Raises:
-        AuroraError: it is not one.
+        AuroraError: the reply is malformed.
     """
     tools: list[ToolFrame] = []
     count, at = _hex(text[:2], 2, "number of handles"), 2
@@ -187,10 +187,10 @@ def parse_tx(text: str) -> FrameReply:
 
 
 def parse_phsr(text: str) -> list[tuple[int, int]]:
-    """Handles and their status bits from a PHSR reply.
+    """Return the handles and their status bits from a PHSR reply.
 
     Raises:
-        AuroraError: it is not one.
+        AuroraError: the reply is malformed.
     """
     count = _hex(text[:2], 2, "number of handles")
     if len(text) != 2 + 5 * count:
@@ -201,7 +201,7 @@ def parse_phsr(text: str) -> list[tuple[int, int]]:
 
 
 class ToolIdentity(NamedTuple):
-    """PHINF with reply option 0001."""
+    """Content of a PHINF reply with reply option 0001."""
 
     kind: str  #: tool type, 8 characters
     maker: str
@@ -211,10 +211,10 @@ class ToolIdentity(NamedTuple):
 
 
 def parse_phinf(text: str) -> ToolIdentity | None:
-    """Who a tool is; None when the port is unoccupied.
+    """Return the identity of a tool; None if the port is unoccupied.
 
     Raises:
-        AuroraError: it is not such a reply.
+        AuroraError: the reply is malformed.
     """
     if text == "UNOCCUPIED":
         return None
@@ -225,18 +225,18 @@ def parse_phinf(text: str) -> ToolIdentity | None:
 
 
 def error_code(text: str) -> int | None:
-    """The number of an ERROR reply; None when it is another."""
+    """Return the number of an ERROR reply; None for any other reply."""
     found = re.fullmatch(r"ERROR([0-9A-F]{2})", text)
     return int(found[1], 16) if found else None
 
 
 def error_words(code: int) -> str:
-    """What an error reply means."""
-    return f"{ERRORS.get(code, 'an error without a name')} (ERROR{code:02X})"
+    """Return the meaning of an error code."""
+    return f"{ERRORS.get(code, 'unknown error')} (ERROR{code:02X})"
 
 
 def system_words(status: int) -> str:
-    """What the system status complains of; empty when of nothing."""
+    """Return the faults of the system status as text; empty if there is none."""
     return ", ".join(words for bit, words in SYSTEM_FAULTS.items() if status & bit)
 
 

@@ -1,13 +1,23 @@
-"""The host's side of an Aurora: running the conversation, asking for frames, timing and judging them.
+"""The host's side of an Aurora: runs the script, requests frames, and determines their times and quality.
 
-Sans-I/O: bytes and time in, measurements and orders to the port out. The conversation is a script
-(`aurora_dialogue`); whatever goes wrong ends it, is told in the dialogue's `trouble`, and it begins anew.
+Without I/O: bytes and time go in, measurements and commands to the port come out. The communication is a script
+(`dialogue.py`). Any failure ends the script and sets the dialogue's `trouble`; then the script starts again.
 """
 
 import math
 
-from station.devices.aurora.dialogue import DISTURBED, Ask, Break, Dialogue, Pause, Rate, Reply, Script, is_okay
-from station.devices.aurora.measurement import Counts, Measurement, Quality
+from station.devices.aurora.dialogue import (
+    RETRY_ERRORS,
+    AuroraRequest,
+    Dialogue,
+    Pause,
+    RateChange,
+    Reply,
+    Script,
+    SerialBreak,
+    is_okay,
+)
+from station.devices.aurora.measurement import FrameCounts, FrameQuality, TrackerFrame
 from station.devices.aurora.protocol import AuroraError, ReplyReader, framed
 from station.devices.aurora.replies import (
     HARDWARE_FAILURE,
@@ -25,52 +35,52 @@ from station.devices.aurora.replies import (
     system_words,
 )
 from station.devices.aurora.settings import AuroraSettings
-from station.devices.aurora.setup import contact, identify, prepare_tools
+from station.devices.aurora.setup import find_unit, identify, prepare_tools
 from station.devices.aurora.timing import FrameClock, JumpGate
 
 NO_SUCH_COMMAND = (0x01, 0x33)
-#: One tool's BX reply on the line at the usual rate, which `latency` includes [s].
-USUAL_REPLY = 10.0 * 53 / 115200
+#: Duration of one tool's BX reply at 115200 baud, which `latency` includes [s].
+USUAL_REPLY_S = 10.0 * 53 / 115200
 
 
 class AuroraSession:
     """One unit, from the first byte to frames; sans-I/O."""
 
     def __init__(self, settings: AuroraSettings) -> None:
-        self.talk = Dialogue(settings)  #: with the unit: who it is, its tools, its trouble
-        self.quality = Quality.CONNECTING
+        self.dialogue = Dialogue(settings)  #: state of the unit: identity, tools, fault
+        self.quality = FrameQuality.CONNECTING
         self.tracking = False
         self.system_status = 0
-        self.counts = Counts()
+        self.counts = FrameCounts()
         self.reader = ReplyReader()
-        self.last_arrival = -math.inf  #: of a new frame [s]
+        self.last_arrival = -math.inf  #: time when the last new frame arrived [s]
         self._clock = FrameClock(settings.frame_rate)
         self._gate = JumpGate(settings.fastest, settings.jitter, settings.confirm_jump)
         self._target_gate = JumpGate(settings.fastest, settings.jitter, settings.confirm_jump)
-        self.target_quality = Quality.CONNECTING  #: what the newest frame of the target's coil is worth
+        self.target_quality = FrameQuality.CONNECTING  #: quality of the target coil's newest frame
         self._newest: int | None = None  # frame number
-        self._orders: list[bytes | Rate | Break] = []
+        self._orders: list[bytes | RateChange | SerialBreak] = []
         self._script = self._whole()
-        self._step: Pause | Ask = Pause(-math.inf)
-        self._deadline = math.inf  # of what was asked [s]
-        self.wake = -math.inf  #: until then there is nothing to do unless bytes come [s]
+        self._step: Pause | AuroraRequest = Pause(-math.inf)
+        self._deadline = math.inf  # of the present request [s]
+        self.wake = -math.inf  #: time of the next action if no bytes arrive [s]
 
-    def receive(self, data: bytes, now: float) -> list[Measurement]:
-        """Take bytes that arrived by `now` [s]; new frames of the tip's coil."""
-        self.talk.now = now
-        measurements: list[Measurement] = []
+    def receive(self, data: bytes, now: float) -> list[TrackerFrame]:
+        """Process bytes that arrived by `now` [s]; return new frames of the tip's coil."""
+        self.dialogue.now = now
+        measurements: list[TrackerFrame] = []
         for reply in self.reader.feed(data):
-            if reply == "RESET" and not (isinstance(self._step, Ask) and not self._step.command):
-                self._begin_anew("the unit was reset")
-            elif isinstance(reply, str) and not (self.tracking and self.talk.tx and error_code(reply) is None):
+            if reply == "RESET" and not (isinstance(self._step, AuroraRequest) and not self._step.command):
+                self._restart("the unit was reset")
+            elif isinstance(reply, str) and not (self.tracking and self.dialogue.tx and error_code(reply) is None):
                 self._text(reply)
             else:
                 measurements += self._frame(reply)
         return measurements
 
-    def due(self, now: float) -> list[bytes | Rate | Break]:
-        """What the port has to do by `now` [s], in this order."""
-        self.talk.now = now
+    def due(self, now: float) -> list[bytes | RateChange | SerialBreak]:
+        """Return the commands that the port must execute by `now` [s], in this order."""
+        self.dialogue.now = now
         while not self._orders:
             if isinstance(self._step, Pause):
                 if now < self._step.until:
@@ -79,27 +89,27 @@ class AuroraSession:
                 break
             else:
                 self.counts.timeouts += 1
-            self._go_on(None)
+            self._advance(None)
         orders, self._orders = self._orders, []
         self.wake = self._step.until if isinstance(self._step, Pause) else self._deadline
         return orders
 
-    def farewell(self) -> list[bytes | Rate | Break]:
-        """What to send before the port is closed: the unit need not track for nobody."""
+    def farewell(self) -> list[bytes | RateChange | SerialBreak]:
+        """Return the command that stops tracking before the port is closed."""
         return [framed("TSTOP:")] if self.tracking else []
 
     # -- replies ------------------------------------------------------------------------------
 
     def _text(self, text: str) -> None:
-        """A text reply: the answer to what was asked, or stray."""
+        """Process a text reply: the answer to the present request, or stray."""
         step = self._step
-        if isinstance(step, Ask) and (error_code(text) is not None or (step.answers and step.answers(text))):
-            self._go_on(text)
+        if isinstance(step, AuroraRequest) and (error_code(text) is not None or (step.answers and step.answers(text))):
+            self._advance(text)
         else:
             self.counts.stray += 1
 
-    def _frame(self, raw: str | bytes) -> list[Measurement]:
-        """A BX or TX reply, asked for or late: it says itself which frame it is."""
+    def _frame(self, raw: str | bytes) -> list[TrackerFrame]:
+        """Process a BX or TX reply, even a late one: it contains its frame number."""
         try:
             reply = parse_tx(raw) if isinstance(raw, str) else parse_bx(raw)
         except AuroraError:
@@ -109,157 +119,161 @@ class AuroraSession:
             self.counts.stray += 1
             return []
         self.system_status = reply.system_status
-        tool = next((tool for tool in reply.tools if tool.handle == self.talk.handle), None)
-        measurements: list[Measurement] = []
+        tool = next((tool for tool in reply.tools if tool.handle == self.dialogue.handle), None)
+        measurements: list[TrackerFrame] = []
         if tool is None or tool.frame is None:
-            self.quality = Quality.DISABLED
+            self.quality = FrameQuality.DISABLED
         else:
             measurements = self._measure(tool, tool.frame, len(raw) + (5 if isinstance(raw, str) else 8))
-            if self.talk.settings.target_serial:
+            if self.dialogue.settings.target_serial:
                 measurements = [each._replace(target=self._target(reply, each.time)) for each in measurements]
-        if isinstance(self._step, Ask) and self._step.answers is None:
-            self._go_on(reply)
+        if isinstance(self._step, AuroraRequest) and self._step.answers is None:
+            self._advance(reply)
         return measurements
 
-    def _measure(self, tool: ToolFrame, frame: int, size: int) -> list[Measurement]:
-        """Time and judge one entry of the tip's coil, from a reply of `size` bytes."""
+    def _measure(self, tool: ToolFrame, frame: int, size: int) -> list[TrackerFrame]:
+        """Determine time and quality of one entry of the tip's coil, from a reply of `size` bytes."""
         if frame == self._newest:
             self.counts.repeated += 1
             return []
-        begin = self._clock.soonest(frame, self.talk.now - 10.0 * size / self.talk.baud)
-        if begin is None:
+        arrival = self._clock.soonest(frame, self.dialogue.now - 10.0 * size / self.dialogue.baud)
+        if arrival is None:
             self.counts.implausible += 1
             return []
         self.counts.frames += 1
         if self._newest is not None and frame > self._newest:
             self.counts.skipped += frame - self._newest - 1
-        self._newest, self.last_arrival = frame, self.talk.now
-        time = begin - (self.talk.settings.latency - USUAL_REPLY)
+        self._newest, self.last_arrival = frame, self.dialogue.now
+        time = arrival - (self.dialogue.settings.latency - USUAL_REPLY_S)
         self.quality = self._judge(tool, time, self._gate)
-        transform = tool.transform if self.quality is Quality.GOOD else None
+        transform = tool.transform if self.quality is FrameQuality.GOOD else None
         if transform is None:
-            return [Measurement(frame, time, self.quality, None)]
-        tip = transform.ahead(self.talk.settings.coil_to_tip)
-        return [Measurement(frame, time, self.quality, tip, transform.error, axis=transform.axis)]
+            return [TrackerFrame(frame, time, self.quality, None)]
+        tip = transform.ahead(self.dialogue.settings.coil_to_tip)
+        return [TrackerFrame(frame, time, self.quality, tip, transform.error, axis=transform.axis)]
 
     def _target(self, reply: FrameReply, time: float) -> tuple[float, ...] | None:
-        """Where the target's coil was at `time` [s]; None when nobody can tell."""
-        tool = next((tool for tool in reply.tools if tool.handle == self.talk.target), None)
-        self.target_quality = Quality.DISABLED if tool is None else self._judge(tool, time, self._target_gate)
-        if tool is None or tool.transform is None or self.target_quality is not Quality.GOOD:
+        """Return the position of the target's coil at `time` [s]; None if it is unknown."""
+        tool = next((tool for tool in reply.tools if tool.handle == self.dialogue.target), None)
+        self.target_quality = FrameQuality.DISABLED if tool is None else self._judge(tool, time, self._target_gate)
+        if tool is None or tool.transform is None or self.target_quality is not FrameQuality.GOOD:
             return None
         return tool.transform.position
 
-    def _judge(self, tool: ToolFrame, time: float, gate: JumpGate) -> Quality:
-        if self.system_status & HARDWARE_FAILURE or tool.port_status & self.talk.settings.fault_bits:
-            return Quality.FAULT
+    def _judge(self, tool: ToolFrame, time: float, gate: JumpGate) -> FrameQuality:
+        if self.system_status & HARDWARE_FAILURE or tool.port_status & self.dialogue.settings.fault_bits:
+            return FrameQuality.FAULT
         if tool.port_status & (OUT_OF_VOLUME | PARTLY_OUT_OF_VOLUME):
-            return Quality.OUT_OF_VOLUME
+            return FrameQuality.OUT_OF_VOLUME
         if tool.state is ToolState.DISABLED:
-            return Quality.DISABLED
+            return FrameQuality.DISABLED
         if tool.transform is None:
-            return Quality.MISSING
+            return FrameQuality.MISSING
         if not gate.passes(time, tool.transform.position):
             self.counts.jumps += 1
-            return Quality.JUMP
-        return Quality.GOOD
+            return FrameQuality.JUMP
+        return FrameQuality.GOOD
 
     def _unplugged_target(self, reply: FrameReply) -> bool:
-        return not any(tool.handle == self.talk.target and tool.frame is not None for tool in reply.tools)
+        return not any(tool.handle == self.dialogue.target and tool.frame is not None for tool in reply.tools)
 
     # -- the engine of the script ---------------------------------------------------------------
 
-    def _go_on(self, reply: Reply) -> None:
+    def _advance(self, reply: Reply) -> None:
         """Run the script to its next wait."""
         while True:
             try:
                 step = self._script.send(reply)
             except AuroraError as error:
-                self._begin_anew(str(error))
+                self._restart(str(error))
                 return
             except StopIteration:
-                self._begin_anew("")
+                self._restart("")
                 return
             reply = None
-            if isinstance(step, (Rate, Break)):
+            if isinstance(step, (RateChange, SerialBreak)):
                 self._orders.append(step)
-                if isinstance(step, Rate):
-                    self.talk.baud = step.baud
+                if isinstance(step, RateChange):
+                    self.dialogue.baud = step.baud
                 self.reader.drop()
                 continue
             self._step = step
-            if isinstance(step, Ask):
-                self._deadline = self.talk.now + step.timeout
+            if isinstance(step, AuroraRequest):
+                self._deadline = self.dialogue.now + step.timeout
                 self.reader.drop()
                 if step.command:
                     self._orders.append(framed(step.command))
             return
 
-    def _begin_anew(self, trouble: str) -> None:
-        self.tracking, self.quality = False, Quality.CONNECTING
-        self.talk.trouble = trouble
+    def _restart(self, trouble: str) -> None:
+        self.tracking, self.quality = False, FrameQuality.CONNECTING
+        self.dialogue.trouble = trouble
         self._script.close()
         self._script = self._whole()
-        self._step = Pause(self.talk.now + self.talk.settings.retry_wait)
+        self._step = Pause(self.dialogue.now + self.dialogue.settings.retry_wait)
         self._orders.clear()
 
     # -- the script -----------------------------------------------------------------------------
 
     def _whole(self) -> Script:
-        """Find the unit, set it up, and ask for frames until something goes wrong."""
-        yield from contact(self.talk)
-        yield from identify(self.talk)
+        """Find the unit, set it up, and request frames until a failure."""
+        yield from find_unit(self.dialogue)
+        yield from identify(self.dialogue)
         while True:
-            yield from prepare_tools(self.talk)
+            yield from prepare_tools(self.dialogue)
             yield from self._track()
-            yield from self.talk.ask("TSTOP:", is_okay, self.talk.settings.reply_timeout)
+            yield from self.dialogue.query("TSTOP:", is_okay, self.dialogue.settings.reply_timeout)
 
     def _track(self) -> Script:
-        """Ask for frames; returns when the tool has to be set up again."""
-        settings = self.talk.settings
-        reply = yield from self.talk.ask("TSTART:", is_okay, settings.tool_timeout)
+        """Request frames; return when the tool has to be set up again."""
+        settings = self.dialogue.settings
+        reply = yield from self.dialogue.query("TSTART:", is_okay, settings.tool_timeout)
         if error_code(str(reply)) == NOT_IN_THIS_MODE:  # it tracks already
-            yield from self.talk.command("TSTOP:", settings.reply_timeout)
-            yield from self.talk.command("TSTART:", settings.tool_timeout)
+            yield from self.dialogue.command("TSTOP:", settings.reply_timeout)
+            yield from self.dialogue.command("TSTART:", settings.tool_timeout)
         elif (code := error_code(str(reply))) is not None:
             raise AuroraError(f"TSTART: {error_words(code)}")
         self._clock.restart()
-        self._newest, self.talk.trouble, self.tracking = None, "", True
+        self._newest, self.dialogue.trouble, self.tracking = None, "", True
         self.counts.connects += 1
-        self.last_arrival = self.talk.now
+        self.last_arrival = self.dialogue.now
         misses = gone = 0
-        due, period = self.talk.now, 1.0 / settings.frame_rate
+        due, period = self.dialogue.now, 1.0 / settings.frame_rate
         while True:
             before = self._newest
-            timeout = settings.frame_timeout + 10.0 * 120 / self.talk.baud
-            reply = yield Ask("TX:0801" if self.talk.tx else "BX:0801", None, timeout)
+            timeout = settings.frame_timeout + 10.0 * 120 / self.dialogue.baud
+            reply = yield AuroraRequest("TX:0801" if self.dialogue.tx else "BX:0801", None, timeout)
             if isinstance(reply, FrameReply):
                 misses = 0
-                self.talk.trouble = system_words(reply.system_status)
-                tool = next((tool for tool in reply.tools if tool.handle == self.talk.handle), None)
+                self.dialogue.trouble = system_words(reply.system_status)
+                tool = next((tool for tool in reply.tools if tool.handle == self.dialogue.handle), None)
                 gone = gone + 1 if tool is None or tool.frame is None else 0
                 if gone and (gone >= settings.misses or reply.system_status & PORT_OCCUPIED):
-                    self.tracking, self.quality, self.talk.trouble = False, Quality.DISABLED, "the tool is unplugged"
+                    self.tracking, self.quality, self.dialogue.trouble = (
+                        False,
+                        FrameQuality.DISABLED,
+                        "the tool is unplugged",
+                    )
                     return None
                 if reply.system_status & PORT_OCCUPIED and settings.target_serial and self._unplugged_target(reply):
-                    self.tracking, self.talk.trouble = False, "the target is plugged in and not set up yet"
+                    self.tracking, self.dialogue.trouble = False, "the target is plugged in and not set up yet"
                     return None
-                # A little earlier each time, until a frame is asked for before it is there: so every
-                # frame is fetched soon, with hardly more questions than frames.
+                # Each request is slightly earlier, until a frame is requested before it exists. So every
+                # frame is fetched early, with only a few more requests than frames.
                 if self._newest != before or gone:
-                    due = max(due + period - 5e-4, self.talk.now - period)
-                    if due > self.talk.now:
+                    due = max(due + period - 5e-4, self.dialogue.now - period)
+                    if due > self.dialogue.now:
                         yield Pause(due)
                         continue
-                due = self.talk.now
+                due = self.dialogue.now
                 continue
             code = error_code(str(reply))
-            if code in NO_SUCH_COMMAND and not self.talk.tx:
-                self.talk.tx = True
-            elif code is None or code in DISTURBED:
+            if code in NO_SUCH_COMMAND and not self.dialogue.tx:
+                self.dialogue.tx = True
+            elif code is None or code in RETRY_ERRORS:
                 misses += 1
                 if misses >= settings.misses:
                     raise AuroraError(f"no frame in {misses} replies in a row")
             else:
                 raise AuroraError(f"frames refused: {error_words(code)}")
-            due = self.talk.now
+            due = self.dialogue.now

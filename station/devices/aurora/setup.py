@@ -1,99 +1,118 @@
-"""Setting an Aurora up: finding it at whatever rate it talks, who it is, and its tools ready to be tracked."""
+"""Set-up of an Aurora: finds its rate, reads its identity, and enables its tools."""
 
 import re
 from collections.abc import Generator
 
-from station.devices.aurora.dialogue import Ask, Break, Dialogue, Pause, Rate, Reply, Script, is_okay
+from station.devices.aurora.dialogue import (
+    AuroraRequest,
+    Dialogue,
+    Pause,
+    RateChange,
+    Reply,
+    Script,
+    SerialBreak,
+    is_okay,
+)
 from station.devices.aurora.protocol import BAUD_CODES, POWER_UP_BAUD, AuroraError
 from station.devices.aurora.replies import NOT_IN_THIS_MODE, error_code, error_words, parse_phinf, parse_phsr
 
-BREAK = 0.25  #: that the line is held low [s]
-#: Firmware that has no usable BX (a public Aurora client's list).
-NEEDS_TX = ("AURORA Rev 007", "AURORA Rev 008")
+BREAK_S = 0.25  #: duration of the break, with the line low [s]
+#: Firmware without a usable BX (list of a public Aurora client).
+TX_ONLY_FIRMWARE = ("AURORA Rev 007", "AURORA Rev 008")
 
 
-def contact(talk: Dialogue) -> Script:
-    """Find the unit at 9600 baud or where another session left it, and talk fast from then on."""
-    settings = talk.settings
+def find_unit(dialogue: Dialogue) -> Script:
+    """Find the unit at 9600 baud or at the rate of an earlier session, and switch to the configured rate."""
+    settings = dialogue.settings
     while True:
         for baud in dict.fromkeys((POWER_UP_BAUD, settings.baud)):
-            yield Rate(baud)
+            yield RateChange(baud)
             try:
-                reply = yield from talk.ask("INIT:", is_okay, settings.reply_timeout, 2)
+                reply = yield from dialogue.query("INIT:", is_okay, settings.reply_timeout, 2)
                 if error_code(str(reply)) == NOT_IN_THIS_MODE:
-                    yield from talk.command("TSTOP:", settings.reply_timeout)
-                    yield from talk.command("INIT:", settings.reply_timeout)
+                    yield from dialogue.command("TSTOP:", settings.reply_timeout)
+                    yield from dialogue.command("INIT:", settings.reply_timeout)
                 elif error_code(str(reply)) is not None:
                     continue
             except AuroraError as error:
-                talk.trouble = str(error)
+                dialogue.trouble = str(error)
                 continue
             if baud != settings.baud:
-                yield from _change_rate(talk)
+                yield from _change_rate(dialogue)
             return None
-        yield Rate(POWER_UP_BAUD)
-        yield Break(True)
-        yield Pause(talk.now + BREAK)
-        yield Break(False)
-        yield Ask("", lambda text: text == "RESET", settings.reset_wait)
+        yield RateChange(POWER_UP_BAUD)
+        yield SerialBreak(True)
+        yield Pause(dialogue.now + BREAK_S)
+        yield SerialBreak(False)
+        yield AuroraRequest("", lambda text: text == "RESET", settings.reset_wait)
 
 
-def _change_rate(talk: Dialogue) -> Script:
-    command = f"COMM:{BAUD_CODES[talk.settings.baud]}0000"
-    # Asked once: without an answer it may have changed or not, and is looked for at both rates.
-    reply = yield Ask(command, is_okay, talk.settings.reply_timeout)
+def _change_rate(dialogue: Dialogue) -> Script:
+    command = f"COMM:{BAUD_CODES[dialogue.settings.baud]}0000"
+    # Sent once: without an answer its rate is unknown, and `find_unit` tries both rates.
+    reply = yield AuroraRequest(command, is_okay, dialogue.settings.reply_timeout)
     code = error_code(str(reply))
     if reply is None or code is not None:
         raise AuroraError(f"{command}: {'no answer' if code is None else error_words(code)}")
-    yield Pause(talk.now + talk.settings.switch_wait)
-    yield Rate(talk.settings.baud)
+    yield Pause(dialogue.now + dialogue.settings.switch_wait)
+    yield RateChange(dialogue.settings.baud)
     return reply
 
 
-def identify(talk: Dialogue) -> Script:
-    """Read the firmware, which decides between BX and TX."""
-    version = yield from talk.ask("VER:0", lambda text: not is_okay(text), talk.settings.reply_timeout)
+def identify(dialogue: Dialogue) -> Script:
+    """Read the firmware version, which selects BX or TX."""
+    version = yield from dialogue.query("VER:0", lambda text: not is_okay(text), dialogue.settings.reply_timeout)
     tag = re.search(r"^Freeze Tag:\s*(.*?)\s*$", str(version), re.MULTILINE)
-    talk.firmware = tag[1] if tag else ""
-    talk.tx = talk.settings.always_tx or talk.firmware in NEEDS_TX
+    dialogue.firmware = tag[1] if tag else ""
+    dialogue.tx = dialogue.settings.always_tx or dialogue.firmware in TX_ONLY_FIRMWARE
     return version
 
 
-def prepare_tools(talk: Dialogue) -> Script:
-    """Initialise and enable what is plugged in, until the coil at the tip is among it."""
-    settings = talk.settings
+def prepare_tools(dialogue: Dialogue) -> Script:
+    """Initialise and enable the connected tools, until the tip's coil is one of them."""
+    settings = dialogue.settings
     while True:
         refused = ""
-        for handle in (yield from _handles(talk, "01")):
-            yield from talk.ask(f"PHF:{handle:02X}", is_okay, settings.reply_timeout)
+        for handle in (yield from _handles(dialogue, "01")):
+            yield from dialogue.query(f"PHF:{handle:02X}", is_okay, settings.reply_timeout)
         for command in ("PINIT:{:02X}", "PENA:{:02X}D"):
-            for handle in (yield from _handles(talk, "02" if command.startswith("PINIT") else "03")):
-                reply = yield from talk.ask(command.format(handle), is_okay, settings.tool_timeout)
+            for handle in (yield from _handles(dialogue, "02" if command.startswith("PINIT") else "03")):
+                reply = yield from dialogue.query(command.format(handle), is_okay, settings.tool_timeout)
                 code = error_code(str(reply))
                 if code is not None:
                     refused = f"{command.format(handle)}: {error_words(code)}"
-        talk.tools = {}
-        for handle in (yield from _handles(talk, "04")):
-            reply = yield from talk.ask(f"PHINF:{handle:02X}0001", _is_phinf, settings.reply_timeout)
+        dialogue.tools = {}
+        for handle in (yield from _handles(dialogue, "04")):
+            reply = yield from dialogue.query(f"PHINF:{handle:02X}0001", _is_phinf, settings.reply_timeout)
             identity = None if error_code(str(reply)) is not None else parse_phinf(str(reply))
             if identity is not None:
-                talk.tools[handle] = identity
-        talk.target = next(
-            (h for h, tool in talk.tools.items() if settings.target_serial and tool.serial == settings.target_serial),
+                dialogue.tools[handle] = identity
+        dialogue.target = next(
+            (
+                h
+                for h, tool in dialogue.tools.items()
+                if settings.target_serial and tool.serial == settings.target_serial
+            ),
             None,
         )
-        mine = [h for h, tool in talk.tools.items() if settings.tool_serial in ("", tool.serial) and h != talk.target]
-        if mine:
-            talk.handle = min(mine)
+        candidates = [
+            h
+            for h, tool in dialogue.tools.items()
+            if settings.tool_serial in ("", tool.serial) and h != dialogue.target
+        ]
+        if candidates:
+            dialogue.handle = min(candidates)
             return None
-        there = ", ".join(tool.serial for tool in talk.tools.values()) or "none"
-        wanted = f"tool {settings.tool_serial}" if settings.tool_serial else "a tool"
-        talk.trouble = refused or f"{wanted} is not plugged in; tools that are: {there}"
-        yield Pause(talk.now + settings.retry_wait)
+        present = ", ".join(tool.serial for tool in dialogue.tools.values()) or "none"
+        missing = f"tool {settings.tool_serial}" if settings.tool_serial else "a tool"
+        dialogue.trouble = refused or f"{missing} is not plugged in; connected tools: {present}"
+        yield Pause(dialogue.now + settings.retry_wait)
 
 
-def _handles(talk: Dialogue, which: str) -> Generator[Rate | Break | Pause | Ask, Reply, list[int]]:
-    reply = yield from talk.ask(f"PHSR:{which}", _is_phsr, talk.settings.reply_timeout)
+def _handles(
+    dialogue: Dialogue, which: str
+) -> Generator[RateChange | SerialBreak | Pause | AuroraRequest, Reply, list[int]]:
+    reply = yield from dialogue.query(f"PHSR:{which}", _is_phsr, dialogue.settings.reply_timeout)
     code = error_code(str(reply))
     if code is not None:
         raise AuroraError(f"PHSR:{which}: {error_words(code)}")

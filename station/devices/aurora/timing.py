@@ -1,30 +1,30 @@
-"""When a frame was measured, by its number, and whether its position can follow the last one."""
+"""Measurement times of frames from their numbers, and detection of impossible jumps of a coil."""
 
 import math
 
-#: The way of a coil since its last good position counts for this long at most: two frames [s].
-LONGEST_MOVE = 0.05
+#: Longest time over which a coil's motion since its last good position is assumed: two frames [s].
+MAX_MOTION_TIME_S = 0.05
 
 
 class FrameClock:
     """Host time from frame numbers: the lower envelope of arrival times.
 
     A reply can be late but never early, so the smallest difference between arrival and frame number
-    is nearest to the truth. It may rise slowly, because the two clocks drift apart.
+    is the best estimate. It may rise slowly, because the two clocks drift apart.
     """
 
     def __init__(self, rate: float, drift: float = 5e-4, tolerance: float = 1.5, confirm: int = 5) -> None:
-        """Rate [1/s], drift between the clocks [s/s], tolerance [frames], doubtful frames that make a new start."""
+        """Frame rate [1/s], drift between the clocks [s/s], tolerance [frames], outliers until a restart."""
         self._rate, self._drift, self._tolerance, self._confirm = rate, drift, tolerance / rate, confirm
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: the unit may count anew."""
+        """Discard the estimate: the unit may restart its count."""
         self._frame, self._arrival, self._offset, self._time = -1, 0.0, math.nan, -math.inf
         self._doubts, self._doubted = 0, (0, 0.0)
 
     def soonest(self, frame: int, arrival: float) -> float | None:
-        """When the reply with `frame` could have arrived soonest [s]; None when the number cannot be right."""
+        """Return the earliest possible arrival of the reply with `frame` [s]; None if the number is implausible."""
         offset = arrival - frame / self._rate
         if math.isnan(self._offset):
             return self._anchor(frame, arrival)
@@ -43,10 +43,10 @@ class FrameClock:
         return self._time
 
     def _doubt(self, frame: int, arrival: float) -> float | None:
-        """Frames that agree with one another but not with the clock: the unit has begun to count anew."""
+        """Count frames that are consistent with one another but not with the clock: the unit restarted its count."""
         frames, time = frame - self._doubted[0], arrival - self._doubted[1]
         if self._doubts and frames == 0:
-            return None  # asked for again before the next one
+            return None  # requested again before the next frame
         agrees = frames > 0 and abs(time - frames / self._rate) <= self._tolerance
         self._doubts = self._doubts + 1 if self._doubts and agrees else 1
         self._doubted = (frame, arrival)
@@ -54,7 +54,7 @@ class FrameClock:
 
 
 class JumpGate:
-    """Refuses positions that a coil cannot have reached since the last good one."""
+    """Rejects positions that a coil cannot have reached since the last good one."""
 
     def __init__(self, fastest: float, jitter: float, confirm: int) -> None:
         self._fastest, self._jitter, self._confirm = fastest, jitter, confirm
@@ -63,7 +63,7 @@ class JumpGate:
         self._agreeing = 0
 
     def passes(self, time: float, position: tuple[float, ...]) -> bool:
-        """Whether to believe `position` [mm] at `time` [s]."""
+        """Return whether `position` [mm] at `time` [s] is plausible."""
         here = (time, position)
         if not self._near(self._last, here):
             self._agreeing = self._agreeing + 1 if self._suspect and self._near(self._suspect, here) else 1
@@ -76,6 +76,6 @@ class JumpGate:
     def _near(self, before: tuple[float, tuple[float, ...]] | None, here: tuple[float, tuple[float, ...]]) -> bool:
         if before is None:
             return True
-        # However long it was not seen, it is not believed to be somewhere else at once.
-        reach = self._jitter + self._fastest * min(max(0.0, here[0] - before[0]), LONGEST_MOVE)
+        # Even after a long gap a distant position is not accepted at once.
+        reach = self._jitter + self._fastest * min(max(0.0, here[0] - before[0]), MAX_MOTION_TIME_S)
         return math.dist(before[1], here[1]) <= reach

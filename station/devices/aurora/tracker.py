@@ -1,4 +1,4 @@
-"""An Aurora as the control loop's tracker: a session on a link, looked at once a tick."""
+"""Driver of an Aurora for the control loop: a session on a link, polled once per tick."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -8,119 +8,123 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from core.robot.robot import Array
-from station.devices.aurora.dialogue import Break, Rate
-from station.devices.aurora.measurement import Counts, Measurement, Quality
+from station.devices.aurora.dialogue import RateChange, SerialBreak
+from station.devices.aurora.measurement import FrameCounts, FrameQuality, TrackerFrame
 from station.devices.aurora.replies import ToolIdentity
 from station.devices.aurora.session import AuroraSession
 from station.devices.aurora.settings import AuroraSettings
-from station.devices.interfaces import Condition, Severity, TipReading, Trouble
+from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
 from station.devices.links.link import Link, LinkError
 
 #: Without a new frame for this long the tracker is silent: four frames [s].
-SILENCE = 0.1
-#: Without a good position for this long nothing may move [s].
-BLIND = 0.25
+SILENCE_TIMEOUT_S = 0.1
+#: Without a good position for this long a motion ends in HOLD [s].
+BLIND_TIMEOUT_S = 0.25
 
 
 @dataclass(frozen=True)
-class Registration:
-    """Where the field generator stands in the world: p_world = rotation @ p_tracker + position."""
+class TrackerMounting:
+    """Pose of the field generator in the world: p_world = rotation @ p_tracker + position."""
 
     rotation: Array = field(default_factory=lambda: np.eye(3))  #: (3, 3)
     position: Array = field(default_factory=lambda: np.zeros(3))  #: (3,) [m]
 
     def world(self, millimetres: tuple[float, ...]) -> Array:
-        """A tracker position [mm] in the world (3,) [m]."""
+        """Convert a tracker position [mm] to the world frame (3,) [m]."""
         return self.rotation @ (1e-3 * np.array(millimetres)) + self.position
 
 
 class TrackerReport(NamedTuple):
-    """How the tracker is doing, for whoever decides to hold."""
+    """State of the tracker, on which HOLD is decided."""
 
-    quality: Quality
+    quality: FrameQuality
     good_age: float  #: since the last good position was measured; infinite before the first [s]
-    trouble: str  #: in words; empty when there is none
+    trouble: str  #: human-readable; empty if there is none
     firmware: str  #: the unit's freeze tag
     tool: ToolIdentity | None  #: the coil at the tip
-    counts: Counts
+    counts: FrameCounts
     noise: int  #: bytes that belonged to no reply
     crc_errors: int
 
 
 class AuroraTracker:
-    """Driver of one Aurora; implements `Tracker`. Nothing that the bytes do raises out of `poll`."""
+    """Driver of one Aurora; implements `Tracker`. `poll` raises nothing, whatever bytes arrive."""
 
     def __init__(
         self,
         link: Link,
         settings: AuroraSettings | None = None,
-        registration: Registration | None = None,
+        registration: TrackerMounting | None = None,
         reopen: Callable[[Link], Link] | None = None,
     ) -> None:
-        """`reopen` opens a link anew that has gone; it raises LinkError where it cannot."""
+        """`reopen` opens a lost link again, or raises LinkError."""
         self._reopen = reopen
         self._link = link
         self._settings = settings or AuroraSettings()
-        self._registration = registration or Registration()
+        self._registration = registration or TrackerMounting()
         self._session = AuroraSession(self._settings)
         self._lost = ""
         self._good_time = self._target_time = -math.inf
 
     @property
     def condition(self) -> Condition:
-        """CONNECTED once it has tracked: what is amiss since then is `trouble`."""
+        """CONNECTED after the first good frame; `trouble` reports later faults."""
         if self._lost:
             return Condition.FAULT
         return Condition.CONNECTED if self._good_time > -math.inf else Condition.CONNECTING
 
     def connect(self, now: float) -> None:  # noqa: ARG002 - the session connects by itself when it is polled
-        """Try again on a link that had gone; a session that goes on is left alone."""
+        """Open a lost link again; a running session continues unchanged."""
         if self._lost and self._reopen is not None:
             try:
                 self.attach(self._reopen(self._link))
             except LinkError as error:
                 self._lost = str(error)
 
-    def trouble(self, now: float) -> Trouble | None:
-        """No good position: a warning, after 0.25 s a HOLD, with the reason."""
-        if now - self._good_time <= SILENCE and not self._lost:
+    def trouble(self, now: float) -> DeviceFault | None:
+        """Return a warning without a good position, and after 0.25 s a HOLD, with the reason."""
+        if now - self._good_time <= SILENCE_TIMEOUT_S and not self._lost:
             return self._target_trouble(now)
         report = self.report(now)
-        severity = Severity.HOLD if self._lost or report.good_age > BLIND else Severity.WARN
-        # The newest is good and yet old: the unit or this computer was held up.
-        what = "late" if report.quality is Quality.GOOD else report.quality.name.lower().replace("_", " ")
+        severity = Severity.HOLD if self._lost or report.good_age > BLIND_TIMEOUT_S else Severity.WARN
+        # The newest frame is good but old: the unit or this computer was delayed.
+        what = "late" if report.quality is FrameQuality.GOOD else report.quality.name.lower().replace("_", " ")
         since = "" if math.isinf(report.good_age) else f"; no good position for {report.good_age:.2f} s"
-        return Trouble(severity, f"tracker ({self._link.name}): {what}{since}{report.trouble and '; '}{report.trouble}")
+        return DeviceFault(
+            severity, f"tracker ({self._link.name}): {what}{since}{report.trouble and '; '}{report.trouble}"
+        )
 
-    def _target_trouble(self, now: float) -> Trouble | None:
-        """No good position of the target that was asked for: a warning."""
+    def _target_trouble(self, now: float) -> DeviceFault | None:
+        """Return a warning if a target is configured and has no good position."""
         serial, age = self._settings.target_serial, now - self._target_time
-        if not serial or age <= SILENCE:
+        if not serial or age <= SILENCE_TIMEOUT_S:
             return None
         what = self._session.target_quality.name.lower().replace("_", " ")
-        if self._session.talk.target is None:
-            what = f"not plugged in; tools that are: {', '.join(t.serial for t in self._session.talk.tools.values())}"
+        if self._session.dialogue.target is None:
+            what = (
+                f"not plugged in; connected tools: {', '.join(t.serial for t in self._session.dialogue.tools.values())}"
+            )
         since = "" if math.isinf(age) else f"; no good position for {age:.2f} s"
-        return Trouble(Severity.WARN, f"tracker ({self._link.name}): target {serial}: {what}{since}")
+        return DeviceFault(Severity.WARN, f"tracker ({self._link.name}): target {serial}: {what}{since}")
 
     def details(self) -> Mapping[str, Any]:
-        """Who it is and what it has counted."""
-        report = self.report(self._session.talk.now)
+        """Return identity and counters."""
+        report = self.report(self._session.dialogue.now)
         return {
             "port": self._link.name,
             "firmware": report.firmware,
             "tool": None if report.tool is None else report.tool._asdict(),
-            **({"target": self._session.talk.target is not None} if self._settings.target_serial else {}),
+            **({"target": self._session.dialogue.target is not None} if self._settings.target_serial else {}),
             **vars(report.counts),
             "noise_bytes": report.noise,
             "crc_errors": report.crc_errors,
         }
 
     def poll(self, now: float) -> TipReading | None:
-        """The newest good frame that arrived since the last poll, if any."""
+        """Return the newest good frame that arrived since the last poll, or None."""
         if self._lost:
             return None
-        measurements: list[Measurement] = []
+        measurements: list[TrackerFrame] = []
         try:
             data = self._link.read()
             if not data and now < self._session.wake:
@@ -137,25 +141,25 @@ class AuroraTracker:
         target = None
         if newest.target is not None:
             target, self._target_time = self._registration.world(newest.target), newest.time
-        axis = newest.axis if self._settings.tells_axis else None
+        axis = newest.axis if self._settings.measures_axis else None
         direction = None if axis is None else self._registration.rotation @ np.array(axis)
         return TipReading(newest.frame, newest.time, self._registration.world(newest.position), target, direction)
 
     def report(self, now: float) -> TrackerReport:
-        """How it stands at `now` [s]."""
+        """Return the state of the tracker at `now` [s]."""
         session = self._session
-        quality, trouble = session.quality, session.talk.trouble
+        quality, trouble = session.quality, session.dialogue.trouble
         if self._lost:
-            quality, trouble = Quality.LOST, self._lost
-        elif session.tracking and now - session.last_arrival > SILENCE:
-            quality = Quality.SILENT
+            quality, trouble = FrameQuality.LOST, self._lost
+        elif session.tracking and now - session.last_arrival > SILENCE_TIMEOUT_S:
+            quality = FrameQuality.SILENT
             trouble = trouble or f"no new frame for {now - session.last_arrival:.2f} s"
-        tool = None if session.talk.handle is None else session.talk.tools.get(session.talk.handle)
+        tool = None if session.dialogue.handle is None else session.dialogue.tools.get(session.dialogue.handle)
         return TrackerReport(
             quality,
             now - self._good_time,
             trouble,
-            session.talk.firmware,
+            session.dialogue.firmware,
             tool,
             replace(session.counts),
             session.reader.noise,
@@ -163,7 +167,7 @@ class AuroraTracker:
         )
 
     def attach(self, link: Link) -> None:
-        """Begin anew on another link after the first was lost; only the same coil is taken again."""
+        """Start a new session on another link after the first was lost; only the same coil is accepted."""
         report = self.report(0.0)
         if report.tool is not None:
             self._settings = replace(self._settings, tool_serial=report.tool.serial)
@@ -172,7 +176,7 @@ class AuroraTracker:
         self._session = AuroraSession(self._settings)
 
     def close(self) -> None:
-        """Tell the unit to stop tracking and let go of the port."""
+        """Command the unit to stop tracking and close the port."""
         try:
             for order in self._session.farewell():
                 self._carry_out(order)
@@ -180,11 +184,11 @@ class AuroraTracker:
             self._lost = str(error)
         self._link.close()
 
-    def _carry_out(self, order: bytes | Rate | Break) -> None:
-        """A pipe in memory has neither rate nor break; a pty and a socket take both and ignore the break."""
+    def _carry_out(self, order: bytes | RateChange | SerialBreak) -> None:
+        """Execute a command; links without rate or break ignore it."""
         if isinstance(order, bytes):
             self._link.write(order)
-        elif isinstance(order, Rate):
+        elif isinstance(order, RateChange):
             set_baud = getattr(self._link, "set_baud", None)
             if set_baud is not None:
                 set_baud(order.baud)

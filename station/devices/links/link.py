@@ -1,23 +1,24 @@
 """Links that carry a device's bytes: serial ports, sockets and datagrams.
 
-A link is looked at, never waited for. What a device makes of the bytes is its protocol's business. A link
-has its device for itself, and one that has gone can be opened anew.
+A link is polled and never waited for. The device's protocol interprets the bytes. A link has exclusive access to its
+device. A link whose device was lost can be opened again.
 """
 
 import contextlib
 import errno
+import os
 import socket
 from typing import Any, Protocol, cast
 
 import serial
 
 from core.errors import CtrError
-from station.devices.links.port_lock import PortLock, PortTaken
+from station.devices.links.port_lock import PortInUse, PortLock
 from station.devices.links.rediscover import describe, find, usb_ports
 
 
 class LinkError(CtrError):
-    """A link that cannot be opened or that has gone; names the link and what to do."""
+    """A link cannot be opened or has been lost; names the link and what to do."""
 
 
 class Link(Protocol):
@@ -26,7 +27,7 @@ class Link(Protocol):
     name: str  #: for messages
 
     def read(self) -> bytes:
-        """What has arrived since the last read, without waiting.
+        """Return the bytes that have arrived since the last read, without waiting.
 
         Raises:
             LinkError: the other end is gone.
@@ -37,51 +38,68 @@ class Link(Protocol):
         """Send `data` without waiting.
 
         Raises:
-            LinkError: the other end is gone or takes nothing.
+            LinkError: the other end is gone or accepts no data.
         """
         ...
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         ...
 
 
 def reopen(link: Link) -> Link:
-    """Open a link anew whose other end had gone: the same device, under whatever name its port has now.
+    """Open a lost link again, to the same device, under the present name of its port.
 
     Raises:
-        LinkError: it is not there, or the link is of a kind that cannot come back.
+        LinkError: the device is absent, or this kind of link cannot be opened again.
     """
     again = getattr(link, "reopen", None)
     if again is None:
-        raise LinkError(f"{link.name} cannot be opened anew; start the station again")
+        raise LinkError(f"{link.name} cannot be opened again; restart the station")
     again()
     return link
 
 
 class SerialLink:
-    """A serial port or whatever pyserial opens by URL: /dev/ttyUSB0, COM3, a pty, socket://host:port."""
+    """A port that pyserial opens by name or URL: /dev/ttyUSB0, COM3, a pty, socket://host:port."""
 
     def __init__(self, url: str, baud: int) -> None:
-        """Raises LinkError when it cannot be opened or another program has it."""
+        """Raises LinkError when it cannot be opened or another program uses it."""
         self.name, self._baud = url, baud
         self._lock, self._port = _open(url, baud)
-        #: By which it is found again, if it is on USB.
-        self._adapter = None if "://" in url else describe(url, usb_ports())
+        self._is_port = "://" not in url
+        #: USB adapter by which the port is found again; None if it is not on USB.
+        self._adapter = describe(url, usb_ports()) if self._is_port else None
 
     def read(self) -> bytes:
-        """What the port has."""
+        """Return the bytes that the port has received."""
         try:
+            # A read of an empty port waits for the kernel thread that transfers its bytes. That thread has normal
+            # priority: the control loop would be late while other programs keep the thread from a processor.
+            if self._is_port and not self._port.in_waiting:
+                return b""
             return bytes(self._port.read(65536))
         except (serial.SerialException, OSError, TypeError) as error:
             raise LinkError(f"{self.name} is gone: {error}") from None
 
     def write(self, data: bytes) -> None:
-        """Put `data` into the port."""
+        """Write `data` to the port."""
         try:
-            self._port.write(data)
-        except (serial.SerialException, OSError) as error:
-            raise LinkError(f"{self.name} takes nothing: {error}") from None
+            sent = self._sent(data)
+        except BlockingIOError:
+            sent = 0
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise LinkError(f"{self.name} accepts no data: {error}") from None
+        if sent < len(data):
+            raise LinkError(f"{self.name} accepts no data: its buffer is full; does the device read?")
+
+    def _sent(self, data: bytes) -> int:
+        """Write without pyserial where it would block: it repeats a write to a full buffer endlessly."""
+        if self.name.startswith("socket://") and (inner := _socket_of(self._port)) is not None:
+            return inner.send(data)
+        if self._is_port and os.name == "posix":
+            return os.write(self._port.fd, data)
+        return self._port.write(data)
 
     def set_baud(self, baud: int) -> None:
         """Change the rate of both directions [bit/s]."""
@@ -91,7 +109,7 @@ class SerialLink:
             raise LinkError(f"{self.name} cannot run at {baud} baud: {error}") from None
 
     def set_break(self, low: bool) -> None:
-        """Hold the line low, or let it go again: a break lasts for as long as the caller says.
+        """Set the line low, or release it: a break lasts until the caller releases it.
 
         A pty and a socket carry no break: nothing happens.
         """
@@ -99,23 +117,23 @@ class SerialLink:
             self._port.break_condition = low
 
     def reopen(self) -> None:
-        """Open it anew at its first rate: the same USB adapter, whatever its port is called now.
+        """Open the port again at its first rate: the same USB adapter, under the present name of its port.
 
         Raises:
-            LinkError: it is not plugged in, or another program has it.
+            LinkError: it is not plugged in, or another program uses it.
         """
         self.close()
         url = self.name
         if self._adapter is not None:
             url = find(self._adapter, usb_ports())
             if url is None:
-                raise LinkError(f"{self.name} is gone and {self._adapter} is not found again; is it plugged in?")
+                raise LinkError(f"{self.name} is gone and {self._adapter} was not found; is it plugged in?")
         self._lock, self._port = _open(url, self._baud)
         self.name = url
 
     def close(self) -> None:
-        """Let go of the port."""
-        # pyserial forgets the socket of a socket:// port whose peer has left first.
+        """Close the port."""
+        # pyserial does not close the socket of a socket:// port whose peer has closed first.
         inner = _socket_of(self._port)
         self._port.close()
         if inner is not None:
@@ -124,16 +142,16 @@ class SerialLink:
 
 
 def _socket_of(port: Any) -> socket.socket | None:
-    """What is behind a socket:// port of pyserial."""
+    """Return the socket of a socket:// port of pyserial."""
     inner = getattr(port, "_socket", None)
     return inner if isinstance(inner, socket.socket) else None
 
 
 def _open(url: str, baud: int) -> tuple[PortLock, Any]:
-    """A port and the right to it."""
+    """Lock and open a port."""
     try:
         lock = PortLock(url)
-    except PortTaken as error:
+    except PortInUse as error:
         raise LinkError(str(error)) from None
     try:
         port = cast(Any, serial).serial_for_url(
@@ -141,7 +159,7 @@ def _open(url: str, baud: int) -> tuple[PortLock, Any]:
         )
         inner = _socket_of(port)
         if inner is not None:
-            # Or a message waits up to 40 ms for the other side to have confirmed the one before it.
+            # Otherwise a message waits up to 40 ms until the other side has confirmed the previous one.
             inner.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return lock, port
     except (serial.SerialException, OSError, ValueError) as error:
@@ -153,11 +171,11 @@ class DatagramLink:
     """Datagrams to and from one UDP peer."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Raises LinkError when the address means nothing or another link has it."""
+        """Raises LinkError when the address is unknown or another link uses it."""
         self.name = f"udp://{host}:{port}"
         try:
             self._lock = PortLock(self.name)
-        except PortTaken as error:
+        except PortInUse as error:
             raise LinkError(str(error)) from None
         try:
             family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
@@ -169,7 +187,7 @@ class DatagramLink:
             raise LinkError(f"{self.name} cannot be reached: {error}") from None
 
     def receive(self) -> list[bytes]:
-        """Whole datagrams that have arrived."""
+        """Return the datagrams that have arrived."""
         datagrams: list[bytes] = []
         while True:
             try:
@@ -177,12 +195,12 @@ class DatagramLink:
             except BlockingIOError:
                 return datagrams
             except ConnectionRefusedError:
-                return datagrams  # nobody listens (yet); silence is noticed by the driver's deadline
+                return datagrams  # no receiver yet; the driver's deadline detects the silence
             except OSError as error:
                 raise LinkError(f"{self.name} is gone: {error}") from None
 
     def send(self, datagram: bytes) -> None:
-        """Send one datagram; a full buffer or an absent peer loses it, as a network would."""
+        """Send one datagram; it is lost if the buffer is full or the peer is absent, as in a network."""
         try:
             self._socket.send(datagram)
         except (BlockingIOError, ConnectionRefusedError):
@@ -192,6 +210,6 @@ class DatagramLink:
                 raise LinkError(f"{self.name} is gone: {error}") from None
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._socket.close()
         self._lock.release()

@@ -1,14 +1,14 @@
-"""A pipe in memory in place of a serial line, for virtual time, with a cable that can be pulled."""
+"""A pipe in memory that replaces a serial line in virtual time, with a cable that can be unplugged."""
 
 from collections import deque
 
 from station.devices.links.link import LinkError
 
-MOST_WAITING = 4096  #: writes that nobody has read; the oldest get lost
+MAX_PENDING_BYTES = 4096  #: unread bytes; the oldest are discarded
 
 
 class Cable:
-    """What joins two ends in memory. A host whose plug was pulled has a dead port until it opens it anew."""
+    """Connection of two ends in memory. After it was unplugged, the host's port fails until the host opens it again."""
 
     def __init__(self) -> None:
         self.plugged = True
@@ -20,7 +20,7 @@ class Cable:
         self.pulls += 1
 
     def plug(self) -> None:
-        """Put it back."""
+        """Plug it in again."""
         self.plugged = True
 
 
@@ -33,7 +33,7 @@ class MemoryLink:
         self._open, self._pulls = True, 0
 
     def read(self) -> bytes:
-        """What the other end has written."""
+        """Return the bytes that the other end has written."""
         if not self._open or self._pulls != self._cable.pulls:
             raise LinkError(self._gone())
         if not self._incoming:
@@ -43,14 +43,14 @@ class MemoryLink:
         return data
 
     def write(self, data: bytes) -> None:
-        """Give `data` to the other end."""
+        """Send `data` to the other end."""
         if not self._open or self._pulls != self._cable.pulls:
             raise LinkError(self._gone())
         if data:
             self._outgoing.append(data)
 
     def reopen(self) -> None:
-        """Take part again, with nothing left of what was on its way; raises LinkError while it is unplugged."""
+        """Open again and discard all data in transit; raises LinkError while it is unplugged."""
         if not self._cable.plugged:
             raise LinkError(f"{self.name} cannot be opened: it is not plugged in")
         self._incoming.clear()
@@ -58,7 +58,7 @@ class MemoryLink:
         self._open, self._pulls = True, self._cable.pulls
 
     def close(self) -> None:
-        """Take part no more."""
+        """Close this end."""
         self._open = False
 
     def _gone(self) -> str:
@@ -66,14 +66,14 @@ class MemoryLink:
 
 
 class MemoryEnd:
-    """The device's end of such a pipe: it never fails, and while the cable is out nothing gets through."""
+    """The device's end of such a pipe: it never fails; while the cable is unplugged all data are lost."""
 
     def __init__(self, name: str, incoming: deque[bytes], outgoing: deque[bytes], cable: Cable) -> None:
         self.name = name
         self._incoming, self._outgoing, self._cable = incoming, outgoing, cable
 
     def read(self) -> bytes:
-        """What the host has written."""
+        """Return the bytes that the host has written."""
         if not self._incoming:
             return b""
         data = b"".join(self._incoming) if self._cable.plugged else b""
@@ -81,7 +81,7 @@ class MemoryEnd:
         return data
 
     def write(self, data: bytes) -> None:
-        """Give `data` to the host."""
+        """Send `data` to the host."""
         if data and self._cable.plugged:
             self._outgoing.append(data)
 
@@ -90,18 +90,18 @@ class MemoryEnd:
         self._cable.unplug()
 
     def plug(self) -> None:
-        """Put it back: the host may open its port anew."""
+        """Plug it in again: the host can open its port again."""
         self._cable.plug()
 
     def close(self) -> None:
-        """Pull the cable for good."""
+        """Unplug the cable permanently."""
         self._cable.unplug()
 
 
 def memory_pipe(name: str) -> tuple[MemoryLink, MemoryEnd]:
-    """Two ends of a pipe: the host's and the device's."""
-    to_device: deque[bytes] = deque(maxlen=MOST_WAITING)
-    to_host: deque[bytes] = deque(maxlen=MOST_WAITING)
+    """Return two ends of a pipe: the host's and the device's."""
+    to_device: deque[bytes] = deque(maxlen=MAX_PENDING_BYTES)
+    to_host: deque[bytes] = deque(maxlen=MAX_PENDING_BYTES)
     cable = Cable()
     host = MemoryLink(name, to_host, to_device, cable)
     return host, MemoryEnd(f"{name} (device)", to_device, to_host, cable)

@@ -1,7 +1,7 @@
-"""One device, one station: a lock on a file that is named after the device, held as long as its link is open.
+"""Exclusive access to a device: a lock on a file that is named after the device, kept while its link is open.
 
-An operating system lets two programs open one serial port, and a Net F/T box serves whoever asked last. The
-lock goes with the process that holds it, however that ends. On Windows, which opens a serial port only once,
+An operating system lets two programs open one serial port, and a Net F/T box serves the latest client. The system
+releases the lock when its process ends, however that happens. On Windows, which opens a serial port only once,
 nothing is locked.
 """
 
@@ -19,12 +19,12 @@ if sys.platform != "win32":
     import fcntl
 
 
-class PortTaken(CtrError):
-    """A device that another station has; names the device and that station's process."""
+class PortInUse(CtrError):
+    """Another station uses the device; names the device and that station's process."""
 
 
 def device_name(url: str) -> str:
-    """What a device is called whichever way its port was named: the file behind a link, the address of a host."""
+    """Return a unique name of the device: the file behind a symbolic link, the address of a host."""
     if "://" not in url:
         return os.path.realpath(url)
     parts = urlsplit(url)
@@ -37,12 +37,12 @@ def device_name(url: str) -> str:
 
 
 def lock_file(url: str) -> Path:
-    """The file that is locked for a device."""
+    """Return the path of the file that is locked for a device."""
     return Path(tempfile.gettempdir()) / f"ctr-station-{quote(device_name(url), safe='')}.lock"
 
 
 def clear_left_behind() -> None:
-    """Remove the files of this user's stations that were killed: those that nobody locks."""
+    """Remove the lock files that killed stations of this user have left: those without a lock."""
     for path in Path(tempfile.gettempdir()).glob("ctr-station-*.lock"):
         with contextlib.suppress(OSError):  # locked, another user's, or just gone
             if sys.platform != "win32" and path.lstat().st_uid == os.getuid():
@@ -56,13 +56,13 @@ def clear_left_behind() -> None:
 
 
 class PortLock:
-    """The right to use one device."""
+    """Lock of one device."""
 
     def __init__(self, url: str) -> None:
-        """Take it.
+        """Lock the device.
 
         Raises:
-            PortTaken: another link has it, in this process or another, or the lock's file cannot be had.
+            PortInUse: another link uses it, in this process or another, or the lock file cannot be opened.
         """
         self._file: int | None = None
         if sys.platform == "win32":
@@ -72,27 +72,33 @@ class PortLock:
             self._file = _locked(self._path)
         except BlockingIOError as error:
             holder = str(error)
-            advice = "end that station, or give another port"
+            advice = "end that station, or configure another port"
             if holder == str(os.getpid()):
                 advice = "which is this one: two devices cannot have one port"
-            raise PortTaken(f"{url} is in use by process {holder or '(not known yet)'}; {advice}") from None
+            raise PortInUse(f"{url} is in use by process {holder or '(not known yet)'}; {advice}") from None
         except OSError as error:
-            raise PortTaken(f"{url}: its lock {self._path} cannot be had: {error.strerror}; remove that file") from None
+            raise PortInUse(
+                f"{url}: its lock file {self._path} cannot be opened: {error.strerror}; remove that file"
+            ) from None
 
     def release(self) -> None:
-        """Let others have it."""
+        """Unlock the device."""
         if self._file is not None and sys.platform != "win32":
-            # The file goes while it is locked, or it would be another's; it stays if that other is another user.
+            # Removed while still locked: afterwards it could be another station's. Another user's file stays.
             with contextlib.suppress(OSError):
                 self._path.unlink()
-            # Unlocked and not only closed: a child process may still have the file from before.
+            # Unlocked and not only closed: a child process may have inherited the open file.
             fcntl.flock(self._file, fcntl.LOCK_UN)
             os.close(self._file)
             self._file = None
 
 
 def _locked(path: Path) -> int:
-    """The file, locked and with our number in it; BlockingIOError, with the other's number, if it is locked."""
+    """Return the locked file with this process's number in it.
+
+    Raises:
+        BlockingIOError: it is locked; carries the number of the other process.
+    """
     while True:
         file = _open(path)
         try:
@@ -103,7 +109,7 @@ def _locked(path: Path) -> int:
                 return file
             os.close(file)
         except FileNotFoundError:
-            os.close(file)  # who had it before has just let go of it
+            os.close(file)  # its last owner has just removed it
         except BlockingIOError:
             holder = os.pread(file, 20, 0).decode("ascii", "replace").strip()
             os.close(file)
@@ -111,7 +117,7 @@ def _locked(path: Path) -> int:
 
 
 def _open(path: Path) -> int:
-    """The file, which any user may lock: another account's station counts too."""
+    """Open the file, which any user may lock: a station of another account uses the same device."""
     flags = os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW
     while True:
         try:
@@ -121,6 +127,6 @@ def _open(path: Path) -> int:
         try:
             file = os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o666)
         except FileExistsError:
-            continue  # somebody was faster
-        os.fchmod(file, 0o666)  # whatever the mask of this process
+            continue  # another process has created it
+        os.fchmod(file, 0o666)  # independent of the umask of this process
         return file

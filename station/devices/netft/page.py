@@ -1,8 +1,8 @@
-"""The configuration page of an ATI Net F/T, `netftapi2.xml`: what a count is worth.
+"""Parser of an ATI Net F/T's configuration page, `netftapi2.xml`: force and torque per count.
 
-Read strictly, for a wrong scale is a wrong force: the five elements once each, text only, positive
-finite numbers, units by a known name; well-formed, no DOCTYPE. Elements of the real page that are not
-needed are passed over; the calibration's serial number and range are taken if they are there.
+It is strict, because a wrong scale gives a wrong force: the five elements once each, text only, positive
+finite numbers, units with a known name; well-formed, no DOCTYPE. Other elements of a real page are
+ignored. The calibration's serial number and range are optional.
 """
 
 import math
@@ -32,37 +32,37 @@ TORQUE_UNITS = {
     "kgf-cm": 0.0980665,
     "kg-cm": 0.0980665,
 }
-REQUIRED = ("prodname", "cfgcpf", "cfgcpt", "scfgfu", "scfgtu")
-OPTIONAL = ("cfgcalsn", "cfgmr")
-LARGEST_PAGE = 1 << 18  #: [bytes]; a real page has a few thousand
-#: Counts per unit outside of these are a mistake, and could make a force infinite.
-LEAST_COUNTS, MOST_COUNTS = 1e-6, 1e15
+REQUIRED_FIELDS = ("prodname", "cfgcpf", "cfgcpt", "scfgfu", "scfgtu")
+OPTIONAL_FIELDS = ("cfgcalsn", "cfgmr")
+MAX_PAGE_BYTES = 1 << 18  #: [bytes]; a real page has a few thousand
+#: Bounds of the counts per unit; values outside are an error and could make a force infinite.
+MIN_COUNTS, MAX_COUNTS = 1e-6, 1e15
 _NUMBER = re.compile(r"\d{1,20}(\.\d{0,20})?([eE][+-]?\d{1,3})?", re.ASCII)
 
 
 class PageError(CtrError):
-    """A configuration page that cannot be trusted; names the element, its text and what was expected."""
+    """An invalid configuration page; names the element, its text and what was expected."""
 
 
 @dataclass(frozen=True)
 class NetftPage:
-    """What the page says."""
+    """Content of the page."""
 
     product: str
-    serial: str  #: of the calibration, what a sensor is known by; "" if the page does not tell
+    serial: str  #: of the calibration, which identifies a sensor; "" if the page has none
     force_count: float  #: [N]
     torque_count: float  #: [N m]
-    ranges: tuple[float, ...] | None  #: six, of the calibration [N, N m]; None if the page does not tell
+    ranges: tuple[float, ...] | None  #: six, of the calibration [N, N m]; None if the page has none
 
 
 def read_page(page: bytes) -> NetftPage:
     """Read `netftapi2.xml`.
 
     Raises:
-        PageError: with the element, its text and what was expected.
+        PageError: names the element, its text and what was expected.
     """
     texts = _texts(page)
-    for name in REQUIRED:
+    for name in REQUIRED_FIELDS:
         if name not in texts:
             raise PageError(f"netftapi2.xml has no <{name}>; is this an ATI Net F/T?")
     force = _unit(texts["scfgfu"], "scfgfu", FORCE_UNITS)
@@ -79,17 +79,17 @@ def read_page(page: bytes) -> NetftPage:
 
 
 def _texts(page: bytes) -> dict[str, str]:
-    """Text of each element that is wanted."""
-    if len(page) > LARGEST_PAGE:
-        raise PageError(f"netftapi2.xml has {len(page)} bytes; at most {LARGEST_PAGE} are read")
+    """Return the text of each required or optional element."""
+    if len(page) > MAX_PAGE_BYTES:
+        raise PageError(f"netftapi2.xml has {len(page)} bytes; at most {MAX_PAGE_BYTES} are read")
     found: dict[str, str] = {}
-    wanted = {*REQUIRED, *OPTIONAL}
-    inside: list[str] = []  # the wanted element that is open
+    known_fields = {*REQUIRED_FIELDS, *OPTIONAL_FIELDS}
+    inside: list[str] = []  # the known element that is open
 
     def start(name: str, _: dict[str, str]) -> None:
         if inside:
             raise PageError(f"netftapi2.xml: <{inside[0]}> contains <{name}>; expected text only")
-        if name in wanted:
+        if name in known_fields:
             if name in found:
                 raise PageError(f"netftapi2.xml has <{name}> twice; expected it once")
             found[name] = ""
@@ -112,7 +112,7 @@ def _texts(page: bytes) -> dict[str, str]:
     parser.StartDoctypeDeclHandler = doctype
     try:
         parser.Parse(page, True)
-    except (expat.ExpatError, ValueError, LookupError) as error:  # the others: an encoding that is none
+    except (expat.ExpatError, ValueError, LookupError) as error:  # the others: an unknown encoding
         raise PageError(f"netftapi2.xml is not well-formed: {error}") from None
     return {name: value.strip() for name, value in found.items()}
 
@@ -125,16 +125,16 @@ def _unit(name: str, element: str, units: dict[str, float]) -> float:
 
 def _counts(text: str, element: str) -> float:
     counts = float(text) if _NUMBER.fullmatch(text) else math.nan
-    if not LEAST_COUNTS <= counts <= MOST_COUNTS:
+    if not MIN_COUNTS <= counts <= MAX_COUNTS:
         raise PageError(
             f"netftapi2.xml: <{element}> is '{text[:40]}' counts per unit; "
-            f"expected a number in {LEAST_COUNTS:g} ... {MOST_COUNTS:g}"
+            f"expected a number in {MIN_COUNTS:g} ... {MAX_COUNTS:g}"
         )
     return counts
 
 
 def _ranges(text: str | None, force: float, torque: float) -> tuple[float, ...] | None:
-    """The calibration's six ranges, separated by `;`, `,` or blanks; None if they are not six positive numbers."""
+    """Return the six ranges, separated by `;`, `,` or blanks; None if they are not six positive numbers."""
     parts = re.split(r"[;,\s]+", text) if text else []
     if len(parts) != 6 or not all(_NUMBER.fullmatch(part) for part in parts):
         return None

@@ -1,7 +1,7 @@
-"""Base sensors behind ATI Net F/T boxes: one box a sensor, brought to one sample; no threads.
+"""Driver of base sensors with ATI Net F/T boxes, one per sensor, synchronised to one time; without threads.
 
-What comes is not always fit for control. A sample that is not never replaces the last good one: the
-reading stays, and `quality` says what is wrong with it.
+An invalid sample never replaces the last good one: the
+reading stays, and `quality` reports what is wrong with the sample.
 """
 
 import contextlib
@@ -17,19 +17,19 @@ import numpy as np
 from core.compiled import compiled
 from core.errors import CtrError
 from core.robot.robot import Array, Indices
-from station.devices.interfaces import Condition, Severity, Trouble, WrenchReading
+from station.devices.interfaces import Condition, DeviceFault, Severity, WrenchReading
 from station.devices.links.link import DatagramLink, LinkError
 from station.devices.netft.clock import SampleClock
-from station.devices.netft.history import History, Ring, push
-from station.devices.netft.page import LARGEST_PAGE, NetftPage, read_page
+from station.devices.netft.history import SampleHistory, SampleRing, push
+from station.devices.netft.page import MAX_PAGE_BYTES, NetftPage, read_page
 from station.devices.netft.protocol import (
-    LATENCY,
+    LATENCY_S,
     RDT_PORT,
     SATURATED,
     THRESHOLD_LATCHED,
-    Command,
     Counters,
-    Sample,
+    RdtCommand,
+    RdtSample,
     Stream,
     describe,
     follow,
@@ -39,36 +39,36 @@ from station.devices.netft.protocol import (
 
 
 class SensorError(CtrError):
-    """A force sensor that cannot be reached or is not the one expected; names it and what to do."""
+    """A force sensor cannot be reached or is not the expected one; names it and what to do."""
 
 
-class Quality(IntFlag):
-    """What is wrong with a sensor's reading; 0: nothing."""
+class WrenchQuality(IntFlag):
+    """Faults of a sensor's reading; 0: none."""
 
     GOOD = 0
     LATCHED = 1  #: a monitor condition has latched in the box; a warning
     GAP = 2  #: records were lost since the last poll; a warning
-    STALE = 4  #: nothing usable has come for too long, or nothing yet
-    SATURATED = 8  #: the transducer or its converter is at its end
-    STATUS = 16  #: the box says that something else is wrong
-    RANGE = 32  #: more than the calibration covers, though the box says nothing
-    RESET = 64  #: the box has started anew since the stream began: its bias and its identity are open
+    STALE = 4  #: no usable sample for too long, or none yet
+    SATURATED = 8  #: the transducer or its converter is saturated
+    STATUS = 16  #: the box reports another fault
+    RANGE = 32  #: outside the calibration's range, although the box reports no fault
+    RESET = 64  #: the box has restarted since the stream started: its bias and identity are unknown
     GONE = 128  #: the link is gone
 
     @property
     def is_usable(self) -> bool:
-        """Whether control may use the reading."""
-        return not self & ~(Quality.LATCHED | Quality.GAP)
+        """Whether the reading is valid for control."""
+        return not self & ~(WrenchQuality.LATCHED | WrenchQuality.GAP)
 
 
 @dataclass(frozen=True)
 class NetftSettings:
-    """What the driver has to be told."""
+    """Settings of the driver."""
 
-    stale_after: float = 0.05  #: without a usable record [s]
-    retry_after: float = 0.5  #: of silence the stream is asked for again, and every so often [s]
-    latency: float = LATENCY  #: from the event to the Ethernet [s]
-    ranges: tuple[float, ...] = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)  #: Nano43 SI-18-0.25, if the page tells none
+    stale_after: float = 0.05  #: time without a usable record until a sensor is stale [s]
+    retry_after: float = 0.5  #: silence after which the stream is requested again [s]
+    latency: float = LATENCY_S  #: time from the measurement to the Ethernet [s]
+    ranges: tuple[float, ...] = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)  #: Nano43 SI-18-0.25, if the page has none
 
 
 class Datagrams(Protocol):
@@ -77,7 +77,7 @@ class Datagrams(Protocol):
     name: str  #: for messages
 
     def receive(self) -> list[bytes]:
-        """Whole datagrams that have arrived."""
+        """Return the datagrams that have arrived."""
         ...
 
     def send(self, datagram: bytes) -> None:
@@ -85,18 +85,18 @@ class Datagrams(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         ...
 
 
-# Flags as plain numbers: those of `IntFlag` are slow, and these are put together at every tick.
-_LATCHED, _GAP, _STALE, _SATURATED, _STATUS, _RANGE, _RESET, _GONE = (int(flag) for flag in Quality)
+# Flags as plain numbers: operations on `IntFlag` are slow, and these run at every tick.
+_LATCHED, _GAP, _STALE, _SATURATED, _STATUS, _RANGE, _RESET, _GONE = (int(flag) for flag in WrenchQuality)
 
 
 class _Sensor:
-    """One box: its stream, what of it can be used, and the rest as quality."""
+    """One box: its stream, its usable samples and its quality."""
 
-    def __init__(self, link: Datagrams, page: NetftPage, settings: NetftSettings, good: Ring) -> None:
+    def __init__(self, link: Datagrams, page: NetftPage, settings: NetftSettings, good: SampleRing) -> None:
         self.link = link
         self.page = page
         self.stream = Stream(settings.latency)
@@ -107,13 +107,13 @@ class _Sensor:
         self._settings = settings
         scale = [page.force_count] * 3 + [page.torque_count] * 3
         self._limits = np.array(page.ranges or settings.ranges) / scale
-        self._heard = self._fresh = 0.0
+        self._last_received = self._last_usable = 0.0
         self._streaming = False
-        self._lasting = 0  # until the stream is started by a person
-        self._newest = 0  # of the newest records
+        self._latched_flags = 0  # until the operator starts the stream again
+        self._newest = 0  # flags of the newest records
 
     def warm_up(self) -> None:
-        """Have loaded what is compiled: the first call takes longer than a tick."""
+        """Load the compiled code: the first call takes longer than a tick."""
         SampleClock().observe(0, SampleClock().latest(0.0))
         good = self.good
         _kept(*self.stream.state, b"", 0.0, self._limits, good.row, good.rows, good.ends, good.time)
@@ -121,26 +121,26 @@ class _Sensor:
         self.good.clear()
 
     def start(self, now: float) -> None:
-        """Begin a stream, with nothing held against the box."""
-        self._lasting = self._newest = 0
+        """Start a stream and clear all flags."""
+        self._latched_flags = self._newest = 0
         self.flags = _STALE
         self.stream = Stream(self._settings.latency)
         self.good.clear()
         self._streaming = True
-        self._heard = self._fresh = now
-        self._ask()
+        self._last_received = self._last_usable = now
+        self._request_stream()
 
     def stop(self) -> None:
         self._streaming = False
-        self.send(Command.STOP)
+        self.send(RdtCommand.STOP)
 
-    def send(self, command: Command) -> None:
+    def send(self, command: RdtCommand) -> None:
         self.link.send(request(command))
 
     def poll(self, now: float) -> bool:
-        """Take what has arrived; nothing of it raises. Whether there was anything."""
+        """Process the datagrams that have arrived and return whether there were any; never raises."""
         stream, good, settings, flags = self.stream, self.good, self._settings, 0
-        lost, resets, news, newest = stream.lost, stream.resets, False, 0
+        lost, resets, received, newest = stream.lost, stream.resets, False, 0
         try:
             for datagram in self.link.receive():
                 numbers, clock = stream.state
@@ -148,32 +148,32 @@ class _Sensor:
                     numbers, clock, datagram, now, self._limits, good.row, good.rows, good.ends, good.time
                 )
                 if taken:
-                    self.status, self._fresh, news = 0, now, True
+                    self.status, self._last_usable, received = 0, now, True
                     continue
                 for sample in stream.feed(datagram, now):
                     newest |= self._take(sample, now)
-                    news = True
-            if news:
-                self._heard, self._newest = now, newest
-            elif self._streaming and now - self._heard >= settings.retry_after:
-                self._heard = now
+                    received = True
+            if received:
+                self._last_received, self._newest = now, newest
+            elif self._streaming and now - self._last_received >= settings.retry_after:
+                self._last_received = now
                 stream.restart()
-                self._ask()
+                self._request_stream()
         except LinkError:
             flags = _GONE
         if stream.resets > resets:
-            self._lasting |= _RESET
+            self._latched_flags |= _RESET
             good.clear()
-        flags |= self._newest | self._lasting
+        flags |= self._newest | self._latched_flags
         if stream.lost > lost:
             flags |= _GAP
-        if good.time == -math.inf or now - self._fresh > settings.stale_after:
+        if good.time == -math.inf or now - self._last_usable > settings.stale_after:
             flags |= _STALE
         self.flags = flags
-        return news
+        return received
 
-    def _take(self, sample: Sample, now: float) -> int:
-        """Keep a sample that can be used; what is wrong with it."""
+    def _take(self, sample: RdtSample, now: float) -> int:
+        """Store a usable sample; return the flags of its faults."""
         self.status = sample.status
         if not is_usable(sample.status):
             return _SATURATED if sample.status & SATURATED else _STATUS
@@ -182,12 +182,12 @@ class _Sensor:
             return flags | _RANGE
         self.good.row[:] = sample.time, *sample.counts
         self.good.push()
-        self._fresh = now
+        self._last_usable = now
         return flags
 
-    def _ask(self) -> None:
+    def _request_stream(self) -> None:
         self.requests += 1
-        self.send(Command.STREAM)
+        self.send(RdtCommand.STREAM)
 
 
 @compiled
@@ -195,20 +195,20 @@ def _kept(
     stream: Indices, clock: Array, datagram: bytes, now: float, limits: Array,
     row: Array, rows: Array, ends: Indices, time: float,
 ) -> tuple[bool, float]:  # fmt: skip
-    """Keep the usual datagram: whether it was one (else it is for `Stream.feed`), and the newest sample's time."""
+    """Store a normal datagram; return whether it was one (else use `Stream.feed`) and the newest sample's time."""
     if not follow(stream, clock, datagram, now, limits, row):
         return False, time
     return True, push(rows, ends, row, time)
 
 
 class NetftSensors:
-    """Sensors in the order of the tubes, each behind a box of its own."""
+    """Sensors in the order of the tubes, each with a separate box."""
 
     def __init__(
         self, links: Sequence[Datagrams], pages: Sequence[NetftPage], settings: NetftSettings | None = None
     ) -> None:
         settings = self._settings = settings or NetftSettings()
-        self._history = History(np.array([[page.force_count] * 3 + [page.torque_count] * 3 for page in pages]))
+        self._history = SampleHistory(np.array([[page.force_count] * 3 + [page.torque_count] * 3 for page in pages]))
         self._sensors = [
             _Sensor(link, page, settings, self._history.ring(i))
             for i, (link, page) in enumerate(zip(links, pages, strict=True))
@@ -216,17 +216,17 @@ class NetftSensors:
         for sensor in self._sensors:
             sensor.warm_up()
         self._reading = WrenchReading(0.0, self._history.at(0.0))
-        self._time = -math.inf  # of the reading; it never runs back
+        self._time = -math.inf  # time of the reading; never decreases
         self._started = False
 
     @property
-    def quality(self) -> tuple[Quality, ...]:
-        """Of each sensor at the last poll."""
-        return tuple(Quality(sensor.flags) for sensor in self._sensors)
+    def quality(self) -> tuple[WrenchQuality, ...]:
+        """Quality of each sensor at the last poll."""
+        return tuple(WrenchQuality(sensor.flags) for sensor in self._sensors)
 
     @property
     def is_usable(self) -> bool:
-        """Whether control may use the last reading."""
+        """Whether the last reading is valid for control."""
         flags = 0
         for sensor in self._sensors:
             flags |= sensor.flags
@@ -234,25 +234,29 @@ class NetftSensors:
 
     @property
     def pages(self) -> tuple[NetftPage, ...]:
-        """What each box said at connect."""
+        """Configuration page of each box at connect."""
         return tuple(sensor.page for sensor in self._sensors)
 
     @property
     def counters(self) -> tuple[Counters, ...]:
-        """Of each stream since it was started."""
+        """Counters of each stream since its start."""
         return tuple(sensor.stream.counters for sensor in self._sensors)
 
     @property
     def requests(self) -> tuple[int, ...]:
-        """How often each stream had to be asked for."""
+        """Number of requests of each stream."""
         return tuple(sensor.requests for sensor in self._sensors)
 
     def complaint(self) -> str:
-        """What is wrong, for a person; "" if nothing is."""
+        """Return the faults as human-readable text; "" if there is none."""
         return "; ".join(
             f"force sensor {number} ({sensor.link.name}): "
-            + ", ".join(str(flag.name).lower() for flag in Quality if flag in quality)
-            + (f", nothing usable for {1e3 * self._settings.stale_after:.0f} ms" if Quality.STALE in quality else "")
+            + ", ".join(str(flag.name).lower() for flag in WrenchQuality if flag in quality)
+            + (
+                f", nothing usable for {1e3 * self._settings.stale_after:.0f} ms"
+                if WrenchQuality.STALE in quality
+                else ""
+            )
             + (f" [{describe(sensor.status)}]" if sensor.status else "")
             for number, (sensor, quality) in enumerate(zip(self._sensors, self.quality, strict=True), 1)
             if not quality.is_usable
@@ -260,26 +264,26 @@ class NetftSensors:
 
     @property
     def condition(self) -> Condition:
-        """CONNECTED once every sensor has sent something usable: what is amiss since then is `trouble`."""
+        """CONNECTED after every sensor has sent a usable sample; `trouble` reports later faults."""
         if not self._started:
             return Condition.CLOSED
         return Condition.CONNECTED if math.isfinite(self._time) else Condition.CONNECTING
 
     def connect(self, now: float) -> None:
-        """Ask for the streams; a port that is gone shows in `trouble`."""
+        """Request the streams; `trouble` reports a lost port."""
         with contextlib.suppress(LinkError):
             self.start(now)
 
-    def trouble(self, now: float) -> Trouble | None:  # noqa: ARG002 - it is as at the last poll
-        """Nothing fit for control from some sensor: HOLD, with what the box says."""
-        return None if self.is_usable else Trouble(Severity.HOLD, self.complaint())
+    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - it is as at the last poll
+        """Return a HOLD with the box's status if a sensor has no valid sample."""
+        return None if self.is_usable else DeviceFault(Severity.HOLD, self.complaint())
 
     def details(self) -> Mapping[str, Any]:
-        """Who the sensors are and what they have counted."""
+        """Return identities and counters of the sensors."""
         return {
             sensor.link.name: {
                 "calibration": sensor.page.serial,
-                "quality": [str(flag.name).lower() for flag in Quality if flag in quality],
+                "quality": [str(flag.name).lower() for flag in WrenchQuality if flag in quality],
                 "requests": sensor.requests,
                 **sensor.stream.counters._asdict(),
             }
@@ -287,7 +291,7 @@ class NetftSensors:
         }
 
     def start(self, now: float) -> None:
-        """Ask for the streams; also what a person does after a box has started anew.
+        """Request the streams; also used by the operator after a box has restarted.
 
         Raises:
             LinkError: a port is gone.
@@ -297,30 +301,30 @@ class NetftSensors:
             sensor.start(now)
 
     def bias(self) -> None:
-        """Make what each box feels now its zero; the next records still come from before."""
+        """Set the zero of each box to its present wrench; the next records still have the old zero."""
         for sensor in self._sensors:
-            sensor.send(Command.BIAS)
+            sensor.send(RdtCommand.BIAS)
 
     def reset_latch(self) -> None:
-        """Forget the latched monitor conditions."""
+        """Clear the latched monitor conditions."""
         for sensor in self._sensors:
-            sensor.send(Command.RESET_LATCH)
+            sensor.send(RdtCommand.RESET_LATCH)
 
     def poll(self, now: float) -> WrenchReading:
-        """The newest time that every sensor has reached, and the wrenches at it.
+        """Return the wrenches at the newest time that every sensor has reached.
 
         A sensor whose `quality` is not usable keeps its last good wrench; before its first, all are zero.
         """
-        news, complete, flags, time = False, True, 0, math.inf
+        received, complete, flags, time = False, True, 0, math.inf
         for sensor in self._sensors:
-            news |= sensor.poll(now)
+            received |= sensor.poll(now)
             flags |= sensor.flags
             if sensor.good.time == -math.inf:
                 complete = False
             elif not sensor.flags & _STALE:
                 time = min(time, sensor.good.time)
         usable = not flags & ~(_LATCHED | _GAP)
-        if complete and news and time < math.inf:
+        if complete and received and time < math.inf:
             self._time = time = max(self._time, time)
             self._reading = WrenchReading(time, self._history.at(time), usable)
         elif usable != self._reading.usable:
@@ -333,7 +337,7 @@ class NetftSensors:
             sensor.stop()
 
     def close(self) -> None:
-        """End the streams and let go of the ports, of every one even if another has gone."""
+        """End the streams and close all ports, even if some are lost."""
         for sensor in self._sensors:
             try:
                 sensor.stop()
@@ -344,44 +348,44 @@ class NetftSensors:
 
 
 def fetch_page(host: str, port: int = 80, timeout: float = 2.0) -> NetftPage:
-    """Ask a box for its configuration page.
+    """Fetch the configuration page of a box.
 
     Raises:
         SensorError: it does not answer.
-        PageError: what it answers cannot be trusted.
+        PageError: the page is invalid.
     """
     url = f"http://{host}:{port}/netftapi2.xml"
     page = b""
     try:
-        # No proxy from the environment and no redirection: the box itself or nothing.
+        # No proxy from the environment and no redirection: only the box itself may answer.
         with httpx.Client(timeout=timeout, trust_env=False) as client, client.stream("GET", url) as answer:
             if answer.status_code != 200:
                 raise SensorError(f"{url} answers {answer.status_code}; is this an ATI Net F/T?")
             for part in answer.iter_bytes():
                 page += part
-                if len(page) > LARGEST_PAGE:
+                if len(page) > MAX_PAGE_BYTES:
                     break
     except (httpx.HTTPError, httpx.InvalidURL) as error:
-        raise SensorError(f"{url} does not answer: {error}; is the box on, and in this network?") from None
+        raise SensorError(f"{url} does not answer: {error}; is the box switched on, and in this network?") from None
     return read_page(page)
 
 
 class BoxAddress(NamedTuple):
-    """Where one box is, and which it must be."""
+    """Network address of a box, and its expected calibration."""
 
     host: str  #: name or address
     rdt_port: int = RDT_PORT
     http_port: int = 80
-    serial: str | None = None  #: of its calibration; None takes what is there
+    serial: str | None = None  #: of its calibration; None: any
 
 
 def connect(boxes: Sequence[BoxAddress], settings: NetftSettings | None = None) -> NetftSensors:
-    """Find the boxes of the tubes' sensors, in the order of the tubes; blocks, `start` is still to come.
+    """Open the boxes of the tubes' sensors, in the order of the tubes, without `start`; blocks.
 
     Raises:
         SensorError: a box does not answer or is another one.
-        PageError: its page cannot be trusted.
-        LinkError: its address means nothing, or another station has it.
+        PageError: its page is invalid.
+        LinkError: its address is unknown, or another station uses it.
     """
     pages = [fetch_page(box.host, box.http_port) for box in boxes]
     for box, page in zip(boxes, pages, strict=True):

@@ -1,8 +1,8 @@
-"""ATI force sensors on an analog card: the calibration file (.cal) and its arithmetic.
+"""Calibration of ATI force sensors on an analog card: the .cal file and the conversion to wrenches.
 
-Six gauge voltages become a wrench by a 6x6 matrix. The file has one row an axis, to be divided by its
-scale, at the transducer's own origin, and a translation to the tool's origin; newer files (version 1.1)
-have the result ready as well.
+A 6x6 matrix converts six gauge voltages into a wrench. The file has one row per axis, to be divided by its
+scale, at the transducer's origin, and a translation to the tool's origin. Newer files (version 1.1) also
+contain the resulting rows.
 """
 
 import math
@@ -20,44 +20,44 @@ from station.devices.netft.page import FORCE_UNITS, TORQUE_UNITS
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 #: [m]
 LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
-#: Ready-made rows are printed with five decimals; they may differ from the computed ones by this part of a row.
-ROUNDING = 1e-3
-LARGEST_FILE = 1 << 20  #: [bytes]
+#: Largest relative difference between resulting rows, printed with five decimals, and computed rows.
+ROW_TOLERANCE = 1e-3
+MAX_FILE_BYTES = 1 << 20  #: [bytes]
 _NUMBER = re.compile(r"[+-]?(\d{1,30}(\.\d{0,30})?|\.\d{1,30})([eE][+-]?\d{1,3})?", re.ASCII)
 
 
 class CalibrationError(CtrError):
-    """A calibration file that cannot be used; names the file, the part and what was expected."""
+    """An invalid calibration file; names the file, the part and what was expected."""
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """What turns gauge voltages into a wrench."""
+class GaugeCalibration:
+    """Conversion of gauge voltages into a wrench."""
 
     serial: str
     part: str  #: such as SI-18-0.25
     matrix: Array  #: (6, 6) [N/V, N m/V]
     ranges: Array  #: (6,) of the calibration [N, N m]
-    volts: float  #: at which the converter is at its end, either way [V]
+    volts: float  #: saturation of the converter, both signs [V]
 
     def wrench(self, voltages: Array, bias: Array) -> Array:
-        """Wrench (6,) in the sensor's axes [N, N m] from voltages and those without load (6,) [V]."""
+        """Return the wrench (6,) in the sensor's axes [N, N m] from voltages and those without load (6,) [V]."""
         return self.matrix @ (voltages - bias)
 
     def is_saturated(self, voltages: Array) -> bool:
-        """Whether a gauge is at the converter's end, or no number; its wrench is then worth nothing."""
+        """Return whether a gauge is saturated or not a number; then its wrench is invalid."""
         return not bool((np.abs(voltages) < self.volts).all())
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_calibration(path: Path) -> GaugeCalibration:
     """Read a .cal file.
 
     Raises:
-        CalibrationError: with the file, the part and what was expected.
+        CalibrationError: names the file, the part and what was expected.
     """
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise CalibrationError(f"{path} has {path.stat().st_size} bytes; at most {LARGEST_FILE} are read")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise CalibrationError(f"{path} has {path.stat().st_size} bytes; at most {MAX_FILE_BYTES} are read")
         text = path.read_bytes()
     except OSError as error:
         raise CalibrationError(f"{path} cannot be read: {error.strerror}") from None
@@ -67,8 +67,8 @@ def read_calibration(path: Path) -> Calibration:
         raise CalibrationError(f"{path}: {error}") from None
 
 
-def parse_calibration(text: bytes) -> Calibration:
-    """Understand a .cal file's contents; raises CalibrationError."""
+def parse_calibration(text: bytes) -> GaugeCalibration:
+    """Parse a .cal file's content; raises CalibrationError."""
     elements = _elements(text)
     head = elements["Calibration"][0]
     force = _unit(head, "ForceUnits", FORCE_UNITS)
@@ -94,7 +94,7 @@ def parse_calibration(text: bytes) -> Calibration:
     bipolar = head.get("OutputBipolar", "True") == "True"
     volts = _number(head, "OutputRange") / (2.0 if bipolar else 1.0)
     serial = elements["FTSensor"][0].get("Serial", "")
-    return Calibration(serial, head.get("PartNumber", ""), matrix, ranges, volts)
+    return GaugeCalibration(serial, head.get("PartNumber", ""), matrix, ranges, volts)
 
 
 def _elements(text: bytes) -> dict[str, list[dict[str, str]]]:
@@ -117,15 +117,15 @@ def _elements(text: bytes) -> dict[str, list[dict[str, str]]]:
         parser.Parse(text, True)
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise CalibrationError(f"not well-formed XML: {error}") from None
-    for name, most in (("FTSensor", 1), ("Calibration", 1), ("BasicTransform", 1)):
-        least = 0 if name == "BasicTransform" else 1
-        if not least <= len(found[name]) <= most:
+    for name, upper in (("FTSensor", 1), ("Calibration", 1), ("BasicTransform", 1)):
+        lower = 0 if name == "BasicTransform" else 1
+        if not lower <= len(found[name]) <= upper:
             raise CalibrationError(f"{len(found[name])} elements <{name}>; expected one")
     return found
 
 
 def _rows(rows: list[dict[str, str]], kind: str) -> dict[str, dict[str, str]]:
-    """Rows by axis: all six, or none at all."""
+    """Return the rows by axis: all six, or none."""
     names = [row.get("Name", "") for row in rows]
     if rows and sorted(names) != sorted(AXES):
         raise CalibrationError(f"{kind} rows are {', '.join(names)}; expected {', '.join(AXES)}, each once")
@@ -133,7 +133,7 @@ def _rows(rows: list[dict[str, str]], kind: str) -> dict[str, dict[str, str]]:
 
 
 def _values(rows: dict[str, dict[str, str]]) -> Array:
-    """The six coefficients of each axis (6, 6)."""
+    """Return the six coefficients of each axis (6, 6)."""
     matrix = np.zeros((6, 6))
     for index, name in enumerate(AXES):
         parts = rows[name].get("values", "").split()
@@ -144,7 +144,7 @@ def _values(rows: dict[str, dict[str, str]]) -> Array:
 
 
 def _number(attributes: dict[str, str], name: str) -> float:
-    """A positive finite number."""
+    """Return a positive finite number."""
     text = attributes.get(name, "")
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
     if not 0.0 < value < math.inf:
@@ -162,7 +162,7 @@ def _unit(attributes: dict[str, str], name: str, units: dict[str, float]) -> flo
 
 
 def _shift(transforms: list[dict[str, str]], head: dict[str, str]) -> Array:
-    """[[I, 0], [-[p]x, I]]: the wrench about a point p away from the transducer's origin (6, 6)."""
+    """[[I, 0], [-[p]x, I]]: matrix (6, 6) to the wrench about a point at p from the transducer's origin."""
     shift = np.eye(6)
     if not transforms:
         return shift
@@ -173,7 +173,7 @@ def _shift(transforms: list[dict[str, str]], head: dict[str, str]) -> Array:
         if not math.isfinite(numbers[name]):
             raise CalibrationError(f"BasicTransform: {name} is '{text}'; expected a number")
         if name.startswith("R") and numbers[name]:
-            raise CalibrationError(f"BasicTransform: {name} is {text}; only translations are understood, expected 0")
+            raise CalibrationError(f"BasicTransform: {name} is {text}; only translations are supported, expected 0")
     unit = _unit(head, "DistUnits", LENGTH_UNITS)
     x, y, z = (numbers[name] * unit for name in ("Dx", "Dy", "Dz"))
     shift[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
@@ -181,11 +181,11 @@ def _shift(transforms: list[dict[str, str]], head: dict[str, str]) -> Array:
 
 
 def _compare(computed: Array, given: Array) -> None:
-    """Refuse a file whose ready-made rows are not those that its other numbers give."""
+    """Refuse a file whose resulting rows differ from the rows computed from its other numbers."""
     off = np.abs(given - computed).max(axis=1) / np.abs(computed).max(axis=1)
     worst = int(np.argmax(off))
-    if not off[worst] <= ROUNDING:
+    if not off[worst] <= ROW_TOLERANCE:
         raise CalibrationError(
             f"UserAxis {AXES[worst]} differs from Axis and BasicTransform by {off[worst]:.2g} of the row; "
-            f"expected at most {ROUNDING:g}"
+            f"expected at most {ROW_TOLERANCE:g}"
         )

@@ -8,31 +8,31 @@ import numpy as np
 
 from core.robot.robot import Array
 from station.devices.links.link import LinkError
-from station.devices.links.port_lock import PortLock, PortTaken
+from station.devices.links.port_lock import PortInUse, PortLock
 
-#: What the driver keeps until it is read: a loop that pauses for longer has lost samples [s].
-BUFFER = 10.0
-INSTALL = "install it with: pip install 'ctr-station[nidaq]', and NI's driver NI-DAQmx from ni.com"
+#: Capacity of the driver's buffer: a loop that pauses for longer loses samples [s].
+BUFFER_S = 10.0
+INSTALL_HINT = "install it with: pip install 'ctr-station[nidaq]', and NI's driver NI-DAQmx from ni.com"
 
 
 def device_of(inputs: str) -> str:
-    """The card of some inputs: `Dev1` of `Dev1/ai0:5`."""
+    """Return the card of some inputs: `Dev1` of `Dev1/ai0:5`."""
     return inputs.partition("/")[0]
 
 
 class NiCard:
-    """One card: all that is sampled on it is one task, for a card has one converter."""
+    """One card. One task samples all its inputs, because a card has one converter."""
 
     def __init__(self, sensors: Sequence[tuple[str, float]], rate: float) -> None:
         """Start to sample.
 
         Args:
-            sensors: of each its six differential inputs, as NI names them (`Dev1/ai0:5`), and their range,
-                either way [V].
-            rate: samples of each input [1/s].
+            sensors: six differential inputs of each sensor, in NI's notation (`Dev1/ai0:5`), and their range,
+                both signs [V].
+            rate: sampling rate of each input [1/s].
 
         Raises:
-            LinkError: no package, no driver, no such card or channel, a rate that it cannot, or it is taken.
+            LinkError: no package, no driver, no such card or channel, an unsupported rate, or the card is in use.
         """
         self.name = device_of(sensors[0][0])
         try:
@@ -40,11 +40,11 @@ class NiCard:
             constants = importlib.import_module("nidaqmx.constants")
             readers = importlib.import_module("nidaqmx.stream_readers")
         except ImportError:
-            raise LinkError(f"{self.name}: an NI card needs the package nidaqmx; {INSTALL}") from None
+            raise LinkError(f"{self.name}: an NI card needs the package nidaqmx; {INSTALL_HINT}") from None
         self._error: type[Exception] = daq.errors.Error
         try:
             self._lock = PortLock(f"nidaq://{self.name}")
-        except PortTaken as error:
+        except PortInUse as error:
             raise LinkError(str(error)) from None
         task: Any = None
         try:
@@ -59,9 +59,9 @@ class NiCard:
                     raise LinkError(f"{inputs} are {count} inputs; a sensor has 6, such as {self.name}/ai0:5")
                 before += count
             mode = constants.AcquisitionType.CONTINUOUS
-            task.timing.cfg_samp_clk_timing(rate, sample_mode=mode, samps_per_chan=round(BUFFER * rate))
+            task.timing.cfg_samp_clk_timing(rate, sample_mode=mode, samps_per_chan=round(BUFFER_S * rate))
             task.start()
-            #: That the card really samples at [1/s].
+            #: Actual sampling rate of the card [1/s].
             self.rate = float(task.timing.samp_clk_rate)
             self._reader = readers.AnalogMultiChannelReader(task.in_stream)
         except (self._error, LinkError) as error:
@@ -75,10 +75,10 @@ class NiCard:
         self._task, self._channels = task, 6 * len(sensors)
 
     def read(self) -> Array:
-        """Voltages (channels, k) since the last read [V], without waiting.
+        """Return voltages (channels, k) since the last read [V], without waiting.
 
         Raises:
-            LinkError: the card is gone, or samples were lost because nobody read for too long.
+            LinkError: the card is gone, or samples were lost because the last read was too long ago.
         """
         try:
             there = int(self._task.in_stream.avail_samp_per_chan)
@@ -90,6 +90,6 @@ class NiCard:
         return voltages
 
     def close(self) -> None:
-        """Let go of the card."""
+        """Release the card."""
         self._task.close()
         self._lock.release()

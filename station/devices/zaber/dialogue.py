@@ -1,47 +1,47 @@
-"""What a Zaber chain is asked, one thing at a time, and what it tells: answers, and what happened by itself."""
+"""Requests to a Zaber chain, their replies, and the events that a chain reports."""
 
 from typing import NamedTuple
 
 
-class Ask(NamedTuple):
-    """One question or setting for one axis."""
+class Request(NamedTuple):
+    """One query or setting of one axis."""
 
     axis: int
     command: int
     data: int = 0
-    reply: int | None = None  #: command number of the reply; None: none is waited for
+    reply: int | None = None  #: command number of the reply; None: no reply is expected
 
 
-class Answer(NamedTuple):
-    """What came of an `Ask`."""
+class Reply(NamedTuple):
+    """Result of a `Request`."""
 
-    data: int | None = None  #: None: no reply in time, or none was waited for
+    data: int | None = None  #: None: no reply in time, or no reply is expected
     error: int | None = None
 
 
-class Lost(NamedTuple):
-    """An axis does not answer any more."""
+class ReplyLost(NamedTuple):
+    """An axis no longer answers."""
 
     axis: int
 
 
 class ResetDone(NamedTuple):
-    """An axis that would not stop homing was reset: it does not know where it is."""
+    """An axis that did not stop homing was reset: its position is unknown."""
 
     axis: int
 
 
 class UnexpectedMotion(NamedTuple):
-    """An axis moves as nobody told it to."""
+    """An axis does not move as commanded."""
 
     axis: int
 
 
-class Complaint(NamedTuple):
-    """An error reply that belongs to no question."""
+class UnsolicitedError(NamedTuple):
+    """An error reply without a request."""
 
     axis: int
     code: int
 
 
-Happening = Answer | Lost | ResetDone | UnexpectedMotion | Complaint
+Happening = Reply | ReplyLost | ResetDone | UnexpectedMotion | UnsolicitedError

@@ -1,8 +1,8 @@
-"""The last resort: stop the stages without the control process, straight through their ports.
+"""Emergency stop of the stages without the control process, directly through their ports.
 
-A port may be a dying process's for some milliseconds more, and half a message may have been on its way: so
-it is opened until it opens, and the units are told, and asked what they do, until each of them says that it stops.
-A unit that homes obeys no stop: it is reset, as the driver does it, and has to be homed again.
+A dying process may have a port open for some more milliseconds, and half a message may have been sent. So the port is
+opened repeatedly until it opens. The units get stop commands and status queries until each of them reports a stop.
+A homing unit ignores a stop: it is reset, as by the driver, and has to be homed again.
 """
 
 from collections import Counter
@@ -14,23 +14,35 @@ from station.config.robots import RobotFile
 from station.devices.interfaces import Clock, EmergencyStop, NotStopped
 from station.devices.links.link import LinkError, SerialLink
 from station.devices.links.port_lock import lock_file
-from station.devices.zaber.chain import Line
-from station.devices.zaber.protocol import BAUD, GAP, MESSAGE_TIME, Command, Message, Parser, Status, encode
-from station.devices.zaber.shifts import IGNORED
+from station.devices.zaber.chain import LineSettings
+from station.devices.zaber.frame_safety import NO_DATA
+from station.devices.zaber.protocol import (
+    BAUD,
+    MESSAGE_TIME_S,
+    RESYNC_GAP_S,
+    ZaberCommand,
+    ZaberMessage,
+    ZaberParser,
+    ZaberStatus,
+    encode,
+)
 
-#: Device number 0 addresses every unit of a chain; a status is told whatever the units' mode says.
-STOP, ASK = encode(Message(0, Command.STOP, IGNORED)), encode(Message(0, Command.STATUS, IGNORED))
-#: How long a port is tried, and how much longer once a unit of it had to be reset [s].
-PATIENCE = 2.0
-#: Stops that a homing unit may ignore, and how long it is deaf after a reset.
-TRIES, RESTART = Line.stop_tries, Line.restart
-#: Units that lost the frame find it in a pause; then they are told again, so often until they answer [s].
-AGAIN = MESSAGE_TIME + 1.5 * GAP
-ANSWER = 0.12
-#: A port whose units say nothing for so long is opened anew: perhaps it was still somebody else's [s].
-SILENT = 0.2
-AT_REST = (Status.IDLE, Status.STOPPING)
-STATUSES = frozenset(int(status) for status in Status)
+#: Device number 0 addresses every unit of a chain. Units report their status in every mode.
+STOP_BYTES, STATUS_REQUEST_BYTES = (
+    encode(ZaberMessage(0, ZaberCommand.STOP, NO_DATA)),
+    encode(ZaberMessage(0, ZaberCommand.STATUS, NO_DATA)),
+)
+#: Time limit of a port, and additional time after a unit was reset [s].
+PORT_TIMEOUT_S = 2.0
+#: Stops that a homing unit may ignore before its reset, and the time without answers after a reset [s].
+STOP_ATTEMPTS, RESTART_S = LineSettings.stop_tries, LineSettings.restart
+#: Units that lost the frame find it again in a pause; then the stop is repeated at this interval until they answer [s].
+REPEAT_INTERVAL_S = MESSAGE_TIME_S + 1.5 * RESYNC_GAP_S
+REPLY_TIMEOUT_S = 0.12
+#: A port is opened again after this silence of its units: another process may still have used it [s].
+SILENCE_TIMEOUT_S = 0.2
+REST_STATUSES = (ZaberStatus.IDLE, ZaberStatus.STOPPING)
+STATUSES = frozenset(int(status) for status in ZaberStatus)
 
 
 #: Numbers of the units on each port.
@@ -38,15 +50,15 @@ Units = Mapping[str, Set[int]]
 
 
 def zaber_emergency_stop(options: Mapping[str, Any], robot: RobotFile) -> EmergencyStop:
-    """That of the chains in `[devices.stages]`."""
+    """Return the emergency stop of the chains in `[devices.stages]`."""
     units = stage_units(options, len(robot.joints))
     for port in units:
-        lock_file(port)  # it finds the folder for temporary files now, by writing there
+        lock_file(port)  # determines the folder for temporary files now, which writes a file there
     return partial(stop_stages, units)
 
 
 def stage_units(options: Mapping[str, Any], joints: int) -> Units:
-    """The units that `[devices.stages]` names, for so many joints."""
+    """Return the units that `[devices.stages]` names, for this number of joints."""
     found: dict[str, set[int]] = {}
     stages: Any = options.get("joints") or {number: {"device": number} for number in range(1, joints + 1)}
     for stage in stages.values():
@@ -54,113 +66,119 @@ def stage_units(options: Mapping[str, Any], joints: int) -> Units:
     return found
 
 
-def stop_stages(units: Units, clock: Clock, patience: float = PATIENCE) -> str:
-    """Tell these units to stop: what came of it, in words, and how long it took.
+def stop_stages(units: Units, clock: Clock, patience: float = PORT_TIMEOUT_S) -> str:
+    """Stop these units and return a human-readable result with the time it took.
 
-    Every port is tried, whatever becomes of the others.
+    Every port is tried, even if others fail.
 
     Raises:
-        NotStopped: a unit has not said that it stops.
+        NotStopped: a unit has not confirmed its stop.
     """
-    begin = clock.now()
-    stopping = [_Port(name, numbers, begin, begin + patience) for name, numbers in units.items()]
+    start = clock.now()
+    stopping = [_Port(name, numbers, start, start + patience) for name, numbers in units.items()]
     while any(not port.done and clock.now() < port.give_up for port in stopping):
         for port in stopping:
-            port.go_on(clock.now())
+            port.advance(clock.now())
         clock.sleep(0.002)
     for port in stopping:
         port.close()
-    said = "; ".join(port.said() for port in stopping)
+    result = "; ".join(port.result() for port in stopping)
     if not all(port.done for port in stopping):
-        raise NotStopped(said)
-    return said
+        raise NotStopped(result)
+    return result
 
 
 class _Port:
-    """One port on its way to a stop."""
+    """Stop sequence of one port."""
 
-    def __init__(self, name: str, units: Set[int], begin: float, give_up: float) -> None:
+    def __init__(self, name: str, units: Set[int], start: float, give_up: float) -> None:
         self.done, self.give_up = False, give_up
-        self._name, self._units, self._begin = name, units, begin
+        self._name, self._units, self._start = name, units, start
         self._link: SerialLink | None = None
         self._problem = ""
-        self._told = 0.0  # how long it took until the units were told first [s]
-        self._next = self._heard = begin
+        self._sent_after = 0.0  # time until the first stop command [s]
+        self._next = self._received = start
         self._statuses: dict[int, int] = {}
-        self._ignored = Counter[int]()  # stops, by units that home
+        self._ignored = Counter[int]()  # stops ignored by each homing unit
         self._reset: set[int] = set()
 
-    def go_on(self, now: float) -> None:
+    def advance(self, now: float) -> None:
         if self.done:
             return
         try:
             if self._link is None:
                 self._link = SerialLink(self._name, BAUD)
-                self._link.write(STOP)
-                self._parser = Parser(_plausible, GAP)
-                self._told = self._told or now - self._begin
-                self._heard = now
+                self._link.write(STOP_BYTES)
+                self._parser = ZaberParser(_plausible, RESYNC_GAP_S)
+                self._sent_after = self._sent_after or now - self._start
+                self._received = now
                 self._statuses.clear()
-                self._next = now + AGAIN
+                self._next = now + REPEAT_INTERVAL_S
                 return
             for message in self._parser.feed(self._link.read(), now, now):
-                self._heard = now
-                if message.command == Command.STATUS:
+                self._received = now
+                if message.command == ZaberCommand.STATUS:
                     self._statuses[message.device] = message.data
-                    self._ignored[message.device] += message.data == Status.HOMING
+                    self._ignored[message.device] += message.data == ZaberStatus.HOMING
             if self._stopping >= self._units:
                 self.done = True
             elif now >= self._next:
-                self._link.write(self._resets(now) or STOP + ASK)
-                self._next = max(self._next, now) + ANSWER
-            if not self._statuses and now - self._heard > SILENT:
+                self._link.write(self._resets(now) or STOP_BYTES + STATUS_REQUEST_BYTES)
+                self._next = max(self._next, now) + REPLY_TIMEOUT_S
+            if not self._statuses and now - self._received > SILENCE_TIMEOUT_S:
                 self.close()
         except (LinkError, OSError) as error:
             self._problem = str(error)
             self.close()
 
     def _resets(self, now: float) -> bytes:
-        """For units that go on homing; they say nothing for a while then."""
-        homing = [unit for unit, count in self._ignored.items() if count >= TRIES and unit in self._units]
+        """Return resets of units that continue to home; after it they do not answer for a while."""
+        homing = [unit for unit, count in self._ignored.items() if count >= STOP_ATTEMPTS and unit in self._units]
         for unit in homing:
             del self._ignored[unit]
             self._statuses.pop(unit, None)
         if homing:
             self._reset |= set(homing)
-            self._next = self._heard = now + RESTART
-            self.give_up = max(self.give_up, now + RESTART + PATIENCE)
-        return b"".join(encode(Message(unit, Command.RESET, IGNORED)) for unit in homing)
+            self._next = self._received = now + RESTART_S
+            self.give_up = max(self.give_up, now + RESTART_S + PORT_TIMEOUT_S)
+        return b"".join(encode(ZaberMessage(unit, ZaberCommand.RESET, NO_DATA)) for unit in homing)
 
     @property
     def _stopping(self) -> set[int]:
-        """Units that have said last that they do."""
-        return {unit for unit, status in self._statuses.items() if status in AT_REST}
+        """Units whose last status is stopping or idle."""
+        return {unit for unit, status in self._statuses.items() if status in REST_STATUSES}
 
     def close(self) -> None:
         if self._link is not None:
             self._link.close()
             self._link = None
 
-    def said(self) -> str:
+    def result(self) -> str:
         stages = f"{len(self._units)} stages on {self._name}"
         if self.done:
-            told = f"told {1e3 * self._told:.0f} ms after it was noticed"
-            reset = f"; number {_listed(self._reset)} homed and was reset: home again" if self._reset else ""
-            return f"{stages} stop, {told}{reset}"
-        if self._told and self._statuses:
-            silent = _listed(self._units - self._stopping)
-            return f"of {stages} number {silent} was told to stop and does not say so: press the emergency stop"
-        if self._told:
-            return f"the stages on {self._name} were told to stop and do not answer: press the emergency stop"
-        return f"the stages on {self._name} cannot be told to stop ({self._problem}): press the emergency stop"
+            sent = f"commanded {1e3 * self._sent_after:.0f} ms after detection"
+            reset = f"; number {_list_units(self._reset)} homed and was reset: home again" if self._reset else ""
+            return f"{stages} stop, {sent}{reset}"
+        if self._sent_after and self._statuses:
+            silent = _list_units(self._units - self._stopping)
+            return f"of {stages} number {silent} was commanded to stop and has not confirmed: press the emergency stop"
+        if self._sent_after:
+            return f"the stages on {self._name} were commanded to stop and do not answer: press the emergency stop"
+        return f"the stages on {self._name} cannot be commanded to stop ({self._problem}): press the emergency stop"
 
 
-def _listed(units: Set[int]) -> str:
+def _list_units(units: Set[int]) -> str:
     return ", ".join(str(unit) for unit in sorted(units))
 
 
-def _plausible(message: Message) -> bool:
-    """What a unit may say meanwhile."""
-    if message.command == Command.STATUS:
+def _plausible(message: ZaberMessage) -> bool:
+    """Return whether a unit can send this message during the stop."""
+    if message.command == ZaberCommand.STATUS:
         return message.data in STATUSES
-    return message.command in (Command.STOP, Command.MOVE_SPEED, Command.LIMIT_ACTIVE, Command.POSITION, Command.ERROR)
+    return message.command in (
+        ZaberCommand.STOP,
+        ZaberCommand.MOVE_SPEED,
+        ZaberCommand.LIMIT_ACTIVE,
+        ZaberCommand.POSITION,
+        ZaberCommand.ERROR,
+    )

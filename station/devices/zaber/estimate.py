@@ -1,31 +1,31 @@
-"""Where a Zaber axis is between two readings, and which readings are believed.
+"""Estimate of a Zaber axis's position between two readings, and plausibility of readings.
 
-The unit's own ramps are followed from the velocities that were sent, each from the moment of its effect; a
-reading is compared with where the axis was expected when the unit took it. There is no checksum, so that a
-reading far from that counts only once others agree with it.
+The estimate follows the unit's velocity ramps from the velocities that were sent, each from the time of its effect. A
+reading is compared with the position expected when the unit read it. Messages have no checksum. Therefore a reading
+far from the expected position is accepted only after other readings agree with it.
 """
 
 import math
 from collections import deque
 
-#: A reading this far from what was expected needs two more that agree with it: there is no checksum.
-SLACK = 16.0  # [microsteps], and so much time at the present speed [s]:
-SLACK_TIME = 0.012
-#: So many readings in a row that fit nothing mean that the axis does not move as it was told, and so do three
-#: that agree on a place farther off than the axis gets in this time at its top speed (a unit that was reset).
-UNEXPECTED_READINGS = 8
-JUMP = 0.5  # [s]
+#: A reading this far from the expected position needs two more that agree with it: messages have no checksum.
+READING_TOLERANCE = 16.0  # [microsteps], plus the distance in the following time at the present speed [s]:
+READING_TOLERANCE_S = 0.012
+#: After this number of implausible readings in a row the axis does not move as commanded. The same holds after three
+#: consistent readings farther away than the axis moves in `MAX_JUMP` at its top speed (a unit that was reset).
+MAX_UNEXPECTED_READINGS = 8
+MAX_JUMP = 0.5  # [s]
 
 
-class Estimate:
-    """Where an axis is [microsteps], from what was sent and what came back."""
+class AxisEstimate:
+    """Position of an axis [microsteps], from velocities sent and positions received."""
 
     def __init__(self, top: float, acceleration: float, maximum: float) -> None:
-        self._jump = JUMP * top
+        self._jump = MAX_JUMP * top
         self.position = math.nan
-        self.known = False  #: until then `position` is only the last reading
-        self.adrift = False  #: it moves by itself: homing, or not as it was told
-        self.rejected = 0  #: readings in a row
+        self.known = False  #: False: `position` is only the last reading
+        self.adrift = False  #: it moves by itself: homing, or not as commanded
+        self.rejected = 0  #: rejected readings in a row
         self._acceleration, self._maximum = acceleration, maximum
         self._velocity = self._target = self._fastest = 0.0
         self._time = -math.inf
@@ -34,22 +34,22 @@ class Estimate:
         self._doubts: list[float] = []
 
     def forget(self, adrift: bool = False) -> None:
-        """The axis may be anywhere: believe the next two readings that agree, or none while it is adrift."""
+        """Discard the position; accept the next two readings that agree, or none while the axis is adrift."""
         self.known, self.adrift, self.rejected = False, adrift, 0
         self._velocity = self._target = 0.0
         self._ahead.clear()
         self._doubts.clear()
 
     def command(self, velocity: float, when: float) -> None:
-        """A velocity [microsteps/s] that takes effect at `when` [s]."""
+        """Add a velocity [microsteps/s] that takes effect at `when` [s]."""
         self._ahead.append((when, velocity))
 
     def expect(self, when: float) -> None:
-        """The unit reads its position at `when` [s]."""
+        """Note that the unit reads its position at `when` [s]."""
         self._ahead.append((when, None))
 
     def advance(self, now: float) -> None:
-        """Let time pass."""
+        """Advance the estimate to `now` [s]."""
         ahead = self._ahead
         while ahead and ahead[0][0] <= now:
             when, velocity = ahead.popleft()
@@ -62,17 +62,17 @@ class Estimate:
         self._run(now)
 
     def correct(self, reading: int) -> bool:
-        """Take in a position that the unit read when it was expected to; False: it fits nothing, so wait."""
+        """Correct the estimate by a position reading; return False if the reading is implausible."""
         if not self.known:
             self._doubts = [*self._doubts[-1:], float(reading)]
             self.position = self._sample = float(reading)
-            agree = len(self._doubts) == 2 and abs(self._doubts[0] - self._doubts[1]) <= SLACK
+            agree = len(self._doubts) == 2 and abs(self._doubts[0] - self._doubts[1]) <= READING_TOLERANCE
             if agree and not self.adrift:
                 self.known = True
                 self._doubts.clear()
             return True
         delta = reading - self._sample
-        slack = SLACK + SLACK_TIME * self._fastest
+        slack = READING_TOLERANCE + READING_TOLERANCE_S * self._fastest
         if abs(delta) > slack:
             agree = [doubt for doubt in self._doubts if abs(doubt - delta) <= slack]
             self._doubts = [*agree, delta]
@@ -80,7 +80,7 @@ class Estimate:
                 self.rejected += 1
                 return False
             if abs(delta) > self._jump:
-                self.rejected = UNEXPECTED_READINGS
+                self.rejected = MAX_UNEXPECTED_READINGS
                 return False
         self._doubts.clear()
         self.rejected = 0
@@ -89,7 +89,7 @@ class Estimate:
 
     @property
     def doubtful(self) -> bool:
-        """The last reading waits to be confirmed."""
+        """Whether the last reading needs confirmation."""
         return self.known and bool(self._doubts)
 
     def _run(self, until: float) -> None:
@@ -103,10 +103,10 @@ class Estimate:
             return
         position = self.position + velocity * time
         if change != 0.0:
-            most = self._acceleration * time
-            change = min(max(change, -most), most)
+            max_change = self._acceleration * time
+            change = min(max(change, -max_change), max_change)
             position += change * (time - 0.5 * abs(change) / self._acceleration)
             self._velocity = velocity + change
-        if not 0.0 <= position <= self._maximum:  # the unit does not go further
+        if not 0.0 <= position <= self._maximum:  # the unit stops at the ends of its travel
             position = min(max(position, 0.0), self._maximum)
         self.position = position

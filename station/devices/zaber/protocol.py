@@ -1,8 +1,8 @@
-"""Zaber T-series, Binary protocol of firmware 5.xx: messages, units, command numbers, errors in words.
+"""Zaber T-series, Binary protocol of firmware 5.xx: messages, units, command numbers, error texts.
 
-A message has six bytes both ways and no checksum, so that a lost byte shifts everything after it. Two
-things find the frame again: a silence of more than 10 ms (the units do the same), and a look at whether
-a message makes sense. Sources: the manufacturer's Binary Protocol Manual and his wiki's T-Series pages.
+A message has six bytes in both directions and no checksum, so that a lost byte shifts all following ones. The
+frame is recovered by a silence of more than 10 ms, as in the units, and by the plausibility of the messages.
+Sources: the manufacturer's Binary Protocol Manual, and the T-Series pages of the manufacturer's wiki.
 """
 
 import math
@@ -14,24 +14,24 @@ from typing import NamedTuple
 from core.errors import CtrError
 
 BAUD = 9600  #: 8N1, no handshake; fixed in the T-series [bit/s]
-BYTE_TIME = 10.0 / BAUD  #: [s]
-SIZE = 6  #: bytes of a message
-MESSAGE_TIME = SIZE * BYTE_TIME  #: 6.25 ms: 160 messages a second each way
-GAP = 0.010  #: a message with a longer pause inside is dropped [s]
+BYTE_TIME_S = 10.0 / BAUD  #: [s]
+MESSAGE_BYTES = 6  #: bytes of a message
+MESSAGE_TIME_S = MESSAGE_BYTES * BYTE_TIME_S  #: 6.25 ms: 160 messages per second in each direction
+RESYNC_GAP_S = 0.010  #: a message with a longer pause inside is dropped [s]
 
 SPEED_UNIT = 9.375  #: [microsteps/s]; firmware 6 and later has another one
 ACCELERATION_UNIT = 11250.0  #: [microsteps/s^2]; firmware 6 and later has another one
-MOST_POSITION = 16_777_215  #: of Set Maximum Position [microsteps]
-RESOLUTION = 64  #: microsteps a full step, from the factory
+MAX_POSITION = 16_777_215  #: of Set Maximum Position [microsteps]
+MICROSTEP_RESOLUTION = 64  #: microsteps a full step, from the factory
 
 _FRAME = struct.Struct("<BBi")
 
 
 class ZaberError(CtrError):
-    """A message that cannot be, or a stage that is not what it should be or does not do what it was told."""
+    """An invalid message, an unexpected unit, or a stage that does not execute its command."""
 
 
-class Command(IntEnum):
+class ZaberCommand(IntEnum):
     """Command numbers; the last ones of each block only ever come as replies."""
 
     RESET = 0
@@ -83,7 +83,7 @@ class Mode(IntEnum):
     HOMED = 1 << 7
 
 
-class Status(IntEnum):
+class ZaberStatus(IntEnum):
     """Answers to Return Status (54) that matter here."""
 
     IDLE = 0
@@ -141,22 +141,22 @@ ERRORS = {
 
 
 def error_text(code: int) -> str:
-    """What an error reply means, in words."""
+    """Return the meaning of an error reply as text."""
     if 4000 <= code <= 4031:
         return f"error {code}: bit {code - 4000} of the device mode is not possible"
     return f"error {code}: {ERRORS.get(code, 'not in the list of the T-series')}"
 
 
-class Message(NamedTuple):
-    """Six bytes, either way."""
+class ZaberMessage(NamedTuple):
+    """A message of six bytes, in either direction."""
 
     device: int  #: 0 addresses every unit
     command: int
     data: int  #: signed 32 bits
 
 
-def encode(message: Message) -> bytes:
-    """The bytes of a message.
+def encode(message: ZaberMessage) -> bytes:
+    """Return the bytes of a message.
 
     Raises:
         ZaberError: a part that does not fit.
@@ -170,30 +170,30 @@ def encode(message: Message) -> bytes:
     return _FRAME.pack(device, command, data)
 
 
-def decode(frame: bytes) -> Message:
-    """The message in six bytes."""
-    return Message._make(_FRAME.unpack(frame))
+def decode(frame: bytes) -> ZaberMessage:
+    """Return the message in six bytes."""
+    return ZaberMessage._make(_FRAME.unpack(frame))
 
 
 def with_id(data: int, identity: int) -> int:
-    """Data of a message in message-ID mode: 24 signed bits, and the ID in the sixth byte."""
+    """Return the data of a message in message-ID mode: 24 signed bits, and the ID in the sixth byte."""
     word = (data & 0xFFFFFF) | (identity & 0xFF) << 24
     return word - (1 << 32) if word >= 1 << 31 else word
 
 
 def split_id(word: int) -> tuple[int, int]:
-    """Data and ID of a message in message-ID mode."""
+    """Return data and ID of a message in message-ID mode."""
     data = word & 0xFFFFFF
     return (data - (1 << 24) if data >= 1 << 23 else data), (word >> 24) & 0xFF
 
 
 def top_speed(resolution: int) -> int:
-    """Largest speed and acceleration that the units take at a resolution [their units]."""
+    """Return the largest speed and acceleration that the units accept at a resolution [their units]."""
     return 512 * resolution - 1
 
 
 def speed_data(microsteps_per_s: float) -> int:
-    """The nearest speed that can be sent.
+    """Return the nearest speed that can be sent.
 
     Raises:
         ZaberError: not finite.
@@ -203,56 +203,56 @@ def speed_data(microsteps_per_s: float) -> int:
     return round(microsteps_per_s / SPEED_UNIT)
 
 
-class Parser:
-    """Messages out of a stream of bytes that may be split anywhere, damaged or full of noise."""
+class ZaberParser:
+    """Extracts messages from a byte stream that may be split anywhere, damaged or noisy."""
 
-    def __init__(self, plausible: Callable[[Message], bool] | None = None, gap: float = GAP) -> None:
-        """`plausible` says whether a message makes sense; without it every six bytes are one.
+    def __init__(self, plausible: Callable[[ZaberMessage], bool] | None = None, gap: float = RESYNC_GAP_S) -> None:
+        """`plausible` returns whether a message is valid; without it every six bytes are a message.
 
         `gap` is the silence that ends a message [s].
         """
         self.dropped = 0  #: bytes that belong to no message
-        self.resyncs = 0  #: times that the frame was lost
+        self.resyncs = 0  #: how many times the frame was lost
         self._plausible = plausible
         self._gap = gap
-        self._held = bytearray()
+        self._buffer = bytearray()
         self._last = -math.inf
         self._lost = False
 
-    def feed(self, data: bytes, now: float, since: float | None = None) -> list[Message]:
-        """Messages completed by `data`, which arrived at `now` or, if that is not so sure, after `since` [s].
+    def feed(self, data: bytes, now: float, since: float | None = None) -> list[ZaberMessage]:
+        """Return the messages that `data` completes, which arrived at `now`, or between `since` and `now` [s].
 
-        Whoever has looked last a while ago does not know whether there was a silence; none is assumed then.
+        After a long interval between reads a silence cannot be detected; then none is assumed.
         """
         if not data:
             return []
-        held = self._held
+        buffer = self._buffer
         if (now if since is None else since) - self._last > self._gap:
             self._lost = False
-            if held:
-                self._drop(len(held))
+            if buffer:
+                self._drop(len(buffer))
         self._last = now
-        held += data
-        if len(held) < SIZE:
+        buffer += data
+        if len(buffer) < MESSAGE_BYTES:
             return []
-        found: list[Message] = []
-        begin, skipped = 0, 0
-        while len(held) - begin >= SIZE:
-            message = Message._make(_FRAME.unpack_from(held, begin))
+        found: list[ZaberMessage] = []
+        start, skipped = 0, 0
+        while len(buffer) - start >= MESSAGE_BYTES:
+            message = ZaberMessage._make(_FRAME.unpack_from(buffer, start))
             if self._plausible is None or self._plausible(message):
                 found.append(message)
-                begin += SIZE
+                start += MESSAGE_BYTES
                 self._lost = False
             else:
                 self.resyncs += not self._lost
                 self._lost = True
-                begin += 1
+                start += 1
                 skipped += 1
         self.dropped += skipped
-        del held[:begin]
+        del buffer[:start]
         return found
 
     def _drop(self, count: int) -> None:
         self.dropped += count
         self.resyncs += 1
-        del self._held[:count]
+        del self._buffer[:count]

@@ -1,16 +1,16 @@
-"""The Zaber units behind the stages: on which chain each is, who it says that it is, and whether it is homed."""
+"""The Zaber units of the stages: the chain, the identity and the homing state of each."""
 
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from station.devices.zaber.chain import Chain
-from station.devices.zaber.estimate import Estimate
-from station.devices.zaber.setup import Port, StageSetup
+from station.devices.zaber.chain import ZaberChain
+from station.devices.zaber.estimate import AxisEstimate
+from station.devices.zaber.setup import PortSetup, StageSetup
 
 
 class Identity(NamedTuple):
-    """What a unit says that it is."""
+    """Identity that a unit reports."""
 
     device_id: int
     firmware: int  #: two implied decimals: 523 is 5.23
@@ -18,39 +18,39 @@ class Identity(NamedTuple):
 
 
 class Units:
-    """What is known of the unit of each stage; who it is and whether it is homed outlast a change of ports."""
+    """State of the unit of each stage; identity and homing state persist when the ports change."""
 
     def __init__(self, setups: Sequence[StageSetup]) -> None:
         self.setups = tuple(setups)
         self.identities: list[Identity | None] = [None for _ in setups]
         self.homed = [False for _ in setups]
-        self.home_again: set[int] = set()  #: stages that must be homed whatever their units say
-        self.way_home = [0.0 for _ in setups]  #: on which a stage is or was stopped [rad or m]
-        self.ports: tuple[Port, ...] = ()
-        self.chains: list[Chain] = []  #: one for each port
-        self.where: list[tuple[Chain, int]] = []  #: chain and axis of each stage
+        self.home_again: set[int] = set()  #: stages that must be homed even if their units report that they are
+        self.homing_distance = [0.0 for _ in setups]  #: distance moved by unfinished homing [rad or m]
+        self.ports: tuple[PortSetup, ...] = ()
+        self.chains: list[ZaberChain] = []  #: one for each port
+        self.where: list[tuple[ZaberChain, int]] = []  #: chain and axis of each stage
 
-    def estimate(self, i: int) -> Estimate:
-        """Where the axis of a stage is [microsteps]."""
+    def estimate(self, i: int) -> AxisEstimate:
+        """Return the position estimate of a stage's axis [microsteps]."""
         chain, axis = self.where[i]
         return chain.estimates[axis]
 
     def alias(self, i: int) -> int:
-        """Second number of the unit of a stage."""
+        """Return the alias of a stage's unit."""
         chain, axis = self.where[i]
         return chain.axes[axis].alias or 0
 
     def name(self, i: int) -> str:
-        """The stage, its number and its line, for a message."""
+        """Return the stage, its number and its line, for messages."""
         link = next(port.link for port in self.ports if i in port.stages)
         return f"{self.setups[i].joint.name} (device {self.setups[i].device} on {link.name})"
 
     def reach(self, i: int) -> str:
-        """How far a stage that hears nothing can run."""
+        """Return how far a stage that receives no commands can move, as text."""
         chain, axis = self.where[i]
         setup, count, speed = self.setups[i], chain.estimates[axis].position, chain.sent[axis]
         if speed == 0 or not math.isfinite(count):
-            return "it was not moving" if speed == 0 else "where it is was not known"
+            return "it was not moving" if speed == 0 else "its position was unknown"
         end = setup.maximum if speed > 0 else 0
         scale, unit = (180.0 / math.pi, "deg") if setup.joint.motion == "rotation" else (1e3, "mm")
         last, bound = scale * setup.position(count), scale * setup.position(end)

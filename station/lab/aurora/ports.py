@@ -1,21 +1,24 @@
-"""The port handles of a simulated Aurora: their states, and what PHSR, PHINF, PINIT, PENA, PDIS and PHF do."""
+"""The port handles of a simulated Aurora tracker: their states and the commands for them.
+
+The commands are PHSR, PHINF, PINIT, PENA, PDIS and PHF.
+"""
 
 from dataclasses import dataclass
 
 from station.devices.aurora.replies import ENABLED, IN_PORT, INITIALISED, PORT_OCCUPIED
-from station.lab.aurora.commands import Refused, number
+from station.lab.aurora.commands import AuroraRefusal, number
 
 
 @dataclass
-class Port:
-    """A port handle."""
+class ToolPort:
+    """A port handle of the tracker, which stands for one plugged-in tool."""
 
     handle: int
-    serial: str  #: of the tool
-    target: bool = False  #: the tool is the target's coil, not the tip's
+    serial: str  #: serial number of the tool
+    target: bool = False  #: whether the tool is the target's coil instead of the tip's
     initialised: bool = False
     enabled: bool = False
-    gone: bool = False  #: unplugged and to be freed
+    gone: bool = False  #: whether the tool is unplugged, but its handle not yet freed
 
     @property
     def status(self) -> int:
@@ -24,12 +27,12 @@ class Port:
 
 
 class PortHandles:
-    """The handles of a unit into which the tip's coil is plugged, and perhaps a target's."""
+    """All port handles of a tracker with the tip's coil and, optionally, the coil of a moving target."""
 
     def __init__(self, serial: str, target: str = "") -> None:
         self._serial, self._target = serial, target
         self.ports = self._plugged()
-        self.changed = 0  #: system status bits, until the host looks at the ports
+        self.changed = 0  #: system status bits, cleared when the host reads the ports
 
     def unplug(self) -> None:
         """Pull the plug of the tip's coil."""
@@ -37,37 +40,37 @@ class PortHandles:
         self.changed |= 0x80
 
     def plug(self) -> None:
-        """Put it back: it gets another handle."""
-        self.ports.append(Port((max(port.handle for port in self.ports) + 1) & 0xFF, self._serial))
+        """Plug the tip's coil in again; it gets another handle."""
+        self.ports.append(ToolPort((max(port.handle for port in self.ports) + 1) & 0xFF, self._serial))
         self.changed |= PORT_OCCUPIED
 
     def restart(self) -> None:
-        """As at power up."""
+        """Reset all handles to the state after power-up."""
         tip = self._tip
         self.ports = self._plugged()
         if tip.gone:
             self.ports[0] = tip
 
     @property
-    def _tip(self) -> Port:
+    def _tip(self) -> ToolPort:
         """The newest handle of the tip's coil."""
         return next(port for port in reversed(self.ports) if not port.target)
 
-    def _plugged(self) -> list[Port]:
-        """Handles of what is plugged in, as they are given at power up."""
-        return [Port(0x0A, self._serial), *([Port(0x0B, self._target, target=True)] if self._target else [])]
+    def _plugged(self) -> list[ToolPort]:
+        """Return the handles that plugged-in tools get at power-up."""
+        return [ToolPort(0x0A, self._serial), *([ToolPort(0x0B, self._target, target=True)] if self._target else [])]
 
     def forget(self) -> None:
-        """As INIT does: no tool is initialised or enabled."""
+        """Reset all tools to not initialised and not enabled, as INIT does."""
         for port in self.ports:
             port.initialised = port.enabled = False
 
-    def enabled(self) -> list[Port]:
-        """Those that frames tell of."""
+    def enabled(self) -> list[ToolPort]:
+        """Return the ports whose tools frames contain."""
         return [port for port in self.ports if port.enabled]
 
     def search(self, parameters: str) -> str:
-        """Answer to PHSR, after which no change is told any more."""
+        """Return the answer to PHSR, which clears the reported changes."""
         tests = {
             0: lambda port: True,  # noqa: ARG005
             1: lambda port: port.gone,
@@ -77,13 +80,13 @@ class PortHandles:
         }
         which = number(parameters or "00", 2)
         if which not in tests:
-            raise Refused(0x23)
+            raise AuroraRefusal(0x23)
         self.changed = 0
         found = [port for port in self.ports if tests[which](port)]
         return f"{len(found):02X}" + "".join(f"{port.handle:02X}{port.status:03X}" for port in found)
 
     def information(self, parameters: str) -> str:
-        """Answer to PHINF."""
+        """Return the answer to PHINF."""
         port = self._port(parameters[:2])
         options = number(parameters[2:] or "0001", 4)
         if port.gone:
@@ -100,31 +103,31 @@ class PortHandles:
         return "".join(text for bit, text in fields.items() if options & bit)
 
     def change(self, name: str, parameters: str, tracking: bool) -> None:
-        """Carry out PINIT, PENA, PDIS or PHF."""
+        """Execute PINIT, PENA, PDIS or PHF."""
         port = self._port(parameters[:2])
         if tracking:
-            raise Refused(0x0C)
+            raise AuroraRefusal(0x0C)
         priority = parameters[2:]
         if name == "PENA" and (len(priority) != 1 or priority not in "SDB"):
-            raise Refused(0x09)
+            raise AuroraRefusal(0x09)
         if name != "PENA" and priority:
-            raise Refused(0x02)
+            raise AuroraRefusal(0x02)
         if name == "PHF":
             port.initialised = port.enabled = False
             if port.gone and len(self.ports) > 1:
                 self.ports.remove(port)
         elif port.gone:
-            raise Refused(0x0D)
+            raise AuroraRefusal(0x0D)
         elif name == "PINIT":
             port.initialised = True
         elif not port.initialised:
-            raise Refused(0x0E)
+            raise AuroraRefusal(0x0E)
         else:
             port.enabled = name == "PENA"
 
-    def _port(self, digits: str) -> Port:
+    def _port(self, digits: str) -> ToolPort:
         handle = number(digits, 2)
         for port in self.ports:
             if port.handle == handle:
                 return port
-        raise Refused(0x08)
+        raise AuroraRefusal(0x08)

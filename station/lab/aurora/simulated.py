@@ -1,8 +1,7 @@
-"""A simulated Aurora at wire level: bytes in, bytes out, at the pace of its line, fed by the true tip.
+"""A simulated Aurora tracker at wire level: it exchanges bytes at the baud rate of its line and measures the true tip.
 
-It wakes at 9600 8N1, checks CRCs, takes both forms of a command, and answers each some time
-after its last byte has arrived. Times on the line, and not only what is said, are therefore those
-of a serial port, whatever carries the bytes.
+The tracker starts at 9600 8N1, checks CRCs, accepts both forms of a command, and answers each command with a delay
+after its last byte. Content and timing of the bytes are therefore those of a serial port, over any transport.
 """
 
 import math
@@ -14,46 +13,47 @@ import numpy as np
 
 from core.robot.robot import Array
 from station.devices.aurora.protocol import POWER_UP_BAUD, framed
-from station.devices.aurora.tracker import Registration
-from station.lab.aurora.coil import MOUNT, Coil
-from station.lab.aurora.commands import LONGEST_COMMAND, Refused, number, parse_command, parse_rate
-from station.lab.aurora.frames import bx_reply, tx_reply, wants_beyond_volume
+from station.devices.aurora.tracker import TrackerMounting
+from station.lab.aurora.coil import GENERATOR_POSE, Coil
+from station.lab.aurora.commands import MAX_COMMAND_BYTES, AuroraRefusal, number, parse_command, parse_rate
+from station.lab.aurora.frames import bx_reply, requests_beyond_volume, tx_reply
 from station.lab.aurora.ports import PortHandles
 from station.lab.config import TrackerConfig
 
-#: From the last byte of a command to the first of its reply (unconfirmed) [s].
-TURN_ROUND = {"INIT": 0.02, "PINIT": 0.05, "PENA": 0.02, "TSTART": 0.02, "TSTOP": 0.02}
-USUAL_TURN_ROUND = 0.0005
-TARGET_SERIAL = "3A5C1D01"  #: of the target's coil, where there is one
-RESET_TIME = 0.5  #: from a break to RESET (unconfirmed) [s]
-MOST_HEARD = 64  #: commands, and replies, that wait; more are lost
+#: Time from the last byte of a command to the first of its reply (unconfirmed) [s].
+REPLY_DELAYS_S = {"INIT": 0.02, "PINIT": 0.05, "PENA": 0.02, "TSTART": 0.02, "TSTOP": 0.02}
+USUAL_REPLY_DELAY_S = 0.0005
+TARGET_SERIAL = "3A5C1D01"  #: serial number of the coil on a moving target, if the lab has a target
+RESET_TIME_S = 0.5  #: time from a break to RESET (unconfirmed) [s]
+MAX_PENDING_COMMANDS = 64  #: largest number of waiting commands, and of waiting replies; further ones are lost
+PORT_BUFFER = 4096  #: bytes that can wait for transmission; further bytes are lost, as in a serial port [bytes]
 
 
 @dataclass
 class AuroraFaults:
-    """What is wrong with the unit or its line; may be changed at any time."""
+    """Faults of the simulated tracker and its line; they may change at any time."""
 
-    drop: float = 0.0  #: part of the bytes that are lost, either way
-    flip: float = 0.0  #: part of the bytes with a wrong bit, either way
-    mute: bool = False  #: hears nothing, says nothing
-    delay: float = 0.0  #: of each reply on top of the usual [s]
-    tool_lost: bool = False  #: the coil is not seen
-    target_lost: bool = False  #: the target's coil is not seen
-    jump: float = 0.0  #: the coil seems to be so far off along the world's x [m]
+    drop: float = 0.0  #: share of the bytes that are lost, in both directions
+    flip: float = 0.0  #: share of the bytes with a wrong bit, in both directions
+    mute: bool = False  #: the unit neither receives nor sends
+    delay: float = 0.0  #: additional delay of each reply [s]
+    tool_lost: bool = False  #: the coil is not visible
+    target_lost: bool = False  #: the target's coil is not visible
+    jump: float = 0.0  #: offset of the coil's position along the world's x [m]
     freeze: bool = False  #: no new frame is measured
 
 
-class Saying(NamedTuple):
-    """A reply on its way."""
+class PendingReply(NamedTuple):
+    """A reply in transmission."""
 
-    begin: float  #: of the first character that is left [s]
-    character: float  #: time that one takes [s]
+    start: float  #: time at which the first remaining character starts [s]
+    character: float  #: duration of a character [s]
     baud: int
-    left: bytes
+    remaining: bytes
 
 
 class SimulatedAurora:
-    """One unit with a five-degree-of-freedom coil at the tip, and perhaps another on a target."""
+    """A simulated Aurora with a five-degree-of-freedom coil at the tip and, optionally, another on a moving target."""
 
     def __init__(
         self,
@@ -61,15 +61,15 @@ class SimulatedAurora:
         rng: np.random.Generator,
         serial: str = "3A5C1D00",
         firmware: str = "AURORA Rev 009",
-        mount: Registration = MOUNT,
+        mount: TrackerMounting = GENERATOR_POSE,
         lacks: tuple[str, ...] = (),
         target: str = "",
     ) -> None:
-        """`lacks` are commands that this firmware does not know; `target` is the serial number of a second coil."""
+        """`lacks` are commands that this firmware does not support; `target` is the serial number of a second coil."""
         self.faults = AuroraFaults()
         self.baud = POWER_UP_BAUD
         self.tracking = False
-        self.executed: deque[str] = deque(maxlen=1000)  #: commands that were carried out, without CRC
+        self.executed: deque[str] = deque(maxlen=1000)  #: executed commands, without CRC
         self.refused = 0  #: commands answered with an error
         self.handles = PortHandles(serial, target)
         self._coil = Coil(config, rng, mount)
@@ -77,110 +77,116 @@ class SimulatedAurora:
         self._target = Coil(config, rng.spawn(1)[0], mount, self._coil.distortion) if target else None
         self._firmware, self._lacks = firmware, lacks
         self._initialised = False
-        self._character = 10  # bits
-        self.looked = 0.0  #: when the line was looked at last [s]
-        self.due = math.inf  #: when there is something to say, or to do, next [s]
+        self._character = 10  # number of bits of a character on the line
+        self.last_poll = 0.0  #: time at which the line was read last [s]
+        self.due = math.inf  #: time of the next reply or command [s]
         self._line = bytearray()
-        self._heard_until = 0.0
-        self._heard: deque[tuple[float, bytes]] = deque()
+        self._received_until = 0.0
+        self._received: deque[tuple[float, bytes]] = deque()
         self._busy_until = 0.0
-        self._saying: deque[Saying] = deque()
-        self._rate_after: tuple[int, int] | None = None  # baud and bits once OKAY is out
+        self._replies: deque[PendingReply] = deque()
+        self._rate_after: tuple[int, int] | None = None  # baud and bits after OKAY has been sent
 
-    # -- the world about it -----------------------------------------------------------------------
+    # -- measurement of the coils -----------------------------------------------------------------
 
     def advance(
-        self, begin: float, end: float, tip_begin: Array, tip_end: Array, direction: Array | None = None,
+        self, start: float, end: float, tip_start: Array, tip_end: Array, direction: Array | None = None,
         target: tuple[Array, Array] | None = None,
     ) -> None:  # fmt: skip
-        """See the true tip go from `tip_begin` to `tip_end`, world frame [m], the coil along `direction`.
+        """Measure the true tip from `tip_start` to `tip_end`, world frame [m], with the coil's axis `direction`.
 
-        `target` are begin and end of the way of the target's coil.
+        `target` are the first and the last position of the target's coil.
         """
         if self._target is not None and target is not None and not self.faults.freeze:
-            self._target.advance(begin, end, *target, None, self.faults.target_lost)
+            self._target.advance(start, end, *target, None, self.faults.target_lost)
         if self._coil.due <= end + 1e-9 and not self.faults.freeze:
             if self.faults.jump:
-                off = np.array([self.faults.jump, 0.0, 0.0])
-                tip_begin, tip_end = tip_begin + off, tip_end + off
-            self._coil.advance(begin, end, tip_begin, tip_end, direction, self.faults.tool_lost)
+                offset = np.array([self.faults.jump, 0.0, 0.0])
+                tip_start, tip_end = tip_start + offset, tip_end + offset
+            self._coil.advance(start, end, tip_start, tip_end, direction, self.faults.tool_lost)
 
     def unplug(self) -> None:
         """Pull the tool's plug."""
         self.handles.unplug()
 
     def plug(self) -> None:
-        """Put it back: it gets another handle."""
+        """Plug the tool in again; it gets another handle."""
         self.handles.plug()
 
     def restart(self, now: float) -> None:
-        """Power up, or answer a break: 9600 baud, nothing initialised."""
+        """Restart the tracker as after power-up or a break: 9600 baud, no tool initialised."""
         self.baud, self._character, self._rate_after = POWER_UP_BAUD, 10, None
         self.tracking = self._initialised = False
-        self._count_anew()
+        self._restart_count()
         self.handles.restart()
         self._line.clear()
-        self._heard.clear()
-        self._saying.clear()
-        self._heard_until = self._busy_until = now
-        self._say(framed("RESET"), now + RESET_TIME)
+        self._received.clear()
+        self._replies.clear()
+        self._received_until = self._busy_until = now
+        self._send(framed("RESET"), now + RESET_TIME_S)
         self._plan()
 
     # -- the line -----------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now: float, host_baud: int | None = None) -> None:
-        """Hear what the host has written since the last look; `host_baud` where the link can tell it."""
-        begin, self.looked = self.looked, now
+        """Receive the bytes that the host has written since the last call.
+
+        `host_baud` is the host's baud rate; None if the link does not know it.
+        """
+        start, self.last_poll = self.last_poll, now
         if not data or self.faults.mute:
             return
         if host_baud not in (None, self.baud):
             data = self._garbage(len(data))
-        time = max(begin, self._heard_until)
-        for byte in self._disturbed(data):
+        time = max(start, self._received_until)
+        backlog = math.ceil((time - start) * self.baud / self._character)
+        data = data[: max(0, PORT_BUFFER - backlog)]
+        for byte in self._with_faults(data):
             time += self._character / self.baud
             if byte == 0x0D:
-                if len(self._heard) < MOST_HEARD:
-                    self._heard.append((time, bytes(self._line)))
+                if len(self._received) < MAX_PENDING_COMMANDS:
+                    self._received.append((time, bytes(self._line)))
                 self._line.clear()
-            elif byte != 0x0A and len(self._line) <= LONGEST_COMMAND:
+            elif byte != 0x0A and len(self._line) <= MAX_COMMAND_BYTES:
                 self._line.append(byte)
-        self._heard_until = time
+        self._received_until = time
         self._plan()
 
     def transmit(self, now: float, host_baud: int | None = None) -> bytes:
-        """What the line carries to the host by `now` [s]."""
-        while self._heard and self._heard[0][0] <= now:
-            self._carry_out(*self._heard.popleft())
+        """Return the bytes that the line transmits to the host until `now` [s]."""
+        while self._received and self._received[0][0] <= now:
+            self._execute(*self._received.popleft())
         out = b""
-        while self._saying and self._saying[0].begin < now:
-            saying = self._saying.popleft()
-            count = min(len(saying.left), int((now - saying.begin) / saying.character + 1e-6))
-            said, left = saying.left[:count], saying.left[count:]
-            out += said if host_baud in (None, saying.baud) else self._garbage(count)
-            if left:
-                self._saying.appendleft(saying._replace(begin=saying.begin + count * saying.character, left=left))
+        while self._replies and self._replies[0].start < now:
+            reply = self._replies.popleft()
+            count = min(len(reply.remaining), int((now - reply.start) / reply.character + 1e-6))
+            sent, remaining = reply.remaining[:count], reply.remaining[count:]
+            out += sent if host_baud in (None, reply.baud) else self._garbage(count)
+            if remaining:
+                start = reply.start + count * reply.character
+                self._replies.appendleft(reply._replace(start=start, remaining=remaining))
                 break
-            if self._rate_after and not self._saying:
+            if self._rate_after and not self._replies:
                 (self.baud, self._character), self._rate_after = self._rate_after, None
         self._plan()
-        return b"" if self.faults.mute else self._disturbed(out)
+        return b"" if self.faults.mute else self._with_faults(out)
 
     def _plan(self) -> None:
-        """A reply is due with its last character: looking more often brings it in parts, but not earlier."""
-        self.due = self._heard[0][0] if self._heard else math.inf
-        if self._saying:
-            begin, character, _, left = self._saying[0]
-            self.due = min(self.due, begin + len(left) * character)
+        """Set the time of the next event. A reply is due with its last character; earlier polls return a part of it."""
+        self.due = self._received[0][0] if self._received else math.inf
+        if self._replies:
+            start, character, _, remaining = self._replies[0]
+            self.due = min(self.due, start + len(remaining) * character)
 
-    def _say(self, data: bytes, begin: float) -> None:
-        if len(self._saying) >= MOST_HEARD:
+    def _send(self, data: bytes, start: float) -> None:
+        if len(self._replies) >= MAX_PENDING_COMMANDS:
             return
         character = self._character / self.baud
-        begin = max(begin, self._busy_until)
-        self._busy_until = begin + len(data) * character
-        self._saying.append(Saying(begin, character, self.baud, data))
+        start = max(start, self._busy_until)
+        self._busy_until = start + len(data) * character
+        self._replies.append(PendingReply(start, character, self.baud, data))
 
-    def _disturbed(self, data: bytes) -> bytes:
+    def _with_faults(self, data: bytes) -> bytes:
         faults = self.faults
         if not (data and (faults.drop or faults.flip)):
             return data
@@ -196,8 +202,8 @@ class SimulatedAurora:
 
     # -- commands -----------------------------------------------------------------------------------
 
-    def _carry_out(self, time: float, line: bytes) -> None:
-        """Answer one command that was complete at `time` [s]."""
+    def _execute(self, time: float, line: bytes) -> None:
+        """Execute and answer one command that was complete at `time` [s]."""
         if not line:
             return
         name = ""
@@ -205,17 +211,17 @@ class SimulatedAurora:
             name, parameters = parse_command(line)
             reply = self._answer(name, parameters, time)
             self.executed.append(f"{name}:{parameters}")
-        except Refused as refused:
+        except AuroraRefusal as refused:
             self.refused += 1
             reply = framed(f"ERROR{refused.code:02X}")
         if reply:
-            self._say(reply, time + TURN_ROUND.get(name, USUAL_TURN_ROUND) + self.faults.delay)
+            self._send(reply, time + REPLY_DELAYS_S.get(name, USUAL_REPLY_DELAY_S) + self.faults.delay)
 
     def _answer(self, name: str, parameters: str, time: float) -> bytes:
         if name in self._lacks:
-            raise Refused(0x01)
+            raise AuroraRefusal(0x01)
         if name in ("INIT", "TSTOP", "APIREV", "RESET") and parameters not in ("", "0"):
-            raise Refused(0x07)
+            raise AuroraRefusal(0x07)
         if name in ("BX", "TX"):
             return self._frame_reply(name, parameters, time)
         if name == "RESET":
@@ -234,28 +240,28 @@ class SimulatedAurora:
         if name in ("TSTART", "TSTOP"):
             self._start_or_stop(name, parameters)
             return framed("OKAY")
-        return framed(self._tell(name, parameters))
+        return framed(self._text_reply(name, parameters))
 
     def _start_or_stop(self, name: str, parameters: str) -> None:
         if not self._initialised:
-            raise Refused(0x10)
+            raise AuroraRefusal(0x10)
         if self.tracking == (name == "TSTART"):
-            raise Refused(0x0C)
+            raise AuroraRefusal(0x0C)
         if parameters not in ("", "40", "80"):
-            raise Refused(0x23)
+            raise AuroraRefusal(0x23)
         self.tracking = not self.tracking
         if parameters == "80":
-            self._count_anew()
+            self._restart_count()
 
-    def _count_anew(self) -> None:
+    def _restart_count(self) -> None:
         for coil in (self._coil, self._target):
             if coil is not None:
-                coil.count_anew()
+                coil.restart_count()
 
-    def _tell(self, name: str, parameters: str) -> str:
-        """Answers in words."""
+    def _text_reply(self, name: str, parameters: str) -> str:
+        """Return the answer to a command whose reply is text."""
         if name in ("VER", "BEEP", "SFLIST") and not (len(parameters) <= 2 and parameters.isdigit()):
-            raise Refused(0x07)
+            raise AuroraRefusal(0x07)
         match name:
             case "VER":
                 return (
@@ -270,22 +276,22 @@ class SimulatedAurora:
                 return "1"
             case "GETINFO":
                 if not parameters.startswith("Features"):
-                    raise Refused(0x23)
+                    raise AuroraRefusal(0x23)
                 return f"{parameters}={self._firmware};1;0;0;;Firmware version"
             case "PHSR":
                 return self.handles.search(parameters)
             case "PHINF":
                 return self.handles.information(parameters)
             case "PHRQ":
-                raise Refused(0x32)
+                raise AuroraRefusal(0x32)
             case _:
-                raise Refused(0x01)
+                raise AuroraRefusal(0x01)
 
     def _frame_reply(self, name: str, parameters: str, time: float) -> bytes:
         options = number(parameters or "0001", 4)
         if not self.tracking:
-            raise Refused(0x0C)
-        beyond = wants_beyond_volume(options)
+            raise AuroraRefusal(0x0C)
+        beyond = requests_beyond_volume(options)
         reply = bx_reply if name == "BX" else tx_reply
         tools = [
             (port, coil.newest(time))

@@ -1,96 +1,99 @@
-"""The line of a simulated Aurora: a pipe in memory with a rate and a break, and a pump for any link."""
+"""The serial line of a simulated Aurora tracker: a pipe in memory with baud rate and break.
+
+`pump` carries bytes between the simulated tracker and any kind of link.
+"""
 
 from station.devices.aurora.protocol import POWER_UP_BAUD
 from station.devices.links.link import Link, LinkError
 from station.devices.links.memory_pipe import Cable
 from station.lab.aurora.simulated import SimulatedAurora
 
-BUFFER = 4096  #: of a port, each way; what it does not hold is lost [bytes]
+BUFFER_BYTES = 4096  #: size of a port's buffer in each direction; further bytes are lost [bytes]
 
 
 class HostPort:
-    """The host's end of a line in memory that, unlike a bare pipe, has a rate and carries a break."""
+    """The host's end of a line in memory; in contrast to a plain pipe it has a baud rate and a break."""
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.device = DeviceEnd(name)
+        self.device = SerialDeviceEnd(name)
         self._pulls = 0
 
     def read(self) -> bytes:
-        """What has arrived."""
+        """Return the received bytes."""
         self._check()
-        return self.device.given()
+        return self.device.take_output()
 
     def write(self, data: bytes) -> None:
         """Send `data`."""
         self._check()
-        self.device.take(data)
+        self.device.accept_input(data)
 
     def reopen(self) -> None:
-        """Take part again; raises LinkError while it is unplugged."""
+        """Open the port again; raises LinkError while the cable is unplugged."""
         if not self.device.cable.plugged:
             raise LinkError(f"{self.name} cannot be opened: it is not plugged in")
-        self.device.given()
+        self.device.take_output()
         self._pulls = self.device.cable.pulls
 
     def set_baud(self, baud: int) -> None:
-        """Talk at another rate [bit/s]."""
+        """Set the baud rate [bit/s]."""
         self.device.host_baud = baud
 
     def set_break(self, low: bool) -> None:
-        """Hold the line low, or let it go again."""
+        """Start or end a break, which resets the tracker."""
         self.device.broken |= low
 
     def close(self) -> None:
-        """Let go of it; the unit goes on."""
+        """Close the host's port; the simulated tracker continues to run."""
 
     def _check(self) -> None:
         if self._pulls != self.device.cable.pulls:
             raise LinkError(f"{self.name} is gone: unplugged")
 
 
-class DeviceEnd:
-    """The unit's end of such a line."""
+class SerialDeviceEnd:
+    """The simulated tracker's end of a line in memory."""
 
     def __init__(self, name: str) -> None:
         self.name = f"{name} (device)"
         self.host_baud = POWER_UP_BAUD
-        self.broken = False  #: the host sent a break that nobody has seen yet
+        self.broken = False  #: whether the host sent a break that the tracker has not processed yet
         self.cable = Cable()
         self._to_device, self._to_host = bytearray(), bytearray()
 
     def read(self) -> bytes:
-        """What the host has written."""
-        return _emptied(self._to_device)
+        """Return the bytes that the host has written."""
+        return _drain(self._to_device)
 
     def write(self, data: bytes) -> None:
-        """Give `data` to the host."""
+        """Send `data` to the host."""
         if self.cable.plugged:
-            self._to_host += data[: BUFFER - len(self._to_host)]
+            self._to_host += data[: BUFFER_BYTES - len(self._to_host)]
 
     def unplug(self) -> None:
-        """Pull the cable: the host's port is gone."""
+        """Pull the cable: the host's port disappears."""
         self.cable.unplug()
         self._to_device.clear()
 
     def plug(self) -> None:
-        """Put it back: the host may open its port anew."""
+        """Plug the cable in again: the host may open its port again."""
         self.cable.plug()
 
     def close(self) -> None:
         """Pull the cable for good."""
         self.unplug()
 
-    def take(self, data: bytes) -> None:
-        """From the host's end."""
-        self._to_device += data[: BUFFER - len(self._to_device)]
+    def accept_input(self, data: bytes) -> None:
+        """Accept bytes from the host's end."""
+        self._to_device += data[: BUFFER_BYTES - len(self._to_device)]
 
-    def given(self) -> bytes:
-        """To the host's end."""
-        return _emptied(self._to_host)
+    def take_output(self) -> bytes:
+        """Return the bytes for the host's end."""
+        return _drain(self._to_host)
 
 
-def _emptied(buffer: bytearray) -> bytes:
+def _drain(buffer: bytearray) -> bytes:
     if not buffer:
         return b""
     data = bytes(buffer)
@@ -99,19 +102,19 @@ def _emptied(buffer: bytearray) -> bytes:
 
 
 def pump(link: Link, unit: SimulatedAurora, now: float) -> None:
-    """Move bytes between the device's end of any link and the unit; without the link the unit goes on.
+    """Transmit bytes between the device's end of any link and the tracker; if the link fails the tracker continues.
 
-    Only a line in memory carries a break. `now` [s] is virtual or real, the same time that `advance` counts.
+    Only a line in memory transmits a break. `now` [s] is virtual or real time, the same as that of `advance`.
     """
-    if isinstance(link, DeviceEnd) and link.broken:
+    if isinstance(link, SerialDeviceEnd) and link.broken:
         link.broken = False
         unit.restart(now)
     try:
         data = link.read()
         if not data and unit.due > now:
-            unit.looked = now
+            unit.last_poll = now
             return
-        host_baud: int | None = getattr(link, "host_baud", None)  # most links do not know it
+        host_baud: int | None = getattr(link, "host_baud", None)  # most links do not have it
         unit.receive(data, now, host_baud)
         data = unit.transmit(now, host_baud)
         if data:

@@ -1,7 +1,8 @@
-"""A simulated ATI Net F/T box at wire level: requests in, records out, with the sensor's imperfections.
+"""A simulated ATI Net F/T force sensor (box and transducer) at wire level: it receives requests and sends records.
 
-Gain, cross-talk, noise, quantisation, offset and drift on the true base wrench; the box's own counter, its delay, its
-end of range; and what can go wrong on the way. Only the latest that asked for a stream is served.
+The simulation adds gain errors, cross-talk, noise, quantisation, offset and drift to the true base wrench. It includes
+the box's counter, delay and range, and transmission faults. The box serves only the latest client that requested a
+stream.
 """
 
 import math
@@ -15,67 +16,76 @@ from numpy.typing import NDArray
 
 from core.compiled import compiled
 from core.robot.robot import Array
-from station.devices.netft.protocol import ERROR_SUMMARY, HEADER, LATENCY, RECORD, REQUEST, SATURATED, WRAP, Command
+from station.devices.netft.protocol import (
+    ERROR_SUMMARY,
+    HEADER,
+    LATENCY_S,
+    RECORD,
+    REQUEST,
+    SATURATED,
+    SEQUENCE_WRAP,
+    RdtCommand,
+)
 from station.lab.config import BaseSensorConfig
-from station.lab.netft.wire import Address, DeviceEnd
+from station.lab.netft.wire import Address, DatagramDeviceEnd
 
 Octets = NDArray[np.uint8]
-#: The internal counter of a perfect box [1/s].
-RATE = 7000.0
-#: A request that names the host to be served: bit 15 of the command, and an IPv4 address and a port at the end.
-ELSEWHERE = 0x8000
+#: Rate of the internal counter of a perfect box [1/s].
+COUNTER_RATE_HZ = 7000.0
+#: Bit of the command in a request that names the receiving host; an IPv4 address and a port follow at the end.
+REDIRECT_BIT = 0x8000
 LONG_REQUEST = struct.Struct(">HHI4sH")
-#: Noise is drawn for so many records at once.
-BLOCK = 256
-#: Datagrams that a delay can keep on the way; the oldest get lost.
-MOST_ON_THE_WAY = 65536
+#: Number of records for which random noise is drawn at once, because single draws are slow.
+NOISE_BLOCK = 256
+#: Largest number of delayed datagrams; the oldest are lost.
+MAX_IN_FLIGHT = 65536
 
 
 @dataclass(frozen=True)
 class BoxSettings:
-    """The box and its calibration; a Nano43 SI-18-0.25 unless told otherwise."""
+    """Settings of the simulated box and its calibration; the defaults are those of a Nano43 SI-18-0.25."""
 
-    rate: float = 500.0  #: asked for; what it becomes is 7000/n [records/s]
-    force_range: float = 18.0  #: [N]
-    torque_range: float = 0.25  #: [N m]
-    force_counts: int = 1_000_000  #: per newton
-    torque_counts: int = 1_000_000  #: per newton metre
+    rate: float = 500.0  #: requested rate; the box uses the nearest 7000/n [records/s]
+    force_range: float = 18.0  #: largest force that the sensor measures [N]
+    torque_range: float = 0.25  #: largest torque that the sensor measures [N m]
+    force_counts: int = 1_000_000  #: counts per newton in a record
+    torque_counts: int = 1_000_000  #: counts per newton metre in a record
     product: str = "Net F/T (simulated)"
     serial: str = "FT00001"
-    address: str = "192.168.1.1"  #: as the page has it
-    buffer: int = 10  #: records a datagram when buffered
-    latency: float = LATENCY  #: from the event to the Ethernet [s]
-    first: float = 0.002  #: from a request to the first record, up to 0.005 in a real one [s]
-    clock_error: float = 0.0  #: of the counter's rate, up to +-0.005 in a real one
-    first_count: int = 6433  #: of the counter at time 0
+    address: str = "192.168.1.1"  #: IP address that the box's page shows
+    buffer: int = 10  #: records per datagram in buffered mode
+    latency: float = LATENCY_S  #: time from the measurement to its record on the Ethernet [s]
+    first: float = 0.002  #: time from a request to the first record, up to 0.005 for a real box [s]
+    clock_error: float = 0.0  #: relative error of the counter's rate, up to +-0.005 for a real box
+    first_count: int = 6433  #: value of the box's counter at time 0
 
     @property
     def divisor(self) -> int:
-        """What 7000 is divided by."""
-        return max(1, min(7000, round(RATE / self.rate)))
+        """Divisor n of the record rate 7000/n."""
+        return max(1, min(7000, round(COUNTER_RATE_HZ / self.rate)))
 
 
 @dataclass
 class NetftFaults:
-    """What goes wrong from now on; parts are probabilities a datagram."""
+    """Faults of the simulated box; the first four are probabilities per datagram."""
 
     drop: float = 0.0
     duplicate: float = 0.0
-    reorder: float = 0.0  #: changes places with the next
-    flip: float = 0.0  #: one bit, as if UDP's checksum had missed it
-    mute: bool = False  #: neither hears nor sends, as if unplugged
-    saturate: bool = False  #: as if overloaded
-    freeze: bool = False  #: the same sample again and again
-    status: int = 0  #: bits set in each record
-    delay: float = 0.0  #: on top of the latency [s]
+    reorder: float = 0.0  #: the datagram is swapped with the next one
+    flip: float = 0.0  #: one bit of the datagram is inverted, as if UDP's checksum had missed it
+    mute: bool = False  #: the box neither receives nor sends, as if unplugged
+    saturate: bool = False  #: the sensor reads as overloaded
+    freeze: bool = False  #: the box repeats one sample
+    status: int = 0  #: status bits that are set in each record
+    delay: float = 0.0  #: delay of every datagram in addition to the latency [s]
 
 
 class SimulatedNetft:
-    """One box and its transducer."""
+    """One simulated Net F/T box and its transducer."""
 
     def __init__(
         self,
-        end: DeviceEnd,
+        end: DatagramDeviceEnd,
         config: BaseSensorConfig,
         rng: np.random.Generator,
         settings: BoxSettings | None = None,
@@ -84,92 +94,98 @@ class SimulatedNetft:
         self.faults = NetftFaults()
         self._end = end
         self._rng, self._chance = rng, rng.spawn(1)[0]
-        own = self.settings
+        box = self.settings
         offset = np.repeat([config.force_offset, config.moment_offset], 3) * rng.uniform(-1.0, 1.0, 6)
         drift = np.concatenate([config.drift * rng.choice([-1.0, 1.0], 3), np.zeros(3)])
-        # By rows: offset, drift [1/s], deviation of the noise, step of quantisation, range, bias [N, N m]; counts of 1.
+        # Gain errors and the moments' drift have separate random streams, so that the other draws do not change.
+        crossed, signs = rng.spawn(2)
+        drift[3:] = config.moment_drift * signs.choice([-1.0, 1.0], 3)
+        # Rows: offset, drift [1/s], deviation of the noise, step of quantisation, range, bias [N, N m]; counts of 1.
         self._axes = np.array(
             [
                 offset,
                 drift,
                 np.repeat([config.force_noise, config.moment_noise], 3),
                 np.repeat([config.force_count, config.moment_count], 3),
-                np.repeat([own.force_range, own.torque_range], 3),
+                np.repeat([box.force_range, box.torque_range], 3),
                 np.zeros(6),
-                np.repeat([own.force_counts, own.torque_counts], 3),
+                np.repeat([box.force_counts, box.torque_counts], 3),
             ]
         )
-        #: What each axis reads of each beside itself; None: nothing.
-        self._skew = skew(config.gain, own, rng.spawn(1)[0]) if config.gain > 0.0 else None
-        self._noise, self._drawn = np.empty((BLOCK, 6)), BLOCK
+        #: Gain and cross-talk errors (6, 6); None: no errors.
+        self._skew = gain_errors(config.gain, box, crossed) if config.gain > 0.0 else None
+        self._noise, self._drawn = np.empty((NOISE_BLOCK, 6)), NOISE_BLOCK
         self._bytes = np.zeros(RECORD.size, np.uint8)
         self._true = np.zeros(6)
         self._now = 0.0
-        self._divisor = own.divisor
-        self._period = own.divisor / (RATE * (1.0 + self.settings.clock_error))
+        self._divisor = box.divisor
+        self._period = box.divisor / (COUNTER_RATE_HZ * (1.0 + self.settings.clock_error))
         self._slack = 1e-6 * self._period
         self._first_count = self.settings.first_count
-        self._next = 0  # record of the box's own grid
-        self._on_the_way: deque[tuple[float, bytes, Address]] = deque(maxlen=MOST_ON_THE_WAY)
-        self._held: tuple[float, bytes, Address] | None = None  # the one that changes places
+        self._next = 0  # index of the next record in the box's time grid
+        self._in_flight: deque[tuple[float, bytes, Address]] = deque(maxlen=MAX_IN_FLIGHT)
+        self._swapped: tuple[float, bytes, Address] | None = None  # the datagram to swap
         self._power_up()
 
     def advance(self, now: float, wrench: Array) -> None:
-        """Hear what was asked, feel the wrench (6,) [N, N m] go on to this one until `now` [s], send."""
+        """Process requests, and send the records that are due until `now` [s].
+
+        The wrench (6,) [N, N m] changes linearly from the previous call until `now`.
+        """
         if self._skew is not None:
             wrench = wrench + self._skew @ wrench
-        begin, before = self._now, self._true
+        start, before = self._now, self._true
         for datagram, sender in self._end.receive():
             if not self.faults.mute:
-                self._hear(datagram, sender)
+                self._handle_request(datagram, sender)
         if self._client is None:
             self._next = max(self._next, math.floor(now / self._period + 1e-6) + 1)
         while self._client is not None and (time := self._next * self._period) <= now + self._slack:
-            if time >= self._begins:
-                part = (time - begin) / (now - begin) if begin < time < now else float(time >= now)
+            if time >= self._stream_start:
+                part = (time - start) / (now - start) if start < time < now else float(time >= now)
                 self._measure(time, before, wrench, part)
             self._next += 1
         self._now, self._true = now, wrench
-        way = self._on_the_way
-        while way and way[0][0] <= now + 1e-9:
-            _, datagram, to = way.popleft()
+        in_flight = self._in_flight
+        while in_flight and in_flight[0][0] <= now + 1e-9:
+            _, datagram, to = in_flight.popleft()
             if not self.faults.mute:
                 self._end.send(datagram, to)
 
     def reboot(self) -> None:
-        """Power off and on: the counter, the bias and the stream are gone."""
+        """Switch the box off and on, which clears its counter, bias and stream."""
         self._first_count = -round(self._now / self._period) * self.settings.divisor
-        self._on_the_way.clear()
+        self._in_flight.clear()
         self._power_up()
 
     def page(self) -> bytes | None:
-        """`netftapi2.xml`; None if the box is mute."""
+        """Return the box's page `netftapi2.xml`; None if the box is mute."""
         if self.faults.mute:
             return None
-        own, (_, _, status, *counts) = (
+        box, (_, _, status, *counts) = (
             self.settings,
             RECORD.unpack(self._read(0, self._now, self._true, self._true, 1.0)),
         )
-        ranges = [own.force_range] * 3 + [own.torque_range] * 3
+        ranges = [box.force_range] * 3 + [box.torque_range] * 3
         elements = {
             "runstat": f"0x{status:08X}",
             "runft": _array(counts),
             "runsg": _array([0] * 6),
-            "prodname": own.product,
+            "prodname": box.product,
             "setbias": _array([round(bias * scale) for bias, scale in self._axes[5:].T.tolist()]),
-            "cfgnam": own.serial,
-            "cfgcalsn": own.serial,
+            "cfgnam": box.serial,
+            "cfgcalsn": box.serial,
             "cfgfu": "2",
             "scfgfu": "N",
             "cfgtu": "3",
             "scfgtu": "N-m",
-            "cfgcpf": str(own.force_counts),
-            "cfgcpt": str(own.torque_counts),
+            "cfgcpf": str(box.force_counts),
+            "cfgcpt": str(box.torque_counts),
             "cfgmr": _array([f"{value:g}" for value in ranges]),
-            "netip": own.address,
+            "netip": box.address,
             "comrdte": "Enabled",
-            "comrdtrate": str(round(RATE / own.divisor)),
-            "comrdtbsiz": str(own.buffer),
+            "comrdtrate": str(round(COUNTER_RATE_HZ / box.divisor)),
+            "comrdtbsiz": str(box.buffer),
         }
         body = "".join(f"<{name}>{text}</{name}>\n" for name, text in elements.items())
         return f'<?xml version="1.0"?>\n<netft>\n{body}</netft>\n'.encode()
@@ -177,48 +193,48 @@ class SimulatedNetft:
     def _power_up(self) -> None:
         self._axes[5] = 0.0
         self._client: Address | None = None
-        self._begins = 0.0
-        self._left = 0  # records to send; 0: until stopped
+        self._stream_start = 0.0
+        self._left = 0  # number of records still to send; 0: send until stopped
         self._sequence = 0
         self._batch = 1
         self._buffered = b""
-        self._record: bytes | None = None  # the newest
+        self._record: bytes | None = None  # the newest record
 
-    def _hear(self, datagram: bytes, sender: Address) -> None:
-        """One request; whatever is not one is ignored, as the box does."""
+    def _handle_request(self, datagram: bytes, sender: Address) -> None:
+        """Process a request; other datagrams are ignored, as the box does."""
         if len(datagram) < REQUEST.size:
             return
         header, command, samples = REQUEST.unpack_from(datagram)
-        if command & ELSEWHERE:
+        if command & REDIRECT_BIT:
             if len(datagram) != LONG_REQUEST.size:
                 return
             address, port = datagram[8:12], int.from_bytes(datagram[12:14], "big")
-            sender, command = (".".join(map(str, address)), port), command & ~ELSEWHERE
+            sender, command = (".".join(map(str, address)), port), command & ~REDIRECT_BIT
         elif len(datagram) != REQUEST.size:
             return
         if header != HEADER:
             return
-        if command in (Command.STREAM, Command.STREAM_BUFFERED):
-            self._on_the_way.clear()  # the box has heard the request before it would have sent these
-            self._client, self._begins, self._left = sender, self._now + self.settings.first, samples
+        if command in (RdtCommand.STREAM, RdtCommand.STREAM_BUFFERED):
+            self._in_flight.clear()  # a real box receives the request before it would send these records
+            self._client, self._stream_start, self._left = sender, self._now + self.settings.first, samples
             self._sequence, self._buffered = 0, b""
-            self._batch = self.settings.buffer if command == Command.STREAM_BUFFERED else 1
-        elif command == Command.STOP:
-            self._on_the_way.clear()
+            self._batch = self.settings.buffer if command == RdtCommand.STREAM_BUFFERED else 1
+        elif command == RdtCommand.STOP:
+            self._in_flight.clear()
             self._client, self._buffered = None, b""
-        elif command == Command.BIAS:
+        elif command == RdtCommand.BIAS:
             counts = RECORD.unpack(self._read(0, self._now, self._true, self._true, 1.0))[3:]
             self._axes[5] += np.array(counts) / self._axes[6]
-        elif command == Command.RESET_LATCH:
+        elif command == RdtCommand.RESET_LATCH:
             self.faults.status &= ~(1 << 16)
 
     def _read(self, sequence: int, time: float, before: Array, after: Array, part: float) -> bytes:
-        """A record of what the box makes of the wrench between two (6,)."""
-        if self._drawn == BLOCK:
-            self._noise, self._drawn = self._rng.standard_normal((BLOCK, 6)), 0
-        counter = (self._first_count + self._next * self._divisor) % WRAP
+        """Return the record of the wrench interpolated between two (6,)."""
+        if self._drawn == NOISE_BLOCK:
+            self._noise, self._drawn = self._rng.standard_normal((NOISE_BLOCK, 6)), 0
+        counter = (self._first_count + self._next * self._divisor) % SEQUENCE_WRAP
         faults, record = self.faults, self._bytes
-        _sense(
+        _encode_record(
             self._axes, self._noise, self._drawn, time, before, after, part, faults.saturate,
             sequence, counter, faults.status, record,
         )  # fmt: skip
@@ -226,8 +242,8 @@ class SimulatedNetft:
         return record.tobytes()
 
     def _measure(self, time: float, before: Array, after: Array, part: float) -> None:
-        """One record of the stream."""
-        sequence = self._sequence = (self._sequence + 1) % WRAP
+        """Measure and send one record of the stream."""
+        sequence = self._sequence = (self._sequence + 1) % SEQUENCE_WRAP
         if not self.faults.freeze or self._record is None:
             self._record = self._read(sequence, time, before, after, part)
         else:
@@ -245,39 +261,39 @@ class SimulatedNetft:
             self._left -= 1
 
     def _send(self, time: float, datagram: bytes) -> None:
-        """Let a datagram go its way, with what can happen to it there."""
+        """Send a datagram with the transmission faults."""
         faults, chance = self.faults, self._chance
         if self._client is None or (faults.drop and chance.random() < faults.drop):
             return
         if faults.flip and chance.random() < faults.flip:
             bit = int(chance.integers(8 * len(datagram)))
-            spoilt = bytearray(datagram)
-            spoilt[bit // 8] ^= 1 << bit % 8
-            datagram = bytes(spoilt)
+            corrupted = bytearray(datagram)
+            corrupted[bit // 8] ^= 1 << bit % 8
+            datagram = bytes(corrupted)
         item = (time + self.settings.latency + faults.delay, datagram, self._client)
-        if faults.reorder and self._held is None and chance.random() < faults.reorder:
-            self._held = item
+        if faults.reorder and self._swapped is None and chance.random() < faults.reorder:
+            self._swapped = item
             return
-        self._on_the_way.append(item)
+        self._in_flight.append(item)
         if faults.duplicate and chance.random() < faults.duplicate:
-            self._on_the_way.append(item)
-        if self._held is not None:
-            self._on_the_way.append((item[0], *self._held[1:]))
-            self._held = None
+            self._in_flight.append(item)
+        if self._swapped is not None:
+            self._in_flight.append((item[0], *self._swapped[1:]))
+            self._swapped = None
 
 
-def skew(most: float, box: BoxSettings, rng: np.random.Generator) -> Array:
-    """Errors of gain and cross-talk (6, 6): fractions within +-`most` of one axis's range by another's."""
+def gain_errors(bound: float, box: BoxSettings, rng: np.random.Generator) -> Array:
+    """Return errors of gain and cross-talk (6, 6), within +-`bound` as fractions of the axes' ranges."""
     ranges = np.repeat([box.force_range, box.torque_range], 3)
-    return most * rng.uniform(-1.0, 1.0, (6, 6)) * ranges[:, None] / ranges
+    return bound * rng.uniform(-1.0, 1.0, (6, 6)) * ranges[:, None] / ranges
 
 
 @compiled
-def _sense(
+def _encode_record(
     axes: Array, noise: Array, row: int, time: float, before: Array, after: Array, part: float, saturate: bool,
     sequence: int, counter: int, status: int, record: Octets,
 ) -> None:  # fmt: skip
-    """The record, as it goes out, of the wrench between two; `axes` as in the box."""
+    """Encode the record of the wrench interpolated between two; `axes` as in the box."""
     words = np.empty(9, np.int64)
     for k in range(6):
         value = before[k] + part * (after[k] - before[k]) + axes[0, k] + time * axes[1, k] + axes[2, k] * noise[row, k]

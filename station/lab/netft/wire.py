@@ -1,6 +1,6 @@
-"""The simulated Net F/T's ends of the wire: datagrams by UDP or in memory, and its page by HTTP.
+"""The network connections of the simulated Net F/T box: datagrams by UDP or in memory, and its page by HTTP.
 
-All of it is polled; there is no thread. In memory the datagrams wait in queues, for virtual time.
+All connections are polled without threads. In memory, queues store the datagrams for virtual time.
 """
 
 import contextlib
@@ -16,47 +16,50 @@ from station.devices.links.link import LinkError
 Address = tuple[str, int]
 
 _REQUEST_LINE = re.compile(rb"([A-Z]+) ([!->@-~]+)(?:\?[!-~]*)? HTTP/1\.[01]")
-#: A request longer than this, or one of more visitors at once than this, is cut off; so is a slow one.
-LONGEST_REQUEST, MOST_VISITORS, PATIENCE = 8192, 16, 2000
-#: Datagrams that wait to be received; the oldest get lost.
-MOST_WAITING = 4096
+#: Limits of the box's page server: size of a request [bytes], number of simultaneous connections, and number of polls
+#: after which a slow request is cut off.
+MAX_REQUEST_BYTES, MAX_CONNECTIONS, MAX_REQUEST_POLLS = 8192, 16, 2000
+#: Largest number of datagrams read at one poll, because a flood of requests must not delay the box's records.
+MAX_DATAGRAMS = 64
+#: Largest number of datagrams that wait for reception; the oldest are lost.
+MAX_PENDING_DATAGRAMS = 4096
 
 
-class AddressTaken(CtrError):
-    """An address that the simulated box cannot have."""
+class AddressInUse(CtrError):
+    """An address that is not available to the simulated box."""
 
 
-class DeviceEnd(Protocol):
-    """Where the box hears requests and sends records."""
+class DatagramDeviceEnd(Protocol):
+    """The box's end of a network: it receives requests and sends records."""
 
     def receive(self) -> list[tuple[bytes, Address]]:
-        """Datagrams that have arrived, and from whom."""
+        """Return the received datagrams with their senders."""
         ...
 
     def send(self, datagram: bytes, to: Address) -> None:
-        """Send one datagram, which may get lost."""
+        """Send one datagram, which may be lost."""
         ...
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         ...
 
 
-class MemoryEnd:
+class MemoryDatagramEnd:
     """A network in memory: the box at one end, any number of hosts at the other."""
 
     def __init__(self) -> None:
-        self._requests: deque[tuple[bytes, Address]] = deque(maxlen=MOST_WAITING)
+        self._requests: deque[tuple[bytes, Address]] = deque(maxlen=MAX_PENDING_DATAGRAMS)
         self._hosts: dict[Address, deque[bytes]] = {}
 
     def link(self, name: str) -> "MemoryDatagrams":
-        """Another host on the network."""
+        """Add a host to the network, and return its link."""
         address = (name, 50000 + len(self._hosts))
-        self._hosts[address] = deque(maxlen=MOST_WAITING)
+        self._hosts[address] = deque(maxlen=MAX_PENDING_DATAGRAMS)
         return MemoryDatagrams(name, address, self._hosts[address], self._requests)
 
     def receive(self) -> list[tuple[bytes, Address]]:
-        """What the hosts have sent."""
+        """Return the datagrams that the hosts have sent."""
         if not self._requests:
             return []
         requests = list(self._requests)
@@ -64,12 +67,12 @@ class MemoryEnd:
         return requests
 
     def send(self, datagram: bytes, to: Address) -> None:
-        """Give a datagram to a host; one that is not there loses it."""
+        """Send a datagram to a host; it is lost if the host does not exist."""
         if (host := self._hosts.get(to)) is not None:
             host.append(datagram)
 
     def close(self) -> None:
-        """Forget the hosts."""
+        """Remove the hosts."""
         self._hosts.clear()
 
 
@@ -85,7 +88,7 @@ class MemoryDatagrams:
         self._open = True
 
     def receive(self) -> list[bytes]:
-        """What the box has sent."""
+        """Return the datagrams that the box has sent."""
         if not self._open:
             raise LinkError(f"{self.name} is closed")
         if not self._incoming:
@@ -95,34 +98,34 @@ class MemoryDatagrams:
         return datagrams
 
     def send(self, datagram: bytes) -> None:
-        """Give a datagram to the box."""
+        """Send a datagram to the box."""
         if not self._open:
             raise LinkError(f"{self.name} is closed")
         self._outgoing.append((datagram, self.address))
 
     def close(self) -> None:
-        """Take part no more."""
+        """Close the link."""
         self._open = False
 
 
-class UdpEnd:
+class UdpDeviceEnd:
     """The box's port on a network."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Port 0 takes any that is free; raises AddressTaken."""
+        """Open the port; port 0 selects any free port. Raises AddressInUse."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
             self._socket.bind((host, port))
         except OSError as error:
             self._socket.close()
-            raise AddressTaken(f"udp://{host}:{port} cannot be had: {error.strerror}") from None
+            raise AddressInUse(f"udp://{host}:{port} is not available: {error.strerror}") from None
         self.port: int = self._socket.getsockname()[1]
 
     def receive(self) -> list[tuple[bytes, Address]]:
-        """What has arrived; a host that has gone is no news."""
+        """Return the received datagrams; errors of hosts that have gone are ignored."""
         found: list[tuple[bytes, Address]] = []
-        while len(found) < 1000:
+        for _ in range(MAX_DATAGRAMS):
             try:
                 found.append(self._socket.recvfrom(65536))
             except BlockingIOError:
@@ -132,92 +135,95 @@ class UdpEnd:
         return found
 
     def send(self, datagram: bytes, to: Address) -> None:
-        """Send one; a full buffer or an absent host loses it."""
+        """Send one datagram; it is lost if the buffer is full or the host absent."""
         with contextlib.suppress(OSError):
             self._socket.sendto(datagram, to)
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._socket.close()
 
 
-class _Visitor(NamedTuple):
-    """A connection: what was heard, what is still to be said, and how long it may take."""
+class _PageRequest(NamedTuple):
+    """A connection to the page server: received request, remaining answer, and number of polls."""
 
     socket: socket.socket
-    heard: bytearray
+    received: bytearray
     answer: bytearray
     polls: list[int]
 
 
 class PageServer:
-    """Just enough of HTTP to be asked for one page."""
+    """An HTTP server for one page, with the necessary subset of HTTP."""
 
     def __init__(self, host: str, port: int, page: Callable[[], bytes | None]) -> None:
-        """`page` is made anew for each visitor; None keeps silent. Port 0 takes any; raises AddressTaken."""
+        """Open the port; port 0 selects any free port. Raises AddressInUse.
+
+        `page` is called for each request; the server does not answer if it returns None.
+        """
         self._page = page
-        self._visitors: list[_Visitor] = []
+        self._connections: list[_PageRequest] = []
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._socket.setblocking(False)
         try:
             self._socket.bind((host, port))
-            self._socket.listen(MOST_VISITORS)
+            self._socket.listen(MAX_CONNECTIONS)
         except OSError as error:
             self._socket.close()
-            raise AddressTaken(f"http://{host}:{port} cannot be had: {error.strerror}") from None
+            raise AddressInUse(f"http://{host}:{port} is not available: {error.strerror}") from None
         self.port: int = self._socket.getsockname()[1]
 
     def poll(self) -> None:
-        """Serve whoever is there, without waiting."""
+        """Serve the present connections without waiting."""
         with contextlib.suppress(OSError):
-            while len(self._visitors) < MOST_VISITORS:
-                visitor, _ = self._socket.accept()
-                visitor.setblocking(False)
-                self._visitors.append(_Visitor(visitor, bytearray(), bytearray(), [0]))
-        if self._visitors:
-            self._visitors = [visitor for visitor in self._visitors if self._serve(visitor)]
+            while len(self._connections) < MAX_CONNECTIONS:
+                connection, _ = self._socket.accept()
+                connection.setblocking(False)
+                self._connections.append(_PageRequest(connection, bytearray(), bytearray(), [0]))
+        if self._connections:
+            self._connections = [connection for connection in self._connections if self._serve(connection)]
 
     def close(self) -> None:
-        """Let go of the port and of everybody."""
-        for visitor in self._visitors:
-            visitor.socket.close()
-        self._visitors.clear()
+        """Close the port and all connections."""
+        for connection in self._connections:
+            connection.socket.close()
+        self._connections.clear()
         self._socket.close()
 
-    def _serve(self, visitor: _Visitor) -> bool:
-        """Go on with a visitor; False when done with."""
-        visitor.polls[0] += 1
-        stays = visitor.polls[0] < PATIENCE
+    def _serve(self, connection: _PageRequest) -> bool:
+        """Continue with a connection; return False when it is finished."""
+        connection.polls[0] += 1
+        active = connection.polls[0] < MAX_REQUEST_POLLS
         try:
-            if not visitor.answer:
-                data = visitor.socket.recv(LONGEST_REQUEST)
-                visitor.heard.extend(data)
-                if answer := respond(bytes(visitor.heard), self._page):
-                    visitor.answer.extend(answer)
+            if not connection.answer:
+                data = connection.socket.recv(MAX_REQUEST_BYTES)
+                connection.received.extend(data)
+                if answer := respond(bytes(connection.received), self._page):
+                    connection.answer.extend(answer)
                 elif not data:
-                    stays = False
-            if visitor.answer:
-                del visitor.answer[: visitor.socket.send(visitor.answer)]
-                stays = stays and bool(visitor.answer)
+                    active = False
+            if connection.answer:
+                del connection.answer[: connection.socket.send(connection.answer)]
+                active = active and bool(connection.answer)
         except BlockingIOError:
             pass
         except OSError:
-            stays = False
-        if not stays:
-            visitor.socket.close()
-        return stays
+            active = False
+        if not active:
+            connection.socket.close()
+        return active
 
 
-def respond(heard: bytes, page: Callable[[], bytes | None]) -> bytes:
-    """The answer to a request; b"" while it is not complete, or if the box keeps silent."""
-    head, complete, _ = heard.partition(b"\r\n\r\n")
+def respond(request: bytes, page: Callable[[], bytes | None]) -> bytes:
+    """Return the page server's answer to a request; b"" if the request is incomplete or the box is mute."""
+    head, complete, _ = request.partition(b"\r\n\r\n")
     if not complete:
-        return _answer(b"431 Request Header Fields Too Large", b"") if len(heard) >= LONGEST_REQUEST else b""
-    asked = _REQUEST_LINE.fullmatch(head.split(b"\r\n", 1)[0])
-    if asked is None:
+        return _answer(b"431 Request Header Fields Too Large", b"") if len(request) >= MAX_REQUEST_BYTES else b""
+    line = _REQUEST_LINE.fullmatch(head.split(b"\r\n", 1)[0])
+    if line is None:
         return _answer(b"400 Bad Request", b"")
-    method, path = asked.groups()
+    method, path = line.groups()
     if method not in (b"GET", b"HEAD"):
         return _answer(b"405 Method Not Allowed", b"")
     if path != b"/netftapi2.xml":

@@ -1,18 +1,18 @@
-"""The ramps of a simulated Zaber unit: the quickest way to rest at a place, in parts of constant acceleration."""
+"""The ramps of a simulated Zaber unit: the fastest motion to rest at a goal, in segments of constant acceleration."""
 
 import math
 from typing import NamedTuple
 
 
 class Segment(NamedTuple):
-    """Part of a motion."""
+    """Segment of a motion."""
 
     duration: float  #: [s]
     acceleration: float  #: [microsteps/s^2]
 
 
-def way(position: float, velocity: float, goal: float, top: float, acceleration: float) -> list[Segment]:
-    """Quickest motion to rest at `goal` [microsteps] at no more than `top` [microsteps/s]."""
+def quickest_motion(position: float, velocity: float, goal: float, top: float, acceleration: float) -> list[Segment]:
+    """Return the fastest motion to rest at `goal` [microsteps] at no more than `top` [microsteps/s]."""
     rest = position + velocity * abs(velocity) / (2.0 * acceleration)
     side = 1.0 if goal >= rest else -1.0
     distance, speed = side * (goal - position), side * velocity

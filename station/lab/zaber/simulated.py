@@ -1,8 +1,8 @@
-"""Simulated Zaber T-series units on one chain, at wire level: the line, who hears what, and what goes wrong.
+"""Simulated Zaber T-series units on one chain, at wire level: their serial line, addressing and faults.
 
-The line between the units and the host carries 9600 baud in both directions, which a pty or a socket does
-not know. Sources: the manufacturer's Binary Protocol Manual and his wiki's T-Series pages; times that he
-does not give can be changed.
+The line between the units and the host carries 9600 baud in both directions, which a pty or a socket does not simulate.
+Sources: the manufacturer's Binary Protocol Manual and the T-Series pages of its wiki. Times that they do not
+give are parameters.
 """
 
 import math
@@ -12,148 +12,157 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from station.devices.links.link import Link
-from station.devices.zaber.protocol import BYTE_TIME, GAP, SIZE, Command, Message, decode, encode
+from station.devices.zaber.protocol import (
+    BYTE_TIME_S,
+    MESSAGE_BYTES,
+    RESYNC_GAP_S,
+    ZaberCommand,
+    ZaberMessage,
+    decode,
+    encode,
+)
 from station.lab.zaber.unit import Unit
 
-RENUMBERING = 0.5  #: the units are deaf so long after Renumber [s]
-ALIAS = int(Command.SET_ALIAS)
-BUFFER = 4096  #: of a serial port, each way [bytes]
+RENUMBER_TIME_S = 0.5  #: time after Renumber in which the units ignore commands [s]
+ALIAS = int(ZaberCommand.SET_ALIAS)
+BUFFER_BYTES = 4096  #: size of a serial port's buffer in each direction [bytes]
 
 
 class Faults(NamedTuple):
-    """What is wrong with the chain; places count from the computer, 1 is the nearest."""
+    """Faults of the chain; slots count from the computer, 1 is the nearest."""
 
-    drop: float = 0.0  #: probability that a byte gets lost, either way
-    flip: float = 0.0  #: probability that one bit of a byte is turned, either way
-    delay: float = 0.0  #: of every reply [s]
-    mute: frozenset[int] = frozenset()  #: places whose replies do not come
-    cut: int | None = None  #: from this place on nothing gets through, either way; 1: the whole line
-    stalled: frozenset[int] = frozenset()  #: places whose motors count on and do not turn
+    drop: float = 0.0  #: probability that a byte is lost, in both directions
+    flip: float = 0.0  #: probability that one bit of a byte is inverted, in both directions
+    delay: float = 0.0  #: delay of every reply [s]
+    mute: frozenset[int] = frozenset()  #: slots whose replies are lost
+    cut: int | None = None  #: slot from which on nothing is transmitted in either direction; 1: the whole line
+    stalled: frozenset[int] = frozenset()  #: slots whose motors count but do not turn
 
 
 class Waiting(NamedTuple):
-    """Bytes that go over the line one after the other."""
+    """Bytes that the line transmits one after the other."""
 
-    begin: float  #: of the first one [s]
+    start: float  #: time at which the transmission of the first byte starts [s]
     data: bytes
 
 
 class PacedLine:
-    """The line to the host: a byte takes its time, and they come one after the other."""
+    """The line to the host, with the transmission time of each byte."""
 
     def __init__(self) -> None:
         self._free = -math.inf
         self._waiting: deque[Waiting] = deque()
 
     def put(self, data: bytes, now: float) -> None:
-        """Bytes to send, at `now` [s] or as soon as the line is free; what the buffer does not hold is lost."""
-        begin = max(self._free, now)
-        data = data[: room(begin - now)]
-        self._free = begin + len(data) * BYTE_TIME
-        self._waiting.append(Waiting(begin, data))
+        """Send bytes at `now` [s] or as soon as the line is free; those beyond the buffer are lost."""
+        start = max(self._free, now)
+        data = data[: free_buffer(start - now)]
+        self._free = start + len(data) * BYTE_TIME_S
+        self._waiting.append(Waiting(start, data))
 
     def take(self, until: float) -> bytes:
-        """Bytes that have been carried by then."""
+        """Return the bytes that the line has transmitted until the time `until` [s]."""
         carried = b""
-        if not self._waiting or self._waiting[0].begin > until:
+        if not self._waiting or self._waiting[0].start > until:
             return carried
         while self._waiting:
-            begin, data = self._waiting[0]
-            count = int((until - begin) / BYTE_TIME + 1e-6)
+            start, data = self._waiting[0]
+            count = int((until - start) / BYTE_TIME_S + 1e-6)
             if count < len(data):
                 if count > 0:
                     carried += data[:count]
-                    self._waiting[0] = Waiting(begin + count * BYTE_TIME, data[count:])
+                    self._waiting[0] = Waiting(start + count * BYTE_TIME_S, data[count:])
                 break
             carried += data
             self._waiting.popleft()
         return carried
 
 
-class HeardLine:
-    """The line to the units: whole messages, each when its last byte arrives."""
+class ReceivedLine:
+    """The line to the units: complete messages, each at the arrival of its last byte."""
 
     def __init__(self) -> None:
-        self.messages: deque[tuple[float, Message]] = deque()
+        self.messages: deque[tuple[float, ZaberMessage]] = deque()
         self._free = self._last = self._deaf_until = -math.inf
         self._part = b""
 
     def put(self, data: bytes, now: float) -> None:
-        """Bytes that the host sends, from `now` [s] or as soon as the line is free; what its buffer does not hold
-        is lost. A message with a silence of more than 10 ms inside is dropped, as the units do.
+        """Receive bytes that the host sends, from `now` [s] or as soon as the line is free.
+
+        Bytes beyond the host's buffer are lost. A message with a pause of more than 10 ms is dropped, as the units do.
         """
         time = max(self._free, now)
-        data = data[: room(time - now)]
-        self._free = time + len(data) * BYTE_TIME
+        data = data[: free_buffer(time - now)]
+        self._free = time + len(data) * BYTE_TIME_S
         while data:
-            if time + BYTE_TIME < self._deaf_until:
-                time, data = time + BYTE_TIME, data[1:]
+            if time + BYTE_TIME_S < self._deaf_until:
+                time, data = time + BYTE_TIME_S, data[1:]
                 continue
-            if time + BYTE_TIME - self._last > GAP:
+            if time + BYTE_TIME_S - self._last > RESYNC_GAP_S:
                 self._part = b""
-            taken = data[: SIZE - len(self._part)]
+            taken = data[: MESSAGE_BYTES - len(self._part)]
             data = data[len(taken) :]
             self._part += taken
-            self._last = time = time + len(taken) * BYTE_TIME
-            if len(self._part) == SIZE:
+            self._last = time = time + len(taken) * BYTE_TIME_S
+            if len(self._part) == MESSAGE_BYTES:
                 message, self._part = decode(self._part), b""
                 self.messages.append((time, message))
-                if message.device == 0 and message.command == Command.RENUMBER:
-                    self._deaf_until = time + RENUMBERING
+                if message.device == 0 and message.command == ZaberCommand.RENUMBER:
+                    self._deaf_until = time + RENUMBER_TIME_S
 
 
-def room(backlog: float) -> int:
-    """Bytes that go into a port's buffer from which others have so long to go [s]."""
-    return max(0, BUFFER - math.ceil(backlog / BYTE_TIME))
+def free_buffer(backlog: float) -> int:
+    """Return the free bytes of a port's buffer whose content takes `backlog` [s] to transmit."""
+    return max(0, BUFFER_BYTES - math.ceil(backlog / BYTE_TIME_S))
 
 
 class SimulatedChain:
     """Units on one line, the nearest to the computer first."""
 
     def __init__(self, units: Sequence[Unit], seed: int = 0, processing: float = 0.0) -> None:
-        """`processing` is from the last byte of a command to the first of its reply [s]."""
+        """`processing` is the time from the last byte of a command to the first of its reply [s]."""
         self.units = tuple(units)
         self.time = 0.0
         self._processing = processing
-        self._random = random.Random(seed)  # noqa: S311 - noise, no secret
-        self._in, self._out = HeardLine(), PacedLine()
+        self._random = random.Random(seed)  # noqa: S311 - noise, not a secret
+        self._in, self._out = ReceivedLine(), PacedLine()
         self._faults = Faults()
 
     @property
     def faults(self) -> Faults:
-        """What is wrong with it at present."""
+        """Active faults of the chain."""
         return self._faults
 
     @faults.setter
     def faults(self, faults: Faults) -> None:
         self._faults = faults
-        for place, unit in enumerate(self.units, 1):
-            unit.stall(place in faults.stalled)
+        for slot, unit in enumerate(self.units, 1):
+            unit.stall(slot in faults.stalled)
 
     @property
-    def places(self) -> list[float]:
-        """Where each stage really is, from its home sensor's zero [microsteps]."""
-        return [unit.place for unit in self.units]
+    def true_positions(self) -> list[float]:
+        """True position of each stage from its home sensor's zero [microsteps]."""
+        return [unit.true_position for unit in self.units]
 
-    def power_cycle(self, place: int) -> None:
+    def power_cycle(self, slot: int) -> None:
         """Switch one unit off and on."""
-        self.units[place - 1].take(Message(0, Command.RESET, 0))
+        self.units[slot - 1].execute(ZaberMessage(0, ZaberCommand.RESET, 0))
 
-    def turn_knob(self, place: int, microsteps: float) -> None:
-        """Somebody turns the knob of one unit."""
-        for message in self.units[place - 1].turn_knob(microsteps):
-            self._say(place, message, self.time)
+    def turn_knob(self, slot: int, microsteps: float) -> None:
+        """Turn the knob of one unit."""
+        for message in self.units[slot - 1].turn_knob(microsteps):
+            self._send(slot, message, self.time)
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes that the host has written by `now` [s]."""
+        """Receive the bytes that the host has written until `now` [s]."""
         if data and self._faults.cut != 1:
             self._in.put(self._damaged(data), now)
 
     def advance(self, now: float) -> bytes:
-        """Let time pass; the bytes that have reached the host by `now` [s]."""
-        heard = self._in.messages
-        while heard and heard[0][0] <= now + 1e-9:
-            time, message = heard.popleft()
+        """Advance the simulation, and return the bytes that reach the host until `now` [s]."""
+        incoming = self._in.messages
+        while incoming and incoming[0][0] <= now + 1e-9:
+            time, message = incoming.popleft()
             self._run(time)
             self._deliver(message, time)
         self._run(now)
@@ -161,38 +170,38 @@ class SimulatedChain:
         return data if self._faults.cut != 1 else b""
 
     def _run(self, until: float) -> None:
-        said: list[tuple[float, int, Message]] = []
-        for place, unit in enumerate(self.units, 1):
+        outgoing: list[tuple[float, int, ZaberMessage]] = []
+        for slot, unit in enumerate(self.units, 1):
             if unit.due > until:
                 unit.time = until
             else:
-                said += [(time, place, message) for time, message in unit.advance(until)]
-        for time, place, message in sorted(said):
-            self._say(place, message, time)
+                outgoing += [(time, slot, message) for time, message in unit.advance(until)]
+        for time, slot, message in sorted(outgoing):
+            self._send(slot, message, time)
         self.time = until
 
-    def _deliver(self, message: Message, now: float) -> None:
+    def _deliver(self, message: ZaberMessage, now: float) -> None:
         device = message.device
         to_all = device == 0
         cut = self._faults.cut
-        for place, unit in enumerate(self.units, 1):
-            if cut is not None and place >= cut:
+        for slot, unit in enumerate(self.units, 1):
+            if cut is not None and slot >= cut:
                 return
             if device not in (0, unit.number, unit.settings[ALIAS]) or now < unit.deaf_until:
                 continue
             order = message
-            if to_all and message.command == Command.RENUMBER:
-                order = message._replace(data=place)
-            for reply in unit.take(order):
-                self._say(place, reply, now + self._processing)
+            if to_all and message.command == ZaberCommand.RENUMBER:
+                order = message._replace(data=slot)
+            for reply in unit.execute(order):
+                self._send(slot, reply, now + self._processing)
 
-    def _say(self, place: int, message: Message, now: float) -> None:
+    def _send(self, slot: int, message: ZaberMessage, now: float) -> None:
         faults = self._faults
-        if place not in faults.mute and (faults.cut is None or place < faults.cut):
+        if slot not in faults.mute and (faults.cut is None or slot < faults.cut):
             self._out.put(self._damaged(encode(message)), now + faults.delay)
 
     def _damaged(self, data: bytes) -> bytes:
-        """What the line makes of it."""
+        """Return the data after the line's faults."""
         drop, flip = self._faults.drop, self._faults.flip
         if drop == 0.0 and flip == 0.0:
             return data
@@ -201,10 +210,10 @@ class SimulatedChain:
 
 
 def pump(link: Link, chain: SimulatedChain, now: float, written: float | None = None) -> None:
-    """Carry bytes between a link and the chain until `now` [s]: a pipe in memory, a pty or a socket.
+    """Transmit bytes between a link (a pipe in memory, a pty or a socket) and the chain until `now` [s].
 
-    In virtual time `written` says when the bytes were written that the link holds; in real time they are
-    taken as written now.
+    In virtual time `written` is the time at which the link's bytes were written; in real time they count as
+    written now.
     """
     data = link.read()
     if data:

@@ -1,5 +1,5 @@
 "use strict";
-// Plays the cases that came with the page: reads frames, moves time, shows the scene and the numbers.
+// Plays the cases in the page: reads frames, advances the time, shows the scene and the numbers.
 
 const TUBES = [[0.34, 0.71, 0.91], [0.34, 0.38, 0.44], [0.94, 0.89, 0.26], [0.15, 0.15, 0.15]];
 const TIPS = [
@@ -26,17 +26,17 @@ function bytes(text) {
 class Case {
   constructor(source) {
     Object.assign(this, source);
-    this.placesRow = 1 + this.tubes.length + 3 * this.points + 12;
+    this.positionsRow = 1 + this.tubes.length + 3 * this.points + 12;
     this.othersRow = 4 + this.joints.length;
-    this.whole = new Int16Array(bytes(source.packed_places));
+    this.whole = new Int16Array(bytes(source.packed_positions));
     this.rest = new Float32Array(bytes(source.packed_others));
     this.times = Array.from({ length: this.frames }, (_, k) => this.rest[k * this.othersRow]);
     this.tipAt = 1 + this.tubes.length + 3 * this.points;
   }
 
   /** `count` numbers from `first` on, at a frame with a fraction; null where one of them is not known. */
-  places(frame, first, count) {
-    const k = Math.floor(frame), part = frame - k, next = Math.min(k + 1, this.frames - 1), row = this.placesRow;
+  positions(frame, first, count) {
+    const k = Math.floor(frame), part = frame - k, next = Math.min(k + 1, this.frames - 1), row = this.positionsRow;
     const values = [];
     for (let i = first; i < first + count; i++) {
       const [a, b] = [this.whole[k * row + i], this.whole[next * row + i]];
@@ -54,29 +54,29 @@ class Case {
     });
   }
 
-  tip(frame, number) { return this.places(frame, this.tipAt + 3 * number, 3); }
+  tip(frame, number) { return this.positions(frame, this.tipAt + 3 * number, 3); }
 
   /** Desired minus true tip, or minus the measured one, [mm]; null where one is not known. */
   error(frame) {
-    const [wanted, is] = [this.tip(frame, 0), this.tip(frame, this.truth ? 3 : 1)];
-    return wanted && is ? add(wanted, is, -1).map((v) => 1000 * v) : null;
+    const [desired, is] = [this.tip(frame, 0), this.tip(frame, this.truth ? 3 : 1)];
+    return desired && is ? add(desired, is, -1).map((v) => 1000 * v) : null;
   }
 
   /** Points of a tube from its end behind the plate to its far end; null without a shape. */
   tube(frame, number) {
-    const line = this.places(frame, 0, this.tipAt);
+    const line = this.positions(frame, 0, this.tipAt);
     if (!line) return null;
-    const [length, begin] = [line[0], line[1 + number]], first = 1 + this.tubes.length;
-    const end = Math.min(begin + this.tubes[number].length, length);
+    const [length, start] = [line[0], line[1 + number]], first = 1 + this.tubes.length;
+    const end = Math.min(start + this.tubes[number].length, length);
     const forward = this.plate.rotation.map((row) => row[2]);
     const at = (arc) => {
       if (arc < 0) return add(this.plate.position, forward, arc);
-      const place = (arc / length) * (this.points - 1), k = Math.min(Math.floor(place), this.points - 2);
+      const position = (arc / length) * (this.points - 1), k = Math.min(Math.floor(position), this.points - 2);
       const [a, b] = [k, k + 1].map((n) => line.slice(first + 3 * n, first + 3 * n + 3));
-      return add(a, add(b, a, -1), place - k);
+      return add(a, add(b, a, -1), position - k);
     };
     const pieces = 40;
-    return Array.from({ length: pieces + 1 }, (_, k) => at(begin + ((end - begin) * k) / pieces));
+    return Array.from({ length: pieces + 1 }, (_, k) => at(start + ((end - start) * k) / pieces));
   }
 }
 
@@ -104,7 +104,7 @@ function choose(number) {
   show();
 }
 
-/** What stays the same for a case: the plate and the traces. */
+/** Prepare the constant parts of a case: the plate and the traces. */
 function prepare() {
   const { position, rotation } = shown.plate;
   const column = (k) => rotation.map((row) => row[k]);
@@ -124,7 +124,7 @@ function prepare() {
   });
   const tip = shown.tip(0, 1);
   scene.target = add(position, add(tip, position, -1), 0.55);
-  // A picture that is higher than wide is looked at from further away: the tip must be in it.
+  // On a canvas that is higher than wide the camera is further away, so that the tip is visible.
   const narrow = Math.max(1, (1.4 * scene.canvas.clientHeight) / Math.max(scene.canvas.clientWidth, 1));
   scene.distance = 2.0 * narrow * Math.hypot(...add(tip, position, -1));
 }
@@ -138,7 +138,7 @@ function show() {
   cursor();
   if (!scene) return;
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
-  scene.begin(dark ? [0.09, 0.105, 0.12] : [0.957, 0.965, 0.973]);
+  scene.startFrame(dark ? [0.09, 0.105, 0.12] : [0.957, 0.965, 0.973]);
   scene.drawLines(still.grid, dark ? [0.4, 0.45, 0.5] : [0.62, 0.66, 0.7], 1);
   const force = shown.others(frame, 1, 3), strength = Math.hypot(...force);
   let complete = true;
@@ -149,8 +149,8 @@ function show() {
   }
   TIPS.forEach((tip, number) => {
     scene.drawLines(still.traces[number], tip.colour, number === 1 ? 1.5 : 2.5, [time - TAIL, time]);
-    const place = shown.tip(frame, number);
-    if (place) scene.draw(ballSurface(place, BALLS[number]), tip.colour);
+    const position = shown.tip(frame, number);
+    if (position) scene.draw(ballSurface(position, BALLS[number]), tip.colour);
   });
   const tip = shown.tip(frame, shown.truth ? 3 : 1);
   if (strength > 0.005) {
@@ -159,7 +159,7 @@ function show() {
     scene.draw(coneSurface(neck, head, 0.0028), FORCE);
   }
   id("problem").hidden = complete;
-  if (!complete) id("problem").textContent = "The model finds no shape at this moment: no tubes are drawn.";
+  if (!complete) id("problem").textContent = "The model has no solution at this time: the tubes are not drawn.";
 }
 
 function numbers() {
@@ -179,7 +179,7 @@ function numbers() {
 
 let background = null;
 
-/** Length of the error over all of the time. */
+/** Draw the magnitude of the error over the whole time. */
 function errors() {
   const canvas = id("errors"), ratio = devicePixelRatio || 1;
   canvas.width = canvas.clientWidth * ratio;
@@ -189,17 +189,17 @@ function errors() {
     const error = shown.error(k);
     return error ? Math.hypot(...error) : NaN;
   });
-  const most = Math.max(...lengths.filter(Number.isFinite), 1e-6);
+  const largest = Math.max(...lengths.filter(Number.isFinite), 1e-6);
   pen.clearRect(0, 0, w, h);
   pen.fillStyle = getComputedStyle(document.body).color;
   pen.font = `${11 * ratio}px sans-serif`;
   if (shown.desired) {
-    pen.fillText(`|E| ${shown.truth ? "true" : "measured"}, up to ${most.toFixed(2)} mm`, 4 * ratio, 11 * ratio);
+    pen.fillText(`|E| ${shown.truth ? "true" : "measured"}, up to ${largest.toFixed(2)} mm`, 4 * ratio, 11 * ratio);
     pen.strokeStyle = css(TIPS[shown.truth ? 3 : 1].colour);
     pen.lineWidth = 1.2 * ratio;
     pen.beginPath();
     lengths.forEach((length, k) => {
-      const [x, y] = [(w * k) / Math.max(shown.frames - 1, 1), h - 2 - (h - 16 * ratio) * (length / most)];
+      const [x, y] = [(w * k) / Math.max(shown.frames - 1, 1), h - 2 - (h - 16 * ratio) * (length / largest)];
       if (Number.isFinite(length)) pen.lineTo(x, y); else pen.moveTo(x, h);
     });
     pen.stroke();

@@ -1,11 +1,11 @@
 "use strict";
-// A small picture in three dimensions: shaded surfaces and lines of constant width, seen by a camera that a
-// mouse, a finger or the keyboard moves. Metres; x points down on the screen, as the load hangs.
+// Small 3D scene: shaded surfaces and lines of constant width, with a camera that mouse, touch or keyboard moves.
+// Units are metres; x points down on the screen, in the direction of gravity.
 
 const VERTEX = `
-attribute vec3 place; attribute vec3 normal;
+attribute vec3 vertex; attribute vec3 normal;
 uniform mat4 view; varying vec3 facing;
-void main() { facing = normal; gl_Position = view * vec4(place, 1.0); }`;
+void main() { facing = normal; gl_Position = view * vec4(vertex, 1.0); }`;
 const SHADED = `
 precision mediump float; uniform vec3 colour; uniform vec3 light; varying vec3 facing;
 void main() {
@@ -14,10 +14,10 @@ void main() {
 }`;
 // A segment is four corners: each knows both ends and which side of the line it is on.
 const LINE_VERTEX = `
-attribute vec3 begin; attribute vec3 end; attribute vec2 corner; attribute float moment;
+attribute vec3 start; attribute vec3 end; attribute vec2 corner; attribute float moment;
 uniform mat4 view; uniform vec2 size; uniform float width; varying float when;
 void main() {
-  vec4 a = view * vec4(begin, 1.0); vec4 b = view * vec4(end, 1.0);
+  vec4 a = view * vec4(start, 1.0); vec4 b = view * vec4(end, 1.0);
   vec2 along = (b.xy / b.w - a.xy / a.w) * size;
   vec2 side = length(along) > 1e-4 ? normalize(vec2(-along.y, along.x)) : vec2(0.0, 1.0);
   vec4 at = corner.x > 0.5 ? b : a;
@@ -36,9 +36,9 @@ const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const unit = (a) => { const l = Math.hypot(...a) || 1; return [a[0] / l, a[1] / l, a[2] / l]; };
 
-/** Rings around a line of points: a tube with flat ends, as {places, normals}. */
+/** Rings around a line of points: a tube with flat ends, as {vertices, normals}. */
 function tubeSurface(points, radius, sides = 12) {
-  const places = [], normals = [];
+  const vertices = [], normals = [];
   let x = unit(Math.abs(unit(add(points[1], points[0], -1))[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0]);
   const rings = points.map((point, k) => {
     const along = unit(add(points[Math.min(k + 1, points.length - 1)], points[Math.max(k - 1, 0)], -1));
@@ -50,7 +50,7 @@ function tubeSurface(points, radius, sides = 12) {
       return [add(point, normal, radius), normal];
     });
   });
-  const put = (corner, normal) => { places.push(...corner); normals.push(...normal); };
+  const put = (corner, normal) => { vertices.push(...corner); normals.push(...normal); };
   for (let k = 0; k + 1 < rings.length; k++) {
     for (let s = 0; s < sides; s++) {
       for (const [ring, side] of [[k, s], [k, s + 1], [k + 1, s + 1], [k, s], [k + 1, s + 1], [k + 1, s]]) {
@@ -64,12 +64,12 @@ function tubeSurface(points, radius, sides = 12) {
       put(points[k], out); put(rings[k][s][0], out); put(rings[k][s + 1][0], out);
     }
   }
-  return { places, normals };
+  return { vertices, normals };
 }
 
 /** A ball. */
 function ballSurface(centre, radius, steps = 10) {
-  const places = [], normals = [];
+  const vertices = [], normals = [];
   const corner = (a, b) => {
     const [u, v] = [(Math.PI * a) / steps, (2 * Math.PI * b) / steps];
     return [Math.cos(u), Math.sin(u) * Math.cos(v), Math.sin(u) * Math.sin(v)];
@@ -78,12 +78,12 @@ function ballSurface(centre, radius, steps = 10) {
     for (let b = 0; b < steps; b++) {
       for (const [k, n] of [[a, b], [a + 1, b], [a + 1, b + 1], [a, b], [a + 1, b + 1], [a, b + 1]]) {
         const normal = corner(k, n);
-        places.push(...add(centre, normal, radius));
+        vertices.push(...add(centre, normal, radius));
         normals.push(...normal);
       }
     }
   }
-  return { places, normals };
+  return { vertices, normals };
 }
 
 /** A cone from `base` to `tip`. */
@@ -91,26 +91,26 @@ function coneSurface(base, tip, radius, sides = 16) {
   const along = unit(add(tip, base, -1));
   const x = unit(cross(along, Math.abs(along[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0]));
   const y = cross(along, x);
-  const places = [], normals = [];
+  const vertices = [], normals = [];
   for (let s = 0; s < sides; s++) {
     const [a, b] = [s, s + 1].map((n) => {
       const angle = (2 * Math.PI * n) / sides;
       return add([0, 0, 0].map((_, i) => Math.cos(angle) * x[i]), y, Math.sin(angle));
     });
     for (const corner of [[tip, a], [add(base, a, radius), a], [add(base, b, radius), b]]) {
-      places.push(...corner[0]); normals.push(...corner[1]);
+      vertices.push(...corner[0]); normals.push(...corner[1]);
     }
     for (const corner of [base, add(base, a, radius), add(base, b, radius)]) {
-      places.push(...corner); normals.push(...along);
+      vertices.push(...corner); normals.push(...along);
     }
   }
-  return { places, normals };
+  return { vertices, normals };
 }
 
 class Scene {
   constructor(canvas, redraw) {
     const gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
-    if (!gl) throw new Error("This browser offers no WebGL: the robot cannot be drawn, the numbers can.");
+    if (!gl) throw new Error("This browser has no WebGL: the robot cannot be drawn. The numbers are shown.");
     Object.assign(this, { canvas, gl, redraw, target: [0.02, -0.02, 0.1], yaw: 0.9, pitch: 0.35, distance: 0.42 });
     this.surface = this.program(VERTEX, SHADED);
     this.line = this.program(LINE_VERTEX, LINE_COLOUR);
@@ -182,7 +182,7 @@ class Scene {
     return { back, right, up: cross(back, right) };
   }
 
-  begin(background) {
+  startFrame(background) {
     const { gl, canvas } = this, ratio = window.devicePixelRatio || 1;
     const [w, h] = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
     if (canvas.width !== w || canvas.height !== h) Object.assign(canvas, { width: w, height: h });
@@ -203,24 +203,24 @@ class Scene {
     this.ratio = ratio;
   }
 
-  draw({ places, normals }, colour) {
+  draw({ vertices, normals }, colour) {
     const { gl, surface: p } = this;
     gl.useProgram(p.program);
     gl.uniformMatrix4fv(p.u_view, false, this.view);
     gl.uniform3fv(p.u_colour, colour);
     gl.uniform3fv(p.u_light, this.light);
-    [[p.place, places], [p.normal, normals]].forEach(([at, values], n) => {
+    [[p.vertex, vertices], [p.normal, normals]].forEach(([at, values], n) => {
       gl.bindBuffer(gl.ARRAY_BUFFER, this.scratch[n]);
       gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(values), gl.DYNAMIC_DRAW);
       gl.enableVertexAttribArray(at);
       gl.vertexAttribPointer(at, 3, gl.FLOAT, false, 0, 0);
     });
-    gl.drawArrays(gl.TRIANGLES, 0, places.length / 3);
-    gl.disableVertexAttribArray(p.place);
+    gl.drawArrays(gl.TRIANGLES, 0, vertices.length / 3);
+    gl.disableVertexAttribArray(p.vertex);
     gl.disableVertexAttribArray(p.normal);
   }
 
-  /** Lines to be drawn many times: pairs of points, and when each of them came. */
+  /** Return lines that are drawn many times: pairs of points, and the time of each pair. */
   lines(pairs, moments) {
     const data = new Float32Array(pairs.length * 54);
     let k = 0;
@@ -245,7 +245,7 @@ class Scene {
     gl.uniform1f(p.u_width, width * this.ratio);
     gl.uniform2fv(p.u_shown, shown);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-    const parts = [[p.begin, 3, 0], [p.end, 3, 12], [p.corner, 2, 24], [p.moment, 1, 32]];
+    const parts = [[p.start, 3, 0], [p.end, 3, 12], [p.corner, 2, 24], [p.moment, 1, 32]];
     for (const [at, count, offset] of parts) {
       gl.enableVertexAttribArray(at);
       gl.vertexAttribPointer(at, count, gl.FLOAT, false, 36, offset);

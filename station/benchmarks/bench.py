@@ -1,0 +1,144 @@
+"""`ctr-station bench`: performance of this computer, as medians."""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, cast
+
+import numpy as np
+from rich.table import Table
+
+from core.model.cosserat import ExactRod
+from core.model.statics import Solution, Statics
+from station.benchmarks.many import many
+from station.config.robots import load_robot
+from station.control.clock import VirtualClock
+from station.experiments.experiment import load_experiment
+from station.experiments.job_pool import JobPool, processors
+from station.experiments.runner import run_case
+
+
+def model(solves: int = 20_000, tubes: int = 5) -> dict[str, Any]:
+    """Measure warm-started solves while the joints move around (0, pi/2, -0.100) under 0.2 N along x.
+
+    A solve returns tip, J and C, and all three are read. Joints advance 10 mrad and 0.3 mm between solves,
+    within +-0.5 rad and +-15 mm. Accuracy is the distance to the exact rod. `residual` is evaluated
+    again after the solve. `derivative_error` is the difference of J and C to those of a solve started
+    from the solution, relative to their largest entry. The result also contains the fourth-order integrator;
+    the time of a pass along the tubes, with and without derivatives; and the model in batches,
+    for 1 to `tubes` tubes.
+    """
+    robot = load_robot("paper").robot()
+    result = _wander(Statics(robot), solves)
+    result["state_only_us"], result["pass_us"], sublinks = _passes(Statics(robot))
+    result["sublinks"] = sublinks
+    result["per_sublink_us"] = {
+        "state": round(result["state_only_us"] / sublinks, 4),
+        "derivatives": round((result["pass_us"] - result["state_only_us"]) / sublinks, 4),
+    }
+    result["fourth_order"] = _wander(Statics(robot, integrator="fourth_order"), solves)
+    result["many"] = many(solves, tubes)
+    return result
+
+
+def _wander(statics: Statics, solves: int) -> dict[str, Any]:
+    exact = ExactRod(statics.robot)
+    wrench = np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
+    centre, reach, stride = (
+        np.array([0.0, math.pi / 2, -0.1]),
+        np.array([0.5, 0.5, 0.015]),
+        np.array([0.01, 0.01, 3e-4]),
+    )
+    joints, direction = centre.copy(), np.array([1.0, -1.0, 1.0])
+    rng = np.random.default_rng(0)
+    near: Solution = statics.solve(joints, wrench)
+    times, passes, checked = np.empty(solves), np.empty(solves), list[tuple[float, float, float]]()
+    for index in range(solves):
+        # Reverse at the borders and sometimes in between, so that the poses differ.
+        direction = np.where(np.abs(joints + direction * stride - centre) > reach, -direction, direction)
+        direction = np.where(rng.random(3) < 0.01, -direction, direction)
+        direction = np.where(np.abs(joints + direction * stride - centre) > reach, -direction, direction)
+        joints = joints + direction * stride
+        start = time.perf_counter()
+        near = statics.solve(joints, wrench, near)
+        tip, jacobian, compliance = near.tip, near.jacobian, near.compliance
+        times[index], passes[index] = time.perf_counter() - start, near.iterations
+        if index % max(1, solves // 200) == 0:
+            again = statics.solve(joints, wrench, near)
+            differences = [
+                float(np.abs(found - better).max() / np.abs(better).max())
+                for found, better in (
+                    (jacobian[:3], again.jacobian[:3]),
+                    (compliance[:3, :3], again.compliance[:3, :3]),
+                )
+            ]
+            error = float(np.linalg.norm(tip - exact.solve(joints, wrench).tip))
+            checked.append((error, statics.residual(near), max(differences)))
+    errors, residuals, derivative_errors = zip(*checked, strict=True)
+    return {
+        "solves": solves,
+        "solve_us": {"median": _microseconds(np.median(times)), "p99": _microseconds(np.percentile(times, 99))},
+        "passes": round(float(passes.mean()), 3),
+        "accuracy_mm": {"mean": round(1e3 * float(np.mean(errors)), 5), "max": round(1e3 * max(errors), 5)},
+        "residual": float(f"{max(residuals):.2g}"),
+        "derivative_error": float(f"{max(derivative_errors):.2g}"),
+    }
+
+
+def _passes(statics: Statics) -> tuple[float, float, int]:
+    """Median time of a pass without and with derivatives [us], and the number of sub-links."""
+    solution = statics.solve(np.array([0.0, math.pi / 2, -0.1]), np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    durations: list[float] = []
+    for with_derivatives in (False, True):
+        times = np.empty(100)
+        for index in range(times.size):
+            start = time.perf_counter()
+            statics.repeat_pass(solution, 100, with_derivatives)
+            times[index] = (time.perf_counter() - start) / 100
+        durations.append(_microseconds(np.median(times[3:])))
+    return durations[0], durations[1], statics.shape(solution).shape[0] - 1
+
+
+def headless(seconds: float = 20.0) -> dict[str, Any]:
+    """Run the feed-forward case of `fig10` in virtual time, after a warm-up: alone, then one on each processor."""
+    _headless(2.0, lambda _: None)
+    alone = sorted(_headless(seconds, lambda _: None) for _ in range(3))
+    count = processors()
+    with JobPool(count) as started:
+        for duration in (2.0, seconds):
+            parallel = started.carry_out(_headless, [duration] * count, lambda _: None)
+    return {
+        "times_real_time": round(alone[1], 2), "min": round(alone[0], 2), "max": round(alone[2], 2),
+        "side_by_side": {"processes": count, "times_real_time": round(sum(parallel), 2)},
+    }  # fmt: skip
+
+
+def _headless(duration: float, _: Callable[[float], None]) -> float:
+    """Return the speed of the case relative to real time, with a motion of `duration` [s]."""
+    case = next(case for case in load_experiment("fig10").cases if case.name == "feedforward")
+    file = case.file.model_copy(update={"duration": duration})
+    run = run_case(case._replace(file=file), 0, VirtualClock(), lambda _: None)
+    return run.simulated_s / run.wall_s
+
+
+def table(title: str, result: Mapping[str, Any]) -> Table:
+    """Return a result as a table."""
+    shown = Table(title=f"bench {title}", title_style="")
+    shown.add_column("figure")
+    shown.add_column("value", justify="right")
+    for figure, value in flat(result):
+        shown.add_row(figure, f"{value}")
+    return shown
+
+
+def flat(result: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield names and values of a result; nested names are prefixed."""
+    for key, value in result.items():
+        if isinstance(value, Mapping):
+            yield from flat(cast(Mapping[str, Any], value), f"{before}{key} ")
+        else:
+            yield f"{before}{key}", value
+
+
+def _microseconds(seconds: Any) -> float:
+    return round(1e6 * float(seconds), 2)

@@ -1,0 +1,86 @@
+"""`ctr-station bench report`: performance of this computer, in one file with computer and date.
+
+    ctr-station bench report --out station/benchmarks/MEASURED.md
+
+The READMEs contain no times and refer to this file.
+"""
+
+import os
+import platform
+from collections.abc import Callable, Iterator, Mapping
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from station.benchmarks.accuracy import cost
+from station.benchmarks.bench import flat, headless, model
+from station.benchmarks.cold import cold
+from station.benchmarks.loop import loop
+from station.benchmarks.recorder import recorder
+from station.benchmarks.setpoints import setpoints
+from station.benchmarks.tick import tick
+from station.benchmarks.wire import wire
+from station.experiments.job_pool import processors
+
+#: Durations of the benchmarks with a fixed duration [s].
+LOOP_SECONDS, RECORDER_SECONDS, SETPOINTS_SECONDS = 60.0, 20.0, 60.0
+#: By name: description and function of each benchmark.
+MEASURES: Mapping[str, tuple[str, Callable[[], dict[str, Any]]]] = {
+    "model": ("The loaded model with J and C, warm, two tubes and three joints", model),
+    "cost": ("Time of a warm solve by tubes and sub-links [us]", cost),
+    "tick": ("One tick of the controller in the loop", tick),
+    "wire": ("One tick of the virtual lab at protocol level, part by part", wire),
+    "headless": ("A case of `fig10` in virtual time, with all protocols", headless),
+    "cold": ("A new installation: the first `run fig7`, the second one, and the compiled code", cold),
+    "recorder": ("Processor time of a live recording", lambda: recorder(RECORDER_SECONDS)),
+    "setpoints": (
+        "Delay from a script's setpoint to the stages' line, which sends to each axis every 25 ms",
+        lambda: setpoints(SETPOINTS_SECONDS, lambda _: None),
+    ),
+    "loop": (
+        "The live loop at 500 Hz, and an idle timer for comparison",
+        lambda: loop(LOOP_SECONDS, lambda _: None),
+    ),
+}
+
+
+def measure_all(starting: Callable[[str], None]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Run each of `MEASURES`; `starting` receives the name of the next one."""
+    for name, (_, measure) in MEASURES.items():
+        starting(name)
+        yield name, measure()
+
+
+def measured_markdown(machine: str, found: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the file in Markdown; `machine` is the result of `describe_machine` before the measurements."""
+    lines = [
+        "# Measured",
+        "",
+        "Written by `ctr-station bench report`; do not edit, measure again. Microseconds (`us`) are medians unless a",
+        "percentile is named. The devices are simulated.",
+        "",
+        f"{datetime.now().astimezone():%Y-%m-%d %H:%M}; {machine}.",
+    ]
+    for name, result in found.items():
+        lines += ["", f"## `bench {name}`", "", MEASURES[name][0] + ".", "", "| figure | value |", "|---|---|"]
+        lines += [f"| {figure} | {value} |" for figure, value in flat(result)]
+    return "\n".join(lines) + "\n"
+
+
+def describe_machine() -> str:
+    """Return processor, system, versions and load of the computer."""
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("numpy", "numba"))
+    load = f"; load average {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    return (
+        f"{_processor()}, {processors()} processors; {platform.system()} {platform.release()};"
+        f" Python {platform.python_version()}, {libraries}{load}"
+    )
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())

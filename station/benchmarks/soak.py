@@ -1,0 +1,296 @@
+"""A soak test: the whole station with random actions of an operator and random faults of the devices.
+
+All processes run as in live use: virtual lab, control, recorder. An operator starts, stops, jogs, tares, homes
+and resets, and one device after the other fails. The test detects processes that end, memory that grows, states
+without a cause, and faults that are not reported exactly once.
+"""
+
+import math
+import os
+import random
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from core.errors import CtrError
+from station.benchmarks.growth import Growth, resident_bytes
+from station.config.motions import CircleMotion, HoldMotion, SinusoidMotion
+from station.control.states import State
+from station.lab.faults import FaultKind, LabFault
+from station.lab.loads import ConstantLoad, NoLoad
+from station.service.station_file import load_station
+from station.service.station_service import StationService
+from station.service.supervisor import Supervisor
+
+#: Limit of the station's start, which may compile everything on a busy computer [s].
+START_TIMEOUT_S = 300.0
+#: Limits of the report of a fault, and of READY after repair and reset [s].
+FAULT_REPORT_TIMEOUT_S, RECOVERY_TIMEOUT_S = 3.0, 400.0
+#: Tolerated growth of a process's memory [bytes], and the slope above which it counts as a leak [bytes/s].
+MEMORY_TOLERANCE_BYTES, LEAK_BYTES_PER_S = 8e6, 2e3
+#: Words in causes for which the computer is responsible.
+COMPUTER_CAUSES = ("late", "missed")
+RESTING_STATES = (State.HOLD, State.STOPPED, State.FAULT)
+
+
+class FaultChance(NamedTuple):
+    """A possible fault, and the state that it must cause."""
+
+    kind: FaultKind
+    device: str
+    leads_to: State
+
+
+FAULT_CHANCES = (
+    *(FaultChance(kind, "tracker", State.HOLD) for kind in ("mute", "lose_tool", "disconnect", "unplug")),
+    *(
+        FaultChance(kind, tube, State.HOLD)
+        for tube in ("inner", "outer")
+        for kind in ("mute", "saturate", "bad_status")
+    ),
+    FaultChance("freeze", "sensors", State.HOLD),
+    FaultChance("mute", "stages", State.FAULT),
+    FaultChance("disconnect", "stages", State.FAULT),
+    FaultChance("disconnect", "inner_translation", State.FAULT),
+)
+
+
+@dataclass
+class SoakResult:
+    """Result of a soak test."""
+
+    seed: int
+    seconds: float = 0.0
+    actions: Counter[str] = field(default_factory=Counter)
+    refused: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
+    wrong: list[str] = field(default_factory=list)  #: detected failures
+    machine: int = 0  #: runs that were delayed by the computer
+    growth: dict[str, Growth] = field(default_factory=dict)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the result as plain numbers and texts."""
+        leaks = [
+            f"memory of {name} grows by {slope / 1e3:.1f} kB/s"
+            for name, growth in self.growth.items()
+            if (slope := growth.slope) > LEAK_BYTES_PER_S and slope * self.seconds > MEMORY_TOLERANCE_BYTES
+        ]
+        wrong = [*self.wrong, *leaks]
+        return {
+            "seed": self.seed,
+            "seconds": round(self.seconds, 1),
+            "passed": not wrong,
+            "wrong": wrong,
+            "actions": dict(self.actions),
+            "refused": self.refused,
+            "faults": dict(self.faults),
+            "held_up_by_this_computer": self.machine,
+            "memory_mb": {name: round(growth.size / 1e6, 1) for name, growth in self.growth.items()},
+            "growth_mb_per_hour": {name: round(growth.slope * 3.6e-3, 2) for name, growth in self.growth.items()},
+        }
+
+
+def soak(seconds: float, seed: int, folder: Path, progress: Callable[[float], None]) -> dict[str, Any]:
+    """Run a soak test for `seconds`, with pseudo-terminals as serial lines and data in `folder`; return the summary.
+
+    Raises:
+        CtrError: the station does not start.
+    """
+    terminals = folder / "lines" if hasattr(os, "openpty") else None
+    if terminals is not None:
+        terminals.mkdir()
+    bench = replace(load_station(None).bench(), terminals=terminals)
+    supervisor = Supervisor(bench, folder / "runs")
+    try:
+        supervisor.open()
+        supervisor.wait_ready(START_TIMEOUT_S)
+        soaked = _Soak(supervisor, seed)
+        soaked.run(seconds, progress)
+    finally:
+        supervisor.close()
+    return soaked.result.summary()
+
+
+class _Soak:
+    def __init__(self, supervisor: Supervisor, seed: int) -> None:
+        self.result = SoakResult(seed)
+        self._supervisor, self._service = supervisor, StationService(supervisor)
+        self._chance = random.Random(seed)  # noqa: S311 - no secret
+        self._start_time = time.monotonic()
+        self._pids = supervisor.pids()
+        self._last_state = State.READY
+        self._last_check = 0.0
+
+    def run(self, seconds: float, progress: Callable[[float], None]) -> None:
+        self._wait(lambda state: state is State.READY, 60.0)
+        while (passed := time.monotonic() - self._start_time) < seconds:
+            progress(min(1.0, passed / seconds))
+            self._explain()
+            self._one()
+            self._check_processes()
+        self._try("stop", self._supervisor.stop)
+        self.result.seconds = time.monotonic() - self._start_time
+        progress(1.0)
+
+    def _one(self) -> None:
+        """Execute one random action of an operator or a device, valid in this state or not."""
+        state, chance = self._supervisor.status().state, self._chance
+        if state in (*RESTING_STATES, State.CONNECTED):
+            self._recover()
+        elif state is State.RUNNING and chance.random() < 0.3:
+            self._fail(chance.choices(FAULT_CHANCES, [1 if c.leads_to is State.FAULT else 3 for c in FAULT_CHANCES])[0])
+        else:
+            action = chance.choice(("start", "start", "stop", "jog", "tare", "reset", "pull", "wait", "wait"))
+            getattr(self, f"_{action}")()
+        self._pause(chance.uniform(0.05, 1.0))
+
+    # Actions of an operator
+
+    def _start(self) -> None:
+        motion = self._chance.choice((
+            CircleMotion(radius=0.005, period=10.0), HoldMotion(),
+            SinusoidMotion(direction=(0.0, 0.0, 1.0), amplitude=0.005, frequency=0.1),
+            CircleMotion(radius=0.008, period=15.0),
+        ))  # fmt: skip
+        duration = self._chance.uniform(1.0, 15.0)
+        load = self._chance.choice((NoLoad(), ConstantLoad(magnitude=0.1)))
+        self._try("start", lambda: self._service.start_motion(motion, load=load, duration=duration))
+
+    def _stop(self) -> None:
+        self._try("stop", self._supervisor.stop)
+
+    def _jog(self) -> None:
+        velocity = [self._chance.uniform(-0.003, 0.003) for _ in range(3)]
+        for _ in range(self._chance.randint(1, 8)):
+            self._try("jog", lambda: self._service.jog("tip", (velocity[0], velocity[1], velocity[2])))
+            time.sleep(0.1)
+
+    def _tare(self) -> None:
+        self._try("tare", self._supervisor.tare)
+
+    def _reset(self) -> None:
+        self._try("reset", self._supervisor.reset)
+
+    def _pull(self) -> None:
+        size = self._chance.uniform(0.0, 0.2)
+        self._try("pull", lambda: self._service.apply_load(ConstantLoad(magnitude=size)))
+
+    def _wait(self, reached: Callable[[State], bool] | None = None, timeout: float = 0.0) -> bool:
+        """Wait until `reached` holds for the state, for at most `timeout` [s]; without arguments pause briefly."""
+        if reached is None:
+            self._pause(self._chance.uniform(0.1, 2.0))
+            return True
+        deadline = time.monotonic() + timeout
+        while not reached(self._supervisor.status().state):
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.02)
+        return True
+
+    def _try(self, name: str, action: Callable[[], Any]) -> None:
+        self.result.actions[name] += 1
+        try:
+            action()
+        except CtrError:
+            self.result.refused += 1  # not allowed in this state
+
+    # Faults
+
+    def _fail(self, fault: FaultChance) -> None:
+        """Inject a fault, check that it is reported once, and repair it."""
+        name = f"{fault.kind} {fault.device}"
+        before = self._supervisor.entered(fault.leads_to)
+        if self._supervisor.status().state is not State.RUNNING:
+            return
+        self._supervisor.inject([LabFault(kind=fault.kind, device=fault.device)])
+        self.result.faults[name] += 1
+        shown = self._wait(lambda state: state in RESTING_STATES, FAULT_REPORT_TIMEOUT_S)
+        status = self._supervisor.status()
+        self._pause(0.5)
+        times = self._supervisor.entered(fault.leads_to) - before
+        self._supervisor.inject([])
+        if not shown:
+            if self._supervisor.status().state is not State.READY:  # the run ended before
+                self.result.wrong.append(f"{name}: not reported within {FAULT_REPORT_TIMEOUT_S:g} s")
+        elif self._is_machine(status.cause):
+            self.result.machine += 1
+        elif status.state is not fault.leads_to or times != 1:
+            self.result.wrong.append(
+                f"{name}: {times} times {fault.leads_to.name}, now {status.state.name}: {status.cause}"
+            )
+        self._last_state = self._supervisor.status().state
+
+    def _recover(self) -> None:
+        """Act as an operator does after HOLD, STOPPED or FAULT."""
+        deadline = time.monotonic() + RECOVERY_TIMEOUT_S
+        while (state := self._supervisor.status().state) is not State.READY:
+            if time.monotonic() > deadline:
+                self.result.wrong.append(
+                    f"not READY {RECOVERY_TIMEOUT_S:g} s after a reset but {state.name}: {self._what_is_wrong()}"
+                )
+                return
+            if state in RESTING_STATES:
+                self._try("reset", self._supervisor.reset)
+            elif state is State.CONNECTED:
+                self._try("home", self._supervisor.home)
+            time.sleep(0.2)
+
+    def _what_is_wrong(self) -> str:
+        """Return the cause and the devices' faults as the station reports them."""
+        status = self._supervisor.status()
+        texts = [status.cause, *(f"{device.name} {device.condition}: {device.text}" for device in status.devices)]
+        return "; ".join(text for text in texts if text)
+
+    def _explain(self) -> None:
+        """Check that every unrequested change of state has a cause."""
+        status = self._supervisor.status()
+        if status.state is self._last_state:
+            return
+        self._last_state = status.state
+        if status.state in (State.HOLD, State.FAULT):
+            if self._is_machine(status.cause):
+                self.result.machine += 1
+            else:
+                self.result.wrong.append(f"unexplained {status.state.name}: {status.cause or 'no cause given'}")
+
+    def _is_machine(self, cause: str) -> bool:
+        return "the control loop" in cause and any(word in cause for word in COMPUTER_CAUSES)
+
+    def _pause(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            time.sleep(min(0.1, left))
+
+    def _check_processes(self) -> None:
+        now = time.monotonic()
+        if now - self._last_check < 0.5:
+            return
+        self._last_check = now
+        pids = self._supervisor.pids()
+        for name in [name for name, pid in self._pids.items() if pids.get(name) != pid]:
+            self.result.wrong.append(f"process {name} ({self._pids[name]}) has ended")
+        self._pids = pids
+        for name, pid in pids.items():
+            size = resident_bytes(pid)
+            if size is not None and math.isfinite(size):
+                self.result.growth.setdefault(name, Growth()).add(now, size)
+
+
+def rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the summary as rows of name and value."""
+
+    def listed(numbers: Mapping[str, Any]) -> str:
+        return ", ".join(f"{name} {number}" for name, number in numbers.items())
+
+    return [
+        ("time", f"{summary['seconds']:.0f} s, seed {summary['seed']}"),
+        ("operator", f"{listed(summary['actions'])}; {summary['refused']} refused"),
+        ("faults", listed(summary["faults"])),
+        ("delayed by this computer", str(summary["held_up_by_this_computer"])),
+        ("memory [MB]", listed(summary["memory_mb"])),
+        ("growth [MB/h]", listed(summary["growth_mb_per_hour"])),
+        ("wrong", "; ".join(summary["wrong"]) or "nothing"),
+    ]

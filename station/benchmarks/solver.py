@@ -1,0 +1,245 @@
+"""`ctr-station bench solver`: cold solves of many kinds of robots, without load and loaded.
+
+Robots of two, three and four random tubes, and published three-tube robots, with EI / GJ from 1.0 to 2.0, at random
+valid poses. Every pose without load must have a solution, and nearly every pose under a force. Each solution must be
+stable, which `elastic_energy` checks. It must be the solution that the robot reaches from rest, which is checked by
+moving the exact rod in small steps. All poses are drawn from a seed. The tests run a part.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from core.errors import NoSolution
+from core.model.cosserat import ExactRod, Rod
+from core.model.solution import Solution
+from core.model.statics import Statics
+from core.robot.robot import Array, Joint, Robot, Section, Tube
+from station.benchmarks.elastic_energy import ZERO_EIGENVALUE, lowest
+
+#: Largest force at the tip, in N and relative to EI / length^2 of the innermost tube.
+MAX_FORCE_N, MAX_RELATIVE_FORCE = 0.5, 20.0
+#: Every n-th solution is checked for minimal energy, every m-th against the exact rod continued from rest.
+ENERGY_CHECK_EVERY, BRANCH_CHECK_EVERY = 4, 25
+#: Steps of the exact rod continued from rest: rotation [rad], and fraction of the load.
+REFERENCE_TURN_RAD, REFERENCE_LOAD_SHARE = 0.03, 0.02
+#: Tips further apart than this belong to different shapes [m]; near a fold the paper's sub-links err by up to 3 mm.
+OTHER_SHAPE_M = 5e-3
+
+
+class TubeRow(NamedTuple):
+    """A published tube: straight, then curved."""
+
+    length: float  #: total [m]
+    curved: float  #: length of the curved part [m]
+    bending: float  #: EI [N m^2]
+    ratio: float  #: EI / GJ
+    curvature: float  #: [1/m]
+
+
+def _annulus(modulus: float, shear: float, outer: float, inner: float) -> tuple[float, float]:
+    """Return EI [N m^2] and EI / GJ of a tube from its moduli [Pa] and diameters [m]."""
+    return modulus * math.pi / 64.0 * (outer**4 - inner**4), 0.5 * modulus / shear
+
+
+#: Three-tube robots, innermost tube first.
+PUBLISHED_ROBOTS: Mapping[str, tuple[TubeRow, ...]] = {
+    # Khadem, Da Cruz, Bergeles, "Force/Velocity Manipulability Analysis for 3D Continuum Robots", IROS 2018,
+    # doi 10.1109/IROS.2018.8593874: l, l_k, E, I, G, J and U_x of the code published with it.
+    "khadem": (
+        TubeRow(0.431, 0.103, 6.4359738368e10 * 0.0601e-12, 1.2847, 21.3),
+        TubeRow(0.332, 0.113, 5.2548578304e10 * 0.3267e-12, 1.2246, 13.108),
+        TubeRow(0.174, 0.134, 4.7163091968e10 * 0.8432e-12, 0.7918, 3.5),
+    ),
+    # Grassmann, Modes, Burgner-Kahrs, "Learning the Forward and Inverse Kinematics of a 6-DOF Concentric Tube Continuum
+    # Robot in SE(3)", IROS 2018: lengths, diameters and curvatures as listed in the code of K. Iyengar's
+    # reinforcement-learning environment (system_1); E = 50 GPa and G = 23 GPa.
+    "grassmann": (
+        TubeRow(0.370, 0.045, *_annulus(50e9, 23e9, 0.4e-3, 0.3e-3), 15.8),
+        TubeRow(0.305, 0.100, *_annulus(50e9, 23e9, 0.9e-3, 0.7e-3), 9.27),
+        TubeRow(0.170, 0.100, *_annulus(50e9, 23e9, 1.5e-3, 1.2e-3), 4.37),
+    ),
+    # Tubes of the RViM laboratory, King's College London, in the same list (system_2); E = 75 GPa, G = 25 GPa.
+    "rvim": (
+        TubeRow(0.309, 0.145, *_annulus(75e9, 25e9, 1.1e-3, 0.7e-3), 13.52),
+        TubeRow(0.275, 0.114, *_annulus(75e9, 25e9, 1.8e-3, 1.4e-3), 11.68),
+        TubeRow(0.173, 0.173, *_annulus(75e9, 25e9, 2.39e-3, 1.83e-3), 10.8),
+    ),
+    # Boyer et al., "On High Performance Control of Concentric Tube Continuum Robots Through Parsimonious Calibration",
+    # RA-L 2024, doi 10.1109/LRA.2024.3455906: the preset `three_tubes`.
+    "boyer": (
+        TubeRow(0.463, 0.05, 0.0072266, 1.3, 10.0),
+        TubeRow(0.3305, 0.05, 0.0102783, 1.3, 5.0),
+        TubeRow(0.199, 0.05, 0.0355595, 1.3, 7.0),
+    ),
+}
+
+#: Kinds of robots: a number of random tubes, or a published robot.
+ROBOT_KINDS: tuple[int | str, ...] = (2, 3, 4, *PUBLISHED_ROBOTS)
+
+
+class Pose(NamedTuple):
+    """A test case: robot, joints and load."""
+
+    kind: str
+    robot: Robot
+    joints: Array  #: (n,) [rad or m]
+    wrench: Array  #: (6,) [N, N m]
+
+
+def published(name: str, ratio: float | None = None) -> Robot:
+    """Return a robot of `PUBLISHED_ROBOTS`, with its published EI / GJ or with `ratio`."""
+    return _robot(name, PUBLISHED_ROBOTS[name], ratio)
+
+
+def draw(seed: int, force: float = MAX_FORCE_N) -> Iterator[Pose]:
+    """Yield robots at valid poses, one kind after the other, under forces up to `force` [N], endlessly."""
+    rng = np.random.default_rng(seed)
+    while True:
+        for kind in ROBOT_KINDS:
+            ratio = float(rng.uniform(1.0, 2.0))
+            if isinstance(kind, str):
+                robot = published(kind, ratio if rng.random() < 0.75 else None)
+            else:
+                robot = _robot(f"{kind} random tubes", _random_rows(kind, rng), ratio)
+            joints = _random_joints(robot, rng)
+            direction = rng.normal(size=3)
+            wrench = np.zeros(6)
+            # Less force for thin tubes: at this limit any tube bends over completely.
+            reach = float(robot.tube_poses(joints)[1][0]) + robot.tubes[0].length
+            limit = min(force, MAX_RELATIVE_FORCE * robot.tubes[0].bending_stiffness / reach**2) if force > 0.0 else 0.0
+            wrench[:3] = direction / np.linalg.norm(direction) * rng.uniform(0.0, 1.0) * limit
+            yield Pose(robot.name, robot, joints, wrench)
+
+
+def solver(poses: int = 10_000, seed: int = 0, done: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
+    """Solve unloaded and loaded poses with the paper's integrator."""
+    return {
+        "unloaded": solve_random_poses(poses, seed, 0.0, lambda part: done(0.5 * part)),
+        "loaded": solve_random_poses(poses, seed, MAX_FORCE_N, lambda part: done(0.5 + 0.5 * part)),
+    }
+
+
+def solve_random_poses(
+    poses: int, seed: int, force: float, done: Callable[[float], None] = lambda _: None
+) -> dict[str, Any]:
+    """Solve `poses` random poses cold.
+
+    `other_branch`: the exact rod, continued from rest in small steps, reaches another shape. `snapped`: it
+    snaps on this path or has no solution at its end; such poses are not compared.
+    """
+    failed, unstable, checked, compared, other, snapped = 0, 0, 0, 0, 0, 0
+    times, worst = np.empty(poses), 0.0
+    kinds: dict[str, int] = {}
+    warm: set[int] = set()
+    source = draw(seed, force)
+    for index in range(poses):
+        pose = next(source)
+        done(index / poses)
+        model = Statics(pose.robot)
+        if len(pose.robot.tubes) not in warm:  # compile or load the code before the first timing
+            warm.add(len(pose.robot.tubes))
+            model.solve(pose.joints, np.zeros(6))
+        start = time.perf_counter()
+        found = _solved(model, pose)
+        times[index] = time.perf_counter() - start
+        if found is None:
+            failed += 1
+            kinds[pose.kind] = kinds.get(pose.kind, 0) + 1
+            continue
+        worst = max(worst, model.residual(found))
+        if index % ENERGY_CHECK_EVERY == 0:
+            checked += 1
+            unstable += lowest(pose.robot, found) < -ZERO_EIGENVALUE
+        if index % BRANCH_CHECK_EVERY == 0:
+            rod, calm = continued_from_rest(pose)
+            if rod is None or not calm:
+                snapped += 1
+            else:
+                compared += 1
+                other += float(np.linalg.norm(rod.tip - found.tip)) > OTHER_SHAPE_M
+    return {
+        "poses": poses, "failed": failed, "failed_of": kinds,
+        "energy_checked": checked, "unstable": unstable,
+        "branch_compared": compared, "other_branch": other, "snapped": snapped,
+        "largest_residual": float(f"{worst:.2g}"),
+        "cold_solve_ms": {
+            "median": round(1e3 * float(np.median(times)), 2), "mean": round(1e3 * float(times.mean()), 2),
+            "p99": round(1e3 * float(np.percentile(times, 99)), 1), "max": round(1e3 * float(times.max()), 1),
+        },
+    }  # fmt: skip
+
+
+def continued_from_rest(pose: Pose) -> tuple[Rod | None, bool]:
+    """Rotate the exact rod from aligned tubes, then load it, in small steps; return it and whether it never snapped."""
+    exact, robot = ExactRod(pose.robot, step=0.004), pose.robot
+    alpha, beta = robot.tube_poses(pose.joints)
+    turns = np.array([math.remainder(angle - alpha[-1], math.tau) for angle in alpha])
+    rod, calm = None, True
+    path = [(part, 0.0) for part in np.linspace(0.0, 1.0, 2 + int(np.abs(turns).max() / REFERENCE_TURN_RAD))]
+    if pose.wrench.any():
+        path += [(1.0, part) for part in np.linspace(0.0, 1.0, 1 + round(1.0 / REFERENCE_LOAD_SHARE))[1:]]
+    before = np.zeros(3)
+    for turned, loaded in path:
+        try:
+            now = exact.solve_tubes(alpha[-1] + turned * turns, beta, loaded * pose.wrench, rod)
+        except NoSolution:
+            return None, False
+        moved = now.tip - (before if rod is None else rod.tip)
+        # A snap moves the tip at once, by much more than the neighbouring steps.
+        calm = calm and (rod is None or float(np.linalg.norm(moved)) < 0.1 * robot.tubes[0].length)
+        before, rod = now.tip, now
+    return rod, calm and rod is not None and exact.stability(pose.joints, pose.wrench, rod) > 0.0
+
+
+def _solved(model: Statics, pose: Pose) -> Solution | None:
+    try:
+        return model.solve(pose.joints, pose.wrench)
+    except NoSolution:
+        return None
+
+
+def _robot(name: str, rows: tuple[TubeRow, ...], ratio: float | None) -> Robot:
+    """Return a robot in which every tube rotates and translates independently."""
+    tubes, joints = list[Tube](), list[Joint]()
+    for i, row in enumerate(rows):
+        straight = row.length - row.curved
+        curve = Section(row.curved, (row.curvature, 0.0))
+        sections = (Section(straight), curve) if straight > 1e-9 else (curve,)
+        inner = 0.4e-3 + 0.6e-3 * i  # arbitrary diameters that fit
+        gj = row.bending / (row.ratio if ratio is None else ratio)
+        tubes.append(Tube(f"tube{i}", sections, row.bending, 0.3, inner + 0.5e-3, inner, gj))
+        joints += [Joint(f"turn{i}", i, "rotation"), Joint(f"slide{i}", i, "translation")]
+    return Robot(name, tuple(tubes), tuple(joints))
+
+
+def _random_rows(count: int, rng: np.random.Generator) -> tuple[TubeRow, ...]:
+    """Return realistic tubes: mostly shorter, stiffer and less curved towards the outside."""
+    rows = list[TubeRow]()
+    bending, straight = float(rng.uniform(0.004, 0.02)), 0.04
+    for i in range(count):
+        curved = float(rng.uniform(0.04, 0.15))
+        rows.append(TubeRow(0.0, curved, bending, 1.0, float(rng.uniform(2.0, 20.0)) / (1.0 + 0.7 * i)))
+        bending *= float(rng.uniform(1.2, 3.5))
+    for i in range(count - 1, -1, -1):  # from the outermost inward
+        straight += float(rng.uniform(0.02, 0.08))
+        rows[i] = rows[i]._replace(length=straight + rows[i].curved)
+        straight = rows[i].length
+    return tuple(rows)
+
+
+def _random_joints(robot: Robot, rng: np.random.Generator) -> Array:
+    """Return random valid joints (n,), with each tube at least 5 mm out of the next outer one."""
+    q = len(robot.tubes)
+    joints = np.empty(2 * q)
+    joints[0::2] = rng.uniform(-math.pi, math.pi, q)
+    start, end = 0.0, 0.0
+    for i in range(q - 1, -1, -1):
+        length = robot.tubes[i].length
+        start = float(rng.uniform(min(end + 0.005 - length, start), start))
+        end = start + length
+        joints[2 * i + 1] = start
+    return joints

@@ -1,0 +1,83 @@
+"""`ctr-station bench wire`: time of a tick of plant, simulated devices and drivers, without the controller.
+
+    ctr-station bench wire
+
+The stages move as in `fig10` under its load. Garbage collection is off.
+"""
+
+import gc
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from core.errors import CtrError
+from station.config.robots import load_robot
+from station.devices.interfaces import Condition
+from station.lab.config import LabConfig
+from station.lab.loads import RaisedCosineLoad
+from station.lab.plant import Plant
+from station.lab.simulated_bench import SimulatedBench
+from station.lab.virtual_bench import drivers
+
+TICK_S = 0.002
+#: A result is the median of means over this number of ticks.
+CHUNK_TICKS = 50
+START_JOINTS = np.array([0.0, 0.5 * math.pi, -0.1])
+LOAD = RaisedCosineLoad(peak=0.5, period=20.0)
+
+
+def wire(seconds: float = 20.0) -> dict[str, Any]:
+    """Return microseconds per tick of each part and of all, over `seconds` of simulated time.
+
+    `plant` is measured alone and contained in `lab`, which is plant and simulated devices; `all` is lab and drivers.
+
+    Raises:
+        CtrError: the stages did not connect.
+    """
+    robot, config = load_robot("paper"), LabConfig()
+    lab = SimulatedBench(robot, config, 0, START_JOINTS, homed=True)
+    devices = drivers(lab)
+    stages, tracker, sensors = devices.stages, devices.tracker, devices.sensors
+    now = 0.0
+
+    def velocities() -> np.ndarray:
+        return np.array([0.02, 0.05, 0.0031]) * math.cos(0.1 * math.pi * now)
+
+    for device in (stages, tracker, sensors):
+        device.connect(now)
+    while not stages.ready:
+        if now > 20.0 or stages.condition is Condition.FAULT:
+            raise CtrError(f"the simulated stages did not connect: {stages.trouble(now)}")
+        lab.advance(now)
+        stages.poll(now)
+        now += TICK_S
+    lab.apply_load(LOAD, now)
+    alone = Plant(robot.robot(), config.plant, np.random.default_rng(0), START_JOINTS)
+    parts: dict[str, Callable[[], object]] = {
+        "lab": lambda: lab.advance(now),
+        "stages poll": lambda: stages.poll(now),
+        "tracker poll": lambda: tracker.poll(now),
+        "sensors poll": lambda: sensors.poll(now),
+        "stages command": lambda: stages.command(velocities(), now),
+        "plant": lambda: alone.advance(lab.positions, lab.truth.force),
+    }
+    taken = np.zeros((round((seconds + 1.0) / TICK_S / CHUNK_TICKS), len(parts)))
+    gc.collect()
+    gc.disable()
+    try:
+        for row in taken:
+            for _ in range(CHUNK_TICKS):
+                for column, part in enumerate(parts.values()):
+                    start = time.perf_counter()
+                    part()
+                    row[column] += time.perf_counter() - start
+                now += TICK_S
+    finally:
+        gc.enable()
+    means = 1e6 / CHUNK_TICKS * taken[round(1.0 / TICK_S / CHUNK_TICKS) :]  # the first second warms up
+    medians = np.median(means, axis=0)
+    us = dict(zip(parts, np.round(medians, 1).tolist(), strict=True))
+    return {"ticks": len(means) * CHUNK_TICKS, "us": us | {"all": round(float(medians[:5].sum()), 1)}}

@@ -1,0 +1,89 @@
+"""Start, message and end a child process of the station through a pipe."""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable
+from multiprocessing.connection import wait
+from typing import Any
+
+#: Longest wait for the exit status of a process that has already ended, in real time [s].
+EXIT_TIME = 5.0
+#: Interval between two polls of the exit status [s].
+EXIT_INTERVAL = 1e-3
+
+
+class ChildProcess:
+    """Owner of one child process and of the pipe to it."""
+
+    def __init__(self, main: Callable[..., None], *arguments: Any, name: str, daemon: bool = True) -> None:
+        """Start `main(*arguments, pipe, parent)` in a new interpreter.
+
+        Args:
+            main: function that the child executes. It receives its end of the pipe, and this process's pid to detect
+                when this process is gone.
+            arguments: arguments of `main` before those two.
+            name: name of the child process.
+            daemon: the child ends with this process; False: it may outlive it.
+        """
+        context: Any = multiprocessing.get_context("spawn")
+        self.pipe, end = context.Pipe()  #: end of the pipe to the child; readable when the child has sent a message
+        self._process = context.Process(target=main, args=(*arguments, end, os.getpid()), name=name, daemon=daemon)
+        # Ctrl-C in a terminal reaches the whole group: the parent decides when the child ends, so the
+        # child blocks the signal from its first instruction on.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        end.close()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the child process runs."""
+        return self._process.is_alive()
+
+    @property
+    def pid(self) -> int:
+        """Process ID of the child process."""
+        return self._process.pid or 0
+
+    def send(self, message: Any) -> None:
+        """Send a message to the child process; this has no effect after its end."""
+        with contextlib.suppress(OSError):
+            self.pipe.send(message)
+
+    def ended(self, patience: float | None = None) -> str:
+        """Wait for the end of the process, at most `patience` [s]; return how it ended, human-readable."""
+        if wait([self._process.sentinel], patience):
+            # Only one thread gets the exit status from the system. For another thread that queries it at the same time
+            # the process still runs, until the first thread has stored the status.
+            deadline = time.monotonic() + EXIT_TIME
+            while self._process.exitcode is None and time.monotonic() < deadline:
+                time.sleep(EXIT_INTERVAL)
+        code = self._process.exitcode
+        if code is None:
+            return "without an exit status yet"
+        return f"by signal {-code}" if code < 0 else f"with status {code}"
+
+    def terminate(self) -> None:
+        """Terminate the child process (SIGTERM)."""
+        self._process.terminate()
+
+    def kill(self) -> None:
+        """Kill the child process (SIGKILL)."""
+        self._process.kill()
+
+    def end(self, patience: float) -> None:
+        """Send None, on which the process should end; kill it if it has not ended after `patience` [s]."""
+        self.send(None)
+        if not wait([self._process.sentinel], patience):
+            self._process.kill()
+        self.ended()
+
+    def close(self, patience: float) -> None:
+        """End the child process and close the pipe to it; kill it after `patience` [s]."""
+        self.end(patience)
+        self.pipe.close()

@@ -1,0 +1,131 @@
+"""Human-readable summary of a case with numbers and units; the operator's page shows it before a run starts."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from station.config.controllers import ControllerFile
+from station.config.motions import JointSweepMotion, WaypointsMotion
+from station.config.robots import RobotFile
+from station.config.strict import Strict
+from station.config.units import format_quantity, unit_of_description
+from station.experiments.experiment import Case
+
+#: Keys of the table `[controller]` that the summary shows for the strategy `dual_layer`, which uses all of them.
+CONTROLLER_KEYS = ("inner", "feedback", "k1", "k2", "feedforward", "filter_bandwidth")
+KEYS_BY_STRATEGY: dict[str, tuple[str, ...]] = {
+    "inner_loop": ("inner", "filter_bandwidth"),
+    "dual_layer": CONTROLLER_KEYS,
+}
+AXES = "xyz"
+DIRECTIONS = ("direction", "normal", "axis")
+
+
+class CaseFact(NamedTuple):
+    """One line of a case's summary."""
+
+    what: str
+    text: str
+
+
+def case_facts(case: Case) -> tuple[CaseFact, ...]:
+    """Return everything that an operator should know about a case before its start."""
+    file = case.file
+    sweep = file.trajectory if isinstance(file.trajectory, JointSweepMotion) else None
+    rotations = [joint.name for joint in case.robot.joints if joint.motion == "rotation"]
+    turns = sweep is None or sweep.joint in rotations
+    found = [
+        CaseFact("motion", describe_keys(file.trajectory, turns=turns)),
+        CaseFact("load", describe_keys(file.load)),
+        CaseFact("control", describe_controller(file.controller)),
+        *((CaseFact("model", note.removeprefix("model: ")),) if (note := model_note(case)) else ()),
+        CaseFact(
+            "duration",
+            f"{format_quantity(file.duration, 's')}, errors count from {format_quantity(file.counted_from, 's')} on",
+        ),
+        CaseFact("start pose", describe_pose(file.start, case.robot)),
+    ]
+    if file.faults:
+        found.append(CaseFact("faults", "; ".join(describe_keys(fault) for fault in file.faults)))
+    if file.calibration:
+        found.append(CaseFact("calibration", file.calibration))
+    return tuple(found)
+
+
+def model_note(case: Case) -> str:
+    """Return a note about the model's integrator if the robot's curvature requires another one than the paper's.
+
+    Empty for the paper's integrator and for an integrator that the case configures.
+    """
+    return case.file.controller.model_note(case.controller.statics.robot)
+
+
+def describe_controller(file: ControllerFile) -> str:
+    """Return the strategy of a controller with the values of the keys that this strategy uses."""
+    keys = KEYS_BY_STRATEGY.get(file.strategy, ())
+    task = () if file.task == "position" else (_words(file.task),)
+    return ", ".join((_words(file.strategy), *task, *_parts(file, keys)))
+
+
+def describe_keys(model: Strict, *, turns: bool = True) -> str:
+    """Return kind and keys of a motion, load or fault as a text with numbers and units.
+
+    `turns`: a swept joint is rotational, so its values are angles.
+    """
+    if isinstance(model, WaypointsMotion):
+        reach = max(math.hypot(*point[1:]) for point in model.points)
+        count = len(model.points)
+        text = f"{count} point{'s' * (count > 1)} in {format_quantity(model.points[-1][0], 's')}"
+        return f"waypoints: {text}, up to {format_quantity(reach, 'm')} from the start"
+    keys = tuple(key for key in type(model).model_fields if key != "kind")
+    parts = ", ".join(_parts(model, keys, turns=turns))
+    kind = _words(str(getattr(model, "kind", "")))
+    return f"{kind}: {parts}" if parts else kind
+
+
+def describe_pose(joints: Mapping[str, float], robot: RobotFile) -> str:
+    """Return a text with the position and the unit of each joint."""
+    units = {joint.name: "rad" if joint.motion == "rotation" else "m" for joint in robot.joints}
+    return ", ".join(f"{_words(name)} {format_quantity(value, units[name])}" for name, value in joints.items())
+
+
+def _parts(model: Strict, keys: tuple[str, ...], *, turns: bool = True) -> list[str]:
+    fields = type(model).model_fields
+    return [
+        text
+        for key in keys
+        if (text := _part(key, getattr(model, key), unit_of_description(fields[key].description, turns=turns)))
+    ]
+
+
+def _part(key: str, value: Any, unit: str) -> str:
+    """Return a key and its value as a text; empty for a value that means "not used": None, False or an empty list."""
+    if value is None or value is False or value == ():
+        return ""
+    if key == "directions":
+        return f"{len(value)} directions in {format_quantity(value[-1][0], 's')}"
+    if value is True:
+        return _words(key)
+    if key == "directions":
+        count = len(value)
+        return f"pointing in {count} direction{'s' * (count > 1)}, the last at {format_quantity(value[-1][0], 's')}"
+    if isinstance(value, tuple):
+        return f"along {_direction(value)}" if key in DIRECTIONS else f"{_words(key)} {_row(value, unit)}"
+    return f"{_words(key)} {format_quantity(value, unit) if isinstance(value, float | int) else _words(str(value))}"
+
+
+def _row(values: tuple[float, ...], unit: str) -> str:
+    *others, last = values
+    return ", ".join((*(format_quantity(value, unit).split(" ")[0] for value in others), format_quantity(last, unit)))
+
+
+def _direction(values: tuple[float, ...]) -> str:
+    """Return a direction as the name of an axis with its sign, or as three numbers if it is not along an axis."""
+    one = [axis for axis, value in zip(AXES, values, strict=True) if value]
+    if len(one) == 1:
+        return f"{'-' if sum(values) < 0.0 else ''}{one[0]}"
+    return f"({_row(values, '')})"
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -1,0 +1,96 @@
+"""Permits of commands that move the robot: issued when a request arrives, voided by any later STOP or reset.
+
+A counter, the generation, numbers the STOPs and resets. It is in shared memory: the control process also compares it
+with the generation of a command, so that a STOP voids commands that are still in the pipe.
+"""
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from station.control.clock import StationClock
+from station.control.ring import GENERATION, Ring
+from station.control.states import RefusedError, Transition
+
+#: Time after its request at which a command that moves the robot is void [s]. The check of a motion takes one second,
+#: or half a minute on a very busy computer. A client that disconnects voids its command earlier.
+DEADLINE_S = 120.0
+#: Number of STOPs and resets, the latest ones, whose causes are kept for error messages.
+MAX_CAUSES = 64
+
+
+class VoidError(RefusedError):
+    """A command is older than a STOP or a reset, has waited too long, or its client has disconnected."""
+
+
+def _stays() -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Permit:
+    """Permit of one command that moves the robot, from the arrival of its request until it is sent."""
+
+    permits: "Permits"
+    generation: int  #: number of STOPs and resets before the request arrived
+    until: float  #: time at which the permit expires, by the station's clock [s]
+    gone: Callable[[], bool] = _stays  #: returns whether the client has disconnected; thread-safe
+
+    def check(self, what: str) -> None:
+        """Check that the permit still allows the command `what`.
+
+        Raises:
+            VoidError: the text names the later STOP or reset and has an instruction.
+        """
+        self.permits.check(self, what)
+
+    def lasting(self) -> "Permit":
+        """Return a permit for an accepted procedure, which only a STOP or a reset ends."""
+        return replace(self, until=math.inf, gone=_stays)
+
+
+class Permits:
+    """Permits of one station; its methods are thread-safe."""
+
+    def __init__(self, ring: Ring, clock: StationClock) -> None:
+        self._ring, self._clock = ring, clock
+        self._lock = threading.Lock()
+        self._causes = deque[str](maxlen=MAX_CAUSES)
+        self._stop = (0, "")  # generation and cause of the latest STOP
+
+    def issue(self, gone: Callable[[], bool] = _stays) -> Permit:
+        """Return a permit for a request that arrives now; `gone` returns whether its client has disconnected."""
+        return Permit(self, int(self._ring.counters[GENERATION]), self._clock.now() + DEADLINE_S, gone)
+
+    def void(self, cause: str, *, stop: bool) -> None:
+        """Void every earlier permit; `cause` tells why. Only a STOP also voids a requested reset."""
+        with self._lock:
+            self._causes.append(cause)
+            self._ring.counters[GENERATION] += 1
+            if stop:
+                self._stop = (int(self._ring.counters[GENERATION]), cause)
+
+    def check(self, permit: Permit, what: str) -> None:
+        """Check that a permit still allows the command `what`; see `Permit.check`."""
+        with self._lock:
+            newest, cause = int(self._ring.counters[GENERATION]), ""
+            if what == Transition.RESET:
+                newest, cause = self._stop
+            elif later := newest - permit.generation:
+                cause = self._causes[
+                    -min(later, len(self._causes))
+                ]  # cause of the first STOP or reset after the request
+        if permit.generation < newest:
+            raise VoidError(
+                f"'{what}' is void: the station was {cause} after this request arrived;"
+                " check the robot, then send the request again"
+            )
+        if permit.gone():
+            raise VoidError(f"'{what}' is void: its client disconnected before it was executed; send it again and wait")
+        if self._clock.now() > permit.until:
+            raise VoidError(
+                f"'{what}' is void: it was not executed within {DEADLINE_S:g} s of its request"
+                " (a slow check of the motion, or a recorder that restarts); send it again"
+            )

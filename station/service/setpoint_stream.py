@@ -1,0 +1,230 @@
+"""Stream of setpoints: converts each message of a streaming client to a `SetpointRequest` and rejects invalid ones."""
+
+import math
+from collections import deque
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from core.control.setpoint_request import DEFAULT_MOTION_BOUNDS, SetpointRequest, turn_bounds
+from core.errors import CtrError
+from core.robot.robot import Array
+from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile
+from station.config.strict import Strict
+from station.control.streamed_motion import StreamLimits
+
+#: Largest rate of a client's messages [1/s], and time over which it is averaged [s]. The time is long because messages
+#: that wait while this computer is busy arrive together, which is not the sender's fault.
+MAX_RATE_HZ, STALL_S = 500.0, 4.0
+MAX_BURST = MAX_RATE_HZ * STALL_S
+#: The velocity is fitted to the positions of the last 0.1 s [s], and to at least this number of positions.
+VELOCITY_WINDOW_S, MIN_WINDOW_POINTS = 0.1, 3
+#: Time within which positions that arrive are one bunch [s]. Only the newest position of a bunch counts: the network
+#: determines the intervals within a bunch, so the differences give no velocity.
+BUNCH_S = 0.005
+#: Duration of a position's extrapolation in periods of the sender, so that one message may get lost; its shortest and
+#: longest value [s]. With the shortest one a message may be some milliseconds late without stopping the tip.
+EXTRAPOLATION_PERIODS, MIN_EXTRAPOLATION_S, MAX_EXTRAPOLATION_S = 2.5, 0.05, 0.2
+#: Largest transport delay of a message according to the sender's clock [s]; a larger delay means that this clock was
+#: set to another time.
+MAX_TRANSPORT_DELAY_S = 0.1
+#: Largest drift between the clocks of sender and receiver [s/s].
+MAX_CLOCK_DRIFT = 1e-3
+#: Length of the shortest vector that is accepted as a direction.
+MIN_DIRECTION_LENGTH = 1e-9
+
+
+class SetpointRefused(CtrError):
+    """A message of a streaming client is invalid; the previous setpoint remains."""
+
+
+class RateExceeded(CtrError):
+    """A streaming client sends more messages than allowed."""
+
+
+class StreamAgreement(Strict):
+    """Options of a stream, which the client sends at its start."""
+
+    frame: Literal["start", "world"] = "start"
+    """positions are relative to the tip at the start, or in the world frame"""
+    speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
+    """largest speed of the setpoint [m/s]"""
+    acceleration: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    """largest acceleration of the setpoint [m/s^2]"""
+    turning: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
+    """largest turning rate of the direction setpoint, if the controller's task includes the direction [rad/s]"""
+    reach: Annotated[float, Field(gt=0.0, le=0.2)] = 0.05
+    """positions farther from the tip at the start are refused [m]"""
+    silence: Annotated[float, Field(ge=0.05, le=2.0)] = 0.2
+    """without a message for this long the tip comes to rest [s]"""
+    end: Annotated[float, Field(ge=0.5, le=60.0)] = 2.0
+    """without a message for this long the run ends [s]"""
+    duration: Annotated[float, Field(gt=0.0, le=86400.0)] = 600.0
+    """longest duration of the run [s]"""
+    controller: ControllerFile = DEFAULT_CONTROLLER
+
+    def limits(self) -> StreamLimits:
+        """Return the limits of the stream for the control loop."""
+        bounds = replace(
+            DEFAULT_MOTION_BOUNDS, max_speed=self.speed, max_acceleration=self.acceleration, reach=self.reach
+        )
+        return StreamLimits(bounds, self.silence, self.end, turn_bounds(self.turning))
+
+    @property
+    def controls_direction(self) -> bool:
+        """Whether the direction of the tip is controlled, so that a client may send it."""
+        return self.controller.task != "position"
+
+
+class SetpointStream:
+    """State of one client's stream of setpoints; times are by the receiver's clock [s]."""
+
+    def __init__(self, agreement: StreamAgreement, start: Array, now: float) -> None:
+        """Start a stream; `start` (3,) is the tip at its start, in the world frame [m]."""
+        self._reach, self._controls_direction = agreement.reach, agreement.controls_direction
+        self._direction: Array | None = None  # latest requested direction
+        self._zero = start if agreement.frame == "world" else np.zeros(3)
+        self._samples: deque[tuple[float, Array]] = deque()  # times and positions from which the velocity is computed
+        self._credit, self._counted = MAX_BURST, now
+        self._gap, self._last = 0.0, now
+        self._bunch = -math.inf  # start of the newest bunch [s]
+        self._speed = agreement.speed
+        # Offset of the sender's clock including the shortest transport delay [s], and time of its last update [s].
+        self._offset, self._offset_time = math.inf, now
+
+    def count(self, now: float) -> None:
+        """Count a received message and check the rate of messages.
+
+        Raises:
+            RateExceeded: the client sends more messages than allowed.
+        """
+        self._credit = min(MAX_BURST, self._credit + MAX_RATE_HZ * (now - self._counted)) - 1.0
+        self._counted = now
+        if self._credit < 0.0:
+            raise RateExceeded(f"more than {MAX_RATE_HZ:g} messages a second; send fewer")
+
+    def position(
+        self,
+        position: tuple[float, ...],
+        now: float,
+        sent: float | None = None,
+        direction: tuple[float, ...] | None = None,
+    ) -> SetpointRequest:
+        """Return the request of a position, extrapolated with the velocity of the previous positions.
+
+        The extrapolation is no faster than agreed and no longer than the distance between the latest positions.
+
+        Args:
+            position: requested position of the tip [m].
+            now: time of arrival [s].
+            sent: time of sending on the sender's clock [s]; it compensates for variable transport delays.
+            direction: requested direction of the tip in the world frame, of any length but zero; None: the latest one.
+
+        Raises:
+            SetpointRefused: the position is not three finite numbers or is beyond the reach, or the direction is
+                invalid.
+        """
+        pointing = self._pointing(direction)
+        relative = _vector("tip", position, "m") - self._zero
+        distance = math.hypot(*relative)
+        if distance > self._reach:
+            raise SetpointRefused(
+                f"tip {[round(x, 6) for x in position]} m is {1e3 * distance:.4g} mm from the start, beyond the reach"
+                f" of {1e3 * self._reach:.4g} mm; the previous setpoint remains"
+            )
+        self._direction = pointing
+        when, samples = self._when(now, sent), self._samples
+        if samples and when - samples[-1][0] > MAX_EXTRAPOLATION_S:
+            samples.clear()  # positions before a pause give no velocity
+        if samples and when - self._bunch < BUNCH_S:
+            samples.pop()  # only the newest position of a bunch counts
+        period = self._period(when)
+        samples.append((when, relative))
+        while len(samples) > MIN_WINDOW_POINTS and when - samples[0][0] > VELOCITY_WINDOW_S:
+            samples.popleft()
+        velocity = _limit_speed(_slope(samples), self._speed)
+        speed, travel = math.hypot(*velocity), math.dist(relative, samples[0][1])
+        lasts = min(max(EXTRAPOLATION_PERIODS * period, MIN_EXTRAPOLATION_S), MAX_EXTRAPOLATION_S)
+        return SetpointRequest(relative, velocity, when, min(lasts, travel / speed) if speed > 0.0 else lasts, pointing)
+
+    def velocity(self, requested: tuple[float, ...], now: float) -> SetpointRequest:
+        """Return the request of a velocity [m/s], no faster than agreed, with the latest direction.
+
+        Raises:
+            SetpointRefused: the velocity is not three finite numbers.
+        """
+        velocity = _limit_speed(_vector("velocity", requested, "m/s"), self._speed)
+        self._samples.clear()
+        now = max(now, self._last)
+        self._period(now)
+        return SetpointRequest(None, velocity, now, math.inf, self._direction)
+
+    def _pointing(self, direction: tuple[float, ...] | None) -> Array | None:
+        """Return the unit vector (3,) of a direction, or the latest one."""
+        if direction is None:
+            return self._direction
+        if not self._controls_direction:
+            raise SetpointRefused(
+                "direction: the tip's direction is not controlled in this run; start the stream with"
+                ' controller.task = "position_and_direction", which needs five joints or more; the previous setpoint'
+                " remains"
+            )
+        vector = _vector("direction", direction, "")
+        largest = float(np.abs(vector).max())
+        if largest < MIN_DIRECTION_LENGTH:
+            raise SetpointRefused(
+                f"direction {list(direction)} has the length {math.hypot(*direction):.3g}, shorter than"
+                f" {MIN_DIRECTION_LENGTH:g}; send a longer vector in the world frame; the previous setpoint remains"
+            )
+        vector /= largest  # the square of a finite number may overflow
+        return vector / math.hypot(*vector)
+
+    def _when(self, now: float, sent: float | None) -> float:
+        """Return the time of arrival without variable transport delay [s]; never before the previous message."""
+        now = max(now, self._last)
+        if sent is None:
+            return now
+        behind = now - sent
+        self._offset = min(self._offset + MAX_CLOCK_DRIFT * (now - self._offset_time), behind)
+        self._offset_time = now
+        if not behind - self._offset <= MAX_TRANSPORT_DELAY_S:
+            self._offset = behind
+        return max(self._last, now - (behind - self._offset))
+
+    def _period(self, now: float) -> float:
+        """Return the sender's smoothed period between the starts of two bunches [s]; pauses are ignored."""
+        self._last, gap = now, now - self._bunch
+        if gap >= BUNCH_S:
+            self._bunch = now
+            if gap < MAX_EXTRAPOLATION_S:
+                self._gap = gap if self._gap == 0.0 else self._gap + 0.1 * (gap - self._gap)
+        return min(self._gap, MAX_EXTRAPOLATION_S)
+
+
+def _vector(name: str, numbers: tuple[float, ...], unit: str) -> Array:
+    if len(numbers) != 3 or not all(math.isfinite(x) for x in numbers):
+        shown = f"{list(numbers)} {unit}".rstrip() if len(numbers) == 3 else f"of {len(numbers)} numbers"
+        raise SetpointRefused(f"{name} {shown}: three finite numbers are needed; the previous setpoint remains")
+    return np.array(numbers, dtype=np.float64)
+
+
+def _limit_speed(velocity: Array, speed: float) -> Array:
+    """Return a velocity (3,) shortened to `speed` [m/s]; avoid overflow of its length."""
+    largest = float(np.abs(velocity).max())
+    if largest == 0.0:
+        return velocity
+    unit = velocity / largest
+    length = math.hypot(*unit)
+    return velocity if largest <= speed / length else unit * (speed / length)
+
+
+def _slope(samples: deque[tuple[float, Array]]) -> Array:
+    """Return the velocity (3,) [m/s] of a line fitted to the positions."""
+    times = np.array([time for time, _ in samples])
+    times -= times.mean()
+    spread = float(times @ times)
+    if times[-1] - times[0] < BUNCH_S:
+        return np.zeros(3)
+    return times @ np.array([position for _, position in samples]) / spread
