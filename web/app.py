@@ -1,4 +1,4 @@
-"""The application and how it is served: audit, access checks, page, REST and the proxied scene on one port."""
+"""The web application and its server: audit log, access checks, page, REST and the 3D scene on one port."""
 
 import asyncio
 import contextlib
@@ -16,8 +16,8 @@ from typing import Any, cast
 
 import uvicorn
 import viser
-from fastapi import Depends, FastAPI, Request
-from fastapi.exceptions import RequestValidationError
+from fastapi import Depends, FastAPI, Request, WebSocket
+from fastapi.exceptions import RequestValidationError, WebSocketRequestValidationError
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
 from fastapi_offline import FastAPIOffline
@@ -26,88 +26,101 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp
 
 from core.errors import CtrError
-from station.config.strict import complaints, key_of
+from station.config.strict import error_lines, key_of
 from station.control import ring
 from station.control.realtime import last_core
 from station.control.states import RefusedError
 from station.devices.links import port_lock
 from station.experiments.saved import use_saved
-from station.recording.history import History
+from station.recording.history import RunHistory
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
-from web.access.audited import Audited
-from web.access.connections import Connections, places
+from web.access.audit_middleware import AuditMiddleware
+from web.access.connections import Connections, connection_capacity
 from web.access.gate import Access, is_loopback
 from web.access.lease import Lease
-from web.access.scene_door import guarded_scene
+from web.access.scene_connections import limited_scene_server
 from web.access.tokens import Tokens, new_tokens
-from web.api.bench import bench_routes
 from web.api.calibration import calibration_routes
-from web.api.commands import commands, operator_routes
+from web.api.commands import commands, operator_routes, with_permits
 from web.api.control import control_routes
-from web.api.operator_watchdog import tell_when_alone
-from web.api.readable import readable, refusal
+from web.api.operator_watchdog import watch_operator
+from web.api.renamed_paths import renamed_routes
+from web.api.rig import bench_routes
 from web.api.runs import runs_routes
 from web.api.scene import scene_routes
 from web.api.setpoints import setpoint_routes
-from web.api.taught import taught_routes
+from web.api.utf8_guard import refusal, require_utf8
+from web.api.waypoints import waypoint_routes
 from web.gateway.host import Gateway
-from web.gateway.lead import LedByTarget, gateway_routes
-from web.gateway.wanted import Wanted
+from web.gateway.options import GatewayOptions
+from web.gateway.target_stream import TargetStreams, gateway_routes
 from web.scene.proxy import viser_routes
-from web.scene.view import View
+from web.scene.view import SceneView
 
 STATIC = Path(__file__).parent / "static"
-#: What the page may load: its own files only. The scene brings its own page.
-POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
-#: The control process has this long to compile and to begin: a minute alone, several beside other programs [s].
-START_TIME = 600.0
-#: After so long a person is told what it is doing [s].
-SLOW_START = 15.0
-COMPILING = "still starting: the first start compiles the model, which takes a minute or more (Ctrl-C gives up)"
-#: Folder of calibrations beside the runs.
-CALIBRATIONS = "calibrations"
-#: That a browser may send over a websocket [bytes].
-LONGEST_MESSAGE = 64 * 1024
-#: That the system keeps for each connection whose other end does not read, half of it its own [bytes].
-WAITING = 128 * 1024
-#: Connections that are taken before the requests of those before them are read.
-ACCEPTED_AT_ONCE = 64
+#: Content-Security-Policy of the page, which may load only files of the station. The scene has a separate page.
+CONTENT_POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
+#: Time limit for the control process to compile and start [s]: it needs a minute, several on a busy computer.
+START_TIMEOUT_S = 600.0
+#: Start duration after which the terminal explains the delay [s].
+SLOW_START_S = 15.0
+COMPILING = "still starting: the first start compiles the model, which takes a minute or more (Ctrl-C cancels)"
+UNDRIVEN = "it moved no stages"
+#: Name of the folder with the calibrations, in the data folder next to the runs.
+CALIBRATIONS_FOLDER = "calibrations"
+#: Longest WebSocket message from a client [bytes].
+MAX_MESSAGE_BYTES = 64 * 1024
+#: Socket send buffer of each client that does not read [bytes]; the kernel doubles it.
+SEND_BUFFER_BYTES = 128 * 1024
+#: Number of STOP requests that are handled at the same time; each may wait seconds for stages that do not answer.
+STOPS_AT_ONCE = 32
+#: Longest close reason of a WebSocket [bytes] (RFC 6455).
+MAX_CLOSE_REASON_BYTES = 123
+#: Number of connections that the system queues before the server accepts them.
+LISTEN_BACKLOG = 64
 
 
 class PortError(CtrError):
-    """A port that cannot be had."""
+    """The station's port is not available."""
 
 
 def serve(
-    config: Path | None, changes: Mapping[str, Any], host: str, port: int, data: Path, wanted: Wanted, *, browser: bool
+    config: Path | None,
+    changes: Mapping[str, Any],
+    host: str,
+    port: int,
+    data: Path,
+    options: GatewayOptions,
+    *,
+    browser: bool,
 ) -> int:
     """Run the station until Ctrl-C.
 
     Args:
-        config: its file; None: the default station.
-        changes: keys of that file that are to be otherwise.
+        config: path of the station file; None: the default station.
+        changes: values that replace keys of the station file.
         host: address to listen on.
-        port: of page and REST; 0: any.
+        port: port of page and REST; 0: any free port.
         data: folder of runs, calibrations and audit log.
-        wanted: of the gateway.
-        browser: open one on a terminal.
+        options: protocols and addresses of the gateway.
+        browser: open a browser if the output is a terminal.
 
     Returns:
-        0 when every axis has been seen to stop, 1 when not.
+        0 if every axis was confirmed to have stopped, otherwise 1.
 
     Raises:
-        ConfigError: the configuration cannot be.
+        ConfigError: the configuration is invalid.
         AuditError: the folder cannot be written.
         PortError: the port is in use.
-        GatewayError: a part of the gateway cannot be had.
+        GatewayError: a part of the gateway is not available.
         CtrError: the control process does not start.
     """
     out = Console(highlight=False, soft_wrap=True)
-    wanted.check()
+    options.check()
     ring.clear_left_behind()
     port_lock.clear_left_behind()
     station = load_station(config, changes)
@@ -123,15 +136,15 @@ def serve(
         supervisor = Supervisor(bench, data, audit)
         try:
             supervisor.open()
-            _serve_web(supervisor, listening, (host, port), data, audit, out, wanted, browser=browser)
+            _serve_web(supervisor, listening, (host, port), data, audit, out, options, browser=browser)
         finally:
-            stopped = supervisor.end_control()  # again, if it never came to serve
+            stopped = supervisor.end_control()  # repeated here, in case the web server never started
             supervisor.close()
-            if not stopped.seen:
+            if not stopped.confirmed:
                 sys.stderr.write(f"ctr-station has ended; {stopped.text}\n")
-    if stopped.seen:
-        out.print("ctr-station has ended; every axis is stopped")
-    return 0 if stopped.seen else 1
+    if stopped.confirmed:
+        out.print(f"ctr-station has ended; {f'every axis is stopped: {stopped.text}' if stopped.text else UNDRIVEN}")
+    return 0 if stopped.confirmed else 1
 
 
 def _serve_web(
@@ -141,29 +154,32 @@ def _serve_web(
     data: Path,
     audit: Audit,
     out: Console,
-    wanted: Wanted,
+    options: GatewayOptions,
     *,
     browser: bool,
 ) -> None:
-    """Serve until Ctrl-C; the axes are stopped before anything else ends, whoever is in the middle of a request."""
+    """Run the web server until Ctrl-C, which first stops the axes, even while requests are being handled."""
     host, port = address
     tokens = None if is_loopback(host) else new_tokens()
     service = StationService(supervisor)
-    gateway = _gateway(service, wanted, tokens, audit, out)
-    calibration = LiveCalibration(supervisor, data / CALIBRATIONS)
-    # viser knows no access control: loopback only, the page comes through our own port.
-    with contextlib.redirect_stdout(io.StringIO()), guarded_scene(places()):  # it announces its own address
+    gateway = _gateway(service, options, tokens, audit, out)
+    calibration = LiveCalibration(supervisor, data / CALIBRATIONS_FOLDER)
+    # viser has no access control: it listens on loopback only, and the station's port proxies it.
+    with (
+        contextlib.redirect_stdout(io.StringIO()),
+        limited_scene_server(connection_capacity()),
+    ):  # the output is redirected because viser prints its address
         scene = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
-    view = View(scene, service)
+    view = SceneView(scene, service)
     try:
         server = _server(build_app(service, view, calibration, data, audit, host, port, tokens, gateway))
-        slow = threading.Timer(SLOW_START, out.print, [COMPILING])
+        slow = threading.Timer(SLOW_START_S, out.print, [COMPILING])
         slow.start()
         try:
-            supervisor.wait_ready(START_TIME)  # processes and stages came up meanwhile
+            supervisor.wait_ready(START_TIMEOUT_S)  # processes and stages have started meanwhile
         finally:
             slow.cancel()
-        # The main thread hears the signals, and has nothing else to do.
+        # The main thread only waits for signals.
         ended = threading.Event()
 
         def run() -> None:
@@ -173,18 +189,18 @@ def _serve_web(
                 ended.set()
 
         web = threading.Thread(target=run, name="web")
-        page = f"http://{_shown(host)}:{port}/"
-        at = page + (f"?token={tokens.operator}" if tokens else "")
+        page = f"http://{_bracketed(host)}:{port}/"
+        url = page + (f"?token={tokens.operator}" if tokens else "")
         if tokens:
             out.print(f"read-only: {page}?token={tokens.viewer}")
-        out.print(f"ctr-station is at {at}   (Ctrl-C ends it)")
+        out.print(f"ctr-station is at {url}   (Ctrl-C stops it)")
         sys.stdout.flush()
         if browser and sys.stdout.isatty():
-            threading.Thread(target=webbrowser.open, args=(at,), daemon=True).start()
+            threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
         try:
             with contextlib.suppress(KeyboardInterrupt):
                 web.start()
-                # Not `join`: Python 3.11 takes a thread for ended when a signal interrupts that (bpo-45274).
+                # `join` is not used: Python 3.11 considers a thread ended when a signal interrupts `join` (bpo-45274).
                 while not ended.wait(0.5):
                     pass
         finally:
@@ -202,23 +218,23 @@ def _serve_web(
 
 
 def _gateway(
-    service: StationService, wanted: Wanted, tokens: Tokens | None, audit: Audit, out: Console
+    service: StationService, options: GatewayOptions, tokens: Tokens | None, audit: Audit, out: Console
 ) -> Gateway | None:
-    """Started, and told where, if any of it is wanted."""
-    if not wanted:
+    """Start the gateway, print its addresses and return it; None if no protocol is requested."""
+    if not options:
         return None
-    gateway = Gateway(service, wanted, tokens, audit)
+    gateway = Gateway(service, options, tokens, audit)
     for line in gateway.wait_ready():
         out.print(line, markup=False)
     return gateway
 
 
 def _server(app: ASGIApp) -> uvicorn.Server:
-    """Of the application, with bounded connections."""
-    connections = Connections(app, places())
+    """Return the web server of the application, with bounded connections."""
+    connections = Connections(app, connection_capacity())
     settings = uvicorn.Config(
-        connections, log_level="warning", ws_per_message_deflate=False, ws_max_size=LONGEST_MESSAGE,
-        timeout_graceful_shutdown=3, lifespan="on", backlog=ACCEPTED_AT_ONCE, proxy_headers=False,
+        connections, log_level="warning", ws_per_message_deflate=False, ws_max_size=MAX_MESSAGE_BYTES,
+        timeout_graceful_shutdown=3, lifespan="on", backlog=LISTEN_BACKLOG, proxy_headers=False,
     )  # fmt: skip
     settings.load()
     settings.http_protocol_class = cast("Any", connections.admitting(settings.http_protocol_class))
@@ -226,30 +242,30 @@ def _server(app: ASGIApp) -> uvicorn.Server:
 
 
 class _Server(uvicorn.Server):
-    """A server with bounded connections."""
+    """Web server with bounded connections."""
 
     def __init__(self, settings: uvicorn.Config, connections: Connections) -> None:
         super().__init__(settings)
         self._connections = connections
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End, without the requests that are not whole yet."""
+        """Shut the server down without waiting for incomplete requests."""
         self._connections.end()
         await super().shutdown(sockets)
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """A bound socket, so that a busy port is known before anything starts."""
+    """Return a socket bound to the station's port, so that a busy port is reported before anything starts."""
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         listening = socket.socket(family, socket.SOCK_STREAM)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         listening.bind((host, port))
-        listening.listen(ACCEPTED_AT_ONCE)
+        listening.listen(LISTEN_BACKLOG)
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise PortError(f"port {port} on {host} cannot be had: {reason}; choose another with --port") from None
+        raise PortError(f"port {port} on {host} is not available: {reason}; choose another with --port") from None
     return listening
 
 
@@ -259,13 +275,13 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _shown(host: str) -> str:
+def _bracketed(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
 def build_app(
     service: StationService,
-    view: View,
+    view: SceneView,
     calibration: LiveCalibration,
     runs: Path,
     audit: Audit,
@@ -273,26 +289,26 @@ def build_app(
     port: int,
     tokens: Tokens | None,
     gateway: Gateway | None = None,
-) -> Audited:
-    """The station's web application.
+) -> AuditMiddleware:
+    """Return the station's web application.
 
     Args:
-        service: what requests may do.
-        view: the scene behind the page.
-        calibration: of the same station.
-        runs: folder with the recordings.
-        audit: where commands and refusals are written down.
-        host, port: where the application will be reached.
-        tokens: demanded from everybody; None on loopback.
-        gateway: of the same station, if it has one.
+        service: operations of the station.
+        view: 3D scene of the page.
+        calibration: calibration procedures of the station.
+        runs: folder of the recordings.
+        audit: audit log of commands and refusals.
+        host, port: address at which clients reach the application.
+        tokens: access tokens, one of which every client needs; None on loopback.
+        gateway: gateway of the station; None: it has none.
     """
-    stopping = ThreadPoolExecutor(4, "stop")
+    stopping = ThreadPoolExecutor(STOPS_AT_ONCE, "stop")
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        tasks = [asyncio.create_task(tell_when_alone(of.lease, service.supervisor))]
+        tasks = [asyncio.create_task(watch_operator(of.lease, service.supervisor))]
         if gateway is not None:
-            tasks.append(asyncio.create_task(gateway.run(led.hear)))
+            tasks.append(asyncio.create_task(gateway.run(targets.receive)))
         yield
         for task in tasks:
             task.cancel()
@@ -306,34 +322,41 @@ def build_app(
         redoc_url=None,
         openapi_url="/api/openapi.json",
         lifespan=lifespan,
-        dependencies=[Depends(readable)],
+        dependencies=[Depends(require_utf8)],
     )
     of = commands(Lease(service.supervisor.bench.clock.now))
     routes, app.state.scene = viser_routes(view.scene_server, of.lease, audit)
-    app.include_router(control_routes(service, of, stopping, view.side_load))
+    problem = None if gateway is None else lambda: gateway.problem
+    app.include_router(control_routes(service, of, stopping, view.side_load, problem))
     app.include_router(operator_routes(of))
-    app.include_router(taught_routes(service, runs, of))
+    app.include_router(waypoint_routes(service, runs, of))
     app.include_router(bench_routes(service, of, audit))
     app.include_router(scene_routes(view, service, of))
     app.include_router(setpoint_routes(service, of.lease, audit))
-    led = LedByTarget(service, of.lease, audit)
-    if gateway is not None and gateway.wanted.igtl is not None:
-        app.include_router(gateway_routes(led, of))
+    targets = TargetStreams(service, of.lease, audit)
+    if gateway is not None and gateway.options.igtl is not None:
+        app.include_router(gateway_routes(targets, of))
     app.include_router(calibration_routes(calibration, of))
-    app.include_router(runs_routes(History(runs), of))
+    app.include_router(runs_routes(RunHistory(runs), of))
+    app.include_router(renamed_routes())
     app.include_router(routes)
 
     @app.get("/", include_in_schema=False)
     def page() -> FileResponse:
-        headers = {"cache-control": "no-cache", "content-security-policy": POLICY}
+        headers = {"cache-control": "no-cache", "content-security-policy": CONTENT_POLICY}
         return FileResponse(STATIC / "index.html", headers=headers)
 
     app.mount("/static", StaticFiles(directory=STATIC))
 
     @app.exception_handler(RequestValidationError)
     def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
-        # The input stays out of the answer: a NaN in it could not be sent back.
+        # The response omits the input: JSON cannot represent a NaN in it.
         return refusal(_reason(error), 422)
+
+    @app.exception_handler(WebSocketRequestValidationError)
+    async def invalid_socket(socket: WebSocket, error: WebSocketRequestValidationError) -> None:
+        reason = "; ".join(error_lines(error.errors(), lambda loc: _field(loc, None), "field"))
+        await socket.close(1008, reason.encode()[:MAX_CLOSE_REASON_BYTES].decode("utf-8", "ignore"))
 
     @app.exception_handler(RefusedError)
     def refused(_request: Request, error: RefusedError) -> JSONResponse:
@@ -347,24 +370,24 @@ def build_app(
     def other(_request: Request, error: HTTPException) -> JSONResponse:
         return refusal(str(error.detail), error.status_code, error.headers)
 
-    app.openapi()  # now: the first to ask for it would hold up whoever presses STOP meanwhile
-    return Audited(Access(app, host, port, tokens), audit)
+    app.openapi()  # generated now, because generating it at the first request would delay a STOP
+    return AuditMiddleware(Access(with_permits(app, service.supervisor), host, port, tokens), audit)
 
 
 def _reason(error: RequestValidationError) -> str:
-    """The complaints in one line: fields, values, what was expected."""
+    """Return all validation errors of a request in one line: fields, values, and what was expected."""
     errors = error.errors()
     if errors[0]["type"] == "json_invalid":
         return f"the body is not JSON: {errors[0].get('ctx', {}).get('error', '')}"
-    return "; ".join(complaints(errors, lambda loc: _field(loc, error.body), "field"))
+    return "; ".join(error_lines(errors, lambda loc: _field(loc, error.body), "field"))
 
 
 def _field(loc: tuple[int | str, ...], body: Any) -> str:
-    """Where in a request something is, rows and numbers counted from one: `trajectory.points, row 1, number 4`."""
+    """Return the location of a field in a request, counted from one: `trajectory.points, row 1, number 4`."""
     *parts, last = key_of(loc[1:] if loc[:1] in (("body",), ("query",)) else loc, body).split(".")
-    places = [f"number {int(last) + 1}"] if last.isdecimal() else []
-    name = ".".join(parts if places else (*parts, last))
+    number = [f"number {int(last) + 1}"] if last.isdecimal() else []
+    name = ".".join(parts if number else (*parts, last))
     head, _, row = name.rpartition(".")
-    if places and row.isdecimal():
-        return f"{head}, row {int(row) + 1}, {places[0]}"
-    return ", ".join((name, *places)) or "body"
+    if number and row.isdecimal():
+        return f"{head}, row {int(row) + 1}, {number[0]}"
+    return ", ".join((name, *number)) or "body"

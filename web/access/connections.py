@@ -1,161 +1,221 @@
-"""How many connections are open: bounded for each address and in all, and the newest is always let in.
+"""Limit on open connections, for each address and in total; the newest connection is always accepted.
 
-A process has so many descriptors and no more; whoever takes them all would keep STOP out, and the station from
-stopping its stages. So a connection that is too many costs an older one its place: first one that has asked for
-nothing, the longest silent before the others. Websockets, which stay, may take half of the places.
+A process has a limited number of file descriptors. A client that used them all would block STOP, and the station could
+not stop its stages. A connection beyond the limit therefore closes an older one. Connections without a request are
+closed first, starting with the one that was idle longest. WebSockets, which stay open, may use half of the connections.
 """
 
 import asyncio
+import contextlib
+import select
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from starlette.datastructures import Headers
+from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-#: A request has to be whole so long after its connection was opened, or after the answer before it [s].
-PATIENCE = 20.0
-#: Connections in all, where the system gives descriptors enough.
-MOST = 256
-#: Descriptors that are not for connections: libraries, pipes, files, the scene's own server.
-OTHERS = 256
-#: "Try again later", of a websocket.
-BUSY = 1013
+#: Time within which a client must complete a request after it has connected, or after the previous answer [s].
+REQUEST_TIMEOUT_S = 20.0
+#: Largest number of open connections from all clients, if the system provides enough file descriptors.
+MAX_CONNECTIONS = 256
+#: Number of file descriptors reserved for libraries, pipes, files and the scene's server.
+RESERVED_DESCRIPTORS = 256
+#: Event by which `poll` reports that a client has closed its socket (Linux only; 0 on other systems).
+HUNG_UP = getattr(select, "POLLRDHUP", 0)
+ENDING = "the station is ending"
+#: Close code that asks a WebSocket client to try again later.
+TRY_AGAIN_LATER = 1013
 
 Address = tuple[str, int]
 
 
-def places() -> int:
-    """How many connections this process has descriptors for; one through the scene's proxy takes three."""
+def connection_capacity() -> int:
+    """Return how many connections the file descriptors of this process suffice for."""
     try:
         import resource  # not on Windows
     except ImportError:
-        return MOST
+        return MAX_CONNECTIONS
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    return MOST if limit == resource.RLIM_INFINITY else max(16, min(MOST, (limit - OTHERS) // 2))
+    return (
+        MAX_CONNECTIONS
+        if limit == resource.RLIM_INFINITY
+        else max(16, min(MAX_CONNECTIONS, (limit - RESERVED_DESCRIPTORS) // 2))
+    )
 
 
 @dataclass(eq=False)
 class _Connection:
-    """One that is open."""
+    """An open connection of a client to the server."""
 
     transport: asyncio.Transport
     address: Address
-    since: float  #: when it was opened, or had its last answer [s]
-    answering: int = 0  #: whole requests whose answer is under way
-    socket: bool = False  #: a websocket
+    since: float  #: time when the connection was opened, or when its last answer was sent [s]
+    answering: int = 0  #: number of complete requests that are being answered
+    socket: bool = False  #: whether the connection is a WebSocket
 
     @property
     def closed(self) -> bool:
-        """Whether its descriptor is free again; one that is being closed may still have to be read from."""
+        """Whether the connection's file descriptor is free again; a closing connection may still have data to read."""
         return self.transport.get_extra_info("socket").fileno() < 0
+
+    def gone(self) -> bool:
+        """Return whether the client has disconnected, even if the server has not read that yet. Thread-safe."""
+        if self.transport.is_closing() or self.closed:
+            return True
+        if not HUNG_UP:
+            return False
+        poll = select.poll()
+        poll.register(self.transport.get_extra_info("socket").fileno(), HUNG_UP)
+        return bool(poll.poll(0))
 
 
 class Connections:
-    """The application inside, and the connections through which it is asked."""
+    """Middleware that bounds the open connections to the wrapped application."""
 
-    def __init__(self, app: ASGIApp, most: int, each: int | None = None, patience: float = PATIENCE) -> None:
-        """At most so many connections in all, and from each address (half of them if not told)."""
-        self._app, self._most, self._each, self._patience = app, most, each or max(1, most // 2), patience
+    def __init__(self, app: ASGIApp, total: int, each: int | None = None, timeout: float = REQUEST_TIMEOUT_S) -> None:
+        """Wrap `app`.
+
+        Args:
+            app: the wrapped application.
+            total: largest number of open connections.
+            each: largest number of open connections from one address; None: half of `total`.
+            timeout: time within which a client must complete a request [s].
+        """
+        self._app, self._total, self._each, self._timeout = app, total, each or max(1, total // 2), timeout
         self._open: dict[Address, _Connection] = {}
+        self._ended = False
 
-    def admitting(self, protocol: Callable[..., Any]) -> Callable[..., "_Door"]:
-        """That makes a server's protocols, with a look at every new connection."""
-        return lambda **told: _Door(protocol(**told), self.admit)
+    def admitting(self, protocol: Callable[..., Any]) -> Callable[..., "_ConnectionLimit"]:
+        """Return a factory for the server's connections that first admits each connection."""
+        return lambda **options: _ConnectionLimit(protocol(**options), self.admit)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Carry out a request, and remember that its sender waits for an answer."""
+        """Handle a request. If the server shuts down and cancels the request, the client still gets an answer."""
+        started = False
+
+        async def send_noted(message: Message) -> None:
+            nonlocal started
+            started = True
+            await send(message)
+
+        try:
+            await self._dispatch(scope, receive, send_noted)
+        except asyncio.CancelledError:
+            if not self._ended:
+                raise
+            if not started:
+                await _answer_cancelled(scope, send)
+
+    async def _dispatch(self, scope: Scope, receive: Receive, send: Send) -> None:
         host, port = scope.get("client") or ("", 0)
         connection = self._open.get((host, port))
         if connection is None:
             await self._app(scope, receive, send)
-        elif scope["type"] == "websocket":
+            return
+        scope.setdefault("state", {})["gone"] = connection.gone
+        if scope["type"] == "websocket":
             await self._socket(connection, scope, receive, send)
         else:
             await self._request(connection, scope, receive, send)
 
     def end(self) -> None:
-        """The server ends: it waits for answers that are under way, and not for what has not been asked yet."""
+        """Prepare the server's shutdown: close idle connections, and let pending requests be answered."""
+        self._ended = True
         for known in self._open.values():
             if not known.answering and not known.socket:
                 known.transport.abort()
 
     def admit(self, transport: asyncio.Transport) -> None:
-        """A new connection: if it is one too many, an older one goes."""
+        """Add a new connection; close an older one if there are now more than the limit."""
         peer = transport.get_extra_info("peername")
         if not peer:
-            return  # it has gone already
+            return  # the client has closed the connection already
         for address in [address for address, known in self._open.items() if known.closed]:
             del self._open[address]
         loop = asyncio.get_running_loop()
         new = _Connection(transport, (str(peer[0]), int(peer[1])), loop.time())
         neighbours = [known for known in self._open.values() if known.address[0] == new.address[0]]
         if len(neighbours) >= self._each:
-            self._make_room(neighbours)
-        elif len(self._open) >= self._most:
-            self._make_room(list(self._open.values()))
+            self._close_one_of(neighbours)
+        elif len(self._open) >= self._total:
+            self._close_one_of(list(self._open.values()))
         self._open[new.address] = new
-        loop.call_later(self._patience, self._look, new)
+        loop.call_later(self._timeout, self._close_idle, new)
 
-    def _make_room(self, among: list[_Connection]) -> None:
-        last = min(among, key=lambda known: (known.socket, known.answering > 0, known.since))
-        last.transport.abort()
-        self._open.pop(last.address, None)
+    def _close_one_of(self, candidates: list[_Connection]) -> None:
+        victim = min(candidates, key=lambda known: (known.socket, known.answering > 0, known.since))
+        victim.transport.abort()
+        self._open.pop(victim.address, None)
 
-    def _look(self, connection: _Connection) -> None:
-        """Close one that asks for nothing."""
+    def _close_idle(self, connection: _Connection) -> None:
+        """Close a connection that has sent no complete request in time."""
         if connection.closed:
             if self._open.get(connection.address) is connection:
                 del self._open[connection.address]
             return
         loop = asyncio.get_running_loop()
         if connection.answering or connection.socket:
-            loop.call_later(self._patience, self._look, connection)
-        elif (left := connection.since + self._patience - loop.time()) > 0.0:
-            loop.call_later(left, self._look, connection)
+            loop.call_later(self._timeout, self._close_idle, connection)
+        elif (left := connection.since + self._timeout - loop.time()) > 0.0:
+            loop.call_later(left, self._close_idle, connection)
         else:
             connection.transport.abort()
             self._open.pop(connection.address, None)
 
     async def _socket(self, connection: _Connection, scope: Scope, receive: Receive, send: Send) -> None:
         sockets = [known.address[0] for known in self._open.values() if known.socket and not known.closed]
-        if len(sockets) >= self._most // 2 or sockets.count(connection.address[0]) >= self._each // 2:
-            await send({"type": "websocket.close", "code": BUSY, "reason": "too many websockets are open"})
+        if len(sockets) >= self._total // 2 or sockets.count(connection.address[0]) >= self._each // 2:
+            await send({"type": "websocket.close", "code": TRY_AGAIN_LATER, "reason": "too many websockets are open"})
             return
         connection.socket = True
         await self._app(scope, receive, send)
 
     async def _request(self, connection: _Connection, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope)
-        whole = headers.get("content-length", "0") == "0" and "transfer-encoding" not in headers
-        connection.answering += whole
+        complete = headers.get("content-length", "0") == "0" and "transfer-encoding" not in headers
+        connection.answering += complete
 
-        async def heard() -> Message:
-            nonlocal whole
+        async def receive_noted() -> Message:
+            nonlocal complete
             message = await receive()
-            if not whole and not message.get("more_body", False):
-                whole = True
+            if not complete and not message.get("more_body", False):
+                complete = True
                 connection.answering += 1
             return message
 
         try:
-            await self._app(scope, heard, send)
+            await self._app(scope, receive_noted, send)
         finally:
-            connection.answering -= whole
+            connection.answering -= complete
             connection.since = asyncio.get_running_loop().time()
 
 
-class _Door:
-    """A server's protocol of one connection, once that has been admitted."""
+async def _answer_cancelled(scope: Scope, send: Send) -> None:
+    """Answer a request that the server's shutdown has cancelled."""
+    with contextlib.suppress(Exception):  # the client may have disconnected
+        if scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1012, "reason": ENDING})
+        elif scope["type"] == "http":
+            await JSONResponse({"error": ENDING}, 503)(scope, _disconnected, send)
+
+
+async def _disconnected() -> Message:
+    return {"type": "http.disconnect"}
+
+
+class _ConnectionLimit:
+    """Wrapper of the server's protocol object for one connection; it admits the connection first."""
 
     def __init__(self, inside: Any, admit: Callable[[asyncio.Transport], None]) -> None:
         self._inside, self._admit = inside, admit
 
     def connection_made(self, transport: asyncio.Transport) -> None:
-        """The first word of the loop about a connection."""
+        """Admit the connection, then pass the event on."""
         self._admit(transport)
         self._inside.connection_made(transport)
 
     def __getattr__(self, name: str) -> Any:
-        """Everything else is the protocol's."""
+        """Return any other attribute of the wrapped protocol object."""
         return getattr(self._inside, name)

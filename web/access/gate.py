@@ -1,7 +1,7 @@
-"""Who may talk to the station: exact hosts, same origin, JSON only, small bodies, a token beyond loopback.
+"""Access checks of every connection: known host name, same origin, JSON, small body, and a token beyond loopback.
 
-Plain ASGI, so that the same checks stand before HTTP requests and websockets. What is let through
-carries its sender (`who`) in the scope's state.
+The checks are an ASGI middleware, so they apply to HTTP requests and WebSockets alike. For an accepted connection they
+store its sender as `who` in the state of the ASGI scope.
 """
 
 import contextlib
@@ -18,18 +18,18 @@ from web.access.identity import sender
 from web.access.tokens import Role, Tokens
 
 #: Largest request body [bytes].
-BODY_LIMIT = 64 * 1024
+MAX_BODY_BYTES = 64 * 1024
 COOKIE = "ctr_station"
-CHANGES = ("POST", "PUT", "PATCH", "DELETE")
-#: What viewers may send beside questions: STOP, and questions that need a body.
-FOR_VIEWERS = ("/api/stop", "/api/model/solve", "/api/calibration/exchange")
-#: What whoever has no token is told.
-BRING_ONE = "open the address with ?token=... printed at the start, or send it as a bearer token"
-FRAMES = ("iframe", "frame", "embed", "object")
+CHANGING_METHODS = ("POST", "PUT", "PATCH", "DELETE")
+#: Paths to which viewers may send POST requests: STOP, and queries that need a body.
+VIEWER_PATHS = ("/api/stop", "/api/model/solve", "/api/calibration/exchange")
+#: Reason that is sent to a client without a token.
+ACCESS_HINT = "a token is required: open the address with ?token=... that the station prints, or send a bearer token"
+FRAME_DESTINATIONS = ("iframe", "frame", "embed", "object")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach `host`."""
+    """Return whether only this computer can reach `host`."""
     if host == "localhost":
         return True
     try:
@@ -39,27 +39,27 @@ def is_loopback(host: str) -> bool:
 
 
 class _TooLargeError(Exception):
-    """The body goes on beyond the limit."""
+    """A request's body exceeds `MAX_BODY_BYTES`."""
 
 
 class Access:
-    """Refuses what does not come from the station's own page or from a script that may."""
+    """Refuses connections that come neither from the station's page nor from an authorised script."""
 
     def __init__(
         self, app: ASGIApp, host: str, port: int, tokens: Tokens | None, pages: frozenset[str] = frozenset()
     ) -> None:
-        """Where the station listens, and who may.
+        """Wrap `app`; set the address of the station and its tokens.
 
         Args:
-            app: what is behind.
-            host, port: where it is reached.
-            tokens: demanded from everybody; without them everybody is operator.
-            pages: origins of others whose pages may connect, too.
+            app: the wrapped application.
+            host, port: address of the station.
+            tokens: every client needs one of them; None: no token is needed, and every client may be operator.
+            pages: origins of other web sites whose pages may connect.
         """
         self._app = app
         self._tokens, self._pages = tokens, pages
         self._port = port
-        # Cookies know no ports: two stations on one machine must not take each other's.
+        # Cookies are shared by all ports: two stations on one computer need different names.
         self._cookie = f"{COOKIE}_{port}"
         self._any_address = host in ("0.0.0.0", "::")  # noqa: S104 - compared, not bound
         names = {"127.0.0.1", "localhost", "[::1]"} if is_loopback(host) or self._any_address else {_bracketed(host)}
@@ -68,7 +68,7 @@ class Access:
         self._hosts = {f"{name}:{port}" for name in names}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check one connection."""
+        """Check one connection, and pass it on or refuse it."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -79,20 +79,20 @@ class Access:
             return
         role = Role.OPERATOR if self._tokens is None else self._role(self._tokens, headers)
         if role is None:
-            await self._ask_for_token(scope, send)
+            await self._require_token(scope, send)
             return
         scope.setdefault("state", {})["who"] = sender(scope, headers, role)
         if scope["type"] == "websocket":
             await self._app(scope, receive, send)
-        elif role is Role.VIEWER and scope["method"] in CHANGES and scope["path"] not in FOR_VIEWERS:
-            await _refuse(scope, send, 403, "viewers may look and press STOP; this needs the operators' token")
+        elif role is Role.VIEWER and scope["method"] in CHANGING_METHODS and scope["path"] not in VIEWER_PATHS:
+            await _refuse(scope, send, 403, "viewers may only view and press STOP; this needs the operators' token")
         else:
             await self._with_limit(scope, receive, _unframed(send))
 
     def refused(self, scope: Scope) -> tuple[int, str] | None:
-        """Why a connection that is to be looked at only is refused, and with which status; None: it is let in.
+        """Return status and reason if a read-only connection is refused; None: it is accepted.
 
-        Its token may be in its address: some programs are given an address and nothing else.
+        The token may be in the address, because some programs accept only an address.
         """
         headers = Headers(scope=scope)
         if refusal := self._refusal(scope, headers):
@@ -100,7 +100,7 @@ class Access:
         tokens = self._tokens
         if tokens is None or self._role(tokens, headers) or tokens.role(_token_in(scope)):
             return None
-        return 401, BRING_ONE
+        return 401, ACCESS_HINT
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
         host, origin = headers.get("host", "").lower(), headers.get("origin")
@@ -108,19 +108,19 @@ class Access:
             return 403, f"host '{host}' is not this station's; use {sorted(self._hosts)[0]}"
         if origin in self._pages:
             return None
-        # Scripts send no origin; a browser always does where it matters.
+        # Scripts send no Origin header; a browser sends one with every request that another site could abuse.
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return 403, f"requests from pages of '{origin}' are refused"
         foreign = headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none")
         follows_link = headers.get("sec-fetch-mode") == "navigate" and scope.get("method") == "GET"
-        if foreign and not (follows_link and headers.get("sec-fetch-dest") not in FRAMES):
+        if foreign and not (follows_link and headers.get("sec-fetch-dest") not in FRAME_DESTINATIONS):
             return 403, "requests from other sites are refused"
-        if scope["type"] == "http" and scope["method"] in CHANGES:
+        if scope["type"] == "http" and scope["method"] in CHANGING_METHODS:
             return _refused_body(headers)
         return None
 
     def _is_address(self, host: str) -> bool:
-        """A number and our port: unlike a name it cannot be made to point here by somebody else."""
+        """Return whether a host is an IP address with the station's port; unlike a name, it allows no DNS rebinding."""
         name, _, port = host.rpartition(":")
         try:
             ipaddress.ip_address(name.strip("[]"))
@@ -136,38 +136,38 @@ class Access:
         bearer = headers.get("authorization", "").removeprefix("Bearer ")
         return (tokens.role(cookie.value) if cookie else None) or tokens.role(bearer)
 
-    async def _ask_for_token(self, scope: Scope, send: Send) -> None:
+    async def _require_token(self, scope: Scope, send: Send) -> None:
         given = _token_in(scope)
         if scope["type"] == "http" and self._tokens is not None and self._tokens.role(given):
             cookie = f"{self._cookie}={given}; Path=/; HttpOnly; SameSite=Strict"
-            # Only the path, as it came, and only one slash: an address that begins with two is another host's, and
-            # browsers take `/<tab>/` for two.
+            # Redirect to the path only, with one leading slash: two slashes would name another host, and
+            # browsers read `/<tab>/` as two.
             location = "/" + quote(scope["path"].lstrip("/\\"))
             await _answer(send, 303, {"location": location, "set-cookie": cookie, "cache-control": "no-store"}, b"")
         else:
-            await _refuse(scope, send, 401, BRING_ONE)
+            await _refuse(scope, send, 401, ACCESS_HINT)
 
     async def _with_limit(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Stop reading a body that is longer than it may be or than it said."""
-        taken = 0
+        """Pass the connection on, but stop reading a body that exceeds the limit or its announced length."""
+        received = 0
 
         async def limited() -> Message:
-            nonlocal taken
+            nonlocal received
             message = await receive()
-            taken += len(message.get("body", b""))
-            if taken > BODY_LIMIT:
+            received += len(message.get("body", b""))
+            if received > MAX_BODY_BYTES:
                 raise _TooLargeError
             return message
 
         async def watched(message: Message) -> None:
-            # Whatever the application makes of the broken body, the answer is ours.
-            if taken <= BODY_LIMIT:
+            # The answer to an oversized body is sent below, not by the application.
+            if received <= MAX_BODY_BYTES:
                 await send(message)
 
         with contextlib.suppress(_TooLargeError):
             await self._app(scope, limited, watched)
-        if taken > BODY_LIMIT:
-            await _refuse(scope, send, 413, f"the body is larger than {BODY_LIMIT} bytes")
+        if received > MAX_BODY_BYTES:
+            await _refuse(scope, send, 413, f"the body is larger than {MAX_BODY_BYTES} bytes")
 
 
 def _refused_body(headers: Headers) -> tuple[int, str] | None:
@@ -176,13 +176,13 @@ def _refused_body(headers: Headers) -> tuple[int, str] | None:
         return 415, "the body must be application/json; set the content-type header"
     if kind is not None and kind.split(";")[0].strip().lower() != "application/json":
         return 415, f"content-type '{kind}' is not application/json"
-    if length.isdigit() and int(length) > BODY_LIMIT:
-        return 413, f"the body has {length} bytes; at most {BODY_LIMIT} are taken"
+    if length.isdigit() and int(length) > MAX_BODY_BYTES:
+        return 413, f"the body has {length} bytes; at most {MAX_BODY_BYTES} are allowed"
     return None
 
 
 def _token_in(scope: Scope) -> str:
-    """That an address brings along; empty without."""
+    """Return the access token in a request's address; empty if there is none."""
     return parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
 
 
@@ -191,7 +191,7 @@ def _bracketed(host: str) -> str:
 
 
 def _unframed(send: Send) -> Send:
-    """No page of another site shows ours in a frame, where clicks could be led astray."""
+    """Wrap `send` to add headers that forbid other sites to show the station's page in a frame (clickjacking)."""
 
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":

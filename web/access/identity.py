@@ -1,4 +1,4 @@
-"""Who sent a request, as far as that can be known: role by token, identity and name as they say themselves."""
+"""Sender of a request: the token determines its role; the client states its identity and its name."""
 
 import re
 from typing import Any, NamedTuple
@@ -9,45 +9,45 @@ from starlette.types import Scope
 
 from web.access.tokens import Role
 
-#: A page or a script that wants to be told apart from others of its machine sends an identity that
-#: nobody else knows, and a name for people (percent-encoded UTF-8).
-CLIENT, NAME = "x-ctr-client", "x-ctr-name"
-LONGEST_NAME = 40
+#: Names of the headers that distinguish the clients of one computer: a secret identity, and a display name
+#: (percent-encoded UTF-8).
+CLIENT_HEADER, NAME_HEADER = "x-ctr-client", "x-ctr-name"
+MAX_NAME_CHARS = 40
 _CLIENT = re.compile(r"[A-Za-z0-9_-]{8,64}")
 
 
-class Who(NamedTuple):
-    """The sender."""
+class Sender(NamedTuple):
+    """Sender of a request."""
 
     role: Role
-    client: str  #: identity; holds the lease
-    name: str  #: for people
-    where: str  #: address
+    client: str  #: secret identity of the client; the operator's lease belongs to it
+    name: str  #: display name of the client
+    where: str  #: network address of the client
 
     def __str__(self) -> str:
         return f"{self.name} ({self.role})"
 
 
-def sender(scope: Scope, headers: Headers, role: Role) -> Who:
-    """Who sent this; without an identity all scripts of one machine are one."""
+def sender(scope: Scope, headers: Headers, role: Role) -> Sender:
+    """Return the sender of a request. All scripts of one computer that send no identity count as one client."""
     where = str(scope["client"][0]) if scope.get("client") else "unknown"
-    # Browsers say where a fetch comes from, scripts do not.
+    # Only browsers send `sec-fetch-site`; the names of unnamed clients differ by it.
     kind = "page" if "sec-fetch-site" in headers else "script"
-    given = headers.get(CLIENT, "")
+    given = headers.get(CLIENT_HEADER, "")
     client = given if is_client(given) else f"{kind} at {where}"
-    return Who(role, client, clean_name(unquote(headers.get(NAME, ""))) or f"{kind} at {where}", where)
+    return Sender(role, client, clean_name(unquote(headers.get(NAME_HEADER, ""))) or f"{kind} at {where}", where)
 
 
 def is_client(text: str) -> bool:
-    """Whether this can be an identity."""
+    """Return whether a text is a valid identity of a client."""
     return _CLIENT.fullmatch(text) is not None
 
 
 def clean_name(text: str) -> str:
-    """A name that can be shown: one line, printable, not too long."""
-    return "".join(letter for letter in text.strip() if letter.isprintable())[:LONGEST_NAME]
+    """Return a client's name as one printable line of limited length."""
+    return "".join(letter for letter in text.strip() if letter.isprintable())[:MAX_NAME_CHARS]
 
 
-def who_of(connection: Any) -> Who:
-    """The sender of a request or websocket that has come through `access`."""
+def sender_of(connection: Any) -> Sender:
+    """Return the sender of a request or WebSocket that `Access` has accepted."""
     return connection.scope["state"]["who"]

@@ -1,6 +1,6 @@
-"""Refusals in the audit log: the first of a minute as they were, the others as a number.
+"""Refusals in the audit log: the first of each minute in full, the others as a count.
 
-A page of another site can send thousands a second, and let each look different.
+The limit is needed because a page of another site can send thousands of requests a second, each with another text.
 """
 
 import time
@@ -9,32 +9,32 @@ from collections.abc import Callable
 
 from station.service.audit import Audit
 
-#: Refusals are summed up so often [s], and so many are written out meanwhile.
-PERIOD, MOST = 60.0, 100
+#: Interval of the summaries [s], and the number of refusals that are logged in full within it.
+SUMMARY_INTERVAL_S, MAX_WRITTEN = 60.0, 100
 
 
 class Refusals:
-    """Counts them. Not for several threads."""
+    """Log of refused requests that writes the first ones and counts the others. Not thread-safe."""
 
     def __init__(self, audit: Audit, clock: Callable[[], float] = time.monotonic) -> None:
         self._audit, self._clock = audit, clock
         self._until = 0.0
         self._written = 0
-        self._more: Counter[str] = Counter()  # by address
+        self._more: Counter[str] = Counter()  # number of refusals that were only counted, by network address
 
     def add(self, who: str, what: str, where: str, outcome: str) -> None:
-        """One that was refused."""
+        """Log or count one refused request."""
         self.sum_up()
         if not self._written:
-            self._until = self._clock() + PERIOD
-        if self._written < MOST:
+            self._until = self._clock() + SUMMARY_INTERVAL_S
+        if self._written < MAX_WRITTEN:
             self._written += 1
             self._audit.refused(who, what, where, outcome)
         else:
             self._more[where] += 1
 
     def sum_up(self, *, now: bool = False) -> None:
-        """Write down how many there were besides, once the time is over."""
+        """Log how many refusals were only counted, once the interval is over; `now`: at once."""
         if not self._written or (self._clock() < self._until and not now):
             return
         if self._more:

@@ -1,4 +1,4 @@
-"""Who is let in beyond loopback: one token for operators, one for viewers."""
+"""Access tokens beyond loopback: one for operators, one for viewers."""
 
 import hmac
 import secrets
@@ -7,20 +7,20 @@ from typing import NamedTuple
 
 
 class Role(StrEnum):
-    """What somebody may do."""
+    """Permissions of a client."""
 
-    OPERATOR = "operator"  #: everything, once they hold the lease
-    VIEWER = "viewer"  #: look, and STOP
+    OPERATOR = "operator"  #: everything, while holding the lease
+    VIEWER = "viewer"  #: view, and press STOP
 
 
 class Tokens(NamedTuple):
-    """The two secrets of one session."""
+    """The two secret access tokens of one session of the station."""
 
     operator: str
     viewer: str
 
     def role(self, given: str) -> Role | None:
-        """The role that a token gives; None for a token that is none. Takes as long whatever was given."""
+        """Return the role of a token, None if it is invalid; in constant time."""
         is_operator = hmac.compare_digest(given.encode(), self.operator.encode())
         is_viewer = hmac.compare_digest(given.encode(), self.viewer.encode())
         if is_operator:
@@ -29,5 +29,5 @@ class Tokens(NamedTuple):
 
 
 def new_tokens() -> Tokens:
-    """Tokens nobody guesses."""
+    """Return new random access tokens."""
     return Tokens(secrets.token_urlsafe(24), secrets.token_urlsafe(24))

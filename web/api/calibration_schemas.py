@@ -1,54 +1,54 @@
-"""What goes in and out over REST about calibration: SI units, finite numbers, no unknown field."""
+"""Requests and responses of the calibration routes, in SI units and finite numbers; unknown fields are refused."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from station.calibration.catalogue import WEIGHTS
-from station.calibration.results import Use
+from station.calibration.catalogue import DEFAULT_WEIGHTS_N
+from station.calibration.results import CalibrationUse
 from station.config.strict import Strict
-from station.service.calibration_session import Report
+from station.service.calibration_session import SessionReport
 
 What = Literal["axes", "latency", "tracker", "force", "tubes"]
-#: Of a known weight [N].
+#: A known weight to hang at the tip [N].
 Weight = Annotated[float, Field(ge=0.02, le=2.0)]
 
 
-class OfferOut(Strict):
-    """A procedure that can be begun."""
+class ProcedureOut(Strict):
+    """A procedure that can be started."""
 
     name: str
     title: str
     sentence: str
-    """when, and what happens"""
+    """when to use it, and what happens"""
     needs: str
-    """what a person has to have at hand"""
+    """equipment that the operator needs"""
     seconds: float
-    """of robot time with the usual poses and weights, persons' work included [s]"""
+    """duration with the usual poses and weights, manual steps included [s]"""
     weight_seconds: float
-    """for each weight, included in `seconds` [s]"""
+    """part of `seconds` for each weight [s]"""
     scales: bool
-    """an effort other than 1 means more or fewer poses"""
+    """`effort` changes the number of poses"""
     weighs: bool
-    """it asks for known weights"""
+    """it needs known weights"""
 
 
 class CalibrationOut(Strict):
-    """What can be found out, and how it is getting on."""
+    """Available procedures, and the progress of the running one."""
 
-    offers: tuple[OfferOut, ...]
+    offers: tuple[ProcedureOut, ...]
     weights: tuple[float, ...]
     """usual known weights [N]"""
     robots: tuple[str, ...]
-    """presets, for an exchange of tubes"""
+    """preset robots, for an exchange of tubes"""
     folder: str
-    """where results go"""
-    course: Report | None
+    """folder of the results"""
+    course: SessionReport | None
 
 
 class CalibrateIn(Strict):
-    """A procedure, and a person's word."""
+    """A procedure to start, and the operator's confirmation."""
 
     model_config = ConfigDict(
         json_schema_extra={"examples": [{"what": "tracker", "effort": 1.0, "way_is_clear": True}]}
@@ -56,11 +56,11 @@ class CalibrateIn(Strict):
 
     what: What
     effort: Annotated[float, Field(ge=0.5, le=5.0)] = 1.0
-    """so many times the usual number of poses"""
-    weights: Annotated[tuple[Weight, ...], Field(strict=False, min_length=1, max_length=4)] = WEIGHTS
-    """that there are to hang at the tip [N]"""
+    """factor on the usual number of poses"""
+    weights: Annotated[tuple[Weight, ...], Field(strict=False, min_length=1, max_length=4)] = DEFAULT_WEIGHTS_N
+    """weights that will hang at the tip [N]"""
     way_is_clear: Literal[True]
-    """somebody has looked: the tubes can move through their whole workspace without touching anything"""
+    """the operator has checked that the tubes can move through their whole workspace without touching anything"""
 
     @model_validator(mode="after")
     def _differ(self) -> Self:
@@ -69,8 +69,8 @@ class CalibrateIn(Strict):
         return self
 
 
-class KeptOut(Strict):
-    """An earlier calibration at one look."""
+class StoredCalibrationOut(Strict):
+    """Summary of a stored calibration."""
 
     name: str
     procedure: str
@@ -79,25 +79,25 @@ class KeptOut(Strict):
     """ISO 8601"""
     bench: str
     simulated: bool
-    """devices and robot were a virtual lab's"""
+    """devices and robot belonged to a virtual lab"""
     findings: tuple[str, ...]
-    """in words"""
+    """human-readable results"""
 
 
-class KeptDetailsOut(KeptOut):
-    """An earlier calibration with its numbers."""
+class StoredCalibrationDetailsOut(StoredCalibrationOut):
+    """A stored calibration with its numbers."""
 
     found: tuple[Mapping[str, str], ...]
-    """name, before, found, interval: half of 95 %"""
+    """name, before, found, interval (half width of the 95 % interval)"""
     visits: int
     robot_s: float
-    """of robot time [s]"""
+    """robot time [s]"""
     files: tuple[str, ...]
-    use: Use
+    use: CalibrationUse
 
 
 class ExchangeIn(Strict):
-    """The robot with other tubes: a preset, or what its file says."""
+    """The robot with other tubes: the name of a preset, or the text of a robot file."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"robot": "three_tubes"}]})
 
@@ -107,13 +107,13 @@ class ExchangeIn(Strict):
     """text of a robot's .toml file"""
 
     @model_validator(mode="after")
-    def _one_of_them(self) -> Self:
+    def _exactly_one(self) -> Self:
         if (self.robot is None) == (self.file is None):
             raise ValueError("give either robot or file")
         return self
 
 
-class NowOut(Strict):
-    """The procedure after a request."""
+class CalibrationNowOut(Strict):
+    """State of the procedure after a request."""
 
-    course: Report | None
+    course: SessionReport | None

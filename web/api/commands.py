@@ -1,68 +1,92 @@
-"""The way of a command: from an operator, who holds the lease or takes it because nobody does."""
+"""Dependencies of command routes: a command needs the operator's lease, or takes it when it is free."""
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from core.errors import CtrError
 from station.control.states import RefusedError
-from web.access.identity import Who, clean_name, who_of
-from web.access.lease import LENGTH, Lease
+from station.service.permits import Permit
+from station.service.supervisor import Supervisor
+from web.access.identity import Sender, clean_name, sender_of
+from web.access.lease import LEASE_S, Lease
 from web.access.tokens import Role
-from web.api.schemas import REFUSED, OperatorIn, OperatorOut
+from web.api.schemas import REFUSED_RESPONSES, OperatorIn, OperatorOut
 
 T = TypeVar("T")
 
 
 class Commands(NamedTuple):
-    """Dependencies of routes, all on one lease."""
+    """Dependencies of the REST routes that check or renew the operator's lease."""
 
     lease: Lease
-    heard: Callable[[HTTPConnection], Awaitable[None]]  #: any word of the holder keeps the lease
-    needed: Callable[[Request], AsyncIterator[Who]]  #: for commands
+    renew_lease: Callable[[HTTPConnection], Awaitable[None]]  #: renews the lease with any request of the operator
+    require_operator: Callable[[Request], AsyncIterator[Sender]]  #: required by routes that send commands
 
 
 def commands(lease: Lease) -> Commands:
-    """For routes: `Depends(commands.heard)` on all of them, `Depends(commands.needed)` on those that command."""
+    """Return the dependencies: `Depends(commands.renew_lease)` for all routes, `require_operator` for commands."""
 
-    async def heard(connection: HTTPConnection) -> None:
-        lease.renew(who_of(connection).client)
+    async def renew_lease(connection: HTTPConnection) -> None:
+        lease.renew(sender_of(connection).client)
 
-    async def needed(request: Request) -> AsyncIterator[Who]:
-        who = who_of(request)
+    async def require_operator(request: Request) -> AsyncIterator[Sender]:
+        who = sender_of(request)
         with commanding(lease, who):
             yield who
 
-    return Commands(lease, heard, needed)
+    return Commands(lease, renew_lease, require_operator)
+
+
+def with_permits(app: ASGIApp, supervisor: Supervisor) -> ASGIApp:
+    """Wrap `app` so that every request gets a permit with its first line, before its body has arrived."""
+
+    async def permitted(scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] in ("http", "websocket"):
+            state = scope.setdefault("state", {})
+            state["permit"] = supervisor.permit(state.get("gone"))
+        await app(scope, receive, send)
+
+    return permitted
+
+
+def permit_of(connection: HTTPConnection) -> Permit:
+    """Return the permit that `with_permits` gave to a request."""
+    return connection.scope["state"]["permit"]
+
+
+#: Parameter type of routes that move the robot, and of the reset.
+Permitted = Annotated[Permit, Depends(permit_of)]
 
 
 @contextmanager
-def commanding(lease: Lease, who: Who) -> Iterator[None]:
-    """A command of `who` is carried out within.
+def commanding(lease: Lease, who: Sender) -> Iterator[None]:
+    """Provide a context in which a command of `who` runs while `who` holds the operator's lease.
 
     Raises:
-        HeldError: somebody else holds the lease.
+        LeaseHeldError: another client holds the lease.
     """
     was_free = lease.holder() is None
     taken = lease.keep(who.client, who.name)
     try:
         yield
     except RefusedError:
-        raise  # the state forbids it: a command all the same
+        raise  # the station's state forbids the command; the sender stays operator, because the command was valid
     except (RequestValidationError, CtrError):
-        # What makes no sense makes nobody operator.
+        # An invalid command does not make its sender operator.
         if was_free and lease.holder() == taken:
             lease.release(who.client)
         raise
 
 
-def operator_out(lease: Lease, who: Who) -> OperatorOut:
-    """Who is operator, as `who` may see it."""
+def operator_out(lease: Lease, who: Sender) -> OperatorOut:
+    """Return the operator's name and lease as `who` may see them."""
     holder = lease.holder()
     if holder is None:
         return OperatorOut(name=None, you=False, role=who.role, lapses_s=None)
@@ -71,38 +95,42 @@ def operator_out(lease: Lease, who: Who) -> OperatorOut:
     )
 
 
-def stopper(lease: Lease, who: Who) -> str:
-    """Who has pressed STOP, for everybody to read: anybody may, and the operator should know who it was."""
+def stopper(lease: Lease, who: Sender) -> str:
+    """Return who pressed STOP, as text for all clients, because any client may press it."""
     if lease.holds(who.client):
         return "the operator"
     return f"a viewer, '{who.name}'" if who.role is Role.VIEWER else f"'{who.name}', who is not the operator"
 
 
 def operator_routes(of: Commands) -> APIRouter:
-    """Routes under /api/operator."""
-    router = APIRouter(prefix="/api/operator", tags=["operator"], dependencies=[Depends(of.heard)])
+    """Return the REST routes under /api/operator."""
+    router = APIRouter(prefix="/api/operator", tags=["operator"], dependencies=[Depends(of.renew_lease)])
     lease = of.lease
 
     @router.get("", summary="Who is operator")
     async def get(request: Request) -> OperatorOut:
-        return operator_out(lease, who_of(request))
+        return operator_out(lease, sender_of(request))
 
-    @router.post("", responses=REFUSED, summary=f"Become operator, or stay so; lapses {LENGTH:g} s after the last word")
-    async def post(request: Request, wish: OperatorIn) -> OperatorOut:
-        who = who_of(request)
-        name = clean_name(wish.name or "") or who.name
-        lease.take(who.client, name, over=wish.take_over)
+    @router.post(
+        "",
+        responses=REFUSED_RESPONSES,
+        summary=f"Become or stay operator; the lease expires {LEASE_S:g} s after the last request",
+    )
+    async def post(request: Request, body: OperatorIn) -> OperatorOut:
+        who = sender_of(request)
+        name = clean_name(body.name or "") or who.name
+        lease.take(who.client, name, over=body.take_over)
         return operator_out(lease, who)
 
-    @router.delete("", summary="Be operator no longer")
+    @router.delete("", summary="Release the operator's lease")
     async def delete(request: Request) -> OperatorOut:
-        who = who_of(request)
+        who = sender_of(request)
         lease.release(who.client)
         return operator_out(lease, who)
 
     return router
 
 
-async def aside(function: Callable[..., T], *arguments: Any) -> T:
-    """Run what may wait for the control process in a thread, so that the page goes on."""
+async def run_in_thread(function: Callable[..., T], *arguments: Any) -> T:
+    """Run a function that may wait for the control process in a thread; the event loop stays responsive."""
     return await asyncio.to_thread(function, *arguments)

@@ -3,29 +3,30 @@
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response, WebSocket, WebSocketDisconnect
 
 from core.robot.robot import Array
-from station.config.controllers import PERIOD, ControllerFile
+from station.config.controllers import PERIOD_S, ControllerFile
 from station.config.robots import start_pose
 from station.config.strict import preset_names
 from station.control.states import State
 from station.control.task import Phase
-from station.experiments.experiment import offered
+from station.experiments.experiment import offered_experiment
+from station.service.run_request import RunRequest
 from station.service.solve import model_answer
-from station.service.standing import standing
-from station.service.start import Run
+from station.service.stale_channels import stale_groups
 from station.service.station_service import StationService
-from web.access.identity import who_of
-from web.api.commands import Commands, aside, stopper
+from web.access.identity import sender_of
+from web.api.commands import Commands, Permitted, run_in_thread, stopper
 from web.api.experiments import experiments_out
 from web.api.loop_health import RecentTiming
 from web.api.pictures import picture
 from web.api.schemas import (
-    REFUSED,
+    REFUSED_RESPONSES,
     DoneOut,
     ErrorOut,
     ExperimentOut,
@@ -38,74 +39,92 @@ from web.api.schemas import (
 )
 from web.api.status import status_out
 from web.scene.contact import SideLoad
-from web.scene.target_seen import TargetSeen
+from web.scene.target_visibility import TargetVisibility
 
-#: Groups of telemetry that websocket clients get.
-STREAMED = (
-    "time", "state", "phase", "held", "trouble", "truth_known", "joints", "tip_measured", "tip_estimated",
-    "tip_desired", "tip_true", "force", "force_filtered", "u_int", "deflection", "deflection_filtered",
-    "deflection_rate", "direction_measured", "direction_observed", "direction_desired", "direction_true",
-    "target_followed", "target_measured", "target_offset", "target_true",
+#: Names of the groups of telemetry channels that are streamed to WebSocket clients.
+STREAMED_GROUPS = (
+    "time", "state", "phase", "estimates_frozen", "trouble", "truth_known", "joints", "tip_measured",
+    "tip_estimated", "tip_desired", "tip_true", "force", "force_filtered", "force_variance", "u_int", "deflection",
+    "deflection_filtered", "deflection_rate", "direction_measured", "direction_observed", "direction_desired",
+    "direction_true", "target_followed", "target_measured", "target_offset", "target_true",
 )  # fmt: skip
-#: Sent to all websocket clients together [1/s]: many share them, or telemetry would take the station's whole processor.
-SAMPLES = 400.0
-#: Those of a single number.
-SCALARS = ("time", "state", "phase", "held", "truth_known", "target_followed")
+#: Largest rate of telemetry samples to all WebSocket clients together [1/s]. More would use the whole processor.
+MAX_SAMPLES_PER_S = 400.0
+#: Names of the channel groups that consist of a single number.
+SCALAR_GROUPS = ("time", "state", "phase", "estimates_frozen", "truth_known", "target_followed")
 
 
 def control_routes(
-    service: StationService, of: Commands, stopping: ThreadPoolExecutor, side_load: Callable[[], SideLoad | None]
+    service: StationService,
+    of: Commands,
+    stopping: ThreadPoolExecutor,
+    side_load: Callable[[], SideLoad | None],
+    gateway_problem: Callable[[], str] | None = None,
 ) -> APIRouter:
-    """Routes under /api for one station.
+    """Return the REST routes under /api that control one station.
 
     Args:
-        service: what requests may do.
-        of: who may command.
-        stopping: threads that wait for nothing but STOP.
-        side_load: tells of a load that does not act at the tip.
+        service: operations of the station.
+        of: dependencies that check the operator's lease.
+        stopping: thread pool reserved for STOP.
+        side_load: returns a load that does not act at the tip; None: there is none.
+        gateway_problem: returns why the gateway has ended, empty while it runs; None: the station has no gateway.
     """
-    router = APIRouter(prefix="/api", responses={422: REFUSED[422]}, dependencies=[Depends(of.heard)])
+    router = APIRouter(prefix="/api", responses={422: REFUSED_RESPONSES[422]}, dependencies=[Depends(of.renew_lease)])
     supervisor = service.supervisor
-    operator = [Depends(of.needed)]
+    operator = [Depends(of.require_operator)]
 
-    @router.get("/status", summary="Everything at one look")
+    @router.get("/status", summary="Status of the station")
     def status(request: Request) -> StatusOut:
-        return status_out(service, of, who_of(request), side_load())
+        problem = None if gateway_problem is None else gateway_problem()
+        return status_out(service, of, sender_of(request), side_load(), problem)
 
     @router.post(
-        "/start", status_code=202, responses=REFUSED, dependencies=operator, summary="Start an experiment or a motion"
+        "/start",
+        status_code=202,
+        responses=REFUSED_RESPONSES,
+        dependencies=operator,
+        summary="Start an experiment or a motion",
     )
-    async def start(request: StartIn) -> StartOut:
+    async def start(request: StartIn, permit: Permitted) -> StartOut:
         if request.experiment is not None:
-            return started(await aside(service.start_experiment, request.experiment, request.case))
-        return started(
-            await aside(service.start_motion, request.trajectory, request.controller, request.load, request.duration)
-        )
+            start = partial(service.start_experiment, request.experiment, request.case, permit=permit)
+        else:
+            start = partial(
+                service.start_motion, request.trajectory, request.controller, request.load, request.duration,
+                permit=permit,
+            )  # fmt: skip
+        return run_out(await run_in_thread(start))
 
     @router.post(
         "/stop",
-        responses={202: {"model": DoneOut, "description": "taken, not carried out yet; see the note"}},
-        summary="Stop every axis; always accepted, from anybody with access",
+        responses={202: {"model": DoneOut, "description": "accepted, not confirmed yet; see the note"}},
+        summary="Stop every axis; always accepted, from any client with access",
     )
     async def stop(request: Request, response: Response) -> DoneOut:
-        cause = f"stopped by {stopper(of.lease, who_of(request))}"
+        cause = f"stopped by {stopper(of.lease, sender_of(request))}"
         note = await asyncio.get_running_loop().run_in_executor(stopping, supervisor.stop, cause)
         if note:
             response.status_code = 202
         return DoneOut(state=supervisor.status().state.name, note=note)
 
     @router.post(
-        "/reset", responses=REFUSED, dependencies=operator, summary="Go on after a stop, hold or fault that was seen"
+        "/reset",
+        responses=REFUSED_RESPONSES,
+        dependencies=operator,
+        summary="Reset after STOPPED, HOLD or FAULT",
     )
-    async def reset() -> DoneOut:
-        note = await aside(supervisor.reset)
+    async def reset(request: Request, permit: Permitted) -> DoneOut:
+        note = await run_in_thread(supervisor.reset, stopper(of.lease, sender_of(request)), permit)
         return DoneOut(state=supervisor.status().state.name, note=note)
 
     @router.get("/trajectory", summary="The next free motion")
     def get_trajectory() -> TipMotionIn:
         return service.settings.trajectory
 
-    @router.put("/trajectory", responses=REFUSED, dependencies=operator, summary="Choose the next free motion")
+    @router.put(
+        "/trajectory", responses=REFUSED_RESPONSES, dependencies=operator, summary="Choose the next free motion"
+    )
     def put_trajectory(trajectory: TipMotionIn) -> TipMotionIn:
         service.set_trajectory(trajectory)
         return service.settings.trajectory
@@ -114,27 +133,27 @@ def control_routes(
     def get_controller() -> ControllerFile:
         return service.settings.controller
 
-    @router.put("/controller", responses=REFUSED, dependencies=operator, summary="Choose the controller")
+    @router.put("/controller", responses=REFUSED_RESPONSES, dependencies=operator, summary="Choose the controller")
     def put_controller(controller: ControllerFile) -> ControllerFile:
         service.set_controller(controller)
         return service.settings.controller
 
-    @router.get("/experiments", summary="Experiments, and why a file is none")
+    @router.get("/experiments", summary="Experiments; an invalid file is listed with its error")
     def experiments() -> list[ExperimentOut]:
         return experiments_out(supervisor.bench)
 
     @router.get(
         "/experiments/{name}/picture.svg",
         responses={404: {"model": ErrorOut}},
-        summary="Path and load of a case, the first when none is named",
+        summary="Picture of a case's path and load; without `case` the first",
     )
     def experiment_picture(name: str, case: str | None = None) -> Response:
         if name not in preset_names("experiments"):
             return Response(status_code=404)
-        drawn = next((one for one in offered(name).cases if case in (None, one.name)), None)
+        drawn = next((one for one in offered_experiment(name).cases if case in (None, one.name)), None)
         return Response(status_code=404) if drawn is None else Response(picture(drawn), media_type="image/svg+xml")
 
-    @router.post("/model/solve", responses=REFUSED, summary="Ask the loaded model")
+    @router.post("/model/solve", responses=REFUSED_RESPONSES, summary="Solve the loaded model")
     def solve(request: SolveIn) -> SolveOut:
         joints = start_pose(request.joints, supervisor.bench.robot)
         answer = model_answer(supervisor.statics, joints, np.array([*request.force, *request.moment]))
@@ -148,22 +167,22 @@ def control_routes(
         await socket.accept()
         listening = asyncio.create_task(_until_closed(socket))
         listeners += 1
-        timing, target = RecentTiming(supervisor.ring), TargetSeen(supervisor.channels)
+        timing, target = RecentTiming(supervisor.ring), TargetVisibility(supervisor.channels)
         try:
             since, before = supervisor.ring.written, None
             while not listening.done():
-                await asyncio.wait([listening], timeout=max(1.0 / rate, listeners / SAMPLES))
+                await asyncio.wait([listening], timeout=max(1.0 / rate, listeners / MAX_SAMPLES_PER_S))
                 rows, since, overwritten = supervisor.ring.read(since)
                 if len(rows):
                     sample = sample_out(service, rows[-1], len(rows) - 1 + overwritten, before)
                     before = sample["time"]
-                    listeners -= 1  # one that does not read takes nothing from the others
+                    listeners -= 1  # a client that does not read must not reduce the others' rate
                     try:
-                        await socket.send_json(sample | timing.look() | {"target_seen": target.look(rows)})
+                        await socket.send_json(sample | timing.read() | {"target_visible": target.update(rows)})
                     finally:
                         listeners += 1
         except (WebSocketDisconnect, RuntimeError):
-            return  # the other side has gone
+            return  # the client has disconnected
         finally:
             listeners -= 1
             listening.cancel()
@@ -172,21 +191,28 @@ def control_routes(
     return router
 
 
-def started(run: Run) -> StartOut:
-    """A run that has begun, for a reader."""
+def run_out(run: RunRequest) -> StartOut:
+    """Return the response for a run that has started."""
     return StartOut(run_id=run.id, warnings=run.start.warnings)
 
 
 def sample_out(service: StationService, row: Array, skipped: int, before: float | None) -> dict[str, Any]:
-    """One row of telemetry for a websocket client, with what lies between it and the one sent `before` it [s]."""
+    """Return one row of telemetry for a WebSocket client.
+
+    Args:
+        service: operations of the station.
+        row: values of all telemetry channels.
+        skipped: number of rows since the last sample that are not sent.
+        before: time of the last sample [s]; None: this sample is the first.
+    """
     channels = service.supervisor.channels
-    old = standing(channels, row)
+    stale = stale_groups(channels, row)
     values: dict[str, Any] = {}
-    for group in STREAMED:
+    for group in STREAMED_GROUPS:
         numbers = channels.of(row, group).tolist()
-        values[group] = numbers[0] if group in SCALARS else None if group in old else numbers
-    # Not every period has a row: those that a late loop left out are in no count of rows.
-    missed = 0 if before is None else max(0, round((values["time"] - before) / PERIOD) - 1 - skipped)
+        values[group] = numbers[0] if group in SCALAR_GROUPS else None if group in stale else numbers
+    # A late control loop skips whole periods, which have no row: they are counted from the rows' times.
+    missed = 0 if before is None else max(0, round((values["time"] - before) / PERIOD_S) - 1 - skipped)
     named = {"state": State(int(values["state"])).name, "phase": Phase(int(values["phase"])).name.lower()}
     return {"skipped": skipped, "missed": missed, **values, **named}
 

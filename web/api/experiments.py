@@ -1,31 +1,31 @@
-"""The experiments for a reader: each with its cases in words, or with why its file is none."""
+"""Experiments as REST responses: each with readable descriptions of its cases, or with the error of its file."""
 
 from core.errors import CtrError
 from station.config.strict import preset_names
-from station.experiments.described import facts
-from station.experiments.experiment import Case, offered
-from station.service.bench import Bench
-from station.service.fits import otherwise, refusal
+from station.experiments.case_summary import case_facts
+from station.experiments.experiment import Case, offered_experiment
+from station.service.case_compatibility import deviations_from_case, incompatibility
+from station.service.rig import Rig
 from web.api.schemas import CaseOut, ExperimentOut, FactOut
 
 
-def experiments_out(bench: Bench) -> list[ExperimentOut]:
-    """All that a station with this bench offers; a file that is no experiment hides no other."""
+def experiments_out(bench: Rig) -> list[ExperimentOut]:
+    """Return all experiments that a station with this rig offers; an invalid file hides no other."""
     return [_experiment_out(name, bench) for name in preset_names("experiments")]
 
 
-def _experiment_out(name: str, bench: Bench) -> ExperimentOut:
+def _experiment_out(name: str, bench: Rig) -> ExperimentOut:
     try:
-        experiment = offered(name)
+        experiment = offered_experiment(name)
     except CtrError as error:
         return ExperimentOut(name=name, title="", cases=(), error=str(error))
     cases = tuple(_case_out(case, experiment.title, bench) for case in experiment.cases)
     return ExperimentOut(name=experiment.name, title=experiment.title, cases=cases)
 
 
-def _case_out(case: Case, title: str, bench: Bench) -> CaseOut:
+def _case_out(case: Case, title: str, bench: Rig) -> CaseOut:
     file = case.file
-    # A case's own title says what it is; without one its name has to.
+    # A case without its own title has the experiment's title: its name describes it better.
     words = file.title if file.title != title else ", ".join(case.name.replace("_", " ").split("-"))
     return CaseOut(
         name=case.name,
@@ -37,7 +37,7 @@ def _case_out(case: Case, title: str, bench: Bench) -> CaseOut:
         robot=case.robot.name,
         lab=file.lab,
         start=file.start,
-        facts=tuple(FactOut(what=fact.what, text=fact.text) for fact in facts(case)),
-        warnings=(*otherwise(case, bench), *case.warnings),
-        refused=refusal(case, bench),
+        facts=tuple(FactOut(what=fact.what, text=fact.text) for fact in case_facts(case)),
+        warnings=(*deviations_from_case(case, bench), *case.warnings),
+        refused=incompatibility(case, bench),
     )

@@ -1,4 +1,4 @@
-"""How punctual the loop was lately: what the histograms of its timing have gained since the last look."""
+"""Recent punctuality of the control loop, from the increase of its timing histograms since the last reading."""
 
 import time
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from station.control.ring import Ring
 
-#: Over this time at least [s].
-WINDOW = 1.0
+#: Shortest time over which the timing statistics are computed [s].
+MIN_WINDOW_S = 1.0
 
 
 class RecentTiming:
-    """The loop's lateness and work over about the last second."""
+    """Lateness and work time of the control loop over about the last second."""
 
     def __init__(self, ring: Ring) -> None:
         self._ring = ring
@@ -19,19 +19,19 @@ class RecentTiming:
         self._late, self._busy = ring.late.copy(), ring.busy.copy()
         self._last: dict[str, float | None] = {"late_us": None, "tick_us": None}
 
-    def look(self) -> dict[str, float | None]:
-        """99th percentiles [us] of `late_us` and `tick_us`; None before the first second is over."""
+    def read(self) -> dict[str, float | None]:
+        """Return the 99th percentiles of lateness and work time [us]; None during the first second."""
         now = time.monotonic()
-        if now - self._then >= WINDOW:
+        if now - self._then >= MIN_WINDOW_S:
             late, busy = self._ring.late.copy(), self._ring.busy.copy()
             self._last = {"late_us": _p99(late - self._late), "tick_us": _p99(busy - self._busy)}
             self._then, self._late, self._busy = now, late, busy
         return self._last
 
 
-def _p99(gained: np.ndarray) -> float | None:
-    total = int(gained.sum())
-    # The statistics may have been cleared meanwhile: a negative gain says nothing.
-    if total <= 0 or gained.min() < 0:
+def _p99(increase: np.ndarray) -> float | None:
+    total = int(increase.sum())
+    # The control process may have cleared its histograms: a negative increase is meaningless.
+    if total <= 0 or increase.min() < 0:
         return None
-    return float(np.searchsorted(np.cumsum(gained), 0.99 * total) + 1)
+    return float(np.searchsorted(np.cumsum(increase), 0.99 * total) + 1)

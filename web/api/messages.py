@@ -1,22 +1,23 @@
-"""State of the station in words: what it does, why, and what a person can do next."""
+"""Messages that describe the station's state: what it does, why, and what the operator can do next."""
 
 import math
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 from station.control.loop import Phase
+from station.control.realtime import load
 from station.control.states import State
-from station.service.status import STALE, Status
+from station.service.status import STALE_AFTER_S, StationStatus
 
-Act = Literal["", "connect", "home", "reset", "start", "calibrate"]
+Action = Literal["", "connect", "home", "reset", "start", "calibrate"]
 
 
-class Words(NamedTuple):
-    """For a person's eyes."""
+class StateMessage(NamedTuple):
+    """Message that the page shows for the station's state."""
 
-    what: str  #: what is going on, or the cause
-    next: str  #: what to do; empty when there is nothing to do
-    act: Act = ""  #: the same as the command or the tab that does it
+    message: str  #: what the station does, or why it has stopped
+    next: str  #: what the operator should do; empty if nothing
+    action: Action = ""  #: command or tab of the page that does what `next` says
 
 
 _PHASES = {
@@ -24,54 +25,54 @@ _PHASES = {
     Phase.APPROACHING: "going to the start pose",
     Phase.SETTLING: "at rest: zeroing the force sensors, averaging the start tip",
     Phase.MOVING: "executing the trajectory",
-    Phase.JOGGING: "moved by hand",
+    Phase.JOGGING: "jogging",
 }
-_QUIET = {
-    "OFF": Words("no device is spoken to", "connect the devices", "connect"),
-    "CONNECTING": Words("devices are being found and set up", "wait; STOP ends it"),
-    "CONNECTED": Words("devices answer, positions are not known", "home the stages", "home"),
-    "HOMING": Words("the stages look for their home sensors", "wait; STOP ends it"),
-    "HOMED": Words("positions are known, the controller begins", "wait"),
-    "READY": Words("nothing moves", "choose a motion and press Start", "start"),
+_IDLE_MESSAGES = {
+    "OFF": StateMessage("devices are not connected", "connect the devices", "connect"),
+    "CONNECTING": StateMessage("finding and setting up the devices", "wait, or press STOP"),
+    "CONNECTED": StateMessage("devices are connected, positions are unknown", "home the stages", "home"),
+    "HOMING": StateMessage("the stages search for their home sensors", "wait, or press STOP"),
+    "HOMED": StateMessage("positions are known, the controller is starting", "wait"),
+    "READY": StateMessage("nothing moves", "choose a motion and press Start", "start"),
 }
 
 
-_TOLD = {"joint", "number", "of", "gone", "way", "exact", "unit", "left_s"}
+_HOMING_KEYS = {"joint", "number", "of", "gone", "way", "exact", "unit", "left_s"}
 
 
-def words(status: Status) -> Words:
-    """The state in words; old telemetry is called so whatever the state."""
+def state_message(status: StationStatus) -> StateMessage:
+    """Return the message for the station's status; it reports stale telemetry in every state except OFF and FAULT."""
     state, cause = status.state, status.cause
     if state is State.FAULT:
-        return Words(
-            cause or "unknown cause", "" if "reset" in cause.lower() else "find the cause, then Reset", "reset"
+        return StateMessage(
+            cause or "unknown cause", "" if "reset" in cause.lower() else "find the cause, then press Reset", "reset"
         )
-    if status.age > STALE and state is not State.OFF:
-        return Words(
-            f"no telemetry for {status.age:.0f} s; it was {state.name}",
-            "press STOP; restart the station if this stays",
+    if status.age > STALE_AFTER_S and state is not State.OFF:
+        return StateMessage(
+            f"no telemetry for {status.age:.0f} s; the last state was {state.name}; {load()}",
+            "press STOP; end other programs on this computer; restart the station if this persists",
         )
     if state is State.RUNNING:
         if status.phase is Phase.APPROACHING and status.run is not None and not status.run.start.task.rests:
-            return Words(f"going {status.run.start.title}", "STOP ends it")
-        return Words(_PHASES[status.phase], "")
+            return StateMessage(f"going {status.run.start.title}", "press STOP to end it")
+        return StateMessage(_PHASES[status.phase], "")
     if state in (State.HOLD, State.STOPPED):
-        return Words(cause or "cause unknown", "look at the bench, then Reset", "reset")
+        return StateMessage(cause or "unknown cause", "check the rig, then press Reset", "reset")
     if state is State.READY and status.reserved:
-        return Words(status.reserved, "see the tab Calibrate", "calibrate")
+        return StateMessage(status.reserved, "open the tab Calibrate", "calibrate")
     if state is State.HOMING:
-        return _QUIET[state.name]._replace(what=_homing(status) or _QUIET[state.name].what)
-    return _QUIET[state.name]
+        return _IDLE_MESSAGES[state.name]._replace(message=_homing(status) or _IDLE_MESSAGES[state.name].message)
+    return _IDLE_MESSAGES[state.name]
 
 
-def _homing(status: Status) -> str:
-    """Which axis, how far, how long, where the stages' driver tells as ours does; else nothing."""
-    told = next((device.details.get("homing") for device in status.devices if device.name == "stages"), None)
-    if not isinstance(told, Mapping) or not told.keys() >= _TOLD:
+def _homing(status: StationStatus) -> str:
+    """Return the homing axis, its distance and the time left; empty if the driver does not report all of them."""
+    homing = next((device.details.get("homing") for device in status.devices if device.name == "stages"), None)
+    if not isinstance(homing, Mapping) or not homing.keys() >= _HOMING_KEYS:
         return ""
-    scale, unit = (1e3, "mm") if told["unit"] == "m" else (180.0 / math.pi, "deg")
-    axis, most = told["joint"].replace("_", " "), "" if told["exact"] else "at most "
+    scale, unit = (1e3, "mm") if homing["unit"] == "m" else (180.0 / math.pi, "deg")
+    axis, at_most = homing["joint"].replace("_", " "), "" if homing["exact"] else "at most "
     return (
-        f"homing {axis} ({told['number']} of {told['of']}): {scale * told['gone']:.0f} of {most}"
-        f"{scale * told['way']:.0f} {unit}; about {told['left_s']:.0f} s left"
+        f"homing {axis} ({homing['number']} of {homing['of']}): {scale * homing['gone']:.0f} of {at_most}"
+        f"{scale * homing['way']:.0f} {unit}; about {homing['left_s']:.0f} s left"
     )

@@ -1,21 +1,21 @@
-"""Notices when nobody commands any more: the operator's page was closed, or has said nothing for too long."""
+"""Detects the loss of the operator: the page was closed, or sent no request until the lease expired."""
 
 import asyncio
 
 from station.service.supervisor import Supervisor
 from web.access.lease import Lease
-from web.api.commands import aside
+from web.api.commands import run_in_thread
 
-#: Between two looks [s].
-LOOK = 0.25
+#: Interval between two checks of the operator's lease [s].
+POLL_INTERVAL_S = 0.25
 
 
-async def tell_when_alone(lease: Lease, supervisor: Supervisor) -> None:
-    """Tell the station each time that its operator has gone; until cancelled."""
-    held = False
+async def watch_operator(lease: Lease, supervisor: Supervisor) -> None:
+    """Report to the station whenever there is no operator any more; runs until cancelled."""
+    had_operator = False
     while True:
-        await asyncio.sleep(LOOK)
-        holds = lease.holder() is not None
-        if held and not holds:
-            await aside(supervisor.operator_gone)
-        held = holds
+        await asyncio.sleep(POLL_INTERVAL_S)
+        has_operator = lease.holder() is not None
+        if had_operator and not has_operator:
+            await run_in_thread(supervisor.operator_gone)
+        had_operator = has_operator

@@ -1,7 +1,8 @@
-"""What the scene shows, and the target in it, over REST: for the page's switches, the keyboard and scripts."""
+"""View options of the scene and its target over REST, for the page's switches, the keyboard and scripts."""
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -9,69 +10,71 @@ from fastapi import APIRouter, Depends, Query, Request, WebSocket, WebSocketDisc
 
 from core.robot.robot import Array
 from station.config.strict import Direction, Strict, Vector
-from station.control.loop import NOT_POINTED
-from station.control.states import RefusedError
+from station.control.loop import NO_DIRECTION_CONTROL
+from station.control.states import RefusedError, Transition
 from station.service.station_service import StationService
-from web.access.identity import who_of
-from web.api.commands import Commands, aside
-from web.api.control import started
-from web.api.schemas import REFUSED, StartOut
+from web.access.identity import sender_of
+from web.api.commands import Commands, Permitted, run_in_thread
+from web.api.control import run_out
+from web.api.schemas import REFUSED_RESPONSES, StartOut
 from web.scene.legend import Legend, signs, tube_signs
-from web.scene.overlays import Shown
-from web.scene.view import View
+from web.scene.overlays import ViewOptions
+from web.scene.view import SceneView
 from web.scene.views import VIEWS
 
 
-class ShownOut(Shown):
-    """What is shown, and whether the asker sees it."""
+class ViewOptionsOut(ViewOptions):
+    """View options, and whether the client's scene is connected."""
 
     connected: bool
-    """the scene in the asker's page has its stream; without it the picture stands still"""
+    """the scene in the client's page receives its stream; without it the picture is frozen"""
 
 
 class TargetIn(Strict):
-    """A place for the tip, and where it is to point there."""
+    """A target position for the tip, and the desired direction there."""
 
     position: Vector
     """world frame [m]"""
     direction: Direction | None = None
-    """world frame, where the station's controller controls it; left out: as before"""
+    """world frame; needs a controller that controls the direction; null: unchanged"""
 
 
 class TargetOut(Strict):
-    """The target and the way there."""
+    """The target, and whether the tip can reach it."""
 
     position: Vector
     """world frame [m]"""
     direction: Vector | None
-    """in which the tip is to point there, world frame; null where that is not controlled"""
+    """desired direction of the tip there, world frame; null: the direction is not controlled"""
     reachable: bool
-    """along a straight way from where the tip is now, under the load that is on it now"""
+    """along a straight path from the present tip, under the present load"""
     duration: float
-    """of the motion there, with a stay at its end [s]"""
+    """duration of the motion, including the stay at its end [s]"""
     reason: str
-    """why it cannot be reached"""
+    """why it cannot be reached; empty if it can"""
 
 
-def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter:
-    """Routes under /api/scene."""
-    router = APIRouter(prefix="/api/scene", tags=["scene"], dependencies=[Depends(of.heard)])
-    operator = [Depends(of.needed)]
+def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIRouter:
+    """Return the REST routes under /api/scene."""
+    router = APIRouter(prefix="/api/scene", tags=["scene"], dependencies=[Depends(of.renew_lease)])
+    operator = [Depends(of.require_operator)]
 
-    @router.get("", summary="What is shown beside the robot")
-    def get_shown(request: Request) -> ShownOut:
-        return ShownOut(**view.shown.model_dump(), connected=view.scene_server.open[who_of(request).client] > 0)
+    @router.get("", summary="View options of the scene")
+    def get_shown(request: Request) -> ViewOptionsOut:
+        return ViewOptionsOut(
+            **view.shown.model_dump(), connected=view.scene_server.open[sender_of(request).client] > 0
+        )
 
-    @router.put("", responses=REFUSED, dependencies=operator, summary="Show something else")
-    def put_shown(shown: Shown, request: Request) -> ShownOut:
+    @router.put("", responses=REFUSED_RESPONSES, dependencies=operator, summary="Set the view options")
+    def put_shown(shown: ViewOptions, request: Request) -> ViewOptionsOut:
         view.show(shown)
         return get_shown(request)
 
-    @router.get("/legend", summary="What the marks mean, and the views that there are")
+    @router.get("/legend", summary="Legend of the scene, and the available views")
     def legend() -> Legend:
         supervisor = service.supervisor
-        seen = signs(target=supervisor.bench.may_see_target)
-        return Legend(signs=seen, tubes=tube_signs(supervisor.robot), views=VIEWS)
+        entries = signs(target=supervisor.bench.can_track_target)
+        return Legend(signs=entries, tubes=tube_signs(supervisor.robot), views=VIEWS)
 
     @router.websocket("/tip")
     async def tip(
@@ -79,49 +82,55 @@ def scene_routes(view: View, service: StationService, of: Commands) -> APIRouter
         client: Annotated[str, Query(max_length=64)] = "",
         rate: Annotated[float, Query(ge=1.0, le=30.0)] = 8.0,
     ) -> None:
-        """Sends what is drawn around the tip; a view's name that arrives moves the camera of the page `client`."""
+        """Send what is drawn around the tip. A received view name moves the camera of the page `client`."""
         await socket.accept()
-        listening = asyncio.create_task(_until_closed(socket, lambda asked: view.cameras.look(client, asked)))
+        listening = asyncio.create_task(_until_closed(socket, lambda name: view.cameras.set_view(client, name)))
         try:
             while not listening.done():
-                await socket.send_json(view.drawn.told())
+                await socket.send_json(view.drawn.to_json())
                 await asyncio.wait([listening], timeout=1.0 / rate)
         except (WebSocketDisconnect, RuntimeError):
-            return  # the other side has gone
+            return  # the client has disconnected
         finally:
             listening.cancel()
             await asyncio.gather(listening, return_exceptions=True)
 
-    @router.get("/target", summary="The target, and whether the tip can get there")
+    @router.get("/target", summary="The target, and whether the tip can reach it")
     def get_target() -> TargetOut:
-        way = view.way_to_target()
+        plan = view.motion_to_target()
         direction = view.target_direction
         return TargetOut(
             position=_three(view.target), direction=None if direction is None else _three(direction),
-            reachable=way.motion is not None, duration=way.duration, reason=way.reason,
+            reachable=plan.motion is not None, duration=plan.duration, reason=plan.reason,
         )  # fmt: skip
 
-    @router.put("/target", responses=REFUSED, dependencies=operator, summary="Put the target somewhere else")
+    @router.put("/target", responses=REFUSED_RESPONSES, dependencies=operator, summary="Move the target")
     def put_target(target: TargetIn) -> TargetOut:
         if target.direction is None:
-            view.place_target(np.array(target.position))
+            view.set_target(np.array(target.position))
             return get_target()
         if view.pointing is None:
-            raise RefusedError(NOT_POINTED)
+            raise RefusedError(NO_DIRECTION_CONTROL)
         direction = np.array(target.direction)
-        view.place_target(np.array(target.position), direction / np.linalg.norm(direction))
+        view.set_target(np.array(target.position), direction / np.linalg.norm(direction))
         return get_target()
 
     @router.post(
-        "/target/go", status_code=202, responses=REFUSED, dependencies=operator, summary="Move the tip to the target"
+        "/target/go",
+        status_code=202,
+        responses=REFUSED_RESPONSES,
+        dependencies=operator,
+        summary="Move the tip to the target",
     )
-    async def go() -> StartOut:
-        way = await aside(view.way_to_target)
-        if way.motion is None:
-            raise RefusedError(f"the target is out of reach: {way.reason}")
-        # A controller that was chosen for the place alone would not turn the tip.
+    async def go(permit: Permitted) -> StartOut:
+        service.supervisor.check(Transition.START, permit)
+        plan = await run_in_thread(view.motion_to_target)
+        if plan.motion is None:
+            raise RefusedError(f"the target cannot be reached: {plan.reason}")
+        # A controller with the task "position" would not turn the tip to the target's direction.
         controller = view.pointing if service.settings.controller.task == "position" else None
-        return started(await aside(service.start_motion, way.motion, controller, None, way.duration))
+        start = partial(service.start_motion, plan.motion, controller, None, plan.duration, permit=permit)
+        return run_out(await run_in_thread(start))
 
     return router
 
@@ -131,9 +140,9 @@ def _three(vector: Array) -> tuple[float, float, float]:
     return x, y, z
 
 
-async def _until_closed(socket: WebSocket, hear: Callable[[str], object]) -> None:
+async def _until_closed(socket: WebSocket, handle: Callable[[str], object]) -> None:
     while True:
         message = await socket.receive()
         if message["type"] == "websocket.disconnect":
             return
-        hear(message.get("text") or "")
+        handle(message.get("text") or "")

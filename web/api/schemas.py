@@ -1,4 +1,4 @@
-"""What goes in and out over REST: SI units, finite numbers, no unknown field."""
+"""Requests and responses of REST. They use SI units and finite numbers; unknown fields are refused."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
@@ -10,9 +10,9 @@ from station.config.motions import TipMotion
 from station.config.strict import Strict, Vector
 from station.lab.loads import Load
 from station.service.solve import Stability
-from web.access.identity import LONGEST_NAME
+from web.access.identity import MAX_NAME_CHARS
 from web.access.tokens import Role
-from web.api.messages import Act
+from web.api.messages import Action
 
 TipMotionIn = Annotated[TipMotion, Field(discriminator="kind")]
 
@@ -23,24 +23,24 @@ class ErrorOut(Strict):
     error: str
 
 
-REFUSED: dict[int | str, dict[str, Any]] = {
+REFUSED_RESPONSES: dict[int | str, dict[str, Any]] = {
     403: {"model": ErrorOut, "description": "viewers, foreign hosts and pages of other sites"},
-    409: {"model": ErrorOut, "description": "the present state, or another operator, does not allow it"},
+    409: {"model": ErrorOut, "description": "not allowed in the present state, or another client is operator"},
     422: {"model": ErrorOut, "description": "a value is missing, unknown or out of range"},
 }
 
-CIRCLE = {"kind": "circle", "radius": 0.01, "period": 20.0, "normal": [0.0, 0.0, 1.0]}
-CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforward": True}
+EXAMPLE_CIRCLE = {"kind": "circle", "radius": 0.01, "period": 20.0, "normal": [0.0, 0.0, 1.0]}
+EXAMPLE_CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforward": True}
 
 
 class StartIn(Strict):
-    """An experiment by name, or a free motion from where the robot is; what is left out is as set before."""
+    """An experiment by name, or a free motion from the present pose; omitted fields use the current settings."""
 
     model_config = ConfigDict(
         json_schema_extra={
             "examples": [
                 {"experiment": "fig10", "case": "feedforward"},
-                {"trajectory": CIRCLE, "controller": CONTROLLER, "duration": 60.0},
+                {"trajectory": EXAMPLE_CIRCLE, "controller": EXAMPLE_CONTROLLER, "duration": 60.0},
             ]
         }
     )
@@ -48,16 +48,16 @@ class StartIn(Strict):
     experiment: str | None = None
     """name of a preset, see `GET /api/experiments`"""
     case: str | None = None
-    """of the experiment; the first when left out"""
+    """case of the experiment; null: the first"""
     trajectory: TipMotionIn | None = None
     controller: ControllerFile | None = None
     load: Load | None = None
-    """pull at the simulated tip"""
+    """load on the simulated tip"""
     duration: Annotated[float, Field(gt=0.0, le=86400.0)] | None = None
     """[s]"""
 
     @model_validator(mode="after")
-    def _one_or_the_other(self) -> Self:
+    def _experiment_or_motion(self) -> Self:
         free = any(value is not None for value in (self.trajectory, self.controller, self.load, self.duration))
         if self.experiment is not None and free:
             raise ValueError("give an experiment or trajectory, controller, load and duration, not both")
@@ -67,11 +67,11 @@ class StartIn(Strict):
 
 
 class StartOut(Strict):
-    """A run that has begun."""
+    """A run that has started."""
 
     run_id: str
     warnings: tuple[str, ...]
-    """what a person should know about it: from when on its load is more than the joints can make up for, and why"""
+    """for the operator, for example from when on the load exceeds what the joints can compensate"""
 
 
 class DoneOut(Strict):
@@ -79,44 +79,44 @@ class DoneOut(Strict):
 
     state: str
     note: str = ""
-    """what a person should know about it"""
+    """for the operator; empty if there is nothing to report"""
 
 
 class RunOut(Strict):
-    """The run that is on, or the last one."""
+    """The current run, or the last one."""
 
     id: str
     title: str
     phase: str
     """none, approaching, settling or moving"""
     progress: float
-    """part of the motion that is done, 0 ... 1"""
+    """completed part of the motion, 0 ... 1"""
     duration: float
-    """of the motion [s]"""
+    """duration of the motion [s]"""
     recorded: bool
-    """it has, or will have, a recording; going to a pose has none"""
+    """the run has, or will have, a recording; a motion to a pose has none"""
     recording: bool
-    """it is being recorded, or its recording is being finished"""
+    """the run is being recorded, or its recording is being finalised"""
 
 
 class LoopOut(Strict):
-    """How punctual the 500 Hz loop is, since it began."""
+    """Punctuality of the 500 Hz loop since it started."""
 
     ticks: int
     missed: int
-    """whole periods skipped"""
+    """skipped periods"""
     late_us: Mapping[str, float]
-    """from the deadline to the start of the tick [us]: p50, p99, p99_9, max"""
+    """delay of the tick's start after its deadline [us]: p50, p99, p99_9, max"""
     tick_us: Mapping[str, float]
-    """length of a tick's work [us]"""
+    """work time of a tick [us]: the same percentiles"""
     scheduler: str
 
 
 class DeviceOut(Strict):
-    """One device's light."""
+    """Indicator of one device."""
 
     severity: int
-    """0 well, 1 worth a look, 2 a motion must not go on, 3 stopped, 4 fault"""
+    """0 good, 1 warning, 2 a motion must not continue, 3 stopped, 4 fault"""
     condition: str
     """closed, connecting, homing, connected or fault"""
     text: str
@@ -124,87 +124,100 @@ class DeviceOut(Strict):
 
 
 class OperatorIn(Strict):
-    """A wish to be operator."""
+    """A request to become operator."""
 
-    name: str | None = Field(default=None, max_length=LONGEST_NAME)
-    """shown to everybody; the sender's own when left out"""
+    name: str | None = Field(default=None, max_length=MAX_NAME_CHARS)
+    """shown to all clients; null: the sender's name"""
     take_over: bool = False
-    """also when somebody else is operator"""
+    """even if another client is operator"""
 
 
 class OperatorOut(Strict):
-    """Who may command."""
+    """The operator, as one client sees it."""
 
     name: str | None
-    """of the operator; null when there is none, and the next command makes its sender operator"""
+    """the operator's name; null: no operator, the next command makes its sender operator"""
     you: bool
-    """it is the one who asks"""
+    """the requesting client is operator"""
     role: Role
-    """of the one who asks: viewers can only look, and STOP"""
+    """role of the requesting client; a viewer may only view and press STOP"""
     lapses_s: float | None
-    """after so long without a word from the operator anybody else may command [s]"""
+    """time until the lease expires if the operator sends no request [s]"""
 
 
-class TouchOut(Strict):
+class ContactOut(Strict):
     """A load that does not act at the tip."""
 
     force: Vector
     """world frame [N]"""
-    place: float | None
-    """on the shaft, arc length from the plate [m]; null: the geometry does not tell"""
+    position: float | None
+    """arc length on the shaft from the plate [m]; null: the geometry does not determine it"""
     intervals: tuple[tuple[float, float], ...]
-    """where it may be, 95 % [m]"""
+    """intervals that contain the position with 95 % confidence [m]"""
     reason: str
-    """why the place cannot be told; empty when it can"""
+    """why the position is unknown; empty when it is known"""
 
 
 class StatusOut(Strict):
-    """Everything at one look."""
+    """Status of the station."""
 
     format: int
-    """of REST: one more when a script that was written for the one before would misunderstand an answer"""
+    """format of REST; it increases when a script for the previous format would misunderstand a response"""
     state: str
     """OFF, CONNECTING, CONNECTED, HOMING, HOMED, READY, RUNNING, HOLD, STOPPED or FAULT"""
     cause: str
-    """why it is HOLD, STOPPED or FAULT"""
+    """why the state is HOLD, STOPPED or FAULT"""
     phase: str
-    """of what is RUNNING: approaching, settling, moving or jogging; else none"""
-    says: str
-    """what is going on, for a person"""
+    """while RUNNING: approaching, settling, moving or jogging; otherwise none"""
+    message: str
+    """human-readable state, or the cause"""
     next: str
-    """what to do next; empty when there is nothing to do"""
-    act: Act
-    """the command or the tab of the page that does what is next: connect, home, reset, start, calibrate; else empty"""
+    """what the operator should do next; empty when nothing"""
+    action: Action
+    """command or tab of the page that does it: connect, home, reset, start, calibrate; otherwise empty"""
     operator: OperatorOut
     stale: bool
-    """no tick for half a second: the values below are old"""
+    """no tick for half a second: the values below are stale"""
     age: float
-    """since the last tick [s]"""
+    """time since the last tick [s]"""
     lab: str
-    """what is simulated"""
+    """name of the virtual lab, or the drivers in use"""
     warnings: tuple[str, ...]
-    """of this computer, this robot and its load: real-time scheduling refused, tubes that snap, a touched shaft"""
+    """for example: real-time scheduling refused, tubes that snap, a contact on the shaft"""
+    model: str
+    """integrator chosen for the curvature of the tubes; empty: the paper's, or that of the station's file"""
+    max_force: float
+    """tip force at which a motion ends in HOLD or the tip pushes no further [N]"""
     run: RunOut | None
     devices: Mapping[str, DeviceOut]
     loop: LoopOut
     joints: Mapping[str, float]
     """[rad or m]"""
     tip_measured: Vector | None
-    """[m], world frame; null, as what follows, while nobody renews it: stages are homed, a device is silent"""
+    """[m], world frame; this and the following values are null while stale: during homing, or a device is silent"""
     tip_estimated: Vector | None
     """by the loaded model [m]"""
     tip_desired: Vector | None
     """[m]"""
     tip_true: Vector | None
     """simulated truth, virtual lab only [m]"""
+    direction_measured: Vector | None
+    """direction of the tip by the tracker, unit vector, world frame; directions are null if only the position is
+    controlled"""
+    direction_observed: Vector | None
+    """by tracker and model"""
+    direction_desired: Vector | None
+    """desired direction"""
+    direction_true: Vector | None
+    """simulated truth, virtual lab only"""
     force: Vector | None
-    """at the tip, from the base sensors [N]"""
-    touch: TouchOut | None
-    """where the load acts instead of the tip; null: at the tip, too small, or the robot moves too fast to tell"""
+    """force at the tip, estimated from the base sensors [N]"""
+    contact: ContactOut | None
+    """load that acts on the shaft; null: it acts at the tip, is too small, or the robot moves too fast"""
 
 
 class FactOut(Strict):
-    """One line of what a case does, in words with numbers and units."""
+    """One human-readable fact of a case, with numbers and units."""
 
     what: str
     text: str
@@ -215,24 +228,24 @@ class CaseOut(Strict):
 
     name: str
     words: str
-    """what it is, for a person"""
+    """human-readable description"""
     duration: float
     """[s]"""
     strategy: str
     trajectory: str
     load: str
     robot: str
-    """that it is for"""
+    """robot of the case"""
     lab: str
-    """that it is written for; it is carried out on this station's"""
+    """lab of the case; the station uses its own lab"""
     start: Mapping[str, float]
-    """pose that the robot goes to first [rad or m]"""
+    """start pose [rad or m]"""
     facts: tuple[FactOut, ...]
-    """all of that in words, with numbers and units"""
+    """all settings as human-readable facts"""
     warnings: tuple[str, ...]
-    """what is otherwise here than the case has it; from when on its load is more than the joints can make up for"""
+    """deviations of this station from the case; from when on the load exceeds what the joints can compensate"""
     refused: str
-    """why this station cannot carry it out; empty when it can"""
+    """why this station cannot run the case; empty if it can"""
 
 
 class ExperimentOut(Strict):
@@ -242,11 +255,11 @@ class ExperimentOut(Strict):
     title: str
     cases: tuple[CaseOut, ...]
     error: str = ""
-    """why its file is no experiment; it has no cases then"""
+    """error of an invalid file, which has no cases"""
 
 
 class SolveIn(Strict):
-    """A question to the loaded model."""
+    """A query of the loaded model."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -260,7 +273,7 @@ class SolveIn(Strict):
     )
 
     joints: Mapping[str, float]
-    """all of them [rad or m]"""
+    """positions of all joints by name [rad or m]"""
     force: Vector = (0.0, 0.0, 0.0)
     """at the tip, world frame [N]"""
     moment: Vector = (0.0, 0.0, 0.0)
@@ -268,10 +281,12 @@ class SolveIn(Strict):
 
 
 class SolveOut(Strict):
-    """The loaded model's answer."""
+    """Solution of the loaded model."""
 
     tip: Vector
     """[m]"""
+    direction: Vector
+    """direction of the tip, unit vector, world frame"""
     joints: tuple[str, ...]
     """order of the Jacobian's columns"""
     jacobian: tuple[tuple[float, ...], ...]
@@ -280,4 +295,4 @@ class SolveOut(Strict):
     """3 x 3 [m/N]"""
     iterations: int
     stability: Stability
-    """whether the robot stays in this shape; under a moment at the tip, which has no energy, that may not be known"""
+    """whether the shape is stable; may be unknown under a moment at the tip, which has no potential energy"""

@@ -1,17 +1,20 @@
-"""`WS /api/setpoints`: somebody outside leads the tip, message by message, as long as they hold the lease.
+"""`WS /api/setpoints`: a client streams setpoints of the tip while it is operator.
 
-    {"controller": {"task": "position_and_direction"}}     first what one agrees to, `LeadIn`; {} will do
+    {"controller": {"task": "position_and_direction"}}     first message: a `StreamAgreement`; {} uses the defaults
     {"tip": [0.0, 0.0, 0.002], "time": 12.34, "direction": [0.1, 0.0, 1.0]}
     {"velocity": [0.0, 0.0, 0.001]}
     {"end": true}
 
-The tip is told in the `frame` of the beginning, a direction always in the world.
+`tip` is in the `frame` of the first message, `direction` is always in the world frame.
 """
 
 import asyncio
 import contextlib
 import json
 import math
+from collections import deque
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,157 +22,225 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import ValidationError
 from starlette.types import Message
 
+from core.control.setpoint_request import SetpointRequest
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.control.ring import PHASE, RUN, STATE
 from station.control.states import State
 from station.control.task import Phase
 from station.service.audit import Audit
-from station.service.leader import Leader, LeadIn, NotTaken, TooFast
-from station.service.start import Run
+from station.service.run_request import RunRequest
+from station.service.setpoint_stream import RateExceeded, SetpointRefused, SetpointStream, StreamAgreement
 from station.service.station_service import StationService
-from web.access.identity import Who, who_of
-from web.access.lease import HeldError, Lease
+from web.access.identity import Sender, sender_of
+from web.access.lease import Lease, LeaseHeldError
 from web.access.tokens import Role
-from web.api.commands import commanding
-from web.api.readable import presentable
+from web.api.commands import commanding, permit_of, run_in_thread
+from web.api.utf8_guard import printable
 
-#: Between two looks at whether the run goes on [s].
-LOOK = 0.02
-#: Whoever connects has to begin within this time [s].
-PATIENCE = 20.0
-#: The longest reason that a socket can be closed with [bytes].
-LONGEST = 123
-#: What a socket is closed with: all is said, somebody may not, or more came than may.
-DONE, NOT_ALLOWED, TOO_MUCH = 1000, 1008, 1009
+#: Interval between two checks whether the streamed run continues [s].
+RUN_POLL_INTERVAL_S = 0.02
+#: Time within which a client must send the first message after it has connected [s].
+FIRST_MESSAGE_TIMEOUT_S = 20.0
+#: Longest close reason of a WebSocket [bytes] (RFC 6455).
+MAX_REASON_BYTES = 123
+#: Largest number of answers queued for a client that does not read; the oldest are dropped first.
+MAX_ANSWERS = 500
+#: Close codes of the WebSocket: normal end, refusal, and more or longer messages than allowed.
+NORMAL_CLOSURE, POLICY_VIOLATION, MESSAGE_TOO_BIG = 1000, 1008, 1009
 
 
 def setpoint_routes(service: StationService, lease: Lease, audit: Audit) -> APIRouter:
-    """The one route, for whoever holds the lease or takes it because nobody does."""
+    """Return the route `/api/setpoints`. Its client must be operator, or becomes operator if there is none."""
     router = APIRouter(prefix="/api")
 
     @router.websocket("/setpoints")
     async def setpoints(socket: WebSocket) -> None:
         await socket.accept()
-        who, run = who_of(socket), None
+        who, run = sender_of(socket), None
         try:
-            asked, run = await _begin(socket, service, lease, who)
-            audit.write(str(who), f"setpoints of run {run.id}", who.where, "begun")
-            await _ready(service, lease, who, run)
-            await _lead(socket, service, lease, who, asked, run)
+            agreement, run = await _start_run(socket, service, lease, who)
+            # Logged before the answer is sent, because the run has started even if the client has disconnected by now.
+            audit.write(str(who), f"setpoints of run {run.id}", who.where, "started")
+            await socket.send_json({"run_id": run.id, "warnings": run.start.warnings})
+            await _wait_until_ready(service, lease, who, run)
+            await _follow_messages(socket, service, lease, who, agreement, run)
         except _Refused as error:
             await _close(socket, {"error": str(error)}, error.code)
         except (WebSocketDisconnect, RuntimeError):
-            return  # the other side has gone
+            return  # the client has disconnected
         finally:
             if run is not None:
-                service.lead(run, None)
+                service.send_setpoint(run, None)
                 audit.write(str(who), f"setpoints of run {run.id}", who.where, "ended")
 
     return router
 
 
 class _Refused(CtrError):
-    """Nothing is taken any more."""
+    """The station ends the stream of setpoints; the text is the reason."""
 
-    def __init__(self, text: str, code: int = NOT_ALLOWED) -> None:
+    def __init__(self, text: str, code: int = POLICY_VIOLATION) -> None:
         super().__init__(text)
         self.code = code
 
 
-async def _begin(socket: WebSocket, service: StationService, lease: Lease, who: Who) -> tuple[LeadIn, Run]:
-    """The first message starts the run."""
+async def _start_run(
+    socket: WebSocket, service: StationService, lease: Lease, who: Sender
+) -> tuple[StreamAgreement, RunRequest]:
+    """Start the streamed run that the client's first message specifies."""
     if who.role is not Role.OPERATOR:
         raise _Refused("viewers may look and press STOP; this needs the operators' token")
     try:
-        first = await asyncio.wait_for(socket.receive(), PATIENCE)
-        asked = LeadIn.model_validate(_object(first), strict=False)
+        first = await asyncio.wait_for(socket.receive(), FIRST_MESSAGE_TIMEOUT_S)
+        permit = service.supervisor.permit(permit_of(socket).gone)  # from now on: the first message is the request
+        agreement = StreamAgreement.model_validate(_object(first), strict=False)
         with commanding(lease, who):
-            run = await asyncio.to_thread(service.start_led, asked)
+            run = await run_in_thread(partial(service.start_stream, agreement, permit=permit))
     except TimeoutError:
-        raise _Refused(f"nothing was said for {PATIENCE:g} s; the first message begins the run, {{}} will do") from None
+        raise _Refused(
+            f"no message for {FIRST_MESSAGE_TIMEOUT_S:g} s; the first message starts the run, {{}} uses the defaults"
+        ) from None
     except ValidationError as error:
         first = error.errors()[0]
         raise _Refused(f"{'.'.join(map(str, first['loc'])) or 'message'}: {first['msg']}") from None
     except CtrError as error:
         raise _Refused(str(error)) from None
-    await socket.send_json({"run_id": run.id, "warnings": run.start.warnings})
-    return asked, run
+    return agreement, run
 
 
-async def _ready(service: StationService, lease: Lease, who: Who, run: Run) -> None:
-    """Wait until the tip may be led; it rests for the tare meanwhile."""
-    while not moves(service, run):
-        # The answer to the start may come before the loop's first word of it.
-        if over(service, run) and service.supervisor.status().state is not State.RUNNING:
+async def _wait_until_ready(service: StationService, lease: Lease, who: Sender, run: RunRequest) -> None:
+    """Wait until the run accepts setpoints; meanwhile the tip rests and the force sensors are zeroed."""
+    while not accepts_setpoints(service, run):
+        # Right after the start, the control loop may not yet report the run.
+        if has_ended(service, run) and service.supervisor.status().state is not State.RUNNING:
             status = service.supervisor.status()
-            raise _Refused(f"the run has ended before it moved: {status.state.name} {status.cause}".strip(), DONE)
+            raise _Refused(f"the run ended before it moved: {status.state.name} {status.cause}".strip(), NORMAL_CLOSURE)
         lease.renew(who.client)
-        await asyncio.sleep(LOOK)
+        await asyncio.sleep(RUN_POLL_INTERVAL_S)
 
 
-async def _lead(socket: WebSocket, service: StationService, lease: Lease, who: Who, asked: LeadIn, run: Run) -> None:
-    """Message by message, until one side has had enough."""
+async def _follow_messages(
+    socket: WebSocket, service: StationService, lease: Lease, who: Sender, agreement: StreamAgreement, run: RunRequest
+) -> None:
+    """Follow the client's setpoints until the client or the run ends."""
     supervisor = service.supervisor
     now, row = supervisor.bench.clock.now, _row(service)
     start = supervisor.channels.of(row, "tip_desired").copy()
-    leader = Leader(asked, start, now())
-    told = {"ready": True, "tip": start.tolist(), "time": float(row[0])}
-    if asked.points:
-        told["direction"] = supervisor.channels.of(row, "direction_desired").tolist()
-    await socket.send_json(told)
-    heard, left = now(), False
+    stream = SetpointStream(agreement, start, now())
+    ready = {"ready": True, "tip": start.tolist(), "time": float(row[0])}
+    if agreement.controls_direction:
+        ready["direction"] = supervisor.channels.of(row, "direction_desired").tolist()
+    await socket.send_json(ready)
+    last_valid, end_sent = now(), False
+    waiting, arrived, answers = list[Message](), asyncio.Event(), deque[str](maxlen=MAX_ANSWERS)
     watch = asyncio.create_task(until_over(service, run))
+    watch.add_done_callback(lambda _: arrived.set())
+    answered = asyncio.Event()
+    tasks = [
+        watch,
+        asyncio.create_task(_receive(socket, waiting, arrived)),
+        asyncio.create_task(_send_answers(socket, service, run, agreement, answers, answered)),
+    ]
     try:
         while True:
-            hearing = asyncio.create_task(socket.receive())
-            await asyncio.wait([hearing, watch], return_when=asyncio.FIRST_COMPLETED)
-            if not hearing.done():
-                hearing.cancel()
+            await arrived.wait()
+            arrived.clear()
+            if watch.done():
                 break
-            refused = ""
+            batch, waiting[:] = tuple(waiting), ()
             try:
-                leader.count(now())
-                message = _object(hearing.result())
-                if len(message) == 1 and message.get("end") is True:
-                    service.lead(run, None)
-                    left = True
-                    continue
-                lease.keep(who.client, who.name)
-                service.lead(run, _wish(leader, message, now()))
-                heard = now()
-            except TooFast as error:
-                raise _Refused(str(error), TOO_MUCH) from None
-            except (NotTaken, HeldError) as error:
-                refused = str(error)
-            await socket.send_json(_answer(service, run, asked, refused))
+                setpoint, refusals, ends = _newest(stream, lease, who, batch, now(), end_sent)
+            except RateExceeded as error:
+                raise _Refused(str(error), MESSAGE_TOO_BIG) from None
+            if ends:
+                end_sent = True
+                service.send_setpoint(run, None)
+            elif setpoint is not None:
+                service.send_setpoint(run, setpoint)
+                last_valid = now()
+            answers.extend(refusals)
+            answered.set()
     finally:
-        watch.cancel()
+        for task in tasks:
+            task.cancel()
     status = supervisor.status()
-    # The loop counts from another moment of the same message; whose time was over has spoken just now.
-    silent = "" if left or now() - heard < 0.5 * asked.end else f"nothing that counts was said for {asked.end:g} s"
-    await _close(socket, {"ended": status.state.name, "cause": status.cause or silent}, DONE)
+    # The control loop measures the silence from a slightly different time, so half of the timeout is enough here.
+    timeout = agreement.end
+    silent = "" if end_sent or now() - last_valid < 0.5 * timeout else f"no valid setpoint for {timeout:g} s"
+    await _close(socket, {"ended": status.state.name, "cause": status.cause or silent}, NORMAL_CLOSURE)
 
 
-def _wish(leader: Leader, message: dict[str, Any], now: float) -> Any:
-    with contextlib.suppress(OverflowError):  # a whole number that is no float any more
+async def _receive(socket: WebSocket, waiting: list[Message], arrived: asyncio.Event) -> None:
+    """Collect all messages that the socket has received, before the first of them is followed."""
+    while not waiting or waiting[-1]["type"] != "websocket.disconnect":
+        waiting.append(await socket.receive())
+        arrived.set()
+
+
+async def _send_answers(
+    socket: WebSocket,
+    service: StationService,
+    run: RunRequest,
+    agreement: StreamAgreement,
+    answers: deque[str],
+    answered: asyncio.Event,
+) -> None:
+    """Answer every message of the client. A client that does not read its answers delays only this task."""
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError, _Refused):  # the client or the telemetry is gone
+        while True:
+            await answered.wait()
+            answered.clear()
+            tip = _tip_out(service, run, agreement)
+            while answers:
+                await socket.send_json({**tip, "refused": answers.popleft()})
+
+
+def _newest(
+    stream: SetpointStream, lease: Lease, who: Sender, batch: Sequence[Message], now: float, end_sent: bool
+) -> tuple[SetpointRequest | None, list[str], bool]:
+    """Return the newest setpoint of a batch of messages, the refusals, and whether a message ends the run.
+
+    Raises:
+        RateExceeded: the messages arrive faster than allowed.
+        WebSocketDisconnect: the client has disconnected.
+    """
+    setpoint, refusals, ends = None, list[str](), False
+    for each in batch:
+        stream.count(now)
+        try:
+            message = _object(each)
+            if len(message) == 1 and message.get("end") is True:
+                ends = True
+                continue
+            if end_sent or ends:
+                raise SetpointRefused('{"end": true} was sent before; the run ends')
+            lease.keep(who.client, who.name)
+            setpoint = _setpoint_request(stream, message, now)
+            refusals.append("")
+        except (SetpointRefused, LeaseHeldError) as error:
+            refusals.append(str(error))
+    return setpoint, refusals, ends
+
+
+def _setpoint_request(stream: SetpointStream, message: dict[str, Any], now: float) -> SetpointRequest:
+    with contextlib.suppress(OverflowError):  # an integer that is too large for a float
         match message:
-            case {"tip": [*place], **more} if set(more) <= {"time", "direction"} and _numbers(place):
-                sent, pointing = more.get("time", 0.0), more.get("direction", [])
-                if isinstance(pointing, list) and _numbers([sent, *pointing]) and math.isfinite(float(sent)):
-                    return leader.place(
-                        tuple(map(float, place)), now,
+            case {"tip": [*position], **more} if set(more) <= {"time", "direction"} and _numbers(position):
+                sent, direction = more.get("time", 0.0), more.get("direction", [])
+                if isinstance(direction, list) and _numbers([sent, *direction]) and math.isfinite(float(sent)):
+                    return stream.position(
+                        tuple(map(float, position)), now,
                         float(sent) if "time" in more else None,
-                        tuple(map(float, pointing)) if "direction" in more else None,
+                        tuple(map(float, direction)) if "direction" in more else None,
                     )  # fmt: skip
             case {"velocity": [*velocity]} if len(message) == 1 and _numbers(velocity):
-                return leader.velocity(tuple(map(float, velocity)), now)
+                return stream.velocity(tuple(map(float, velocity)), now)
             case _:
                 pass
-    raise NotTaken(
-        '{"tip": [x, y, z]} [m], with "time" [s] by a clock of your own and "direction": [x, y, z] in the world if you'
-        ' like, {"velocity": [x, y, z]} [m/s] or {"end": true} is what may be said;'
-        " what was asked before it stands"
+    raise SetpointRefused(
+        'send {"tip": [x, y, z]} [m], optionally with "time" [s] of your clock and "direction": [x, y, z] in the world;'
+        ' or {"velocity": [x, y, z]} [m/s]; or {"end": true}; the previous setpoint stays in effect'
     )
 
 
@@ -177,31 +248,31 @@ def _numbers(values: list[Any]) -> bool:
     return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
 
 
-def _object(heard: Message) -> dict[str, Any]:
-    """What a socket has heard.
+def _object(received: Message) -> dict[str, Any]:
+    """Return the JSON object of a received message.
 
     Raises:
-        NotTaken: not a JSON object.
-        WebSocketDisconnect: the other side has gone.
+        SetpointRefused: the message is not a JSON object.
+        WebSocketDisconnect: the client has disconnected.
     """
-    if heard["type"] == "websocket.disconnect":
-        raise WebSocketDisconnect(heard["code"])
-    if heard.get("text") is None:
-        raise NotTaken("a JSON object is needed, not bytes; what was asked before it stands")
+    if received["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(received["code"])
+    if received.get("text") is None:
+        raise SetpointRefused("a JSON object is needed, not bytes; the previous setpoint stays in effect")
     try:
-        message = json.loads(heard["text"])
+        message = json.loads(received["text"])
     except (ValueError, RecursionError) as error:
-        raise NotTaken(f"not JSON: {error}; what was asked before it stands") from None
+        raise SetpointRefused(f"not JSON: {error}; the previous setpoint stays in effect") from None
     if not isinstance(message, dict):
-        raise NotTaken("a JSON object is needed; what was asked before it stands")
+        raise SetpointRefused("a JSON object is needed; the previous setpoint stays in effect")
     return message
 
 
-def _answer(service: StationService, run: Run, asked: LeadIn, refused: str) -> dict[str, Any]:
-    """What a tip is doing that is led; of its direction where that is controlled."""
+def _tip_out(service: StationService, run: RunRequest, agreement: StreamAgreement) -> dict[str, Any]:
+    """Return tip, force and error of a streamed run, and the tip's directions if the direction is controlled."""
     of, row = service.supervisor.channels.of, _row(service)
     desired, measured = of(row, "tip_desired"), of(row, "tip_measured")
-    pointing = ("direction_measured", "direction_desired") if asked.points else ()
+    directions = ("direction_measured", "direction_desired") if agreement.controls_direction else ()
     return {
         "time": float(row[0]),
         "measured": measured.tolist(),
@@ -209,14 +280,13 @@ def _answer(service: StationService, run: Run, asked: LeadIn, refused: str) -> d
         "desired": desired.tolist(),
         "force": of(row, "force").tolist(),
         "error": (measured - desired).tolist(),
-        **{group: of(row, group).tolist() for group in pointing},
-        "held_back": _held_back(service, run, row),
-        "refused": refused,
+        **{group: of(row, group).tolist() for group in directions},
+        "held_back": _limiting_reason(service, run, row),
     }
 
 
-def _held_back(service: StationService, run: Run, row: Array) -> str:
-    """What keeps the tip from where it is asked to be, in words; empty when nothing does."""
+def _limiting_reason(service: StationService, run: RunRequest, row: Array) -> str:
+    """Return which limit keeps the tip from its setpoint, as text; empty if none does."""
     of = service.supervisor.channels.of
     sigma = float(of(row, "sigma")[-1])
     limits, floor = run.start.task.controller.limits, run.start.task.controller.aim.floor
@@ -231,25 +301,26 @@ def _row(service: StationService) -> Array:
     return row
 
 
-def moves(service: StationService, run: Run) -> bool:
-    """Whether the tip of a run may be led now."""
+def accepts_setpoints(service: StationService, run: RunRequest) -> bool:
+    """Return whether a streamed run accepts setpoints now."""
     counters = service.supervisor.ring.counters
     return int(counters[RUN]) == run.number and int(counters[PHASE]) == Phase.MOVING
 
 
-def over(service: StationService, run: Run) -> bool:
-    """Whether a run is not on: it has ended, or the loop has not said a word of it yet."""
+def has_ended(service: StationService, run: RunRequest) -> bool:
+    """Return whether a run is not running: it has ended, or the control loop has not reported it yet."""
     counters = service.supervisor.ring.counters
     return int(counters[RUN]) != run.number or int(counters[STATE]) != State.RUNNING
 
 
-async def until_over(service: StationService, run: Run) -> None:
-    """Wait until a run that may be led has ended."""
-    while not over(service, run):
-        await asyncio.sleep(LOOK)
+async def until_over(service: StationService, run: RunRequest) -> None:
+    """Wait until a streamed run has ended."""
+    while not has_ended(service, run):
+        await asyncio.sleep(RUN_POLL_INTERVAL_S)
 
 
 async def _close(socket: WebSocket, last: dict[str, str], code: int) -> None:
-    told = {key: presentable(text) for key, text in last.items()}
-    await socket.send_json(told)
-    await socket.close(code, told.get("error", "").encode()[:LONGEST].decode(errors="ignore"))
+    message = {key: printable(text) for key, text in last.items()}
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # the client has disconnected
+        await socket.send_json(message)
+        await socket.close(code, message.get("error", "").encode()[:MAX_REASON_BYTES].decode(errors="ignore"))

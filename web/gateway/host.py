@@ -1,111 +1,117 @@
-"""The station process's side of the gateway: starts it, tells it what the ring does not have, and hears of targets."""
+"""Connection of the station process to the gateway: starts its process, sends it the state, and receives targets."""
 
 import asyncio
 import contextlib
 import select
 from collections.abc import Callable
 
-from station.control.child import Child
+from station.control.child_process import ChildProcess
 from station.control.states import State
 from station.service.audit import Audit
 from station.service.station_service import StationService
 from web.access.gate import is_loopback
 from web.access.tokens import Tokens, new_tokens
-from web.gateway.messages import Problem, Ready, Setup, Target
+from web.gateway.messages import GatewayProblem, GatewayReady, GatewaySetup, TargetMessage
+from web.gateway.options import GatewayError, GatewayOptions
 from web.gateway.process import run_gateway
-from web.gateway.seen import Told
-from web.gateway.wanted import GatewayError, Wanted
+from web.gateway.snapshot import StationInfo
 
-#: It has so long to begin, and to end [s].
-START_TIME, END_TIME = 60.0, 5.0
-#: Between two looks at the station's state [s].
-LOOK = 0.1
+#: Time limits for the gateway process to start and to end [s].
+START_TIMEOUT_S, EXIT_TIMEOUT_S = 60.0, 5.0
+#: Interval between two readings of the station's state [s].
+POLL_INTERVAL_S = 0.1
 
 
 class Gateway:
-    """One gateway process of a station."""
+    """Handle of a station's gateway process."""
 
-    def __init__(self, service: StationService, wanted: Wanted, tokens: Tokens | None, audit: Audit) -> None:
-        """Start it; with the station's `tokens`, if it has any, where they can be demanded.
+    def __init__(self, service: StationService, options: GatewayOptions, tokens: Tokens | None, audit: Audit) -> None:
+        """Start the gateway process; protocols that support access tokens require the station's `tokens`.
 
         Raises:
-            GatewayError: a package is missing.
+            GatewayError: the package of a requested protocol is not installed.
         """
-        wanted.check()
+        options.check()
         supervisor = service.supervisor
-        if wanted.foxglove is None or is_loopback(wanted.foxglove.host):
+        if options.foxglove is None or is_loopback(options.foxglove.host):
             tokens = None
         elif tokens is None:
-            tokens = new_tokens()  # the station's own page is on loopback and has none
+            tokens = new_tokens()  # the station has none because its page is on loopback, but the gateway is not
         bench = supervisor.bench
-        setup = Setup(wanted, bench.robot, bench.clock, bench.core, tokens)
-        self.wanted = wanted
+        setup = GatewaySetup(options, bench.robot, bench.clock, bench.core, tokens)
+        self.options = options
         self._service, self._audit = service, audit
-        self._child = Child(run_gateway, setup, supervisor.ring.name, name="gateway")
-        self._room = select.poll()
-        self._room.register(self._child.pipe.fileno(), select.POLLOUT)
-        self._told: Told | None = None
+        self._child = ChildProcess(run_gateway, setup, supervisor.ring.name, name="gateway")
+        self._writable = select.poll()
+        self._writable.register(self._child.pipe.fileno(), select.POLLOUT)
+        self._sent: StationInfo | None = None
+        self.problem = ""  #: why the gateway has ended; empty while it runs
 
     def wait_ready(self) -> tuple[str, ...]:
-        """What it serves, and where, for a person.
+        """Wait until the gateway has started; return what it serves at which addresses, as lines of text.
 
         Raises:
-            GatewayError: it cannot; the process has ended.
+            GatewayError: the gateway cannot serve a protocol; its process has ended.
         """
-        pipe, problem = self._child.pipe, f"the gateway did not start within {START_TIME:g} s"
+        pipe, problem = self._child.pipe, f"the gateway did not start within {START_TIMEOUT_S:g} s"
         with contextlib.suppress(EOFError, OSError):
-            if pipe.poll(START_TIME):
+            if pipe.poll(START_TIMEOUT_S):
                 match pipe.recv():
-                    case Ready(lines):
+                    case GatewayReady(lines):
                         return lines
-                    case Problem(text):
+                    case GatewayProblem(text):
                         problem = text
                     case _:
                         pass
         self.close()
         raise GatewayError(problem)
 
-    async def run(self, on_target: Callable[[Target], None]) -> None:
-        """Keep it informed, and pass on what it hears; until cancelled, or until it is gone."""
+    async def run(self, on_target: Callable[[TargetMessage], None]) -> None:
+        """Send the station's state to the gateway and pass its targets to `on_target`, until cancelled or it ends."""
         loop, gone, pipe = asyncio.get_running_loop(), asyncio.Event(), self._child.pipe
 
-        def hear() -> None:
+        def receive() -> None:
+            newest: TargetMessage | None = None
             try:
                 while pipe.poll():
                     message = pipe.recv()
-                    if isinstance(message, Target):
-                        on_target(message)
+                    newest = message if isinstance(message, TargetMessage) else newest
             except (EOFError, OSError):
                 gone.set()
+            if newest is not None:
+                on_target(newest)
 
-        loop.add_reader(pipe.fileno(), hear)
+        loop.add_reader(pipe.fileno(), receive)
         try:
             while not gone.is_set():
-                self._tell()
+                self._send_info()
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(gone.wait(), LOOK)
+                    await asyncio.wait_for(gone.wait(), POLL_INTERVAL_S)
             how = await asyncio.to_thread(self._child.ended, 1.0)
-            self._audit.write("station", "gateway", "", f"ended {how}; it comes back with the next start")
+            self.problem = f"the gateway ended {how}: its clients receive no more data; restart the station"
+            self._audit.write("station", "gateway", "", self.problem)
         finally:
             loop.remove_reader(pipe.fileno())
 
     def close(self) -> None:
-        """End the process."""
-        self._child.close(END_TIME)
+        """End the gateway process."""
+        self._child.close(EXIT_TIMEOUT_S)
 
-    def _tell(self) -> None:
-        """What is new; never waits for a gateway that stands still."""
+    def _send_info(self) -> None:
+        """Send the station's state if it has changed; never waits for a gateway that does not read."""
         status = self._service.supervisor.status()
         about = {} if status.run is None else status.run.start.about.get("settings", {})
         controller = about.get("controller") if status.state is State.RUNNING else None
-        told = Told(status.state, status.cause, gains_of(controller or self._service.settings.controller.model_dump()))
-        if told != self._told and self._room.poll(0):
-            self._told = told
-            self._child.tell(told)
+        info = StationInfo(
+            status.state, status.cause, gains_of(controller or self._service.settings.controller.model_dump())
+        )
+        if info != self._sent and self._writable.poll(0):
+            self._sent = info
+            self._child.send(info)
 
 
 def gains_of(controller: dict[str, object], before: str = "controller") -> tuple[tuple[str, float | str | bool], ...]:
-    """Every number, word and switch of a controller, by name."""
+    """Return the keys of a controller with their values, for numbers, texts and switches."""
     found: list[tuple[str, float | str | bool]] = []
     for key, value in controller.items():
         if isinstance(value, dict):

@@ -1,4 +1,7 @@
-"""Between the station process and the gateway's. Station -> gateway: `Told`, or None to end."""
+"""Messages between the station process and the gateway process.
+
+The station process sends a `StationInfo` with each change of its state, and None to end the gateway process.
+"""
 
 from typing import NamedTuple
 
@@ -6,33 +9,34 @@ from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.control.clock import StationClock
 from web.access.tokens import Tokens
-from web.gateway.wanted import Wanted
+from web.gateway.options import GatewayOptions
 
 
-class Setup(NamedTuple):
-    """What the gateway's process is told when it starts."""
+class GatewaySetup(NamedTuple):
+    """Arguments of the gateway process."""
 
-    wanted: Wanted
+    options: GatewayOptions
     robot: RobotFile
     clock: StationClock
-    core: int | None  #: the control loop's processor, which it keeps off
-    tokens: Tokens | None  #: demanded where that can be; None: on loopback, nobody is asked
+    core: int | None  #: index of the control loop's processor core, which the gateway does not use
+    tokens: Tokens | None  #: access tokens, required by protocols that support them; None on loopback
 
 
-class Ready(NamedTuple):
-    """Gateway -> station, once: everything is served."""
+class GatewayReady(NamedTuple):
+    """Message from gateway to station, sent once: all requested protocols are served."""
 
-    lines: tuple[str, ...]  #: where, for a person
+    lines: tuple[str, ...]  #: served protocols and their addresses, as text
 
 
-class Problem(NamedTuple):
-    """Gateway -> station, in its place: why not."""
+class GatewayProblem(NamedTuple):
+    """Message from gateway to station instead of `GatewayReady`: why the gateway cannot serve."""
 
     text: str
 
 
-class Target(NamedTuple):
-    """Gateway -> station: somebody wants the tip there."""
+class TargetMessage(NamedTuple):
+    """Message from gateway to station: a client has sent a target for the tip."""
 
-    place: Array  #: (3,) in the world [m]
-    sent: float | None  #: by the sender's clock [s]
+    position: Array  #: target position (3,), world frame [m]
+    sent: float | None  #: time by the sender's clock [s]; None: the sender gave none
+    received: float  #: time of receipt in the gateway, by the station's clock [s]

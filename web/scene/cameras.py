@@ -1,4 +1,4 @@
-"""The cameras of the pages that look at the scene: each one's own, known by the page's identity."""
+"""Cameras of the pages that show the scene: each page has its own, found by the page's identity."""
 
 import threading
 from collections.abc import Callable
@@ -8,42 +8,47 @@ import numpy as np
 import viser
 
 from core.robot.robot import Array
-from web.scene.views import ASPECT, FIELD, VIEWS, Bounds, Camera, camera
+from web.scene.views import DEFAULT_ASPECT, FIELD_OF_VIEW_RAD, VIEWS, Camera, ViewBounds, camera
 
-#: By this name the proxy tells viser whose socket it is.
-CLIENT = "client"
-#: A camera that stands this near to where it began has not been moved, scene units.
-NEAR = 1e-3
+#: Query parameter by which the proxy sends the page's identity to viser.
+CLIENT_PARAMETER = "client"
+#: Largest distance from its first position at which a camera counts as not moved by the user [scene units].
+SAME_CAMERA_DISTANCE = 1e-3
 
 
 class Cameras:
-    """Puts a page's camera where its person wants to look from."""
+    """Sets the camera of a page to a named view."""
 
-    def __init__(self, server: viser.ViserServer, extent: Bounds, unit: float, tip: Callable[[], Array | None]) -> None:
-        """`extent` is what the views show, `tip` where the tip is now (3,) [m]."""
+    def __init__(
+        self, server: viser.ViserServer, extent: ViewBounds, unit: float, tip: Callable[[], Array | None]
+    ) -> None:
+        """`extent`: bounds of the robot that the views show; `tip` returns the present position of the tip (3,) [m]."""
         self._server, self._extent, self._unit, self._tip = server, extent, unit, tip
         self._lock = threading.Lock()
         self._clients: dict[str, viser.ClientHandle] = {}
         server.scene.set_up_direction("-x")
-        first = self._camera("Overview", ASPECT)
-        begin = server.initial_camera
-        begin.fov, begin.position, begin.look_at = FIELD, unit * first.eye, unit * first.centre
-        begin.near, begin.far = 0.01 * unit, 10.0 * unit
+        first = self._camera("Overview", DEFAULT_ASPECT)
+        initial = server.initial_camera
+        initial.fov, initial.position, initial.look_at = FIELD_OF_VIEW_RAD, unit * first.eye, unit * first.centre
+        initial.near, initial.far = 0.01 * unit, 10.0 * unit
 
-        # On viser's own thread.
+        # viser calls this function in its own thread when a page connects.
         @server.on_client_connect
         async def _(client: viser.ClientHandle) -> None:
             with self._lock:
                 self._clients[self._who(client)] = client
-            # A page that is new reports a camera of viser's own, then the first one; one that comes back after a cut
-            # reports the place that its person has chosen, and keeps it.
+            # The camera of a new page, which is viser's default, is set to the first view. The camera of a page that
+            # reconnects is unchanged, because its user may have chosen it.
             fitted = False
 
             async def fit(_: viser.CameraHandle) -> None:
                 nonlocal fitted
-                if not fitted and np.linalg.norm(np.array(client.camera.position) - unit * first.eye) < NEAR:
+                if (
+                    not fitted
+                    and np.linalg.norm(np.array(client.camera.position) - unit * first.eye) < SAME_CAMERA_DISTANCE
+                ):
                     fitted = True
-                    self._place(client, "Overview")
+                    self._set_camera(client, "Overview")
 
             client.camera.on_update(fit)
             await fit(client.camera)
@@ -54,28 +59,28 @@ class Cameras:
                 for who in [who for who, one in self._clients.items() if one is client]:
                     del self._clients[who]
 
-    def look(self, who: str, view: str) -> bool:
-        """Have the page of that identity look from a view; whether it is there and the view is known."""
+    def set_view(self, who: str, view: str) -> bool:
+        """Set the camera of page `who` to a view; return whether the page is connected and the view is known."""
         with self._lock:
             client = self._clients.get(who)
         if client is None or view not in VIEWS:
             return False
-        self._place(client, view)
+        self._set_camera(client, view)
         return True
 
     def _camera(self, view: str, aspect: float) -> Camera:
         tip = self._tip()
         return camera(view, self._extent, self._extent.middle if tip is None else tip, aspect)
 
-    def _place(self, client: viser.ClientHandle, view: str) -> None:
-        place = self._camera(view, client.camera.aspect)
+    def _set_camera(self, client: viser.ClientHandle, view: str) -> None:
+        target = self._camera(view, client.camera.aspect)
         with client.atomic():
-            client.camera.up_direction = place.up
-            client.camera.position = self._unit * place.eye
-            client.camera.look_at = self._unit * place.centre
+            client.camera.up_direction = target.up
+            client.camera.position = self._unit * target.eye
+            client.camera.look_at = self._unit * target.centre
 
     def _who(self, client: viser.ClientHandle) -> str:
-        """The identity that the proxy has put into the address; viser's interface does not show it."""
+        """Return the page's identity, which the proxy adds to the address that viser receives."""
         socket = self._server._websock_server._live_connections[client.client_id]
-        asked = "" if socket.request is None else urlsplit(socket.request.path).query
-        return parse_qs(asked).get(CLIENT, [""])[0]
+        query = "" if socket.request is None else urlsplit(socket.request.path).query
+        return parse_qs(query).get(CLIENT_PARAMETER, [""])[0]

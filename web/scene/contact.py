@@ -1,98 +1,102 @@
-"""Whether the load acts at the tip, as the controller takes for granted, and where on the shaft it acts instead.
+"""Detection of a load on the robot's shaft, because the controller assumes that every load acts at the tip.
 
-Looked at three times a second over the last half second of telemetry, while the robot moves slowly enough for
-a mean to mean something. What several looks running agree in is believed: a single one errs once in a thousand.
-It is a person's to judge; nothing is stopped by it.
+Three times a second the station evaluates the mean of the last half second of telemetry, while the robot moves slowly.
+A contact is reported when consecutive evaluations agree, because a single one is wrong once in a thousand. A contact
+causes only a warning; the operator decides what to do.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from core.calibration.contact import Contact
+from core.calibration.contact import ContactLocation
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
-from station.control.contact import look
+from station.control.contact import estimate_contact
 from station.control.states import State
 from station.control.telemetry import Channels
 
-#: Rows of one look, half a second of them, and what they may span when some were missed [s].
-ROWS, LONGEST = 250, 0.6
-#: What a joint may move in that time: 10 deg/s, 10 mm/s [rad, m].
-SLOW = {"rotation": np.deg2rad(5.0), "translation": 5e-3}
-#: What the mean force over a fifth of that time may change: a swinging load would seem to act elsewhere [N].
-STEADY = 0.05
-#: Below this a drift of the sensors since they were zeroed could be all there is [N].
-LEAST = 0.1
-#: Looks running that must agree before something is said, or not said any more.
-AGREED = 3
-#: States in which the controller's estimates go on.
-STATES = (State.READY, State.RUNNING, State.HOLD, State.STOPPED)
+#: Number of telemetry rows of one evaluation (half a second), and their longest time span if rows are missing [s].
+WINDOW_ROWS, MAX_WINDOW_S = 250, 0.6
+#: Largest motion of a joint during one evaluation [rad, m], that is 10 deg/s and 10 mm/s.
+MAX_JOINT_MOTION = {"rotation": np.deg2rad(5.0), "translation": 5e-3}
+#: Largest change of the mean force between fifths of one evaluation [N], because a swinging load would be located
+#: wrongly.
+MAX_FORCE_CHANGE_N = 0.05
+#: Smallest force that can be reported as a contact [N]; a smaller one may be drift of the sensors since the tare.
+MIN_FORCE_N = 0.1
+#: Number of consecutive evaluations that must agree before a contact is reported or withdrawn.
+AGREEING_WINDOWS = 3
+#: States of the station in which the controller updates its force estimate.
+ESTIMATING_STATES = (State.READY, State.RUNNING, State.HOLD, State.STOPPED)
 
 
 class SideLoad(NamedTuple):
-    """A load that does not act at the tip."""
+    """A load that acts on the shaft instead of the tip."""
 
-    force: Array  #: (3,) mean, world frame [N]
-    contact: Contact
+    force: Array  #: mean force (3,), world frame [N]
+    contact: ContactLocation
 
     @property
-    def place(self) -> str:
-        """Where, for a person, with 95 %."""
+    def position_text(self) -> str:
+        """Position of the load on the shaft with its 95 % interval, as text."""
         first, last = self.contact.intervals[0][0], self.contact.intervals[-1][1]
-        return f"{1e3 * self.contact.place:.0f} mm ({1e3 * first:.0f}-{1e3 * last:.0f})"
+        return f"{1e3 * self.contact.arc_length:.0f} mm ({1e3 * first:.0f}-{1e3 * last:.0f})"
 
     @property
     def warning(self) -> str:
-        """For a person, with what can be done."""
-        where = self.contact.note or f"contact at {self.place} from the plate"
+        """Warning about the contact, with what the operator should do."""
+        where = self.contact.note or f"contact at {self.position_text} from the plate"
         return (
-            f"the load does not act at the tip: {where}; look at the shaft, and zero the force sensors if nothing"
+            f"the load does not act at the tip: {where}; check the shaft, and tare the force sensors if nothing"
             " touches it"
         )
 
 
 class ContactMonitor:
-    """Remembers what the last looks said; `side_load` may be read by any thread."""
+    """Detector of contacts that combines consecutive evaluations; any thread may read `side_load`."""
 
     def __init__(self, robot: Robot, statics: Statics, channels: Channels) -> None:
         self._statics, self._channels = statics, channels
-        self._slow = np.array([SLOW[joint.motion] for joint in robot.joints])
-        self._looks = 0  # running, that say something else than `side_load` does
-        self.side_load: SideLoad | None = (
-            None  #: the load beside the tip; None: there is none, or it cannot be told now
-        )
+        self._slow = np.array([MAX_JOINT_MOTION[joint.motion] for joint in robot.joints])
+        self._disagreeing = 0  # number of consecutive evaluations that contradict `side_load`
+        self.side_load: SideLoad | None = None  #: load on the shaft; None: there is none, or it is unknown now
 
-    def look(self, rows: Array) -> None:
-        """Look at the newest rows (m, channels) of a station; none when it is silent."""
-        found = self._look(rows) if self._can_tell(rows) else None
+    def update(self, rows: Array) -> None:
+        """Evaluate the newest `rows` of telemetry (m, channels), which are empty if there is no telemetry."""
+        found = self._evaluate(rows) if self._is_steady(rows) else None
         if len(rows) == 0:
-            self._looks, self.side_load = 0, None
+            self._disagreeing, self.side_load = 0, None
         elif (found is None) == (self.side_load is None):
-            self._looks, self.side_load = 0, found
+            self._disagreeing, self.side_load = 0, found
         else:
-            self._looks += 1
-            if self._looks >= AGREED:
-                self._looks, self.side_load = 0, found
+            self._disagreeing += 1
+            if self._disagreeing >= AGREEING_WINDOWS:
+                self._disagreeing, self.side_load = 0, found
 
-    def _can_tell(self, rows: Array) -> bool:
-        """Whether the robot is under control, everything is measured, and neither it nor its load moves fast."""
+    def _is_steady(self, rows: Array) -> bool:
+        """Return whether the rows are complete and measured, and neither the robot nor its load moves fast."""
         of = self._channels.of
         return (
-            len(rows) >= ROWS
-            and 0.0 < of(rows, "time")[-1, 0] - of(rows, "time")[0, 0] < LONGEST
-            and bool(np.isin(of(rows, "state"), STATES).all())
+            len(rows) >= WINDOW_ROWS
+            and 0.0 < of(rows, "time")[-1, 0] - of(rows, "time")[0, 0] < MAX_WINDOW_S
+            and bool(np.isin(of(rows, "state"), ESTIMATING_STATES).all())
             and not of(rows, "trouble").any()
             and bool((np.ptp(of(rows, "joints"), axis=0) <= self._slow).all())
-            and bool((np.ptp(of(rows[-ROWS:], "force").reshape(5, -1, 3).mean(axis=1), axis=0) <= STEADY).all())
+            and bool(
+                (
+                    np.ptp(of(rows[-WINDOW_ROWS:], "force").reshape(5, -1, 3).mean(axis=1), axis=0)
+                    <= MAX_FORCE_CHANGE_N
+                ).all()
+            )
         )
 
-    def _look(self, rows: Array) -> SideLoad | None:
+    def _evaluate(self, rows: Array) -> SideLoad | None:
         try:
-            touch = look(self._statics, self._channels, rows)
+            estimate = estimate_contact(self._statics, self._channels, rows)
         except CtrError:
-            return None  # no shape under this load: what is wrong then is the control loop's to say
-        if touch is None or touch.contact is None or float(np.linalg.norm(touch.force)) < LEAST:
+            return None  # the model has no shape under this load; the control loop reports the cause
+        if estimate is None or estimate.contact is None or float(np.linalg.norm(estimate.force)) < MIN_FORCE_N:
             return None
-        return SideLoad(touch.force, touch.contact)
+        return SideLoad(estimate.force, estimate.contact)

@@ -1,4 +1,4 @@
-"""A contact on the shaft in the scene: a marker, and the stretch in which it lies with 95 % confidence."""
+"""Marker of a contact in the scene, and the section of the shaft that contains it with 95 % confidence."""
 
 import numpy as np
 import viser
@@ -8,41 +8,41 @@ from station.config import palette
 from web.scene.contact import SideLoad
 from web.scene.tubes import centre_line
 
-#: Points along the stretches.
-POINTS = 24
-#: Around the shaft, so that it is seen beside the tubes [m].
-THICKNESS, MARKER = 4.4e-3, 3.2e-3
+#: Number of points along each drawn section of the shaft.
+MARK_POINTS = 24
+#: Diameter of the section's line and radius of the marker [m]; both exceed the tubes' size to be visible.
+THICKNESS_M, MARKER_M = 4.4e-3, 3.2e-3
 
 
 class ContactMark:
-    """Handles of what shows a contact."""
+    """Scene objects that show a contact on the shaft."""
 
     def __init__(self, scene: viser.SceneApi, unit: float) -> None:
         self._unit = unit
         self._marker = scene.add_icosphere(
-            "/contact/place", radius=MARKER * unit, color=palette.CONTACT, cast_shadow=False, visible=False
+            "/contact/place", radius=MARKER_M * unit, color=palette.CONTACT, cast_shadow=False, visible=False
         )
-        self._stretch = scene.add_line_segments(
-            "/contact/stretch", np.zeros((1, 2, 3)), palette.CONTACT, thickness=THICKNESS * unit, scale=unit,
+        self._section = scene.add_line_segments(
+            "/contact/stretch", np.zeros((1, 2, 3)), palette.CONTACT, thickness=THICKNESS_M * unit, scale=unit,
             visible=False,
         )  # fmt: skip
 
     def hide(self) -> None:
-        """There is none."""
-        self._marker.visible = self._stretch.visible = False
+        """Hide the marker and its section."""
+        self._marker.visible = self._section.visible = False
 
     def draw(self, side_load: SideLoad, shape: Array) -> Array:
-        """Show it on a shaft with the sections `shape` of the model; where the force most likely acts (3,) [m]."""
-        place = centre_line(shape, np.array([side_load.contact.place]))[0][0]
-        stretches = [_segments(shape, first, last) for first, last in side_load.contact.intervals]
-        self._stretch.points = np.concatenate(stretches).astype(np.float32)
-        self._marker.position = self._unit * place
+        """Show a contact on a shaft of the model's `shape`; return its most likely position (3,) [m]."""
+        position = centre_line(shape, np.array([side_load.contact.arc_length]))[0][0]
+        sections = [_segments(shape, first, last) for first, last in side_load.contact.intervals]
+        self._section.points = np.concatenate(sections).astype(np.float32)
+        self._marker.position = self._unit * position
         self._marker.visible = side_load.contact.located
-        self._stretch.visible = True
-        return place
+        self._section.visible = True
+        return position
 
 
 def _segments(shape: Array, first: float, last: float) -> Array:
-    """Of the centre line between two arc lengths [m]: (k, 2, 3)."""
-    line = centre_line(shape, np.linspace(first, last, POINTS))[0]
+    """Return the segments (k, 2, 3) [m] of the centre line between two arc lengths [m]."""
+    line = centre_line(shape, np.linspace(first, last, MARK_POINTS))[0]
     return np.stack((line[:-1], line[1:]), axis=1)

@@ -1,4 +1,4 @@
-"""A floor and a wall of millimetre paper around what the robot reaches."""
+"""Two grids around the robot's reach in the scene, a floor and a wall, labelled in millimetres."""
 
 from typing import Literal, NamedTuple
 
@@ -6,34 +6,34 @@ import numpy as np
 import viser
 
 from core.robot.robot import Array
-from web.scene.lettering import strokes
-from web.scene.views import Bounds
+from web.scene.stroke_font import strokes
+from web.scene.views import ViewBounds
 
-FINE, COARSE = 0.01, 0.05  # [m]
-#: Neither light nor dark, since the page may be both.
+FINE_SPACING_M, COARSE_SPACING_M = 0.01, 0.05  # [m]
+#: Colours of the lines and of the numbers: medium greys, visible on light and dark pages.
 GREY, INK = (128, 134, 140), (128, 137, 146)
-#: About as much of the lines is seen where the camera stands at first.
-STRENGTH = 0.17
-#: Height of a number, and from the grid's edge to its middle, as parts of the longest edge.
-LETTER, GAP = 0.018, 0.026
+#: Approximate opacity of the grid's lines at the camera's first distance.
+OPACITY = 0.17
+#: Height of a number, and its distance from the grid's edge, as parts of the longest edge.
+LABEL_HEIGHT, LABEL_DISTANCE = 0.018, 0.026
 
 
 class Grid(NamedTuple):
-    """The floor lies at its upper x, the wall stands at its upper y."""
+    """Bounds of the two grids: the floor is at the upper x, the wall at the upper y."""
 
-    lower: Array  #: (3,) [m]
-    upper: Array  #: (3,) [m]
+    lower: Array  #: smallest coordinates (3,) [m]
+    upper: Array  #: largest coordinates (3,) [m]
 
     @staticmethod
-    def around(robot: Bounds) -> "Grid":
-        """Ends on coarse lines, with one of them in every middle: viser draws from there on."""
-        lower = 2.0 * COARSE * np.floor(robot.lower / (2.0 * COARSE) + 0.1)
-        upper = 2.0 * COARSE * np.ceil(robot.upper / (2.0 * COARSE) - 0.1)
-        return Grid(lower, np.maximum(upper, lower + 2.0 * COARSE))
+    def around(robot: ViewBounds) -> "Grid":
+        """Return bounds around a robot in multiples of twice the coarse spacing, with a coarse line in the middle."""
+        lower = 2.0 * COARSE_SPACING_M * np.floor(robot.lower / (2.0 * COARSE_SPACING_M) + 0.1)
+        upper = 2.0 * COARSE_SPACING_M * np.ceil(robot.upper / (2.0 * COARSE_SPACING_M) - 0.1)
+        return Grid(lower, np.maximum(upper, lower + 2.0 * COARSE_SPACING_M))
 
 
 def draw_grid(scene: viser.SceneApi, grid: Grid, distance: float, unit: float) -> None:
-    """Lines every 10 mm and 50 mm, numbers in millimetres; `distance` of the camera at first [m]."""
+    """Draw grid lines every 10 mm and 50 mm, and numbers in mm; `distance`: the camera's first distance [m]."""
     middle, size = 0.5 * (grid.lower + grid.upper), grid.upper - grid.lower
     planes: tuple[tuple[str, Literal["yz", "xz"], float, tuple[float, float, float]], ...] = (
         ("floor", "yz", size[1], (grid.upper[0], middle[1], middle[2])),
@@ -43,10 +43,10 @@ def draw_grid(scene: viser.SceneApi, grid: Grid, distance: float, unit: float) -
     for name, plane, width, position in planes:
         scene.add_grid(
             f"/grid/{name}", width=unit * width, height=unit * size[2], plane=plane,
-            cell_size=unit * FINE, cell_color=GREY, cell_thickness=0.8,
-            section_size=unit * COARSE, section_color=GREY, section_thickness=1.1,
-            # Fading with the distance is the one way in which viser's lines can be translucent.
-            fade_distance=far, fade_strength=-1e3 * np.log(STRENGTH), fade_from="camera",
+            cell_size=unit * FINE_SPACING_M, cell_color=GREY, cell_thickness=0.8,
+            section_size=unit * COARSE_SPACING_M, section_color=GREY, section_thickness=1.1,
+            # viser's lines become translucent only by fading with distance.
+            fade_distance=far, fade_strength=-1e3 * np.log(OPACITY), fade_from="camera",
             shadow_opacity=0.12, position=tuple(unit * np.array(position)),
         )  # fmt: skip
     scene.add_line_segments(
@@ -56,11 +56,11 @@ def draw_grid(scene: viser.SceneApi, grid: Grid, distance: float, unit: float) -
 
 
 def _numbers(grid: Grid) -> list[Array]:
-    """Along edges, where the robot seldom comes: z over the wall, x at its left, y at the floor's front."""
+    """Return the strokes of the labels at edges that the robot seldom reaches: z above, x left, y in front."""
     x, y, z = np.eye(3)
     (x0, y0, z0), (x1, y1, z1) = grid.lower, grid.upper
     longest = float(np.max(grid.upper - grid.lower))
-    height, gap = LETTER * longest, GAP * longest
+    height, gap = LABEL_HEIGHT * longest, LABEL_DISTANCE * longest
     along_z = [(f"{1e3 * at:.0f}", (x0 - gap, y1, at), z, -x) for at in _ticks(z0, z1)]
     along_x = [(f"{1e3 * at:.0f}", (at, y1, z0 - 1.5 * gap), z, -x) for at in _ticks(x0, x1)]
     along_y = [(f"{1e3 * at:.0f}", (x1, at, z1 + 1.5 * gap), z, y) for at in _ticks(y0, y1)[:-1]]
@@ -76,4 +76,6 @@ def _numbers(grid: Grid) -> list[Array]:
 
 
 def _ticks(first: float, last: float) -> Array:
-    return COARSE * np.arange(round(first / COARSE), round(last / COARSE) + 1, dtype=float)
+    return COARSE_SPACING_M * np.arange(
+        round(first / COARSE_SPACING_M), round(last / COARSE_SPACING_M) + 1, dtype=float
+    )

@@ -1,4 +1,4 @@
-"""The last seconds of telemetry as the scene shows them: means over a tenth of a second."""
+"""Recent telemetry for the scene, averaged over a tenth of a second."""
 
 from collections import deque
 from typing import NamedTuple
@@ -8,36 +8,36 @@ import numpy as np
 from core.robot.robot import Array
 from station.control.ring import Ring
 from station.control.telemetry import Channels
-from web.scene.target_seen import TargetSeen
+from web.scene.target_visibility import TargetVisibility
 
-SPAN = 20.0  #: [s]
-BIN = 0.1  #: [s]
-
-
-class Point(NamedTuple):
-    """Means over one bin."""
-
-    time: float  #: middle of the bin [s]
-    tip: Array  #: measured (3,) [m]
+TRACE_SPAN_S = 20.0  #: duration of the drawn trace of the tip [s]
+TRACE_BIN_S = 0.1  #: time over which one point of the trace is averaged [s]
 
 
-class History:
-    """What has been read from the telemetry ring."""
+class TracePoint(NamedTuple):
+    """Point of the trace: mean of the telemetry over one interval of `TRACE_BIN_S`."""
+
+    time: float  #: centre of the interval [s]
+    tip: Array  #: mean of the measured tip (3,) [m]
+
+
+class TipTrace:
+    """Recent telemetry that the scene reads from the ring: the trace of the tip, and the newest rows."""
 
     def __init__(self, channels: Channels) -> None:
-        self.points: deque[Point] = deque(maxlen=round(SPAN / BIN))
-        self.recent = np.empty((0, len(channels)))  #: rows of the last bin's length, newest last
-        self.measured = -np.inf  #: time of the newest row with a measurement of its own of the tip [s]
-        self.target_seen = False  #: there is a target, and the tracker sees it now
+        self.points: deque[TracePoint] = deque(maxlen=round(TRACE_SPAN_S / TRACE_BIN_S))
+        self.recent = np.empty((0, len(channels)))  #: telemetry rows of the last `TRACE_BIN_S`, newest last
+        self.measured = -np.inf  #: time of the newest row with a new measurement of the tip [s]
+        self.target_visible = False  #: the tracker measures a moving target now
         self._channels = channels
-        self._target = TargetSeen(channels)
+        self._target = TargetVisibility(channels)
         self._next = 0
         self._open = self.recent
 
     def read(self, ring: Ring) -> None:
-        """Take what has been written since the last call.
+        """Read the telemetry rows that were written since the last call.
 
-        Time that runs backward, after a restart of the control process, begins a new history.
+        After a restart of the control process the rows' time runs backward, which starts a new trace.
         """
         rows, self._next, _ = ring.read(self._next)
         if len(rows):
@@ -46,7 +46,7 @@ class History:
     def take(self, rows: Array) -> None:
         """Add telemetry `rows` (n, channels)."""
         of = self._channels.of
-        self.target_seen = self._target.look(rows)
+        self.target_visible = self._target.update(rows)
         times = of(rows, "time")[:, 0]
         backward = np.flatnonzero(np.diff(times, prepend=self.now) < 0.0)
         if len(backward):
@@ -58,31 +58,31 @@ class History:
         if new.any():
             self.measured = float(times[new][-1])
         self.recent = np.concatenate((self.recent, rows))
-        self.recent = self.recent[of(self.recent, "time")[:, 0] > times[-1] - BIN]
+        self.recent = self.recent[of(self.recent, "time")[:, 0] > times[-1] - TRACE_BIN_S]
         self._open = np.concatenate((self._open, rows))
-        numbers = np.floor(of(self._open, "time")[:, 0] / BIN + 1e-6)
+        numbers = np.floor(of(self._open, "time")[:, 0] / TRACE_BIN_S + 1e-6)
         *closed, self._open = np.split(self._open, np.flatnonzero(np.diff(numbers)) + 1)
         self.points.extend(
-            Point(float(of(part, "time")[0, 0]) + 0.5 * BIN, of(part, "tip_measured").mean(axis=0))
+            TracePoint(float(of(part, "time")[0, 0]) + 0.5 * TRACE_BIN_S, of(part, "tip_measured").mean(axis=0))
             for part in closed
-            if of(part, "tip_new").any()  # what stands still while nothing is measured is no way of the tip
+            if of(part, "tip_new").any()  # an interval without a measurement of the tip has no point
         )
 
     @property
     def now(self) -> float:
-        """Time of the newest row [s]; 0 before the first."""
+        """Time of the newest telemetry row [s]; 0 before the first."""
         return float(self._channels.of(self.recent[-1], "time")[0]) if len(self.recent) else 0.0
 
     @property
     def trace(self) -> Array:
-        """Where the measured tip was in the last `SPAN`, oldest first (k, 3) [m]."""
-        tips = [point.tip for point in self.points if point.time > self.now - SPAN]
+        """Measured tip in the last `TRACE_SPAN_S`, oldest first (k, 3) [m]."""
+        tips = [point.tip for point in self.points if point.time > self.now - TRACE_SPAN_S]
         return np.array(tips).reshape(-1, 3)
 
     def group(self, name: str) -> Array:
-        """A group over the last bin's length (n, ...)."""
+        """Return the values of a channel group over the last `TRACE_BIN_S` (n, ...)."""
         return self._channels.of(self.recent, name)
 
     def mean(self, group: str) -> Array:
-        """Mean of a group over the last bin's length; the sensors' noise would make a picture tremble."""
+        """Return the mean of a channel group over the last `TRACE_BIN_S`, which reduces noise in the picture."""
         return self.group(group).mean(axis=0)

@@ -1,7 +1,8 @@
-"""What a browser may say to the scene: where its camera is, and a drag by the operator.
+"""Filter for messages of browsers to the scene, which accepts only camera updates and drags by the operator.
 
-viser obeys any message of any client: it would let one remove or overwrite what all see. So each is
-read strictly here, and only what is known, finite and in range goes on, written anew.
+viser executes every message of every client, so one client could remove or overwrite the objects that all clients see.
+Therefore this filter decodes each message strictly. It encodes known messages with finite values in range again and
+passes them on.
 """
 
 import math
@@ -12,16 +13,16 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from web.access.identity import Who
+from web.access.identity import Sender
 from web.access.lease import Lease
 from web.access.tokens import Role
 
-#: Longest message that is read [bytes]; a camera takes 300.
-LONGEST = 2048
-#: Messages that one socket may send: so many at once, and so many a second for ever.
-BURST, RATE = 240.0, 120.0
-#: Scene units; a camera further away sees nothing anyway.
-FAR = 1e4
+#: Longest accepted message of a browser [bytes]; a camera update has 300.
+MAX_MESSAGE_BYTES = 2048
+#: Largest number of messages that one socket may send in a burst, and its largest sustained rate [1/s].
+MAX_BURST, MAX_RATE_HZ = 240.0, 120.0
+#: Largest accepted coordinate of a camera [scene units]; from farther away nothing is visible.
+MAX_CAMERA_DISTANCE = 1e4
 
 Vec3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -64,43 +65,43 @@ _decoder = msgspec.msgpack.Decoder(_Camera | _Move | _MoveStart | _MoveEnd)
 _encoder = msgspec.msgpack.Encoder()
 
 
-class Box(NamedTuple):
-    """Where something may be dragged to, scene units."""
+class HandleBox(NamedTuple):
+    """Box within which a handle may be dragged [scene units]."""
 
     lower: Vec3
     upper: Vec3
 
-    def holds(self, place: Vec3) -> bool:
-        """Whether a place is inside."""
-        return all(low <= x <= up for low, x, up in zip(self.lower, place, self.upper, strict=True))
+    def contains(self, point: Vec3) -> bool:
+        """Return whether a point is inside the box."""
+        return all(low <= x <= up for low, x, up in zip(self.lower, point, self.upper, strict=True))
 
 
 @dataclass
-class Gate:
-    """One socket's way in."""
+class MessageGate:
+    """Filter for the messages of one browser's socket."""
 
-    gizmos: Mapping[str, Box]  #: what the operator may drag, by name
+    gizmos: Mapping[str, HandleBox]  #: handles that the operator may drag, by name
     lease: Lease
-    who: Who
-    clock: Callable[[], float]  #: [s]
-    report: Callable[[str], None]  #: told of each reason once: a flood must not fill a log
-    dropped: Counter[str] = field(default_factory=Counter)  #: by reason
-    _room: float = BURST
-    _then: float = 0.0
+    who: Sender
+    clock: Callable[[], float]  #: returns the time [s]
+    report: Callable[[str], None]  #: called once for each reason, so that a flood cannot fill the log
+    dropped: Counter[str] = field(default_factory=Counter)  #: number of dropped messages by reason
+    _credit: float = MAX_BURST
+    _last: float = 0.0
 
     def passes(self, data: bytes | str | None) -> bytes | None:
-        """The message as it goes on to viser; None for one that does not, which is counted in `dropped`."""
+        """Return the message to pass on to viser; None: it was dropped and counted in `dropped`."""
         now = self.clock()
-        self._room, self._then = min(BURST, self._room + RATE * (now - self._then)), now
-        if self._room < 1.0:
-            return self._drop("more than a person can send")
-        self._room -= 1.0
-        if not isinstance(data, bytes) or len(data) > LONGEST:
-            return self._drop("no message of a scene")
+        self._credit, self._last = min(MAX_BURST, self._credit + MAX_RATE_HZ * (now - self._last)), now
+        if self._credit < 1.0:
+            return self._drop("messages faster than a user can send them")
+        self._credit -= 1.0
+        if not isinstance(data, bytes) or len(data) > MAX_MESSAGE_BYTES:
+            return self._drop("not a message of the scene")
         try:
             message = _decoder.decode(data)
         except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError):
-            return self._drop("no message that is known here")
+            return self._drop("an unknown or invalid message")
         refused = self._refusal(message)
         return _encoder.encode(message) if refused is None else self._drop(refused)
 
@@ -109,7 +110,7 @@ class Gate:
             case _Camera():
                 numbers = (*message.wxyz, *message.position, *message.look_at, *message.up_direction)
                 sizes = (message.fov, message.near, message.far, message.image_height, message.image_width)
-                good = all(abs(x) <= FAR for x in numbers) and all(0.0 < x <= 1e5 for x in sizes)
+                good = all(abs(x) <= MAX_CAMERA_DISTANCE for x in numbers) and all(0.0 < x <= 1e5 for x in sizes)
                 return None if good else "a camera out of range"
             case _:
                 return self._refused_drag(message)
@@ -117,13 +118,13 @@ class Gate:
     def _refused_drag(self, message: _Move | _MoveStart | _MoveEnd) -> str | None:
         box = self.gizmos.get(message.name)
         if box is None or message.owner:
-            return "a drag of what cannot be dragged"
+            return "a drag of an object that cannot be dragged"
         if self.who.role is not Role.OPERATOR or not self.lease.holds(self.who.client):
-            return "a drag by somebody who is not operator"
+            return "a drag by a client that is not operator"
         if not isinstance(message, _Move):
             return None
-        turned = abs(math.hypot(*message.wxyz) - 1.0) <= 1e-3  # what is no number is not, either
-        return None if turned and box.holds(message.position) else "a drag out of range"
+        turned = abs(math.hypot(*message.wxyz) - 1.0) <= 1e-3  # written so that NaN is refused, too
+        return None if turned and box.contains(message.position) else "a drag out of range"
 
     def _drop(self, reason: str) -> None:
         if not self.dropped[reason]:

@@ -1,4 +1,4 @@
-"""What the scene shows on demand: the unloaded shape, where the tip can go, how sure its estimate is."""
+"""Objects of the scene that can be switched on: unloaded shape, workspace, and uncertainty of the estimated tip."""
 
 import numpy as np
 import viser
@@ -9,33 +9,33 @@ from core.robot.robot import Array
 from station.config import palette
 from station.config.strict import Strict
 from web.scene.tubes import centre_line
-from web.scene.workspace import Workspace
+from web.scene.workspace import WorkspaceMesh
 
-#: The sphere of the estimate's uncertainty: standard deviations, and how much larger than life.
-SIGMAS, LARGER = 2.0, 10.0
+#: Radius of the uncertainty sphere in standard deviations, and the factor by which it is magnified.
+UNCERTAINTY_SIGMAS, UNCERTAINTY_SCALE = 2.0, 10.0
 GHOST_POINTS = 60
 
 
-class Shown(Strict):
-    """What the scene shows beside the robot; the same for everybody."""
+class ViewOptions(Strict):
+    """What the scene shows in addition to the robot; the same for all clients."""
 
     ghost: bool = False
-    """the shape that the robot would have without its load"""
+    """shape of the robot without its load"""
     workspace: bool = False
-    """tips that the joints' travel allows, without a load"""
+    """tip positions within the joints' travel, without a load"""
     uncertainty: bool = False
-    """two standard deviations of the estimated tip, ten times as large; the same in all directions, since the
-    observer has one covariance for the three axes"""
+    """two standard deviations of the estimated tip, magnified ten times; a sphere, because the observer has one
+    covariance for the three axes"""
     target: bool = False
-    """a place that can be dragged, to see whether the tip can get there"""
+    """a target that can be dragged, to check whether the tip can reach it"""
     force: bool = False
-    """a handle at the end of the force's arrow: drag to pull at the simulated tip (virtual lab)"""
+    """a handle at the end of the force's arrow: drag it to apply a force to the simulated tip (virtual lab)"""
 
 
 class Overlays:
-    """Handles of what is shown on demand."""
+    """Scene objects that the view options switch on and off."""
 
-    def __init__(self, scene: viser.SceneApi, statics: Statics, workspace: Workspace, unit: float) -> None:
+    def __init__(self, scene: viser.SceneApi, statics: Statics, workspace: WorkspaceMesh, unit: float) -> None:
         self._statics, self._unit, self._workspace = statics, unit, workspace
         self._scene, self._hull = scene, None
         self._near: Solution | None = None
@@ -47,13 +47,20 @@ class Overlays:
             "/tip/uncertainty", radius=1.0, color=palette.ESTIMATED, opacity=0.25, cast_shadow=False, visible=False
         )
 
-    def update(self, shown: Shown, joints: Array, tip: Array, uncertainty: float) -> None:
-        """One frame: joints (n,), the estimated tip (3,) [m] and its standard deviation [m]."""
+    def update(self, shown: ViewOptions, joints: Array, tip: Array, uncertainty: float) -> None:
+        """Draw one frame.
+
+        Args:
+            shown: view options.
+            joints: joint positions (n,) [rad or m].
+            tip: estimated position of the tip (3,) [m].
+            uncertainty: standard deviation of the estimated tip [m].
+        """
         self._draw_ghost(shown.ghost, joints)
         self._sphere.visible = shown.uncertainty
         if shown.uncertainty:
             self._sphere.position = self._unit * tip
-            self._sphere.radius = max(self._unit * LARGER * SIGMAS * uncertainty, 1e-3)
+            self._sphere.radius = max(self._unit * UNCERTAINTY_SCALE * UNCERTAINTY_SIGMAS * uncertainty, 1e-3)
         self._draw_workspace(shown.workspace)
 
     def _draw_workspace(self, shown: bool) -> None:
@@ -77,7 +84,7 @@ class Overlays:
         try:
             self._near = self._statics.solve(joints, np.zeros(6), self._near)
         except CtrError:
-            self._near = None  # nothing to show: this pose has no unloaded shape
+            self._near = None  # the model has no unloaded shape at this pose, so none is shown
             return None
         shape = self._statics.shape(self._near)
         return centre_line(shape, np.linspace(0.0, shape[-1, 0], GHOST_POINTS))[0]

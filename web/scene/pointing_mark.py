@@ -1,4 +1,4 @@
-"""Where the tip points and where it should, in the scene: two arrows at the tip."""
+"""Two arrows at the tip in the scene: the measured and the desired direction of the tip."""
 
 import numpy as np
 import viser
@@ -6,12 +6,12 @@ import viser
 from core.robot.robot import Array
 from station.config import palette
 
-#: Of an arrow [m].
-LENGTH = 0.030
+#: Length of each direction arrow [m].
+ARROW_LENGTH_M = 0.030
 
 
 class PointingMark:
-    """Handles of what shows directions."""
+    """Scene objects that show the measured and the desired direction of the tip."""
 
     def __init__(self, scene: viser.SceneApi, unit: float) -> None:
         def arrow(name: str, colour: palette.Colour, thickness: float) -> viser.ArrowsHandle:
@@ -20,13 +20,13 @@ class PointingMark:
                 head_length=0.008, scale=unit, visible=False,
             )  # fmt: skip
 
-        # The wider one is seen around the other where both agree.
+        # The arrow of the desired direction is wider, so that it is visible around the other arrow where both agree.
         self._desired = arrow("desired", palette.DESIRED, 1.1e-3)
         self._observed = arrow("observed", palette.ESTIMATED, 0.7e-3)
 
     def draw(self, tip: Array | None, observed: Array | None, desired: Array | None) -> None:
-        """Arrows from `tip` (3,) [m] along directions (3,); None: not that one."""
+        """Draw arrows from `tip` (3,) [m] along the directions (3,); an arrow whose direction is None is hidden."""
         for arrow, direction in ((self._observed, observed), (self._desired, desired)):
             arrow.visible = tip is not None and direction is not None
             if tip is not None and direction is not None:
-                arrow.points = np.array([[tip, tip + LENGTH * direction]], dtype=np.float32)
+                arrow.points = np.array([[tip, tip + ARROW_LENGTH_M * direction]], dtype=np.float32)

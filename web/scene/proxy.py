@@ -1,7 +1,7 @@
-"""viser behind the station's one public port: its page, and its websocket with a gate before it.
+"""Proxy on the station's public port for viser's page and for its WebSocket, whose messages are filtered.
 
-viser itself listens on loopback only and knows no access control; `access` stands before this. The
-page asks for the scene under its own identity, so that its socket can be told from others'.
+viser listens on loopback only and has no access control, so the checks of `web.access` apply before the proxy. A page
+requests the scene under its identity, which distinguishes its socket from others.
 """
 
 import asyncio
@@ -18,62 +18,64 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.typing import Subprotocol
 
 from station.service.audit import Audit
-from web.access.identity import Who, is_client, who_of
+from web.access.identity import Sender, is_client, sender_of
 from web.access.lease import Lease
-from web.scene.cameras import CLIENT
-from web.scene.messages import Box, Gate
+from web.scene.cameras import CLIENT_PARAMETER
+from web.scene.messages import HandleBox, MessageGate
 
-#: Where the page finds viser; with an identity below `AS`.
-PREFIX = "/viser"
-AS = PREFIX + "/as/{client}"
-_KEPT = ("content-type", "content-encoding", "cache-control", "etag", "last-modified", "vary")
+#: Path under which the proxy serves viser; a page with an identity uses `IDENTITY_PATH`.
+VISER_PREFIX = "/viser"
+IDENTITY_PATH = VISER_PREFIX + "/as/{client}"
+_FORWARDED_HEADERS = ("content-type", "content-encoding", "cache-control", "etag", "last-modified", "vary")
 
 
 class SceneServer(NamedTuple):
-    """Where the scene is, and what of it can be touched."""
+    """Port of viser's server, its handles, and its open sockets."""
 
-    port: int  #: viser's, on loopback
-    gizmos: Mapping[str, Box]  #: what the operator may drag, by name
-    open: Counter[str]  #: sockets through it, by their senders' identity
+    port: int  #: viser's port on loopback
+    gizmos: Mapping[str, HandleBox]  #: handles that the operator may drag, by name
+    open: Counter[str]  #: number of open sockets by the identity of their clients
 
 
 def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple[APIRouter, httpx.AsyncClient]:
-    """Routes that pass everything under `PREFIX` on to viser, and the client to close."""
+    """Return routes that forward `VISER_PREFIX` to viser, and their HTTP client, which the caller closes."""
     router = APIRouter(include_in_schema=False)
     client = httpx.AsyncClient(base_url=f"http://127.0.0.1:{scene_server.port}", timeout=10.0)
 
-    # The last decorator registers first, and the first route that fits is taken.
-    @router.get(PREFIX + "/{path:path}")
-    @router.get(AS + "/{path:path}")
+    # The order matters: the last decorator registers first, and the first matching route is used.
+    @router.get(VISER_PREFIX + "/{path:path}")
+    @router.get(IDENTITY_PATH + "/{path:path}")
     async def page(path: str, request: Request) -> Response:
-        asked = {name: value for name in ("accept-encoding", "if-none-match") if (value := request.headers.get(name))}
+        forwarded = {
+            name: value for name in ("accept-encoding", "if-none-match") if (value := request.headers.get(name))
+        }
         try:
-            # Raw bytes: what viser compressed stays compressed.
-            async with client.stream("GET", "/" + quote(path), headers=asked) as answer:
+            # The raw bytes are forwarded, so that a compressed body stays compressed.
+            async with client.stream("GET", "/" + quote(path), headers=forwarded) as answer:
                 body = b"".join([chunk async for chunk in answer.aiter_raw()])
         except httpx.HTTPError as error:
             return Response(f"the scene does not answer: {error}", status_code=502, media_type="text/plain")
-        headers = {name: value for name in _KEPT if (value := answer.headers.get(name))}
+        headers = {name: value for name in _FORWARDED_HEADERS if (value := answer.headers.get(name))}
         return Response(body, answer.status_code, headers)
 
-    # A browser's socket arrives without the trailing slash of its page.
-    @router.websocket(AS)
-    @router.websocket(AS + "/")
-    async def known(browser: WebSocket, client: str) -> None:
-        who = who_of(browser)
+    # The path has no trailing slash, because a browser's WebSocket arrives without the slash of its page.
+    @router.websocket(IDENTITY_PATH)
+    @router.websocket(IDENTITY_PATH + "/")
+    async def identified(browser: WebSocket, client: str) -> None:
+        who = sender_of(browser)
         await _serve(browser, who._replace(client=client) if is_client(client) else who)
 
-    @router.websocket(PREFIX)
-    @router.websocket(PREFIX + "/")
-    async def unknown(browser: WebSocket) -> None:
-        await _serve(browser, who_of(browser))
+    @router.websocket(VISER_PREFIX)
+    @router.websocket(VISER_PREFIX + "/")
+    async def anonymous(browser: WebSocket) -> None:
+        await _serve(browser, sender_of(browser))
 
-    async def _serve(browser: WebSocket, who: Who) -> None:
-        wanted = [Subprotocol(name) for name in browser.scope.get("subprotocols", [])]
+    async def _serve(browser: WebSocket, who: Sender) -> None:
+        requested = [Subprotocol(name) for name in browser.scope.get("subprotocols", [])]
         try:
             scene = await connect(
-                f"ws://127.0.0.1:{scene_server.port}/?{urlencode({CLIENT: who.client})}",
-                subprotocols=wanted or None,
+                f"ws://127.0.0.1:{scene_server.port}/?{urlencode({CLIENT_PARAMETER: who.client})}",
+                subprotocols=requested or None,
                 max_size=None,
                 compression=None,
                 proxy=None,
@@ -86,8 +88,8 @@ def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple
         def report(reason: str) -> None:
             audit.refused(str(who), "scene message", who.where, f"dropped: {reason}")
 
-        gate = Gate(scene_server.gizmos, lease, who, time.monotonic, report)
-        tasks = [asyncio.create_task(_to_scene(browser, scene, gate)), asyncio.create_task(_back(scene, browser))]
+        gate = MessageGate(scene_server.gizmos, lease, who, time.monotonic, report)
+        tasks = [asyncio.create_task(_to_scene(browser, scene, gate)), asyncio.create_task(_to_browser(scene, browser))]
         scene_server.open[who.client] += 1
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -103,20 +105,20 @@ def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple
     return router, client
 
 
-async def _to_scene(browser: WebSocket, scene: ClientConnection, gate: Gate) -> None:
+async def _to_scene(browser: WebSocket, scene: ClientConnection, gate: MessageGate) -> None:
     try:
         while True:
             message = await browser.receive()
             if message["type"] == "websocket.disconnect":
                 return
-            passed = gate.passes(message.get("bytes"))
-            if passed is not None:
-                await scene.send(passed)
+            accepted = gate.passes(message.get("bytes"))
+            if accepted is not None:
+                await scene.send(accepted)
     except (ConnectionClosed, WebSocketDisconnect, RuntimeError):
-        return  # either side has gone; the other is closed by the caller
+        return  # the browser or viser has disconnected; the caller closes the other socket
 
 
-async def _back(scene: ClientConnection, browser: WebSocket) -> None:
+async def _to_browser(scene: ClientConnection, browser: WebSocket) -> None:
     try:
         async for message in scene:
             if isinstance(message, str):

@@ -1,80 +1,82 @@
-"""A place for the tip that a person points at: whether it can be reached from here, and the way there."""
+"""Planning of a motion of the tip to a target in the scene, and the check whether the tip can reach it."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from core.control.pointing import PLACE, Aim, turn
 from core.control.reachability import check_reach
+from core.control.tip_direction import POSITION_ONLY, TaskSelection, shortest_rotation
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array
 from station.config.motions import WaypointsMotion, directions_of
 
-#: Mean speed on the way [m/s] and the shortest time for it [s].
-SPEED, SHORTEST = 0.008, 2.0
-#: And of the direction, where the tip is to point elsewhere [rad/s].
-TURN = 0.1
-#: Where the joints are too slow the way is tried again in so many times the time.
-SLOWER = (1.0, 2.0, 4.0)
-#: No way is longer [m]: what is tried on the model has an end.
-FARTHEST = 0.35
-#: Held at the place afterwards [s].
-STAY = 3.0
+#: Mean speed of the tip on its way to a target [m/s], and the shortest duration of that motion [s].
+MEAN_SPEED_M_S, MIN_DURATION_S = 0.008, 2.0
+#: Mean turning speed of the tip's direction during the motion [rad/s].
+MEAN_TURN_RAD_S = 0.1
+#: Factors on the duration of the motion, tried in turn until the joints are fast enough.
+SLOWER_FACTORS = (1.0, 2.0, 4.0)
+#: Largest distance of a target from the tip [m]; it bounds the time of the check on the model.
+MAX_DISTANCE_M = 0.35
+#: Time for which the tip stays at the target after the motion [s].
+HOLD_TIME_S = 3.0
 
 
-class Way(NamedTuple):
-    """How to get to a target."""
+class TargetMotion(NamedTuple):
+    """Motion of the tip to a target, or the reason why there is none."""
 
-    motion: WaypointsMotion | None  #: None when it cannot be reached
-    duration: float  #: with the stay [s]
-    reason: str  #: why not; empty when it can
-
-
-class Pointing(NamedTuple):
-    """Where the tip is to point at the target."""
-
-    aim: Aim  #: the controller's
-    now: Array  #: (3,) where it points, unit vector
-    told: Array  #: (3,) where it should, unit vector
+    motion: WaypointsMotion | None  #: straight motion to the target; None: the target cannot be reached
+    duration: float  #: duration of the motion, including the time at the target [s]
+    reason: str  #: why the target cannot be reached; empty if it can
 
 
-def way_to(
+class DirectionTarget(NamedTuple):
+    """Desired direction of the tip at the target."""
+
+    aim: TaskSelection  #: which components of position and direction the controller controls
+    now: Array  #: present direction of the tip (3,), unit vector
+    desired: Array  #: desired direction of the tip (3,), unit vector
+
+
+def plan_target_motion(
     target: Array, statics: Statics, limits: Limits, joints: Array, tip: Array, force: Array,
-    pointing: Pointing | None = None,
-) -> Way:  # fmt: skip
-    """The quickest of a few straight ways that the robot can follow, walked on the model.
+    pointing: DirectionTarget | None = None,
+) -> TargetMotion:  # fmt: skip
+    """Return the fastest of a few straight motions to a target that the robot can follow according to the model.
 
     Args:
-        target: (3,) world frame [m].
-        statics, limits: the controller's.
-        joints: where they are (n,) [rad or m].
-        tip: where the tip is (3,) [m].
-        force: on the tip now, and taken to stay (3,) [N].
-        pointing: which direction it turns to on the way; None: that is not controlled.
+        target: position of the target (3,), world frame [m].
+        statics, limits: model and limits that the controller uses.
+        joints: present joint positions (n,) [rad or m].
+        tip: present position of the tip (3,) [m].
+        force: present force on the tip (3,) [N], assumed constant.
+        pointing: direction to turn to during the motion; None: the direction is not controlled.
     """
     offset = target - tip
     distance = float(np.linalg.norm(offset))
-    if not distance <= FARTHEST:
-        return Way(None, 0.0, f"{1e3 * distance:.0f} mm away, more than {1e3 * FARTHEST:.0f} mm")
-    shortest = max(SHORTEST, distance / SPEED)
+    if not distance <= MAX_DISTANCE_M:
+        return TargetMotion(None, 0.0, f"{1e3 * distance:.0f} mm away, more than {1e3 * MAX_DISTANCE_M:.0f} mm")
+    shortest = max(MIN_DURATION_S, distance / MEAN_SPEED_M_S)
     if pointing is not None:
-        shortest = max(shortest, float(np.linalg.norm(turn(pointing.now, pointing.told))) / TURN)
+        shortest = max(
+            shortest, float(np.linalg.norm(shortest_rotation(pointing.now, pointing.desired))) / MEAN_TURN_RAD_S
+        )
     reason = ""
-    for slower in SLOWER:
+    for slower in SLOWER_FACTORS:
         time = slower * shortest
         end = math.ceil(10.0 * time) / 10.0
-        directions = () if pointing is None else ((0.0, *pointing.now.tolist()), (end, *pointing.told.tolist()))
+        directions = () if pointing is None else ((0.0, *pointing.now.tolist()), (end, *pointing.desired.tolist()))
         try:
             motion = WaypointsMotion(points=((end, *offset.tolist()),), directions=directions)
             check_reach(
                 statics, limits, joints, motion.trajectory(), time + 0.5, lambda _: force,
-                PLACE if pointing is None else pointing.aim, directions_of(motion.directions),
+                POSITION_ONLY if pointing is None else pointing.aim, directions_of(motion.directions),
             )  # fmt: skip
         except (CtrError, ValueError) as error:
             reason = str(error)
             continue
-        return Way(motion, time + STAY, "")
-    return Way(None, 0.0, reason)
+        return TargetMotion(motion, time + HOLD_TIME_S, "")
+    return TargetMotion(None, 0.0, reason)

@@ -1,7 +1,7 @@
-"""Surface of a tube as triangles: rings of its true radius around the centre line of the model.
+"""Surface mesh of a tube: rings of its true radius around the model's centre line.
 
-A tube is drawn over its own length, from its proximal end behind the plate, where the guide holds
-it straight, to its far end. A wider tube hides the narrower one inside it.
+A tube is drawn over its whole length, from its proximal end behind the plate to its distal end. Behind the plate the
+guide keeps the tubes straight. A wider tube hides the narrower one inside it.
 """
 
 import numpy as np
@@ -14,58 +14,58 @@ SIDES = 12
 
 
 def centre_line(shape: Array, at: Array) -> tuple[Array, Array]:
-    """The robot's centre line between and behind the cross-sections that the model gives.
+    """Return the robot's centre line between and behind the cross-sections of the model.
 
-    Cubic between sections, with the model's own tangents; straight along z behind the plate.
+    The line is cubic between cross-sections, with the model's tangents, and straight along z behind the plate.
 
     Args:
         shape: rows of `Statics.shape`: arc length [m], frame by rows (9), position (3) [m], ...
-        at: arc lengths (k,) [m]; negative behind the plate.
+        at: arc lengths from the plate (k,) [m]; negative behind the plate.
 
     Returns:
         Positions (k, 3) [m] and right-handed frames (k, 3, 3) whose last column is the tangent.
     """
-    # Where a tube or a section ends the model has two rows at one place.
+    # One of two rows with the same arc length is dropped; the model has such pairs at ends of tubes and sections.
     rows = shape[np.append(True, np.diff(shape[:, 0]) > 1e-9)]
-    arc, frames, places = rows[:, 0], rows[:, 1:10].reshape(-1, 3, 3), rows[:, 10:13]
+    arc, frames, points = rows[:, 0], rows[:, 1:10].reshape(-1, 3, 3), rows[:, 10:13]
     at = np.minimum(at, arc[-1])
     before = np.clip(np.searchsorted(arc, at, side="right") - 1, 0, len(arc) - 2)
     after = before + 1
     step = (arc[after] - arc[before])[:, None]
     u = np.clip((at - arc[before])[:, None] / step, 0.0, 1.0)
-    p, q = places[before], places[after]
+    p, q = points[before], points[after]
     v, w = step * frames[before, :, 2], step * frames[after, :, 2]
-    place = (1 + 2 * u) * (1 - u) ** 2 * p + u * (1 - u) ** 2 * v + u**2 * (3 - 2 * u) * q + u**2 * (u - 1) * w
+    position = (1 + 2 * u) * (1 - u) ** 2 * p + u * (1 - u) ** 2 * v + u**2 * (3 - 2 * u) * q + u**2 * (u - 1) * w
     tangent = 6 * u * (1 - u) * (q - p) + (1 - u) * (1 - 3 * u) * v + u * (3 * u - 2) * w
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     behind = np.minimum(at - arc[0], 0.0)[:, None]
-    place = place + behind * tangent
+    position = position + behind * tangent
     x = (1 - u) * frames[before, :, 0] + u * frames[after, :, 0]
     x -= tangent * np.sum(x * tangent, axis=1, keepdims=True)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return place, np.stack((x, np.cross(tangent, x), tangent), axis=2)
+    return position, np.stack((x, np.cross(tangent, x), tangent), axis=2)
 
 
 class TubeMesh:
-    """Vertices and triangles of one tube; the triangles stay the same whatever its shape."""
+    """Surface mesh of one tube: vertices that follow its shape, and triangles that do not depend on it."""
 
     def __init__(self, tube: Tube, rings: int = RINGS, sides: int = SIDES) -> None:
         self._tube = tube
         self._rings = rings
         angles = 2.0 * np.pi * np.arange(sides) / sides
         self._circle = 0.5 * tube.outer_diameter * np.stack((np.cos(angles), np.sin(angles)), axis=1)
-        self.count = (rings + 2) * sides + 2  #: of vertices
-        self.faces = _faces(rings, sides)  #: (f, 3) into the vertices, anticlockwise from outside
+        self.count = (rings + 2) * sides + 2  #: number of vertices
+        self.faces = _faces(rings, sides)  #: vertex indices (f, 3), anticlockwise from outside
 
     def vertices(self, shape: Array, beta: float) -> Array:
-        """Points of the surface (v, 3) [m] for a `shape` of the model.
+        """Return the vertices (v, 3) [m] of the tube for a `shape` of the model.
 
-        First the rings from the proximal end on, then each end's rim once more and its centre, so
-        that the ends are flat when shaded. `beta` is the tube's proximal end [m].
+        The rings come first, from the proximal end on, then rim and centre of each end. The rims are repeated so that
+        the ends are shaded flat. `beta` is the position of the tube's proximal end [m].
         """
-        place, frame = centre_line(shape, np.linspace(beta, beta + self._tube.length, self._rings))
-        rings = place[:, None, :] + np.einsum("kij,aj->kai", frame[:, :, :2], self._circle)
-        return np.concatenate((rings.reshape(-1, 3), rings[0], place[:1], rings[-1], place[-1:]))
+        position, frame = centre_line(shape, np.linspace(beta, beta + self._tube.length, self._rings))
+        rings = position[:, None, :] + np.einsum("kij,aj->kai", frame[:, :, :2], self._circle)
+        return np.concatenate((rings.reshape(-1, 3), rings[0], position[:1], rings[-1], position[-1:]))
 
 
 def _faces(rings: int, sides: int) -> NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""The viser view of the station: one thread that keeps the scene up to date."""
+"""View of the station in viser: a thread that updates the 3D scene."""
 
 import logging
 import math
@@ -10,137 +10,138 @@ from collections.abc import Mapping
 import numpy as np
 import viser
 
-from core.control.pointing import aim
+from core.control.tip_direction import task_selection
 from core.errors import CtrError
 from core.model.solution import pure_force
 from core.robot.robot import Array
 from station.config import palette
 from station.lab.loads import GRAVITY, ConstantLoad, NoLoad
 from station.service.station_service import StationService
-from station.service.status import STALE, Status
+from station.service.status import STALE_AFTER_S, StationStatus
 from web.scene.cameras import Cameras
-from web.scene.contact import ROWS, ContactMonitor, SideLoad
-from web.scene.drawn import Drawn
-from web.scene.gizmos import FORCE, FORCE_SIZE, TARGET, TARGET_SIZE, Gizmo, boxes, pull
-from web.scene.history import History
-from web.scene.overlays import Overlays, Shown
+from web.scene.contact import WINDOW_ROWS, ContactMonitor, SideLoad
+from web.scene.content import SceneContent
+from web.scene.gizmos import FORCE_HANDLE, FORCE_SIZE_M, TARGET_HANDLE, TARGET_SIZE_M, Gizmo, boxes, handle_force
+from web.scene.history import TipTrace
+from web.scene.overlays import Overlays, ViewOptions
 from web.scene.proxy import SceneServer
-from web.scene.scene import ARROW, UNIT, Scene
-from web.scene.target import Pointing, Way, way_to
-from web.scene.workspace import Workspace
+from web.scene.scene import ARROW_SCALE_M_PER_N, UNITS_PER_M, Scene
+from web.scene.target import DirectionTarget, TargetMotion, plan_target_motion
+from web.scene.workspace import WorkspaceMesh
 
-#: Pictures a second; trace and target come with every third, a look at the load with every tenth.
-RATE = 30.0
-SLOW, LOOK = 3, 10
-#: While nobody looks every sixth is enough; a multiple of `SLOW`, so that all is in it.
-UNWATCHED = 6
+#: Number of pictures a second. Trace and target are updated with every third picture, the contact with every tenth.
+FRAME_RATE_HZ = 30.0
+TRACE_EVERY, CONTACT_EVERY = 3, 10
+#: Only every sixth picture is drawn while no client is connected. The number is a multiple of `TRACE_EVERY`, so that
+#: each drawn picture has its trace.
+UNWATCHED_EVERY = 6
 
 log = logging.getLogger(__name__)
 
 
-class View:
-    """The scene on a viser server of the caller's, until closed."""
+class SceneView:
+    """Updater of the scene on a viser server, which belongs to the caller; it runs until closed."""
 
     def __init__(self, server: viser.ViserServer, service: StationService) -> None:
         self._server = server
         self._service = service
         self._supervisor = service.supervisor
-        # A client may ask for a public tunnel to this server: there is none.
+        # A client could otherwise request a public tunnel from the internet to this server.
         server.request_share_url = _no_share
-        self._history = History(service.supervisor.channels)
+        self._history = TipTrace(service.supervisor.channels)
         self._limits = service.supervisor.bench.robot.limits()
         server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=palette.BLUE)
         self._scene = Scene(server, service.supervisor)
-        self.cameras = Cameras(server, self._scene.extent, UNIT, lambda: self._scene.drawn.tip)
+        self.cameras = Cameras(server, self._scene.extent, UNITS_PER_M, lambda: self._scene.drawn.tip)
         self._contact_monitor = ContactMonitor(
             service.supervisor.robot, service.supervisor.statics, service.supervisor.channels
         )
-        self._workspace = Workspace(service.supervisor.statics, self._limits)
-        self._overlays = Overlays(server.scene, service.supervisor.statics, self._workspace, UNIT)
-        #: By which the tip goes to the target where the station controls its direction, too.
+        self._workspace = WorkspaceMesh(service.supervisor.statics, self._limits)
+        self._overlays = Overlays(server.scene, service.supervisor.statics, self._workspace, UNITS_PER_M)
+        #: Controller of motions to a target with a direction; None: the station's controller controls no direction.
         file = service.supervisor.bench.controller
         self.pointing = file if file.task == "position_and_direction" else None
-        self._aim = aim(file.task, file.direction_weight)
-        self._target = Gizmo(server.scene, TARGET, UNIT, TARGET_SIZE, turns=self.pointing is not None)
-        self._hand = Gizmo(server.scene, FORCE, UNIT, FORCE_SIZE)
-        self._pulls = False
-        self.scene_server = SceneServer(server.get_port(), boxes(UNIT), Counter())
-        self._shown = Shown()
-        self._way: Way | None = None
+        self._aim = task_selection(file.task, file.direction_weight)
+        self._target = Gizmo(server.scene, TARGET_HANDLE, UNITS_PER_M, TARGET_SIZE_M, turns=self.pointing is not None)
+        self._force_handle = Gizmo(server.scene, FORCE_HANDLE, UNITS_PER_M, FORCE_SIZE_M)
+        self._has_load = False
+        self.scene_server = SceneServer(server.get_port(), boxes(UNITS_PER_M), Counter())
+        self._shown = ViewOptions()
+        self._plan: TargetMotion | None = None
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="viser view")
         self._thread.start()
 
     @property
-    def drawn(self) -> Drawn:
-        """What the last picture shows around the tip."""
+    def drawn(self) -> SceneContent:
+        """Content of the last picture around the tip, for the close-up."""
         return self._scene.drawn
 
     @property
-    def shown(self) -> Shown:
-        """What is shown beside the robot."""
+    def shown(self) -> ViewOptions:
+        """View options, which are the same for all clients."""
         return self._shown
 
     def side_load(self) -> SideLoad | None:
-        """A load that does not act at the tip."""
+        """Return the load that acts on the shaft instead of the tip; None: there is none."""
         return self._contact_monitor.side_load
 
-    def show(self, shown: Shown) -> None:
-        """Show something else beside the robot; a target begins at the tip."""
+    def show(self, shown: ViewOptions) -> None:
+        """Set the view options; a target that is switched on starts at the tip."""
         values = self._supervisor.status().values
         if shown.target and not self._shown.target and "tip_observed" in values:
-            self.place_target(values["tip_observed"], self._heading(values))
+            self.set_target(values["tip_observed"], self._heading(values))
         self._shown = shown
 
-    def place_target(self, place: Array, direction: Array | None = None) -> None:
-        """Put the target at (3,) [m], with the tip to point along a unit vector (3,); None: as before."""
-        self._target.put(place, direction)
-        self._way = self.way_to_target()
+    def set_target(self, position: Array, direction: Array | None = None) -> None:
+        """Move the target to `position` (3,) [m] and set the tip's direction there (3,); None: unchanged."""
+        self._target.put(position, direction)
+        self._plan = self.motion_to_target()
 
     @property
     def target(self) -> Array:
-        """Where the target is (3,) [m]."""
-        return self._target.place
+        """Position of the target (3,) [m]."""
+        return self._target.position
 
     @property
     def target_direction(self) -> Array | None:
-        """Where the tip is to point there (3,); None: its direction is not controlled."""
+        """Desired direction of the tip at the target (3,); None: the direction is not controlled."""
         return None if self.pointing is None else self._target.direction
 
-    def way_to_target(self) -> Way:
-        """How the tip gets from where it is now to the target."""
+    def motion_to_target(self) -> TargetMotion:
+        """Return the motion of the tip from its present position to the target."""
         values = self._supervisor.status().values
         if not values:
-            return Way(None, 0.0, "there is no telemetry yet")
+            return TargetMotion(None, 0.0, "there is no telemetry yet")
         pointing = None
         if self.pointing is not None:
-            # It sets out as the model has it, on which the way is tried; the tip turns by the little that is between.
+            # The motion starts with the model's direction, not with the measured one, because the check uses the model.
             heading = self._modelled(values)
             if heading is None:
-                return Way(None, 0.0, "where the tip points is not known now")
-            pointing = Pointing(self._aim, heading, self._target.direction)
-        return way_to(
-            self._target.place, self._supervisor.statics, self._limits, values["joints"], values["tip_observed"],
+                return TargetMotion(None, 0.0, "the direction of the tip is not known now")
+            pointing = DirectionTarget(self._aim, heading, self._target.direction)
+        return plan_target_motion(
+            self._target.position, self._supervisor.statics, self._limits, values["joints"], values["tip_observed"],
             values["force_filtered"], pointing,
         )  # fmt: skip
 
     def _heading(self, values: Mapping[str, Array]) -> Array | None:
-        """Where the tip points (3,), as observed or, while no controller looks at that, as the model has it."""
+        """Return the observed direction of the tip (3,), or the model's direction while no controller observes it."""
         if self.pointing is None:
             return None
-        seen = values["direction_observed"]
-        return seen if seen.any() and np.isfinite(seen).all() else self._modelled(values)
+        observed = values["direction_observed"]
+        return observed if observed.any() and np.isfinite(observed).all() else self._modelled(values)
 
     def _modelled(self, values: Mapping[str, Array]) -> Array | None:
-        """Where the model has the tip pointing (3,); None while joints and force do not tell it."""
+        """Return the direction of the tip by the model (3,); None: the model has no solution."""
         try:
-            at = self._supervisor.statics.solve(values["joints"], pure_force(values["force_filtered"]))
+            solution = self._supervisor.statics.solve(values["joints"], pure_force(values["force_filtered"]))
         except CtrError:
             return None
-        return at.rotation[:, 2]
+        return solution.rotation[:, 2]
 
     def close(self) -> None:
-        """End the thread; the server is the caller's to stop."""
+        """End the updating thread; the caller stops the viser server."""
         self._end.set()
         self._thread.join()
         self._workspace.close()
@@ -149,21 +150,21 @@ class View:
         due, number = time.monotonic(), 0
         while not self._end.wait(max(0.0, due - time.monotonic())):
             try:
-                if number % LOOK == 0:
-                    self._look_for_contact()
-                if number % UNWATCHED == 0 or self._server.get_clients():
-                    self._frame(slow=number % SLOW == 0)
+                if number % CONTACT_EVERY == 0:
+                    self._update_contact()
+                if number % UNWATCHED_EVERY == 0 or self._server.get_clients():
+                    self._frame(slow=number % TRACE_EVERY == 0)
             except Exception:
-                # Whatever it was, the next picture is a new chance; once a second is enough in the log.
+                # The thread continues, as the next picture may succeed. The pause limits the log to one entry a second.
                 log.exception("a picture of the scene failed")
                 self._end.wait(1.0)
             number += 1
-            due = max(due + 1.0 / RATE, time.monotonic())
+            due = max(due + 1.0 / FRAME_RATE_HZ, time.monotonic())
 
-    def _look_for_contact(self) -> None:
+    def _update_contact(self) -> None:
         ring = self._supervisor.ring
-        rows = ring.read(max(ring.written - ROWS, 0))[0]
-        self._contact_monitor.look(rows if self._supervisor.status().age <= STALE else rows[:0])
+        rows = ring.read(max(ring.written - WINDOW_ROWS, 0))[0]
+        self._contact_monitor.update(rows if self._supervisor.status().age <= STALE_AFTER_S else rows[:0])
 
     def _frame(self, *, slow: bool) -> None:
         status = self._supervisor.status()
@@ -174,12 +175,12 @@ class View:
             if slow:
                 self._scene.update_trace(self._history)
                 self._show_target()
-                self._pull_by_hand(status)
+                self._update_force_handle(status)
 
-    def _overlay(self, status: Status) -> None:
+    def _overlay(self, status: StationStatus) -> None:
         values = status.values
-        live = bool(values) and status.age <= STALE and bool(np.isfinite(values["joints"]).all())
-        shown = self._shown if live else Shown()
+        live = bool(values) and status.age <= STALE_AFTER_S and bool(np.isfinite(values["joints"]).all())
+        shown = self._shown if live else ViewOptions()
         if live:
             uncertainty = math.sqrt(values["bias_covariance"][0])
             self._overlays.update(shown, values["joints"], values["tip_observed"], uncertainty)
@@ -188,35 +189,35 @@ class View:
         self._target.show(self._shown.target)
         if not self._shown.target:
             return
-        if self._target.taken() is not None or self._way is None:
-            self._way = self.way_to_target()
+        if self._target.dragged() is not None or self._plan is None:
+            self._plan = self.motion_to_target()
 
-    def _pull_by_hand(self, status: Status) -> None:
-        """The force's handle: dragged it pulls at the simulated tip, else it stays at the arrow's end."""
+    def _update_force_handle(self, status: StationStatus) -> None:
+        """Apply the force of the dragged handle to the simulated tip; otherwise move the handle to the arrow's end."""
         shown = self._shown.force and bool(status.values) and self._supervisor.bench.devices is None
-        self._hand.show(shown)
+        self._force_handle.show(shown)
         if not shown:
-            if self._pulls:
-                self._pulls = False
+            if self._has_load:
+                self._has_load = False
                 self._service.apply_load(NoLoad())
             return
         tip = status.values["tip_observed"]
-        taken = self._hand.taken()
-        if taken is not None:
-            force = pull(taken, tip, ARROW)
+        dragged = self._force_handle.dragged()
+        if dragged is not None:
+            force = handle_force(dragged, tip, ARROW_SCALE_M_PER_N)
             size = float(np.linalg.norm(force))
-            self._pulls = True
+            self._has_load = True
             self._service.apply_load(ConstantLoad(magnitude=size, direction=_direction(force, size)))
         else:
-            self._hand.put(tip + ARROW * self._history.mean("force"))
+            self._force_handle.put(tip + ARROW_SCALE_M_PER_N * self._history.mean("force"))
 
 
 def _direction(force: Array, size: float) -> tuple[float, float, float]:
-    """Of a force (3,) [N]; down when it has none."""
+    """Return the direction of a force (3,) [N]; down for a zero force."""
     x, y, z = (force / size).tolist() if size > 1e-6 else GRAVITY
     return x, y, z
 
 
 def _no_share(verbose: bool = True) -> str | None:  # noqa: ARG001 - viser's signature
-    log.warning("a client asked for a public share link; refused")
+    log.warning("a client requested a public share link; refused")
     return None

@@ -1,4 +1,4 @@
-"""Where the camera may stand: views that are fitted to the robot's size and to the shape of the picture."""
+"""Named views of the scene's camera, fitted to the robot's size and to the aspect ratio of the picture."""
 
 from typing import NamedTuple
 
@@ -6,20 +6,20 @@ import numpy as np
 
 from core.robot.robot import Array
 
-#: Of the camera, from top to bottom [rad].
-FIELD = np.deg2rad(35.0)
-#: Width by height of a picture whose shape is not known yet.
-ASPECT = 1.4
-#: Room around what is seen.
-MARGIN = 1.06
-#: What the view of the tip holds: half an edge of a cube around it [m].
-NEAR = 0.03
+#: Vertical field of view of the camera [rad].
+FIELD_OF_VIEW_RAD = np.deg2rad(35.0)
+#: Aspect ratio (width by height) that is assumed for a picture of unknown size.
+DEFAULT_ASPECT = 1.4
+#: Factor on the camera's distance that leaves a margin around the bounds.
+VIEW_MARGIN = 1.06
+#: Half the edge length of the cube around the tip that the view "tip" shows [m].
+TIP_VIEW_HALF_EDGE_M = 0.03
 
-#: Of the room beside the axis so much is looked at in the overview: the tip is seldom as far out as it can be.
-ASIDE = 0.45
+#: Share of the robot's lateral reach that the overview shows; the tip is seldom at the limit of its reach.
+LATERAL_SHARE = 0.45
 
-_DOWN = (-1.0, 0.0, 0.0)  # the screen's up; gravity is +x
-#: From what is looked at to the eye, of any length, and the screen's upward direction.
+_DOWN = (-1.0, 0.0, 0.0)  # upward direction of the screen, against gravity (+x)
+#: Two vectors of each view: from the centre to the camera (of any length), and the upward direction of the screen.
 DIRECTIONS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "Overview": ((-0.42, -0.85, 0.42), _DOWN),
     "Side": ((0.0, -1.0, 0.0), _DOWN),
@@ -30,59 +30,59 @@ DIRECTIONS: dict[str, tuple[tuple[float, float, float], tuple[float, float, floa
 VIEWS = tuple(DIRECTIONS)
 
 
-class Bounds(NamedTuple):
-    """A box in the world."""
+class ViewBounds(NamedTuple):
+    """A box in the world frame that a view shows."""
 
-    lower: Array  #: (3,) [m]
-    upper: Array  #: (3,) [m]
+    lower: Array  #: smallest coordinates (3,) [m]
+    upper: Array  #: largest coordinates (3,) [m]
 
     @staticmethod
-    def around(points: Array) -> "Bounds":
-        """The least that holds points (k, 3) [m]."""
-        return Bounds(points.min(axis=0), points.max(axis=0))
+    def around(points: Array) -> "ViewBounds":
+        """Return the smallest box around points (k, 3) [m]."""
+        return ViewBounds(points.min(axis=0), points.max(axis=0))
 
     @property
     def middle(self) -> Array:
-        """(3,) [m]."""
+        """Centre of the box (3,) [m]."""
         return 0.5 * (self.lower + self.upper)
 
     @property
     def corners(self) -> Array:
-        """(8, 3) [m]."""
+        """Corners of the box (8, 3) [m]."""
         ends = np.stack((self.lower, self.upper))
         return np.stack([axis.ravel() for axis in np.meshgrid(*ends.T, indexing="ij")], axis=1)
 
 
 class Camera(NamedTuple):
-    """Where it stands, what it looks at and what is up."""
+    """Position and orientation of a camera."""
 
-    eye: Array  #: (3,) [m]
-    centre: Array  #: (3,) [m]
-    up: Array  #: (3,)
+    eye: Array  #: position (3,) [m]
+    centre: Array  #: point at the centre of the picture (3,) [m]
+    up: Array  #: upward direction (3,)
 
 
-def camera(view: str, robot: Bounds, tip: Array, aspect: float) -> Camera:
-    """The nearest place from which a view shows all that it is to show.
+def camera(view: str, robot: ViewBounds, tip: Array, aspect: float) -> Camera:
+    """Return the camera that is as near as possible while the view shows its whole bounds.
 
     Args:
         view: one of `VIEWS`.
-        robot: everything that the robot reaches.
-        tip: where the tip is (3,) [m].
-        aspect: width of the picture by its height.
+        robot: bounds of the robot's reach.
+        tip: present tip (3,) [m].
+        aspect: aspect ratio of the picture (width by height).
     """
-    seen = robot
+    shown = robot
     if view == "Tip":
-        seen = Bounds(tip - NEAR, tip + NEAR)
+        shown = ViewBounds(tip - TIP_VIEW_HALF_EDGE_M, tip + TIP_VIEW_HALF_EDGE_M)
     elif view == "Overview":
         middle, along = robot.middle, robot.upper - robot.lower == np.max(robot.upper - robot.lower)
-        seen = Bounds(*(middle + np.where(along, 1.0, ASIDE) * (end - middle) for end in robot))
+        shown = ViewBounds(*(middle + np.where(along, 1.0, LATERAL_SHARE) * (end - middle) for end in robot))
     direction, up = (np.array(vector) for vector in DIRECTIONS[view])
     toward = direction / np.linalg.norm(direction)
     right = np.cross(up, toward)
     right /= np.linalg.norm(right)
-    corners = seen.corners - seen.middle
-    half = np.tan(0.5 * FIELD)
+    corners = shown.corners - shown.middle
+    half = np.tan(0.5 * FIELD_OF_VIEW_RAD)
     sideways = np.abs(corners @ right) / (half * aspect)
     upward = np.abs(corners @ np.cross(toward, right)) / half
-    distance = float(np.max(corners @ toward + MARGIN * np.maximum(sideways, upward)))
-    return Camera(seen.middle + distance * toward, seen.middle, up)
+    distance = float(np.max(corners @ toward + VIEW_MARGIN * np.maximum(sideways, upward)))
+    return Camera(shown.middle + distance * toward, shown.middle, up)

@@ -1,38 +1,38 @@
-"""Where the tip can go without a load: poses spread over the joints' travel, and the hull around their tips."""
+"""Workspace of the tip without a load: a hull around the tips of poses that cover the joints' travel."""
 
 import threading
 
 import numpy as np
 
-from core.model.many import solve_many
+from core.model.batch import solve_many
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Indices
 
-#: Poses that are tried, and how many between two looks whether to end.
-POSES, AT_ONCE = 1500, 100
-#: Cuts across the axis, and corners of each ring.
-CUTS, CORNERS = 28, 48
+#: Number of solved poses, and number of poses between two checks whether the computation was cancelled.
+POSE_COUNT, BATCH_POSES = 1500, 100
+#: Number of cuts across the plate's axis, and number of corners of each ring of the surface.
+AXIAL_CUTS, RING_CORNERS = 28, 48
 
 
 def reachable_tips(
-    statics: Statics, limits: Limits, poses: int = POSES, ending: threading.Event | None = None
+    statics: Statics, limits: Limits, poses: int = POSE_COUNT, ending: threading.Event | None = None
 ) -> Array:
-    """Tips (k, 3) [m] of unloaded poses spread evenly over the joints' travel; poses that cannot be are left out."""
+    """Return the tips (k, 3) [m] of unloaded poses over the joints' travel; poses without a solution are omitted."""
     lower = np.array([limit.lower for limit in limits.joints])
     upper = np.array([limit.upper for limit in limits.joints])
     joints = lower + np.random.default_rng(0).random((poses, len(lower))) * (upper - lower)
     tips = [np.empty((0, 3))]
-    for some in np.split(joints, range(AT_ONCE, poses, AT_ONCE)):
+    for batch in np.split(joints, range(BATCH_POSES, poses, BATCH_POSES)):
         if ending is not None and ending.is_set():
             break
-        solved = solve_many(statics, some, np.zeros((len(some), 6)))
+        solved = solve_many(statics, batch, np.zeros((len(batch), 6)))
         tips.append(solved.tip[solved.ok])
     return np.concatenate(tips)
 
 
 def turns_as_a_whole(limits: Limits, statics: Statics) -> bool:
-    """Whether every tube can turn by a whole turn: then the workspace is round about the plate's axis."""
+    """Return whether every tube can make a whole turn, so that the workspace is symmetric about the plate's axis."""
     robot = statics.robot
     turning = {
         joint.tube
@@ -43,8 +43,8 @@ def turns_as_a_whole(limits: Limits, statics: Statics) -> bool:
 
 
 def hull(tips: Array) -> tuple[Array, Indices]:
-    """Corners (v, 3) [m] and triangles (f, 3) of the least convex body around tips (k, 3) [m]."""
-    from scipy.spatial import ConvexHull  # here: slow to import, and most robots turn as a whole
+    """Return corners (v, 3) [m] and triangles (f, 3) of the convex hull of tips (k, 3) [m]."""
+    from scipy.spatial import ConvexHull  # imported here because the import is slow and most robots do not need it
 
     found = ConvexHull(tips)
     faces = found.simplices.astype(np.int64)
@@ -54,9 +54,10 @@ def hull(tips: Array) -> tuple[Array, Indices]:
     return tips, faces
 
 
-def bell(tips: Array, cuts: int = CUTS, corners: int = CORNERS) -> tuple[Array, Indices]:
-    """A surface of revolution around tips (k, 3) [m] about the z axis: in every cut from the least to the largest
-    distance from it.
+def workspace_surface(tips: Array, cuts: int = AXIAL_CUTS, corners: int = RING_CORNERS) -> tuple[Array, Indices]:
+    """Return a surface of revolution about the z axis that encloses tips (k, 3) [m].
+
+    Every cut across the axis extends from the smallest to the largest distance of its tips from the axis.
 
     Returns:
         Corners (v, 3) [m] and triangles (f, 3).
@@ -86,8 +87,8 @@ def bell(tips: Array, cuts: int = CUTS, corners: int = CORNERS) -> tuple[Array, 
     return rings.reshape(-1, 3), faces
 
 
-class Workspace:
-    """The hull of one robot, computed once in a thread of its own when it is first asked for."""
+class WorkspaceMesh:
+    """Workspace surface of one robot, which a separate thread computes at the first request."""
 
     def __init__(self, statics: Statics, limits: Limits) -> None:
         self._statics, self._limits = statics, limits
@@ -96,26 +97,26 @@ class Workspace:
         self._surface: tuple[Array, Indices] | None = None
 
     def surface(self) -> tuple[Array, Indices] | None:
-        """Corners (v, 3) [m] and triangles (f, 3), world frame; None while they are being computed."""
+        """Return corners (v, 3) [m] and triangles (f, 3), world frame; None while they are being computed."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._compute, name="workspace", daemon=True)
             self._thread.start()
         return self._surface
 
     def close(self) -> None:
-        """End the computation."""
+        """Cancel the computation of the surface."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join()
 
     def _compute(self) -> None:
-        tips = reachable_tips(self._statics, self._limits, POSES, self._ending)
-        if self._ending.is_set() or len(tips) < 2 * CUTS:
+        tips = reachable_tips(self._statics, self._limits, POSE_COUNT, self._ending)
+        if self._ending.is_set() or len(tips) < 2 * AXIAL_CUTS:
             return
         base = self._statics.robot.base
         around, to = base.rotation, np.array(base.position)
         if turns_as_a_whole(self._limits, self._statics):
-            corners, faces = bell((tips - to) @ around)
+            corners, faces = workspace_surface((tips - to) @ around)
             self._surface = corners @ around.T + to, faces
         else:
             self._surface = hull(tips)

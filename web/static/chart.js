@@ -1,15 +1,15 @@
-// One chart on a canvas: traces over time, their values in its head, zoom by dragging. No library.
+// One chart on a canvas: traces over time, their values above it, zoom by dragging. No library.
 import { make } from "./station.js";
 
 const LEFT = 46, RIGHT = 8, TOP = 6, BOTTOM = 20;
 
-/** Steps of 1, 2 or 5 that give about `count` ticks. */
+/** Return a step of 1, 2 or 5 times a power of ten that gives about `count` ticks. */
 export function step(span, count) {
   const rough = span / count, power = 10 ** Math.floor(Math.log10(rough)), part = rough / power;
   return power * (part < 1.5 ? 1 : part < 3.5 ? 2 : part < 7.5 ? 5 : 10);
 }
 
-/** A number that keeps its width. */
+/** Format a number with a constant width. */
 function shown(value) {
   if (!Number.isFinite(value)) return "–";
   const text = value.toFixed(Math.abs(value) >= 99.95 ? 0 : Math.abs(value) >= 9.995 ? 1 : 2);
@@ -18,17 +18,18 @@ function shown(value) {
 
 export class Chart {
   /**
-   * `traces`: [{name, colour, dash, value(sample) -> number or NaN, raw: the same, drawn pale}]; `least`: span of the
-   * value axis at least; `onPoint(time)`: the pointer is there, null when it leaves.
+   * `traces`: [{name, colour, dash, value(sample) -> number or NaN, raw: unfiltered values, drawn pale,
+   * spread: half the height of a band around it}]; `least`: span of the
+   * value axis at least; `onPoint(time)`: time under the pointer, null when it leaves.
    */
-  constructor(title, unitText, traces, least, onZoom, onPoint) {
+  constructor(title, unitText, traces, minimumSpan, onZoom, onPoint) {
     this.traces = traces.map((trace) => ({ ...trace, on: trace.on ?? true }));
     this.unit = unitText;
-    this.least = least;
+    this.minimumSpan = minimumSpan;
     this.canvas = make("canvas", { tabIndex: 0, role: "img", "aria-label": `${title} over time` });
     this.keys = this.traces.map((trace) => {
-      const said = make("output", {}, "–"), key = make("button", { type: "button", "aria-pressed": String(trace.on) }, `${trace.name} `, said);
-      trace.said = said;
+      const output = make("output", {}, "–"), key = make("button", { type: "button", "aria-pressed": String(trace.on) }, `${trace.name} `, output);
+      trace.output = output;
       key.style.borderBottom = `2px ${trace.dash.length === 0 ? "solid" : trace.dash[0] > 3 ? "dashed" : "dotted"} ${trace.colour}`;
       key.addEventListener("click", () => { trace.on = !trace.on; key.setAttribute("aria-pressed", String(trace.on)); this.draw(); });
       return key;
@@ -37,7 +38,7 @@ export class Chart {
       make("div", { className: "chart-head" }, make("b", {}, `${title} [${unitText}]`), ...this.keys), this.canvas);
     this.samples = [];
     this.range = [0, 1];
-    this.cursor = this.drag = null; // a time [s], and two places
+    this.cursor = this.drag = null; // cursor: a time [s]; drag: two horizontal positions [pixels]
     this.listen(onZoom, onPoint);
   }
 
@@ -64,7 +65,7 @@ export class Chart {
     return this.range[0] + ((x - LEFT) / width) * (this.range[1] - this.range[0]);
   }
 
-  /** Mark this time and tell its values; null: the newest. */
+  /** Mark a time in the chart and show the values at it; null: show the newest values. */
   point(time) {
     this.cursor = time;
     this.draw();
@@ -73,7 +74,7 @@ export class Chart {
   show(samples, range, zero) {
     this.samples = samples;
     this.range = range;
-    this.zero = zero; // time that the axis calls 0
+    this.zero = zero; // time at 0 of the axis
     this.draw();
   }
 
@@ -100,9 +101,23 @@ export class Chart {
     pen.rect(LEFT, 0, width - LEFT - RIGHT, height - BOTTOM);
     pen.clip();
     for (const trace of this.traces.filter((one) => one.on && one.raw)) this.line(pen, { ...trace, value: trace.raw, dash: [] }, within, x, y, 0.3);
+    for (const trace of this.traces.filter((one) => one.on && one.spread)) this.band(pen, trace, within, x, y);
     for (const trace of this.traces.filter((one) => one.on)) this.line(pen, trace, within, x, y);
     pen.restore();
     this.pointer(pen, within, { width, height, x, y, ink });
+  }
+
+  /** Draw the uncertainty of a trace as a band where it is known. */
+  band(pen, trace, samples, x, y) {
+    const drawn = samples.filter((sample) => Number.isFinite(trace.value(sample)) && Number.isFinite(trace.spread(sample)));
+    if (drawn.length < 2) return;
+    pen.globalAlpha = 0.15;
+    pen.fillStyle = trace.colour;
+    pen.beginPath();
+    for (const sample of drawn) pen.lineTo(x(sample.time), y(trace.value(sample) + trace.spread(sample)));
+    for (const sample of drawn.reverse()) pen.lineTo(x(sample.time), y(trace.value(sample) - trace.spread(sample)));
+    pen.fill();
+    pen.globalAlpha = 1;
   }
 
   bounds(samples) {
@@ -115,9 +130,9 @@ export class Chart {
         }
       }
     }
-    if (low > high) return [-this.least / 2, this.least / 2];
-    const room = Math.max((high - low) * 0.08, (this.least - (high - low)) / 2);
-    return [low - room, high + room];
+    if (low > high) return [-this.minimumSpan / 2, this.minimumSpan / 2];
+    const margin = Math.max((high - low) * 0.08, (this.minimumSpan - (high - low)) / 2);
+    return [low - margin, high + margin];
   }
 
   axes(pen, { width, height, low, high, from, to, x, y, ink, grid }) {
@@ -136,7 +151,7 @@ export class Chart {
     }
     pen.textAlign = "center";
     pen.textBaseline = "top";
-    const pace = step(to - from, 6), places = Math.max(0, -Math.floor(Math.log10(pace) + 1e-9));
+    const pace = step(to - from, 6), timeDigits = Math.max(0, -Math.floor(Math.log10(pace) + 1e-9));
     for (let time = Math.ceil((from - this.zero) / pace) * pace; time + this.zero <= to; time += pace) {
       pen.strokeStyle = grid;
       pen.beginPath();
@@ -144,22 +159,22 @@ export class Chart {
       pen.lineTo(x(time + this.zero), height - BOTTOM);
       pen.stroke();
       pen.fillStyle = ink;
-      pen.fillText(`${time.toFixed(places)} s`, Math.min(x(time + this.zero), width - 16), height - BOTTOM + 5);
+      pen.fillText(`${time.toFixed(timeDigits)} s`, Math.min(x(time + this.zero), width - 16), height - BOTTOM + 5);
     }
   }
 
-  line(pen, trace, samples, x, y, strength = 1) {
-    pen.globalAlpha = strength;
+  line(pen, trace, samples, x, y, opacity = 1) {
+    pen.globalAlpha = opacity;
     pen.strokeStyle = trace.colour;
-    pen.lineWidth = strength < 1 ? 1 : 2;
+    pen.lineWidth = opacity < 1 ? 1 : 2;
     pen.setLineDash(trace.dash);
     pen.beginPath();
-    let down = false;
+    let connected = false;
     for (const sample of samples) {
       const value = trace.value(sample);
-      if (!Number.isFinite(value)) { down = false; continue; }
-      if (down) pen.lineTo(x(sample.time), y(value)); else pen.moveTo(x(sample.time), y(value));
-      down = true;
+      if (!Number.isFinite(value)) { connected = false; continue; }
+      if (connected) pen.lineTo(x(sample.time), y(value)); else pen.moveTo(x(sample.time), y(value));
+      connected = true;
     }
     pen.stroke();
     pen.setLineDash([]);
@@ -171,22 +186,22 @@ export class Chart {
       pen.fillStyle = "#0072b233";
       pen.fillRect(Math.min(...this.drag), TOP, Math.abs(this.drag[0] - this.drag[1]), height - TOP - BOTTOM);
     }
-    const time = this.cursor, near = time === null || samples.length === 0 ? samples.at(-1)
+    const time = this.cursor, nearest = time === null || samples.length === 0 ? samples.at(-1)
       : samples.reduce((best, one) => (Math.abs(one.time - time) < Math.abs(best.time - time) ? one : best));
     for (const trace of this.traces) {
-      const text = near === undefined ? "–" : shown(trace.value(near));
-      if (trace.said.textContent !== text) trace.said.textContent = text;
+      const text = nearest === undefined ? "–" : shown(trace.value(nearest));
+      if (trace.output.textContent !== text) trace.output.textContent = text;
     }
-    if (time === null || near === undefined) return;
+    if (time === null || nearest === undefined) return;
     pen.strokeStyle = ink;
     pen.beginPath();
-    pen.moveTo(x(near.time), TOP);
-    pen.lineTo(x(near.time), height - BOTTOM);
+    pen.moveTo(x(nearest.time), TOP);
+    pen.lineTo(x(nearest.time), height - BOTTOM);
     pen.stroke();
     pen.fillStyle = ink;
-    const behind = x(near.time) > width - 70;
+    const behind = x(nearest.time) > width - 70;
     pen.textAlign = behind ? "right" : "left";
     pen.textBaseline = "top";
-    pen.fillText(`${(near.time - this.zero).toFixed(2)} s`, x(near.time) + (behind ? -5 : 5), TOP);
+    pen.fillText(`${(nearest.time - this.zero).toFixed(2)} s`, x(nearest.time) + (behind ? -5 : 5), TOP);
   }
 }

@@ -1,9 +1,9 @@
-// A small picture of a few lines over one time, for runs that are over: axes, names, and values under the pointer.
+// A small chart of finished runs: a few lines over time, axes, names, and values under the pointer.
 import { make } from "./station.js";
 import { step } from "./chart.js";
 
-const DARK = matchMedia("(prefers-color-scheme: dark)").matches; // blue lines need a light ground
-const LOOKS = [["#d55e00", ""], [DARK ? "#56b4e9" : "#0072b2", "6 3"], ["#009e73", "2 2"], ["#cc79a7", "9 2 2 2"], [DARK ? "#f0e442" : "#56b4e9", ""], ["#e69f00", "4 2"]];
+const DARK = matchMedia("(prefers-color-scheme: dark)").matches; // dark blue lines need a light background
+const LINE_STYLES = [["#d55e00", ""], [DARK ? "#56b4e9" : "#0072b2", "6 3"], ["#009e73", "2 2"], ["#cc79a7", "9 2 2 2"], [DARK ? "#f0e442" : "#56b4e9", ""], ["#e69f00", "4 2"]];
 const WIDTH = 420, HEIGHT = 128, LEFT = 40, RIGHT = 8, TOP = 6, BOTTOM = 18;
 
 function svg(tag, fields, ...children) {
@@ -13,7 +13,7 @@ function svg(tag, fields, ...children) {
   return element;
 }
 
-/** Marks of an axis from `low` to `high`: [[value, text]]. */
+/** Return the ticks of an axis from `low` to `high`: [[value, text]]. */
 function marks(low, high, count) {
   const pace = step(high - low, count), digits = Math.max(0, -Math.floor(Math.log10(pace) + 1e-9));
   const found = [];
@@ -27,7 +27,10 @@ function at(line, time) {
   return line.value[best];
 }
 
-/** `lines`: [{name, time: [s], value: []}], from 0 up; before `from` [s] nothing counts, which is shaded. */
+/**
+ * Return a chart of `lines`: [{name, time: [s], value: []}], values from 0. The time before `from` [s] is not
+ * evaluated, and shaded.
+ */
 export function curve(title, unit, lines, from = 0) {
   const drawn = lines.filter((line) => line.time.length > 0);
   if (drawn.length === 0) return make("p", { className: "small dim" }, `${title}: nothing was recorded`);
@@ -43,25 +46,25 @@ export function curve(title, unit, lines, from = 0) {
       svg("text", { x: Math.min(x(time), WIDTH - 14), y: HEIGHT - 4, "text-anchor": "middle" }, `${text} s`));
   }
   drawn.forEach((line, i) => {
-    const [colour, dash] = LOOKS[i % LOOKS.length];
+    const [colour, dash] = LINE_STYLES[i % LINE_STYLES.length];
     const points = line.time.map((time, k) => `${x(time).toFixed(1)},${y(line.value[k]).toFixed(1)}`).join(" ");
     picture.append(svg("polyline", { points, stroke: colour, "stroke-dasharray": dash }));
   });
   const mark = svg("line", { y1: TOP, y2: HEIGHT - BOTTOM, class: "mark", visibility: "hidden" });
   picture.append(mark);
   const names = drawn.map((line, i) => {
-    const key = make("span", { hidden: drawn.length === 1 }, line.name), said = make("span", { className: "said" });
-    key.style.borderBottom = `2px ${LOOKS[i % LOOKS.length][1] === "" ? "solid" : "dashed"} ${LOOKS[i % LOOKS.length][0]}`;
-    return { element: make("span", { className: "key" }, key, said), said, line };
+    const key = make("span", { hidden: drawn.length === 1 }, line.name), output = make("span", { className: "said" });
+    key.style.borderBottom = `2px ${LINE_STYLES[i % LINE_STYLES.length][1] === "" ? "solid" : "dashed"} ${LINE_STYLES[i % LINE_STYLES.length][0]}`;
+    return { element: make("span", { className: "key" }, key, output), output, line };
   });
   picture.addEventListener("pointermove", (event) => {
-    const box = picture.getBoundingClientRect(), place = ((event.clientX - box.left) / box.width) * WIDTH;
-    const time = Math.min(end, Math.max(0, ((place - LEFT) / (WIDTH - LEFT - RIGHT)) * end));
+    const box = picture.getBoundingClientRect(), pointerX = ((event.clientX - box.left) / box.width) * WIDTH;
+    const time = Math.min(end, Math.max(0, ((pointerX - LEFT) / (WIDTH - LEFT - RIGHT)) * end));
     mark.setAttribute("x1", x(time));
     mark.setAttribute("x2", x(time));
     mark.setAttribute("visibility", "visible");
-    for (const { said, line } of names) said.textContent = ` ${at(line, time).toPrecision(3)} ${unit}`;
+    for (const { output, line } of names) output.textContent = ` ${at(line, time).toPrecision(3)} ${unit}`;
   });
-  picture.addEventListener("pointerleave", () => { mark.setAttribute("visibility", "hidden"); for (const { said } of names) said.textContent = ""; });
+  picture.addEventListener("pointerleave", () => { mark.setAttribute("visibility", "hidden"); for (const { output } of names) output.textContent = ""; });
   return make("figure", { className: "small" }, make("figcaption", {}, make("b", {}, `${title} [${unit}]`), ...names.map((name) => name.element)), picture);
 }

@@ -1,14 +1,14 @@
-// What was typed and not saved is kept in this browser, and is there again when one comes back.
+// Unsaved text is kept in this browser and restored later.
 import { make } from "./station.js";
 
-/** Keep what is typed into `area` under a name: {element: says so, saved(): it is in the station now}. */
+/** Keep the text of `area` under a name: {element: shows unsaved text, saved(text): the station has stored it}. */
 export function draft(area, name) {
   const key = `draft ${name}`, element = make("span", { className: "small mind", role: "status" });
   let stored = area.value;
   const show = () => {
-    const open = area.value !== stored;
-    element.textContent = open ? "not saved yet; kept in this browser" : "";
-    if (open) localStorage.setItem(key, area.value); else localStorage.removeItem(key);
+    const isUnsaved = area.value !== stored;
+    element.textContent = isUnsaved ? "not saved yet; kept in this browser" : "";
+    if (isUnsaved) localStorage.setItem(key, area.value); else localStorage.removeItem(key);
   };
   area.value = localStorage.getItem(key) ?? stored;
   area.addEventListener("input", show);

@@ -1,6 +1,6 @@
-// Forms made from the station's own description of its requests (OpenAPI): names, units, bounds, defaults.
-// Metres and radians become millimetres and degrees, where a person reads; what is sent is SI.
-import { ask, make } from "./station.js";
+// Forms built from the station's description of its requests (OpenAPI): names, units, bounds, defaults.
+// The page shows millimetres and degrees; requests use SI.
+import { request, make } from "./station.js";
 import { tidy, unit } from "./units.js";
 
 export { tidy, unit };
@@ -9,22 +9,22 @@ const XYZ = ["x", "y", "z"];
 
 let description = null;
 /** The schemas of all requests, by name. */
-export const schemas = async () => (description ??= (await ask("GET", "/api/openapi.json")).components.schemas);
+export const schemas = async () => (description ??= (await request("GET", "/api/openapi.json")).components.schemas);
 
-/** Where joints stand, for a person: "outer rotation 90 °, ...". `joints` are of whatever robot the pose is. */
+/** Format a joint pose: "outer rotation 90 °, ...". `joints` are the joints of the pose's robot. */
 export const poseText = (joints, pose) => joints.map((joint) => {
   const [shown, scale] = unit(joint.unit);
   return `${joint.name.replaceAll("_", " ")} ${tidy(Number((pose[joint.name] * scale).toFixed(1)))} ${shown}`;
 }).join(", ");
 
 const named = (reference) => reference.split("/").at(-1);
-/** The variants of a union by their `kind`: {circle: schema, ...}. */
+/** Return the variants of a union by their `kind`: {circle: schema, ...}. */
 export function variants(all, field) {
   const union = field.oneOf ? field : (field.anyOf ?? []).find((one) => one.oneOf);
   return Object.fromEntries(Object.entries(union.discriminator.mapping).map(([kind, where]) => [kind, all[named(where)]]));
 }
 
-/** First sentence of a schema's description. */
+/** Return the first paragraph of a schema's description. */
 export const sentence = (schema) => (schema.description ?? "").split("\n\n")[0].replaceAll("\n", " ");
 
 function bounds(field, scale) {
@@ -45,7 +45,7 @@ function numberInput(field, value, scale, required, label) {
 const range = ({ low, high, open }) => low === null && high === null ? ""
   : high === null ? (open ? ` > ${tidy(low)}` : ` ≥ ${tidy(low)}`) : ` ${low === null ? "≤" : `${tidy(low)} …`} ${tidy(high)}`;
 
-/** One field: its elements for the grid, and how to read it in SI; undefined leaves it out. */
+/** Build one field: {elements for the grid, read() in SI}; `undefined` omits the field. */
 function build(key, field, value, required, choices) {
   const optional = (field.anyOf ?? []).some((one) => one.type === "null");
   const core = optional ? { ...field.anyOf.find((one) => one.type !== "null"), description: field.description } : field;
@@ -66,9 +66,9 @@ function build(key, field, value, required, choices) {
   }
   if (core.type === "number" || core.type === "integer") {
     const input = numberInput(core, value, scale, required && !optional, label);
-    if (optional) input.placeholder = "as it suits"; // left out, and the station's own choice
-    const read = () => (input.value === "" ? undefined : Number(input.value) / scale);
-    return { elements: row(input, shown + range(bounds(core, scale))), read };
+    if (optional) input.placeholder = "automatic"; // an omitted value is chosen by the station
+    const readValue = () => (input.value === "" ? undefined : Number(input.value) / scale);
+    return { elements: row(input, shown + range(bounds(core, scale))), read: readValue };
   }
   if (core.type === "array" && core.prefixItems) {
     const inputs = XYZ.map((axis, i) => numberInput(core.prefixItems[i], value?.[i], scale, required, `${label} ${axis}`));
@@ -79,12 +79,15 @@ function build(key, field, value, required, choices) {
   return { elements: row(list, si), read: () => list.value.split(",").map(Number) };
 }
 
-/** A form for an object schema: {element, read()}. `more` names what is folded away; `choices` the words of a text field. */
+/**
+ * Return a form for an object schema: {element, read()}. `more` names folded fields; `choices` the options of a text
+ * field.
+ */
 export function form(schema, { values = {}, more = [], choices = {}, skip = [] } = {}) {
   const grid = make("div", { className: "rows" }), rest = make("div", { className: "rows" }), readers = {};
   for (const [key, field] of Object.entries(schema.properties)) {
     if (field.const !== undefined || skip.includes(key)) continue;
-    // Rows of numbers and tables are for files and scripts: here they stay as they are.
+    // Lists of rows and tables are edited in files and scripts only; the form keeps their values.
     if (field.default !== undefined && (field.type === "object" || field.items?.type === "array")) {
       readers[key] = () => values[key];
       continue;
@@ -99,8 +102,8 @@ export function form(schema, { values = {}, more = [], choices = {}, skip = [] }
   const kind = schema.properties.kind?.const;
   return { element, read: () => {
     const result = kind === undefined ? {} : { kind };
-    for (const [key, read] of Object.entries(readers)) {
-      const value = read();
+    for (const [key, readValue] of Object.entries(readers)) {
+      const value = readValue();
       if (value !== undefined) result[key] = value;
     }
     return result;

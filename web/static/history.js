@@ -1,22 +1,22 @@
-// The telemetry of the last minutes, which outlives a reload of the page.
+// The telemetry of the last minutes; it survives a reload of the page.
 const KEY = "telemetry";
 
-function kept() {
+function stored() {
   try { return JSON.parse(sessionStorage.getItem(KEY)) ?? []; } catch { return []; }
 }
 
-/** Samples as the station has streamed them, the oldest first. */
-export const samples = kept();
+/** Telemetry samples as streamed by the station, the oldest first. */
+export const samples = stored();
 
-/** Nothing is known between the last sample and the next one: no line leads over it. */
+/** Mark a gap between the last sample and the next one: plots draw no line across it. */
 export function gap() {
   if (samples.length > 0) samples.push({ time: samples.at(-1).time, joints: [] });
 }
 
 window.addEventListener("pagehide", () => {
-  const text = (some) => JSON.stringify(some, (_, value) => (typeof value === "number" ? Number(value.toFixed(7)) : value));
-  // A browser keeps some millions of letters: the newest half is better than nothing.
-  for (let some = samples; some.length > 0; some = some.slice(Math.ceil(some.length / 2))) {
-    try { sessionStorage.setItem(KEY, text(some)); return; } catch { continue; }
+  const text = (recent) => JSON.stringify(recent, (_, value) => (typeof value === "number" ? Number(value.toFixed(7)) : value));
+  // A browser stores a few million characters. If the samples do not fit, the newest half is stored.
+  for (let recent = samples; recent.length > 0; recent = recent.slice(Math.ceil(recent.length / 2))) {
+    try { sessionStorage.setItem(KEY, text(recent)); return; } catch { continue; }
   }
 });

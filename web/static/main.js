@@ -1,13 +1,13 @@
-// The page. STOP, header and scene first: they wait for nothing. Then the tabs, each by itself.
+// Entry point of the page. STOP, header and scene load first and independently; then each tab separately.
 import "./stop.js";
 import "./operator.js";
 import "./header.js";
 import "./scene.js";
 import { note, start } from "./station.js";
-import { last, open } from "./tabs.js";
+import { lastTab, openTab } from "./tabs.js";
 
-open(last());
+openTab(lastTab());
 start();
-for (const part of ["strip", "run", "jog", "pad", "keys", "goto", "devices", "plots", "runs", "calibrate", "faults"]) {
-  import(`./${part}.js`).catch((error) => note(`'${part}' did not come up (${error.message}); reload the page`));
+for (const module of ["strip", "run", "jog", "pad", "keys", "goto", "devices", "plots", "runs", "calibrate", "faults"]) {
+  import(`./${module}.js`).catch((error) => note(`'${module}' could not be loaded (${error.message}); reload the page`));
 }

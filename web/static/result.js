@@ -1,10 +1,10 @@
-// How well a run went: the numbers first, then its curves; everything else is folded away.
-import { ask, make } from "./station.js";
+// Result of a run: the errors first, then its curves; everything else is folded.
+import { request, make } from "./station.js";
 import { curve } from "./curve.js";
 
 export const SHAPES = { complete: "●", stopped: "■", interrupted: "▲", incomplete: "◆" };
-const AGAINST = { true: "the true tip, which the virtual lab knows", measured: "the tracker" };
-const LONG = 12; // more numbers than these are told by their count
+const AGAINST = { true: "the true tip of the virtual lab", measured: "the tracker" };
+const MAX_LISTED_NUMBERS = 12; // longer lists are shown by their length
 
 export const when = (seconds) => new Date(1000 * seconds).toLocaleString();
 export const size = (bytes) => (bytes > 1e6 ? `${(bytes / 1e6).toFixed(1)} MB` : `${Math.ceil(bytes / 1e3)} kB`);
@@ -18,18 +18,18 @@ const range = (values) => {
   return low === high ? high : `${low} … ${high}`;
 };
 
-/** Largest and RMS distance from the desired tip [mm], of all cases; dashes where there are none. */
-export function atOneLook(run) {
+/** Return the largest and the RMS distance from the desired tip [mm] over all cases; dashes without cases. */
+export function errorSummary(run) {
   const cases = Object.values(run.outcomes);
   return cases.length === 0 ? ["–", "–"] : [range(cases.map((one) => one.largest_distance)), range(cases.map((one) => one.rms_distance))];
 }
 
-/** How it ended, and why. */
+/** Return the outcome of a run and its cause. */
 export const ended = (run) => `${SHAPES[run.label] ?? "○"} ${run.label}${run.cause === "" ? "" : `: ${run.cause}`}`;
 
 function numbers(run) {
   const cases = Object.entries(run.outcomes), many = cases.length > 1;
-  if (cases.length === 0) return make("p", { className: "dim" }, "It has no errors of the tip: its motion did not begin, had no path, or did not reach what counts.");
+  if (cases.length === 0) return make("p", { className: "dim" }, "No errors of the tip: the motion did not start, had no path, or ended before the evaluated part.");
   const forces = cases.some(([, one]) => one.force !== null);
   const head = ["", "x", "y", "z", "distance", ...(forces ? ["force"] : [])].map((text) => make("th", { className: text === "" ? "" : "number" }, text));
   const rows = cases.flatMap(([name, one]) => [
@@ -44,38 +44,38 @@ function numbers(run) {
     make("p", { className: "small dim" }, `Errors in mm against ${AGAINST[first.against]}, from ${readable(first.counted_from)} s on${forces ? "; force: the largest, filtered" : ""}.`));
 }
 
-/** Curves of every case of one run or of several, over each other: [[name, curve]]. */
+/** Return charts with the curves of all `cases`: [[name, curve]]. */
 export function pictures(cases) {
   const lines = (what) => cases.filter(([, one]) => one[what] !== null).map(([name, one]) => ({ name, ...one[what] }));
   const from = Math.min(...cases.map(([, one]) => one.counted_from));
   return make("div", {}, curve("Distance from the desired tip", "mm", lines("error"), from), curve("Force at the tip", "N", lines("force")));
 }
 
-/** Curves of runs: of each its cases by name. Asked for once; the first time that takes some seconds. */
-export const curvesOf = (id) => ask("GET", address(id, "curves"));
+/** Request the curves of a run by case. The first request takes some seconds. */
+export const curvesOf = (id) => request("GET", address(id, "curves"));
 
-/** The card of a run. */
+/** Return the card of a run. */
 export function card(run) {
-  const drawing = make("div", {}, make("p", { className: "small dim" }, run.cases.length ? "drawing its curves …" : "Nothing was recorded."));
+  const drawing = make("div", {}, make("p", { className: "small dim" }, run.cases.length ? "loading curves …" : "Nothing was recorded."));
   if (run.cases.length) {
-    curvesOf(run.id).then((found) => {
-      const cases = Object.entries(found).map(([name, one]) => [name.replaceAll("_", " "), one]);
+    curvesOf(run.id).then((curvesByCase) => {
+      const cases = Object.entries(curvesByCase).map(([name, one]) => [name.replaceAll("_", " "), one]);
       drawing.replaceChildren(...(cases.length ? [pictures(cases)] : []));
     }).catch((error) => drawing.replaceChildren(make("p", { className: "small dim" }, `no curves: ${error.message}`)));
   }
   return make("div", { className: "result" }, make("p", { className: `ended ${run.label}` }, ended(run)), numbers(run), drawing);
 }
 
-/** Numbers and texts of a nested summary, by their path; long lists by their count. */
+/** Flatten a nested summary: [[path, value]]; a long list becomes its length. */
 export function flat(value, path = "") {
   if (Array.isArray(value) && value.every((one) => one === null || typeof one !== "object")) {
-    return [[path, value.length > LONG ? `${value.length} numbers` : value.map(readable).join(", ")]];
+    return [[path, value.length > MAX_LISTED_NUMBERS ? `${value.length} numbers` : value.map(readable).join(", ")]];
   }
   if (value === null || typeof value !== "object") return [[path, value]];
   return Object.entries(value).flatMap(([key, one]) => flat(one, path === "" ? key : `${path} · ${key}`));
 }
 
-/** What is folded away, made when it is opened. */
+/** Return a folded table; its rows are created when it is opened. */
 export function folded(title, rows, id = "") {
   const details = make("details", { id }, make("summary", {}, title));
   details.addEventListener("toggle", () => {

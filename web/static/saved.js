@@ -1,42 +1,45 @@
-// Motions kept under a name, and taken up again: experiments like any other.
-import { ask, confirm, make, note, Refused } from "./station.js";
+// Save and load motions under a name; the station stores them as experiments.
+import { request, confirm, make, note, Refused } from "./station.js";
 
-/** The lines below a motion's form: `wish()` is what to keep, `take(motion)` fills the form with what was kept; `kind` of motion. */
-export function saved(kind, wish, take) {
+/**
+ * Return the fields for saving and loading: `motionOf()` returns the motion of the form, `restore(motion)` fills the
+ * form; `kind` of motion.
+ */
+export function saved(kind, motionOf, restore) {
   const name = make("input", { type: "text", maxLength: 60, pattern: "[A-Za-z0-9_][A-Za-z0-9_\\-]*", placeholder: "name", title: "letters, digits, _ and -", "aria-label": "name to save it under" });
   const save = make("button", { type: "button" }, "Save"), list = make("select", { "aria-label": "saved motions" }), load = make("button", { type: "button" }, "Load");
-  const has = make("label", {}, list, " ", load);
+  const loadBox = make("label", {}, list, " ", load);
 
-  async function keep(replace) {
-    const body = wish();
+  async function store(replace) {
+    const body = motionOf();
     try {
-      const { note: said } = await ask("PUT", `/api/experiments/${encodeURIComponent(name.value)}`, { ...body, replace });
-      note(`${said}; ctr-station run ${name.value} takes it, too`, true);
+      const { note: message } = await request("PUT", `/api/experiments/${encodeURIComponent(name.value)}`, { ...body, replace });
+      note(`${message}; ctr-station run ${name.value} runs it, too`, true);
       refresh();
     } catch (error) {
-      const there = !replace && error instanceof Refused && error.message.includes("is there already");
-      if (!there) note(error.message);
-      else if (await confirm(`Replace '${name.value}'?`, "Replace", make("p", {}, `There is an experiment '${name.value}' already. What is in its file is lost.`))) await keep(true);
+      const exists = !replace && error instanceof Refused && error.message.includes("exists already");
+      if (!exists) note(error.message);
+      else if (await confirm(`Replace '${name.value}'?`, "Replace", make("p", {}, `'${name.value}' exists already. Its file will be overwritten.`))) await store(true);
     }
   }
 
   save.addEventListener("click", () => {
     name.required = true;
     const may = name.form.reportValidity();
-    name.required = false; // only to save it
-    if (may) keep(false);
+    name.required = false; // required only for saving
+    if (may) store(false);
   });
   load.addEventListener("click", async () => {
-    try { take(await ask("GET", `/api/experiments/${encodeURIComponent(list.value)}/motion`)); name.value = list.value; } catch (error) { note(error.message); }
+    try { restore(await request("GET", `/api/experiments/${encodeURIComponent(list.value)}/motion`)); name.value = list.value; } catch (error) { note(error.message); }
   });
 
   async function refresh() {
-    const all = await ask("GET", "/api/experiments").catch(() => []);
+    const all = await request("GET", "/api/experiments").catch(() => []);
     list.replaceChildren(...all.filter((one) => one.cases[0]?.trajectory === kind).map((one) => make("option", { value: one.name }, one.name)));
     if (name.value) list.value = name.value;
-    has.hidden = list.options.length === 0;
+    loadBox.hidden = list.options.length === 0;
   }
-  has.hidden = true;
+  loadBox.hidden = true;
   refresh();
-  return make("div", { className: "acts" }, name, save, has);
+  return make("div", { className: "acts" }, name, save, loadBox);
 }

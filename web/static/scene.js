@@ -1,72 +1,72 @@
-// The scene in its frame: under this page's identity, kept connected, and the switches below it.
-import { $, ask, client, latest, mayCommand, note, onStatus, press } from "./station.js";
+// The scene in its frame: loaded under this page's identity, kept connected; and the switches below it.
+import { $, request, client, latest, mayCommand, note, onStatus, sendCommand } from "./station.js";
 
 const frame = $("scene"), boxes = [...document.querySelectorAll("#switches input")];
 
 frame.addEventListener("load", () => {
-  if (frame.contentDocument === null) return; // no scene: an error page of the browser's
+  if (frame.contentDocument === null) return; // no scene: the browser shows an error page
   // viser reconnects only while its document has the focus, which a frame seldom has.
   frame.contentDocument.hasFocus = () => !document.hidden;
-  // Its own control panel is empty: all controls are ours.
+  // viser's control panel is empty: this page has all controls.
   const style = frame.contentDocument.createElement("style");
   style.textContent = "[data-testid=floating-panel], #root .mantine-Paper-root, #webgl-software-rendering { display: none !important; }"
     + ` canvas[data-engine] { background: ${getComputedStyle(document.body).backgroundColor}; }`;
   frame.contentDocument.head.append(style);
 });
-// In the page's colours.
-const dark = matchMedia("(prefers-color-scheme: dark)");
-const draw = () => { frame.src = `/viser/as/${client}/${dark.matches ? "?darkMode" : ""}`; };
-dark.addEventListener("change", draw);
-draw();
+// The scene follows the page's theme.
+const darkTheme = matchMedia("(prefers-color-scheme: dark)");
+const loadScene = () => { frame.src = `/viser/as/${client}/${darkTheme.matches ? "?darkMode" : ""}`; };
+darkTheme.addEventListener("change", loadScene);
+loadScene();
 
-// A dropped socket: viser looks at the focus only when it changes.
+// After a dropped connection viser checks the focus only when a focus event arrives.
 setInterval(() => { if (frame.contentDocument !== null) frame.contentWindow.dispatchEvent(new Event("focus")); }, 2000);
 
-// What lies over it waits for the station; the scene does not.
-import("./views.js").catch((error) => note(`the views and the close-up of the tip did not come up (${error.message}); reload the page`));
+// Views and close-up are imported separately, so that the scene does not wait for the answers that they need.
+import("./views.js").catch((error) => note(`the views and the close-up of the tip could not be loaded (${error.message}); reload the page`));
 
-let changes = 0, pending = 0; // made by this page's person; an older answer must not undo them
+let userChanges = 0, pending = 0; // changes by the user; an older answer must not undo them
 
 for (const box of boxes) {
   box.addEventListener("change", async () => {
-    changes += 1;
+    userChanges += 1;
     pending += 1;
-    await press("PUT", "/api/scene", Object.fromEntries(boxes.map((one) => [one.name, one.checked])));
+    await sendCommand("PUT", "/api/scene", Object.fromEntries(boxes.map((one) => [one.name, one.checked])));
     pending -= 1;
     refresh();
   });
 }
-$("go").addEventListener("click", () => press("POST", "/api/scene/target/go", {}));
+$("go").addEventListener("click", () => sendCommand("POST", "/api/scene/target/go", {}));
 
-let cut = 0; // looks running that found the scene without its stream
+let disconnectedPolls = 0; // consecutive polls without a connected scene
 
-/** What the picture is worth; numbers and STOP are only called live while they are. */
-function tellCut(stale) {
-  $("scene-cut").hidden = !stale && cut < 3;
-  $("scene-cut").textContent = stale ? "Nothing here is live: there is no fresh word from the station." : "The scene is not connected: the picture is not live. Numbers and STOP are.";
+/** Report a stale or disconnected scene; numbers and STOP are called live only while they are. */
+function showConnection(stale) {
+  $("scene-cut").hidden = !stale && disconnectedPolls < 3;
+  $("scene-cut").textContent = stale ? "Nothing here is live: the page receives no data from the station." : "The scene is disconnected: the picture is not live. Numbers and STOP are live.";
 }
 
 async function refresh() {
-  const before = changes;
+  const before = userChanges;
   try {
-    const shown = await ask("GET", "/api/scene", undefined, 1000);
-    cut = shown.connected ? 0 : cut + 1;
-    if (pending === 0 && before === changes) for (const box of boxes) box.checked = shown[box.name];
-    $("target-box").hidden = !shown.target;
-    if (!shown.target) return;
-    const target = await ask("GET", "/api/scene/target", undefined, 1000);
-    const place = target.position.map((x) => (1e3 * x).toFixed(1)).join(", ");
-    const pointing = target.direction === null ? "" : `, pointing (${target.direction.map((x) => x.toFixed(2)).join(", ")})`;
-    const where = `(${place}) mm${pointing}`;
-    $("target-says").textContent = target.reachable ? `✓ ${where} in ${target.duration.toFixed(0)} s` : `✗ ${where}: ${target.reason}`;
+    const settings = await request("GET", "/api/scene", undefined, 1000);
+    disconnectedPolls = settings.connected ? 0 : disconnectedPolls + 1;
+    if (pending === 0 && before === userChanges) for (const box of boxes) box.checked = settings[box.name];
+    $("target-box").hidden = !settings.target;
+    if (!settings.target) return;
+    const target = await request("GET", "/api/scene/target", undefined, 1000);
+    const position = target.position.map((x) => (1e3 * x).toFixed(1)).join(", ");
+    const direction = target.direction === null ? "" : `, pointing (${target.direction.map((x) => x.toFixed(2)).join(", ")})`;
+    const targetText = `(${position}) mm${direction}`;
+    $("target-says").textContent = target.reachable ? `✓ ${targetText} in ${target.duration.toFixed(0)} s` : `✗ ${targetText}: ${target.reason}`;
     $("target-says").title = $("target-says").textContent;
     const status = latest();
     $("go").disabled = !target.reachable || status === null || status.state !== "READY" || !mayCommand(status);
   } catch {
-    return; // the header says that nobody answers
+    return; // the header reports the missing answer
   }
 }
 setInterval(refresh, 600);
-onStatus((status, stale) => { tellCut(stale); for (const box of boxes) box.disabled = stale || !mayCommand(status); });
+onStatus((status, stale) => { showConnection(stale); for (const box of boxes) box.disabled = stale || !mayCommand(status); });
 refresh();
-ask("GET", "/api/bench").then((bench) => { document.querySelector("[name=force]").parentElement.hidden = !bench.virtual; });
+request("GET", "/api/rig").then((rig) => { document.querySelector("[name=force]").parentElement.hidden = !rig.virtual; });

@@ -1,9 +1,9 @@
-// What every part of the page shares: who we are, asking the station, its status, and notes to the person.
+// Shared by every part of the page: the client's identity, requests to the station, its status, and notes to the user.
 import { inPageUnits } from "./units.js";
 
 export const $ = (id) => document.getElementById(id);
 
-/** An element: make("p", {className: "dim"}, "text", child). */
+/** Return a new HTML element, for example make("p", {className: "dim"}, "text", child). */
 export function make(tag, fields = {}, ...children) {
   const element = Object.assign(document.createElement(tag), fields);
   for (const [name, value] of Object.entries(fields)) {
@@ -14,15 +14,15 @@ export function make(tag, fields = {}, ...children) {
 }
 
 function identity() {
-  const known = sessionStorage.getItem("client");
-  if (known !== null) return known;
+  const stored = sessionStorage.getItem("client");
+  if (stored !== null) return stored;
   const bytes = crypto.getRandomValues(new Uint8Array(16));
-  const fresh = Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
-  sessionStorage.setItem("client", fresh);
-  return fresh;
+  const created = Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+  sessionStorage.setItem("client", created);
+  return created;
 }
 
-/** Of this tab; nobody else knows it. */
+/** Secret random identity of this browser tab. */
 export const client = identity();
 export const name = {
   get: () => localStorage.getItem("name") ?? "",
@@ -33,21 +33,21 @@ export class Refused extends Error {
   constructor(reason, status) { super(reason); this.status = status; }
 }
 
-let looks = new AbortController();
-/** Give up every question that is asked again anyway: a browser opens six connections, and something must pass now. */
-export function makeWay() {
-  looks.abort();
-  looks = new AbortController();
+let polls = new AbortController();
+/** Cancel all polling requests: a browser opens six connections, and a command needs a free one now. */
+export function abortPolls() {
+  polls.abort();
+  polls = new AbortController();
 }
 
-/** The station's answer; throws Refused with its reason, or an Error when there is no answer within `patience` [ms]. */
-export async function ask(method, path, body, patience) {
+/** Return the station's answer; throw Refused with its reason, or an Error without an answer in `patience` [ms]. */
+export async function request(method, path, body, timeout) {
   const headers = { "x-ctr-client": client, "x-ctr-name": encodeURIComponent(name.get()) };
   if (method !== "GET") headers["content-type"] = "application/json";
   const answer = await fetch(path, {
     method, headers, cache: "no-store", body: body === undefined ? undefined : JSON.stringify(body),
-    signal: patience === undefined ? undefined
-      : AbortSignal.any([AbortSignal.timeout(patience), ...(method === "GET" ? [looks.signal] : [])]),
+    signal: timeout === undefined ? undefined
+      : AbortSignal.any([AbortSignal.timeout(timeout), ...(method === "GET" ? [polls.signal] : [])]),
   });
   const text = await answer.text();
   const read = () => { try { return JSON.parse(text); } catch { return { error: text.slice(0, 200) }; } };
@@ -55,50 +55,50 @@ export async function ask(method, path, body, patience) {
   return text === "" ? null : read();
 }
 
-let remedy = () => null;
-/** Have `make(status)` give the button that is shown with what the state, or who is operator, forbids; or null. */
-export const onRefusal = (make) => { remedy = make; };
+let remedyButton = () => null;
+/** Set `make(status)`: returns the button shown with a refusal caused by the state or by another operator, or null. */
+export const onRefusal = (make) => { remedyButton = make; };
 
-/** Ask for something that a person has pressed; a refusal is shown. The answer, or null. */
-export async function press(method, path, body) {
+/** Send a command of the user and show a refusal. Return the answer, or null. */
+export async function sendCommand(method, path, body) {
   try {
-    const answer = await ask(method, path, body);
-    look();
+    const answer = await request(method, path, body);
+    pollStatus();
     return answer ?? {};
   } catch (error) {
-    await question;
-    await look(); // the way out is that of the state that has refused it
-    const button = error instanceof Refused && error.status === 409 && status !== null ? remedy(status) : null;
+    await pending;
+    await pollStatus(); // the button must fit the state that refused the command
+    const button = error instanceof Refused && error.status === 409 && status !== null ? remedyButton(status) : null;
     const before = status, same = (now) => now.state === before.state && now.operator.name === before.operator.name;
     note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`, false, button, button && same);
     return null;
   }
 }
 
-const standing = new Map(); // notes, and what must hold for them
+const lasting = new Map(); // notes, and the conditions for keeping them
 
-/** A note in the corner, with a button or without; gone after a while, or when `holds(status)` does no more. */
-export function note(said, good = false, button = null, holds = null) {
-  const text = inPageUnits(said);
-  for (const old of $("notes").children) if (old.firstChild.textContent === text) old.remove(); // said once, not three times
+/** Show a note in the corner, optionally with a button, for a while or as long as `isCurrent(status)` is true. */
+export function note(message, good = false, button = null, isCurrent = null) {
+  const text = inPageUnits(message);
+  for (const old of $("notes").children) if (old.firstChild.textContent === text) old.remove(); // no duplicates
   const close = make("button", { type: "button", "aria-label": "close" }, "×");
   const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), button, close);
   for (const one of [button, close]) one?.addEventListener("click", () => box.remove());
   $("notes").append(box);
   while ($("notes").children.length > 4) $("notes").firstChild.remove();
-  if (holds === null) setTimeout(() => box.remove(), 12000); else standing.set(box, holds);
+  if (isCurrent === null) setTimeout(() => box.remove(), 12000); else lasting.set(box, isCurrent);
 }
 
-let dismiss = () => {}; // the question that is open
+let closeQuestion = () => {}; // closes the open question
 
 /**
- * Have a person confirm; resolves to whether they did. Every checkbox in `content` must be ticked first.
- * The header stays alive: STOP and the state are behind no question. A newer question ends an older one.
+ * Ask the user to confirm; resolves to true or false. Every checkbox in `content` must be ticked first.
+ * The header stays usable: no question covers STOP and the state. A newer question cancels an older one.
  */
 export function confirm(title, action, ...content) {
-  dismiss();
+  closeQuestion();
   const dialog = $("question"), form = dialog.querySelector("form"), yes = dialog.querySelector("[value=yes]");
-  const rest = [...dialog.parentElement.children].filter((one) => one !== dialog), ends = new AbortController(), { signal } = ends;
+  const others = [...dialog.parentElement.children].filter((one) => one !== dialog), ends = new AbortController(), { signal } = ends;
   dialog.querySelector("h2").textContent = title;
   form.querySelector("div").replaceChildren(...content);
   yes.textContent = action;
@@ -106,69 +106,75 @@ export function confirm(title, action, ...content) {
   const check = () => { yes.disabled = boxes.some((box) => !box.checked); };
   boxes.forEach((box) => box.addEventListener("change", check));
   check();
-  for (const one of rest) one.inert = true;
+  for (const one of others) one.inert = true;
   dialog.show();
   return new Promise((resolve) => {
-    dismiss = (sure = false) => {
-      dismiss = () => {};
+    closeQuestion = (sure = false) => {
+      closeQuestion = () => {};
       ends.abort();
-      for (const one of rest) one.inert = false;
+      for (const one of others) one.inert = false;
       dialog.close();
       resolve(sure);
     };
-    form.addEventListener("submit", (event) => { event.preventDefault(); dismiss(true); }, { signal });
-    dialog.querySelector("[value=no]").addEventListener("click", () => dismiss(), { signal });
-    document.addEventListener("keydown", (event) => { if (event.key === "Escape") dismiss(); }, { signal });
+    form.addEventListener("submit", (event) => { event.preventDefault(); closeQuestion(true); }, { signal });
+    dialog.querySelector("[value=no]").addEventListener("click", () => closeQuestion(), { signal });
+    document.addEventListener("keydown", (event) => { if (event.key === "Escape") closeQuestion(); }, { signal });
   });
 }
 
-// ---- status: asked for several times a second; too old, it is called stale
+// ---- status: polled several times a second; marked as stale when it is too old
 
-// An answer that is late is better than none: what is old looks so meanwhile, and a question given up would never be answered.
-const PERIOD = 150, PATIENCE = 10000, STALE = 480; // ms
+// The timeout is long, because a late answer is better than none. Meanwhile the page marks its data as stale.
+const POLL_INTERVAL_MS = 150, TIMEOUT_MS = 10000, STALE_AFTER_MS = 480; // ms
 const listeners = [];
-let status = null, heard = -Infinity, question = null, wasStale = null;
+let status = null, receivedAt = -Infinity, pending = null, wasStale = null;
 
 /** Call `listener(status, stale)` with each status, and when it becomes stale. */
 export const onStatus = (listener) => { listeners.push(listener); };
 export const latest = () => status;
 
-const age = () => performance.now() - heard + 1000 * (status?.age ?? 0);
+const age = () => performance.now() - receivedAt + 1000 * (status?.age ?? 0);
 
-function tell() {
-  wasStale = status === null || status.stale || age() > STALE;
+function publish() {
+  wasStale = status === null || status.stale || age() > STALE_AFTER_MS;
   document.body.classList.toggle("stale", wasStale);
   for (const listener of listeners) listener(status, wasStale);
-  for (const [box, holds] of standing) if (status !== null && !(box.isConnected && holds(status))) { box.remove(); standing.delete(box); }
+  for (const [box, isCurrent] of lasting) if (status !== null && !(box.isConnected && isCurrent(status))) { box.remove(); lasting.delete(box); }
 }
 
-/** Ask for the status, or wait for the answer to the question that is open. */
-export const look = () => (question ??= hear().finally(() => { question = null; }));
+/** Request the status, or wait for the answer to the pending request. */
+export const pollStatus = () => (pending ??= fetchStatus().finally(() => { pending = null; }));
 
-async function hear() {
+async function fetchStatus() {
   try {
-    status = await ask("GET", "/api/status", undefined, PATIENCE);
-    heard = performance.now();
+    status = await request("GET", "/api/status", undefined, TIMEOUT_MS);
+    receivedAt = performance.now();
   } catch {
-    if (age() > STALE) status = null;
+    if (age() > STALE_AFTER_MS) status = null;
   }
-  tell();
+  publish();
 }
 
-/** Whether the status is fresh, asked for once more if it is not. When it stays old a person is told that nothing was done. */
-export async function fresh() {
-  if (wasStale) await look();
-  if (wasStale) note("nothing was started: what the page knows of the robot is old. Wait until the state is no longer stale, then press again");
+/**
+ * Return whether the status is current, after one more request if it is stale. If it stays stale, show that nothing
+ * was started.
+ */
+export async function ensureFresh() {
+  if (wasStale) await pollStatus();
+  if (wasStale) note("nothing was started: the page's data of the robot is stale. Wait until the state is no longer stale, then press again");
   return !wasStale;
 }
 
-/** Whether this page may command now: it is operator, or nobody is and it could become so. */
+/**
+ * Return whether this page may send commands now: it is operator, or there is no operator and it could become
+ * operator.
+ */
 export const mayCommand = (now = status) =>
   now !== null && now.operator.role === "operator" && (now.operator.you || now.operator.name === null);
 
 export function start() {
-  setInterval(look, PERIOD);
-  // What is old must look old even while a question is still open.
-  setInterval(() => { if (age() > STALE && !wasStale) { if (age() > 2 * STALE) status = null; tell(); } }, 50);
-  look();
+  setInterval(pollStatus, POLL_INTERVAL_MS);
+  // Stale data must be marked even while a request is pending.
+  setInterval(() => { if (age() > STALE_AFTER_MS && !wasStale) { if (age() > 2 * STALE_AFTER_MS) status = null; publish(); } }, 50);
+  pollStatus();
 }

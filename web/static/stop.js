@@ -1,63 +1,63 @@
-// STOP: sent at the press and again until the station acknowledges it; the button, and keys wherever the focus is.
-import { $, ask, latest, look, make, makeWay, Refused } from "./station.js";
+// STOP: sent at the press and repeated until the station acknowledges it; by the button, and by keys with any focus.
+import { $, request, latest, pollStatus, make, abortPolls, Refused } from "./station.js";
 
-const AGAIN = 700, PATIENCE = 3000; // ms
+const RETRY_MS = 700, TIMEOUT_MS = 3000; // ms
 const MOVING = ["RUNNING", "HOMING"];
-let open = null; // the STOP that nobody has acknowledged yet
+let unacknowledged = null; // the STOP that the station has not acknowledged yet
 
-/** Have every axis stopped. A press while an earlier one is not acknowledged sends at once. */
+/** Stop every axis. A press while an earlier STOP is unacknowledged sends another one at once. */
 export function stop() {
-  open ??= { tries: 0, begun: performance.now(), again: 0 };
-  send(open);
+  unacknowledged ??= { tries: 0, startedAt: performance.now(), retryTimer: 0 };
+  send(unacknowledged);
 }
 
-async function send(mine) {
-  clearTimeout(mine.again);
-  mine.again = setTimeout(() => { tellOpen(mine); send(mine); }, AGAIN);
-  mine.tries += 1;
-  makeWay();
+async function send(attempt) {
+  clearTimeout(attempt.retryTimer);
+  attempt.retryTimer = setTimeout(() => { reportUnacknowledged(attempt); send(attempt); }, RETRY_MS);
+  attempt.tries += 1;
+  abortPolls();
   try {
-    const { note } = await ask("POST", "/api/stop", {}, PATIENCE);
-    const late = mine.tries === 1 ? "" : `acknowledged after ${seconds(mine)} s and ${mine.tries} tries`;
+    const { note } = await request("POST", "/api/stop", {}, TIMEOUT_MS);
+    const late = attempt.tries === 1 ? "" : `acknowledged after ${seconds(attempt)} s and ${attempt.tries} tries`;
     const text = [late, note].filter((part) => part !== "").join("; ");
-    end(mine, text === "" ? "" : `STOP was taken: ${text}`);
+    finish(attempt, text === "" ? "" : `STOP was accepted: ${text}`);
   } catch (error) {
-    if (error instanceof Refused && error.status < 500) end(mine, `STOP was refused: ${error.message}. Use the emergency stop of the bench.`);
-    else tellOpen(mine);
+    if (error instanceof Refused && error.status < 500) finish(attempt, `STOP was refused: ${error.message}. Use the emergency stop of the rig.`);
+    else reportUnacknowledged(attempt);
   }
 }
 
-const seconds = (mine) => ((performance.now() - mine.begun) / 1000).toFixed(1);
+const seconds = (attempt) => ((performance.now() - attempt.startedAt) / 1000).toFixed(1);
 
-function tellOpen(mine) {
-  if (mine !== open) return;
-  alarm(`STOP is not acknowledged: sent ${mine.tries === 1 ? "once" : `${mine.tries} times in ${seconds(mine)} s`}, and again until it is. Use the emergency stop of the bench.`, "Give up");
+function reportUnacknowledged(attempt) {
+  if (attempt !== unacknowledged) return;
+  alarm(`STOP is not acknowledged: sent ${attempt.tries === 1 ? "once" : `${attempt.tries} times in ${seconds(attempt)} s`}, and it is repeated until the station acknowledges it. Use the emergency stop of the rig.`, "Give up");
 }
 
-function end(mine, text) {
-  if (mine !== open) return;
-  clearTimeout(mine.again);
-  open = null;
+function finish(attempt, text) {
+  if (attempt !== unacknowledged) return;
+  clearTimeout(attempt.retryTimer);
+  unacknowledged = null;
   alarm(text);
-  look();
+  pollStatus();
 }
 
-const said = make("span"), away = make("button", { type: "button" });
-away.addEventListener("click", () => { if (open === null) alarm(""); else end(open, "STOP was given up and never acknowledged. Use the emergency stop of the bench."); });
-$("alarm").append(said, away);
+const alarmText = make("span"), alarmButton = make("button", { type: "button" });
+alarmButton.addEventListener("click", () => { if (unacknowledged === null) alarm(""); else finish(unacknowledged, "The page no longer repeats STOP; it was never acknowledged. Use the emergency stop of the rig."); });
+$("alarm").append(alarmText, alarmButton);
 
-/** Say something that nobody must miss; empty takes it away. */
+/** Show an alarm below the header; an empty text removes it. */
 export function alarm(text, button = "Close") {
-  said.textContent = text;
-  away.textContent = button;
+  alarmText.textContent = text;
+  alarmButton.textContent = button;
   $("alarm").hidden = text === "";
 }
 
-// At the first touch, not when the finger is lifted; a click without a pointer is the keyboard's.
+// STOP acts at the first touch, not when the finger is lifted. A click without a pointer comes from the keyboard.
 $("stop").addEventListener("pointerdown", stop);
 $("stop").addEventListener("click", (event) => { if (event.detail === 0) stop(); });
 
-/** Shift+Space always, but in a text box a space while nothing moves; Escape where it has nothing else to end. */
+/** Stop by Shift+Space (in a text box only while something moves), or by Escape where it has no other effect. */
 function pressed(event) {
   const status = latest(), moves = status === null || MOVING.includes(status.state);
   const typing = event.target.closest?.("textarea, input:not([type=checkbox], [type=range])") != null;
@@ -69,7 +69,7 @@ function pressed(event) {
   if (!event.repeat) stop();
 }
 document.addEventListener("keydown", pressed, true);
-// Frames have keys of their own: the scene, a report, a replay. All of them are this station's.
+// Frames (scene, report, replay) receive their key events themselves. All of them come from this station.
 document.addEventListener("load", (event) => {
   if (event.target.contentDocument) event.target.contentWindow.addEventListener("keydown", pressed, true);
 }, true);

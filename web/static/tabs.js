@@ -1,4 +1,4 @@
-// Tabs, with the arrow keys as the WAI-ARIA practices have them.
+// Tabs with arrow keys, as in the WAI-ARIA practices.
 import { $ } from "./station.js";
 
 const tabs = [...document.querySelectorAll("[role=tab]")];
@@ -8,13 +8,13 @@ const listeners = {};
 export const onTab = (id, listener) => { (listeners[id] ??= []).push(listener); };
 export const isOpen = (id) => !$(id).hidden;
 
-/** The one that was open before the page was loaded anew; at first the first. */
-export function last() {
-  const kept = sessionStorage.getItem("tab"), names = tabs.map((tab) => tab.getAttribute("aria-controls"));
-  return names.includes(kept) ? kept : names[0];
+/** Return the tab that was open before a reload, or the first tab. */
+export function lastTab() {
+  const stored = sessionStorage.getItem("tab"), names = tabs.map((tab) => tab.getAttribute("aria-controls"));
+  return names.includes(stored) ? stored : names[0];
 }
 
-export function open(id) {
+export function openTab(id) {
   sessionStorage.setItem("tab", id);
   for (const tab of tabs) {
     const panel = tab.getAttribute("aria-controls"), chosen = panel === id, was = isOpen(panel);
@@ -26,7 +26,7 @@ export function open(id) {
 }
 
 for (const [number, tab] of tabs.entries()) {
-  tab.addEventListener("click", () => open(tab.getAttribute("aria-controls")));
+  tab.addEventListener("click", () => openTab(tab.getAttribute("aria-controls")));
   tab.addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
     const to = event.key === "Home" ? 0 : event.key === "End" ? tabs.length - 1 : number + step;

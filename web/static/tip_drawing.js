@@ -1,6 +1,6 @@
-// Draws the surroundings of the tip on a canvas: millimetre paper, tubes, path, trace, tips, force, a scale.
+// Draws the surroundings of the tip on a canvas: millimetre grid, tubes, path, trace, tips, force, scale.
 
-/** Directions of the picture as [axis, sign]; as the scene's views of the same names. */
+/** Directions of the picture as [axis, sign]; the same as in the scene's views of these names. */
 export const PLANES = {
   side: { right: [2, 1], up: [0, -1] },
   front: { right: [1, 1], up: [0, -1] },
@@ -8,11 +8,11 @@ export const PLANES = {
 };
 const AXES = ["x", "y", "z"];
 const GRID = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50]; // mm
-const LONGEST_ARROW = 0.42; // of the shorter side, for the largest force: 0.5 N and more
+const LONGEST_ARROW = 0.42; // fraction of the shorter side, at FULL_FORCE and more
 const FULL_FORCE = 0.5; // N
 
-/** In which of the planes a path is seen best. */
-export function plane_of(path) {
+/** Return the plane in which the path covers the largest area. */
+export function bestPlane(path) {
   if (path.length < 2) return "side";
   const span = [0, 1, 2].map((axis) => 1e-3 + Math.max(...path.map((p) => p[axis])) - Math.min(...path.map((p) => p[axis])));
   const area = ({ right, up }) => span[right[0]] * span[up[0]];
@@ -22,16 +22,16 @@ export function plane_of(path) {
 const middle = (points, axis) => (Math.max(...points.map((p) => p[axis])) + Math.min(...points.map((p) => p[axis]))) / 2;
 const spans = (points, axis) => Math.max(...points.map((p) => p[axis])) - Math.min(...points.map((p) => p[axis]));
 
-/** What stands in the middle: the path where it fits in, else the tip. */
-function centre(picture, plane, field) {
+/** Return the centre of the picture: the path if it fits, else the tip. */
+function pictureCentre(picture, plane, field) {
   const { path } = picture, axes = [plane.right[0], plane.up[0]];
   const tip = picture.estimated ?? picture.measured ?? picture.tubes[0]?.at(-1) ?? [0, 0, 0];
   if (path.length < 2 || axes.some((axis) => spans(path, axis) > field)) return tip;
   return AXES.map((_, axis) => middle(path, axis));
 }
 
-/** Draw one picture; `field` is what the shorter side shows [mm], `old` that none of it is of now. */
-export function draw(canvas, picture, legend, plane, field, old) {
+/** Draw one picture; `field` is the length of the shorter side [mm], `stale` that none of it is current. */
+export function draw(canvas, picture, legend, plane, field, stale) {
   const ratio = devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
   if (w === 0 || h === 0) return;
   if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) {
@@ -41,9 +41,9 @@ export function draw(canvas, picture, legend, plane, field, old) {
   const pen = canvas.getContext("2d"), style = getComputedStyle(canvas);
   const colours = { text: style.getPropertyValue("--text"), dim: style.getPropertyValue("--dim"), grid: style.getPropertyValue("--grid"), back: style.getPropertyValue("--back") };
   const sign = (name) => legend.signs.find((one) => one.name.startsWith(name)).colour;
-  const scale = Math.min(w, h) / field, origin = centre(picture, plane, field);
-  const part = ([axis, way], place) => way * (place[axis] - origin[axis]);
-  const at = (place) => [w / 2 + scale * part(plane.right, place), h / 2 - scale * part(plane.up, place)];
+  const scale = Math.min(w, h) / field, origin = pictureCentre(picture, plane, field);
+  const part = ([axis, rightSign], point) => rightSign * (point[axis] - origin[axis]);
+  const at = (point) => [w / 2 + scale * part(plane.right, point), h / 2 - scale * part(plane.up, point)];
 
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   pen.globalAlpha = 1;
@@ -53,7 +53,7 @@ export function draw(canvas, picture, legend, plane, field, old) {
   pen.font = "11.5px system-ui, sans-serif";
   const step = GRID.find((one) => one * scale >= 18) ?? 50;
   paper();
-  pen.globalAlpha = old ? 0.3 : 1;
+  pen.globalAlpha = stale ? 0.3 : 1;
   // The innermost first: a wider tube hides it.
   picture.tubes.forEach((line, k) => stroke(line.map(at), legend.tubes[k].colour, 1e3 * legend.tubes[k].diameter * scale, "butt"));
   stroke(picture.path.map(at), sign("reference"), 2);
@@ -101,8 +101,8 @@ export function draw(canvas, picture, legend, plane, field, old) {
     if (picture.force === null || picture.place === null) return;
     const size = Math.hypot(...picture.force);
     const length = (LONGEST_ARROW * Math.min(w, h) * Math.min(1, size / FULL_FORCE)) / size;
-    const [x, y] = at(picture.place), [[axis, way], [other, sense]] = [plane.right, plane.up];
-    const [u, v] = [length * way * picture.force[axis], -length * sense * picture.force[other]], long = Math.hypot(u, v);
+    const [x, y] = at(picture.place), [[axis, rightSign], [other, upSign]] = [plane.right, plane.up];
+    const [u, v] = [length * rightSign * picture.force[axis], -length * upSign * picture.force[other]], long = Math.hypot(u, v);
     pen.fillStyle = sign("force");
     if (long > 4) {
       const [a, b] = [u / long, v / long];
@@ -150,15 +150,15 @@ export function draw(canvas, picture, legend, plane, field, old) {
     pen.arc(x, y, radius, 0, 2 * Math.PI);
   }
 
-  /** The length of a step of the paper or some of them, and which way the axes go. */
+  /** Draw the scale (a multiple of the grid's step) and the directions of the axes. */
   function ruler() {
     const count = [5, 2, 1].find((n) => n * step * scale < 0.4 * w) ?? 1, length = count * step * scale, y = h - 9;
     stroke([[10, y - 4], [10, y], [10 + length, y], [10 + length, y - 4]], colours.text, 1.5, "butt");
     pen.fillStyle = colours.text;
     pen.fillText(`${Number((count * step).toFixed(1))} mm`, 16 + length, y + 2);
-    const [[across, way], [upward, sense]] = [plane.right, plane.up];
-    const words = `${AXES[across]} ${way > 0 ? "→" : "←"}  ${AXES[upward]} ${sense > 0 ? "↑" : "↓"}`;
+    const [[across, rightSign], [upward, upSign]] = [plane.right, plane.up];
+    const axesText = `${AXES[across]} ${rightSign > 0 ? "→" : "←"}  ${AXES[upward]} ${upSign > 0 ? "↑" : "↓"}`;
     pen.fillStyle = colours.dim;
-    pen.fillText(words, w - 8 - pen.measureText(words).width, 16);
+    pen.fillText(axesText, w - 8 - pen.measureText(axesText).width, 16);
   }
 }

@@ -1,26 +1,26 @@
-// Over the scene: views to choose from, and a legend that folds.
-import { $, ask, make } from "./station.js";
-import { look } from "./tip.js";
+// Overlays of the scene: buttons for views, and a foldable legend.
+import { $, request, make } from "./station.js";
+import { setView } from "./tip.js";
 
-const KEPT = "legend";
+const STORAGE_KEY = "legend";
 
-const legend = await ask("GET", "/api/scene/legend");
+const legend = await request("GET", "/api/scene/legend");
 
-const views = make("div", { id: "views", role: "toolbar", "aria-label": "where to look from" });
+const views = make("div", { id: "views", role: "toolbar", "aria-label": "views" });
 for (const view of legend.views) {
   const button = make("button", { type: "button" }, view);
-  button.addEventListener("click", () => look(view));
+  button.addEventListener("click", () => setView(view));
   views.append(button);
 }
 
 const row = ({ name, colour, shape }) => {
-  const sign = make("i", { "data-shape": shape });
-  sign.style.setProperty("--sign", colour);
-  return make("li", {}, sign, name);
+  const mark = make("i", { "data-shape": shape });
+  mark.style.setProperty("--sign", colour);
+  return make("li", {}, mark, name);
 };
-const signs = make("details", { id: "legend" }, make("summary", {}, "Legend"),
+const legendBox = make("details", { id: "legend" }, make("summary", {}, "Legend"),
   make("ul", {}, ...legend.signs.map(row), ...legend.tubes.map((tube) => row({ ...tube, shape: "bar" }))));
-signs.open = (localStorage.getItem(KEPT) ?? (innerWidth >= 1700 ? "open" : "folded")) === "open";
-signs.addEventListener("toggle", () => localStorage.setItem(KEPT, signs.open ? "open" : "folded"));
+legendBox.open = (localStorage.getItem(STORAGE_KEY) ?? (innerWidth >= 1700 ? "open" : "folded")) === "open";
+legendBox.addEventListener("toggle", () => localStorage.setItem(STORAGE_KEY, legendBox.open ? "open" : "folded"));
 
-$("view").append(views, signs);
+$("view").append(views, legendBox);

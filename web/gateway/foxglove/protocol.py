@@ -1,6 +1,7 @@
-"""The Foxglove websocket protocol, the part that a server needs who shows and takes nothing: text and bytes, no socket.
+"""Encoding of the Foxglove WebSocket protocol for a server that only sends data; this module opens no socket.
 
-https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md; the SDK's own subprotocol says the same of these.
+The protocol is specified at https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md. The subprotocol of
+Foxglove's SDK defines the same messages.
 """
 
 import json
@@ -10,18 +11,18 @@ from typing import Any
 
 from station.recording.data_section import Topic
 
-#: The newest that both sides know is spoken; of these messages they have the same idea.
+#: Names of the supported WebSocket subprotocols, newest first; both define the same messages.
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
-#: Of a status.
-WARNING = 1
-#: Of a binary message from the server.
+#: Level of a status message that reports a warning.
+WARNING_LEVEL = 1
+#: Code of the server's binary message that contains data of a subscribed channel.
 _MESSAGE_DATA = 1
 
 Gains = Iterable[tuple[str, float | str | bool]]
 
 
 def server_info(session: str) -> str:
-    """The first word."""
+    """Return the first message to a client: the server's name and capabilities."""
     return json.dumps({
         "op": "serverInfo", "name": "ctr-station", "capabilities": ["parameters", "parametersSubscribe"],
         "metadata": {}, "sessionId": session,
@@ -29,7 +30,7 @@ def server_info(session: str) -> str:
 
 
 def advertise(topics: Sequence[Topic]) -> str:
-    """What may be subscribed to; the id of each is its place, from 1, as in the recordings."""
+    """Return the message that lists the channels; a channel's id is its position, from 1, as in the recordings."""
     channels = [
         {"id": number, "topic": topic.name, "encoding": topic.encoding, "schemaName": topic.schema,
          "schemaEncoding": topic.schema_encoding, "schema": topic.definition}
@@ -39,7 +40,7 @@ def advertise(topics: Sequence[Topic]) -> str:
 
 
 def parameter_values(gains: Gains, request: str | None = None) -> str:
-    """Answer to `getParameters`, or news of those that are subscribed to."""
+    """Return the message with the controller's parameters: the answer to a `request`, or an update without one."""
     parameters = [
         {"name": name, "value": value, **({"type": "float64"} if isinstance(value, float) else {})}
         for name, value in gains
@@ -50,17 +51,17 @@ def parameter_values(gains: Gains, request: str | None = None) -> str:
 
 
 def status(text: str) -> str:
-    """A warning."""
-    return json.dumps({"op": "status", "level": WARNING, "message": text})
+    """Return a status message that shows `text` as a warning."""
+    return json.dumps({"op": "status", "level": WARNING_LEVEL, "message": text})
 
 
 def message_data(subscription: int, stamp: int, data: bytes) -> bytes:
-    """A message of a channel that is subscribed to, of `stamp` [ns] since 1970."""
+    """Return a message of a subscribed channel with its time `stamp` [ns] since 1970."""
     return struct.pack("<BIQ", _MESSAGE_DATA, subscription, stamp) + data
 
 
-def asked(text: str | bytes) -> dict[str, Any]:
-    """What a client wants; empty for what is no wish: clients that publish are not heard."""
+def client_requests(text: str | bytes) -> dict[str, Any]:
+    """Return the request of a client; empty if it is invalid or publishes data."""
     if isinstance(text, bytes):
         return {}
     try:
@@ -71,12 +72,12 @@ def asked(text: str | bytes) -> dict[str, Any]:
 
 
 def whole_numbers(values: Any) -> list[int]:
-    """Those of a list that are ids."""
+    """Return the entries of a list that are valid channel or subscription ids."""
     return (
         [value for value in values if type(value) is int and 0 <= value < 1 << 32] if isinstance(values, list) else []
     )
 
 
-def words(values: Any) -> list[str]:
-    """Those of a list that are names."""
+def string_list(values: Any) -> list[str]:
+    """Return the entries of a list that are strings."""
     return [value for value in values if isinstance(value, str)] if isinstance(values, list) else []

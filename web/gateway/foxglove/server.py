@@ -1,11 +1,12 @@
-"""Foxglove, live: the topics and schemas of the recordings, behind the same gate as the page.
+"""Live Foxglove server with the topics and schemas of the recordings, and the access checks of the page.
 
-The SDK's own server knows neither hosts nor origins nor tokens, so the protocol is spoken here. What waits for a
-client that reads slowly is bounded; the oldest goes first.
+The server of Foxglove's SDK checks neither hosts nor origins nor tokens, so the protocol is implemented here. The
+message queue of a slow client is bounded; the oldest messages are dropped first.
 """
 
 import asyncio
 import contextlib
+import logging
 import secrets
 import socket
 from collections import deque
@@ -24,144 +25,152 @@ from station.control.states import State
 from station.control.telemetry import Channels
 from station.recording.data_section import Topic
 from station.recording.drawing import Drawing
-from station.recording.events import INFO, TOPIC, WARNING, Event, event_json
+from station.recording.events import INFO, TOPIC, WARNING, RecordedEvent, event_json
 from station.recording.events import SCHEMA as EVENTS_SCHEMA
 from station.recording.foxglove import json_topic
 from station.recording.row_message import SCHEMA, definition
 from station.recording.row_message import TOPIC as ROWS_TOPIC
-from station.recording.writer import DRAWN, EVENT, ROWS
+from station.recording.writer import EVENT_CHANNEL, FIRST_DRAWING_CHANNEL, ROWS_CHANNEL
 from web.access.gate import Access
 from web.access.tokens import Tokens
 from web.gateway.foxglove import protocol
-from web.gateway.seen import Look, Told
-from web.gateway.wanted import Address
+from web.gateway.options import ListenAddress
+from web.gateway.snapshot import Snapshot, StationInfo
 
-#: Pages of other sites that may look: Foxglove's own, and programs on this computer that are made of pages. They have
-#: to bring a token like everybody else where one is demanded.
-PAGES = frozenset({"https://app.foxglove.dev", "file://"})
-#: Messages that wait for one client, a third of a second of everything.
-_WAITING = 256
-#: What the system keeps for a client besides [bytes].
-_BUFFER = 128 * 1024
-#: Every second look is drawn: 25 pictures a second.
-_DRAWN = 2
-#: A client has no more to say [bytes].
-_LONGEST = 64 * 1024
-#: Subscriptions of one client, and clients.
-_MOST = 64
-#: That a library keeps for a client before it waits [bytes].
-_WRITTEN = 32 * 1024
+#: Origins that may connect in addition to the station's page: Foxglove's page, and desktop programs on this computer.
+#: These need a token, too, if the station requires one.
+ALLOWED_ORIGINS = frozenset({"https://app.foxglove.dev", "file://"})
+#: Largest number of messages queued for one client, a third of a second of all channels.
+_MAX_PENDING_MESSAGES = 256
+#: Socket send buffer of a client [bytes].
+_SEND_BUFFER_BYTES = 128 * 1024
+#: Every second snapshot is drawn: 25 pictures a second.
+_DRAW_EVERY = 2
+#: Longest message from a client [bytes].
+_MAX_MESSAGE_BYTES = 64 * 1024
+#: Largest number of subscriptions of one client; also the largest number of clients.
+_MAX_SUBSCRIPTIONS = 64
+#: Bytes that the `websockets` library buffers for a client before sending waits.
+_WRITE_BUFFER_BYTES = 32 * 1024
+
+#: Separate logger, because the library would log a traceback for each connection that is no WebSocket (a port scan).
+_LOGGER = logging.getLogger(__name__)
+_LOGGER.addFilter(lambda record: record.getMessage() != "opening handshake failed")
 
 
 class FoxgloveServer:
-    """One of them, in the event loop that opens it."""
+    """Foxglove server; it runs in the event loop that opens it."""
 
     def __init__(self, robot: Robot, channels: Channels, tokens: Tokens | None) -> None:
-        """`tokens` are demanded; None: from nobody."""
-        self._drawing = Drawing(robot, channels.all, DRAWN)
+        """`tokens`: access tokens, one of which every client needs; None: no token is required."""
+        self._drawing = Drawing(robot, channels.all, FIRST_DRAWING_CHANNEL)
         self._topics = (
             Topic(ROWS_TOPIC, "ros1", SCHEMA, "ros1msg", definition(channels.all)),
             json_topic(TOPIC, EVENTS_SCHEMA),
             *self._drawing.topics,
         )
         self._tokens = tokens
-        self._clients: set[_Client] = set()
+        self._clients: set[_FoxgloveClient] = set()
         self._session = secrets.token_hex(8)
-        self._looks = 0
-        self._told = Told()
-        self._event: tuple[int, bytes] | None = None  # the last, for those who come later
+        self._count = 0
+        self._info = StationInfo()
+        self._event: tuple[int, bytes] | None = None  # time and text of the last event, for clients that connect later
         self._server: Server | None = None
 
-    async def open(self, address: Address) -> Address:
-        """Listen; where.
+    async def open(self, address: ListenAddress) -> ListenAddress:
+        """Start listening and return the address.
 
         Raises:
-            OSError: that port cannot be had.
+            OSError: the port is not available.
         """
         family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         listening = socket.create_server((address.host, address.port), family=family)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)  # of every connection
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)  # inherited by every connection
         port = int(listening.getsockname()[1])
-        # What comes in by it is looked at here and goes no further.
-        access = Access(_nothing, address.host, port, self._tokens, PAGES)
+        # `Access` only checks the connections here; it passes none on to an application.
+        access = Access(_no_endpoint, address.host, port, self._tokens, ALLOWED_ORIGINS)
 
-        def judge(connection: ServerConnection, request: Request) -> Response | None:
+        def check(connection: ServerConnection, request: Request) -> Response | None:
             refusal = access.refused(_scope_of(request))
-            if refusal is None and len(self._clients) >= _MOST:
-                refusal = HTTPStatus.SERVICE_UNAVAILABLE, "too many are connected"
+            if refusal is None and len(self._clients) >= _MAX_SUBSCRIPTIONS:
+                refusal = HTTPStatus.SERVICE_UNAVAILABLE, "too many clients are connected"
             return None if refusal is None else connection.respond(HTTPStatus(refusal[0]), f"{refusal[1]}\n")
 
         self._server = await serve(
-            self._serve, sock=listening, process_request=judge, compression=None, max_size=_LONGEST,
-            subprotocols=[Subprotocol(name) for name in protocol.SUBPROTOCOLS], write_limit=_WRITTEN,
+            self._serve, sock=listening, process_request=check, compression=None, max_size=_MAX_MESSAGE_BYTES,
+            subprotocols=[Subprotocol(name) for name in protocol.SUBPROTOCOLS], write_limit=_WRITE_BUFFER_BYTES,
+            logger=_LOGGER,
         )  # fmt: skip
-        return Address(address.host, port)
+        return ListenAddress(address.host, port)
 
     @property
-    def watched(self) -> bool:
-        """Whether anybody wants to see the robot drawn."""
-        return any(channel >= DRAWN for client in self._clients for channel in client.channels)
+    def needs_scene(self) -> bool:
+        """Whether a client has subscribed to a drawing of the robot."""
+        return any(channel >= FIRST_DRAWING_CHANNEL for client in self._clients for channel in client.channels)
 
-    def publish(self, look: Look) -> None:
-        """Give everybody what they have subscribed to."""
-        if look.told != self._told:
-            self._hear(look)
-        self._looks += 1
+    def publish(self, snapshot: Snapshot) -> None:
+        """Queue the channels of a snapshot for the clients that have subscribed to them."""
+        if snapshot.info != self._info:
+            self._update_info(snapshot)
+        self._count += 1
         for client in self._clients:
-            for subscription in client.channels.get(ROWS, ()):
-                for row, stamp in zip(look.rows, look.stamps.tolist(), strict=True):
-                    client.say(protocol.message_data(subscription, stamp, row.astype("<f8").tobytes()))
-        seen = look.seen
-        if seen is None or self._looks % _DRAWN or not self.watched:
+            for subscription in client.channels.get(ROWS_CHANNEL, ()):
+                for row, stamp in zip(snapshot.rows, snapshot.stamps.tolist(), strict=True):
+                    client.queue(protocol.message_data(subscription, stamp, row.astype("<f8").tobytes()))
+        scene = snapshot.scene
+        if scene is None or self._count % _DRAW_EVERY or not self.needs_scene:
             return
-        for said in self._drawing.posed(seen.row, seen.posed, seen.stamp):
-            self._say(said.topic, said.time, said.data)
+        for message in self._drawing.posed(scene.row, scene.pose, scene.stamp):
+            self._queue(message.topic, message.time, message.data)
 
     async def close(self) -> None:
-        """Hang up."""
+        """Disconnect all clients."""
         if self._server is not None:
             self._server.close()
             for client in tuple(self._clients):
                 client.connection.transport.abort()
 
-    def _hear(self, look: Look) -> None:
-        """News from the station: an event, as in the recordings, and gains."""
-        told, before = look.told, self._told
-        self._told = told
-        if told.text != before.text:
-            bad = told.state in (State.HOLD, State.FAULT)
-            time = float(look.rows[-1, 0]) if len(look.rows) else 0.0
-            stamp = int(look.stamps[-1]) if len(look.rows) else time_ns()
-            self._event = stamp, event_json(Event(time, "state", told.text, WARNING if bad else INFO), stamp)
-            self._say(EVENT, *self._event)
-        changed = set(told.gains) - set(before.gains)
+    def _update_info(self, snapshot: Snapshot) -> None:
+        """Queue changes of the station's state as events, and of the controller's gains as parameters."""
+        info, before = snapshot.info, self._info
+        self._info = info
+        if info.text != before.text:
+            is_warning = info.state in (State.HOLD, State.FAULT)
+            time = float(snapshot.rows[-1, 0]) if len(snapshot.rows) else 0.0
+            stamp = int(snapshot.stamps[-1]) if len(snapshot.rows) else time_ns()
+            self._event = (
+                stamp,
+                event_json(RecordedEvent(time, "state", info.text, WARNING if is_warning else INFO), stamp),
+            )
+            self._queue(EVENT_CHANNEL, *self._event)
+        changed = set(info.gains) - set(before.gains)
         for client in self._clients:
-            if news := [(name, value) for name, value in changed if name in client.parameters]:
-                client.say(protocol.parameter_values(news))
+            if changes := [(name, value) for name, value in changed if name in client.parameters]:
+                client.queue(protocol.parameter_values(changes))
 
-    def _say(self, channel: int, stamp: int, data: bytes) -> None:
+    def _queue(self, channel: int, stamp: int, data: bytes) -> None:
         for client in self._clients:
             for subscription in client.channels.get(channel, ()):
-                client.say(protocol.message_data(subscription, stamp, data))
+                client.queue(protocol.message_data(subscription, stamp, data))
 
     async def _serve(self, connection: ServerConnection) -> None:
-        """One who has come through the gate."""
-        client = _Client(connection)
-        client.say(protocol.server_info(self._session))
-        client.say(protocol.advertise(self._topics))
+        """Serve a client that has passed the access checks."""
+        client = _FoxgloveClient(connection)
+        client.queue(protocol.server_info(self._session))
+        client.queue(protocol.advertise(self._topics))
         self._clients.add(client)
         sending = asyncio.create_task(client.send())
         try:
             async for message in connection:
-                self._wish(client, protocol.asked(message))
+                self._handle(client, protocol.client_requests(message))
         except ConnectionClosed:
-            return  # without a word
+            return  # the client has disconnected
         finally:
             self._clients.discard(client)
             sending.cancel()
 
-    def _wish(self, client: "_Client", wish: dict[str, Any]) -> None:
-        match wish:
+    def _handle(self, client: "_FoxgloveClient", request: dict[str, Any]) -> None:
+        match request:
             case {"op": "subscribe", "subscriptions": [*subscriptions]}:
                 for each in subscriptions:
                     if isinstance(each, dict):
@@ -170,10 +179,10 @@ class FoxgloveServer:
                 for number in protocol.whole_numbers(ids):
                     client.subscriptions.pop(number, None)
             case {"op": "getParameters", "parameterNames": names}:
-                client.say(protocol.parameter_values(self._gains(names), wish.get("id")))
+                client.queue(protocol.parameter_values(self._gains(names), request.get("id")))
             case {"op": "setParameters"}:
-                client.say(protocol.status("the gains are read-only here; set them on the station's page"))
-                client.say(protocol.parameter_values(self._told.gains, wish.get("id")))
+                client.queue(protocol.status("the parameters are read-only; set them on the station's page"))
+                client.queue(protocol.parameter_values(self._info.gains, request.get("id")))
             case {"op": "subscribeParameterUpdates", "parameterNames": names}:
                 client.parameters |= {name for name, _ in self._gains(names)}
             case {"op": "unsubscribeParameterUpdates", "parameterNames": names}:
@@ -182,61 +191,61 @@ class FoxgloveServer:
                 return
 
     def _gains(self, names: Any) -> list[tuple[str, float | str | bool]]:
-        """Those that are named; all where none is."""
-        wanted = protocol.words(names)
-        return [gain for gain in self._told.gains if not wanted or gain[0] in wanted]
+        """Return the named parameters of the controller; all of them if none is named."""
+        named = protocol.string_list(names)
+        return [gain for gain in self._info.gains if not named or gain[0] in named]
 
-    def _subscribe(self, client: "_Client", told: list[int]) -> None:
-        if len(told) != 2 or not 1 <= told[1] <= len(self._topics):
-            client.say(protocol.status("there is no such channel"))
+    def _subscribe(self, client: "_FoxgloveClient", numbers: list[int]) -> None:
+        if len(numbers) != 2 or not 1 <= numbers[1] <= len(self._topics):
+            client.queue(protocol.status("there is no channel with this id"))
             return
-        if len(client.subscriptions) >= _MOST or told[0] in client.subscriptions:
-            client.say(protocol.status("that subscription is taken"))
+        if len(client.subscriptions) >= _MAX_SUBSCRIPTIONS or numbers[0] in client.subscriptions:
+            client.queue(protocol.status("the subscription id is in use, or there are too many subscriptions"))
             return
-        client.subscriptions[told[0]] = told[1]
-        if told[1] == EVENT and self._event is not None:
-            client.say(protocol.message_data(told[0], *self._event))
+        client.subscriptions[numbers[0]] = numbers[1]
+        if numbers[1] == EVENT_CHANNEL and self._event is not None:
+            client.queue(protocol.message_data(numbers[0], *self._event))
 
 
-class _Client:
-    """One who is connected."""
+class _FoxgloveClient:
+    """A connected Foxglove client with its subscriptions and its message queue."""
 
     def __init__(self, connection: ServerConnection) -> None:
         self.connection = connection
-        self.subscriptions: dict[int, int] = {}  #: channel by id
-        self.parameters: set[str] = set()  #: whose news it wants
-        self._waiting: deque[str | bytes] = deque(maxlen=_WAITING)
-        self._something = asyncio.Event()
+        self.subscriptions: dict[int, int] = {}  #: channel id of each subscription id
+        self.parameters: set[str] = set()  #: names of the subscribed parameters
+        self._messages: deque[str | bytes] = deque(maxlen=_MAX_PENDING_MESSAGES)
+        self._ready = asyncio.Event()
 
     @property
     def channels(self) -> dict[int, list[int]]:
-        """Ids by channel."""
+        """Subscription ids of each subscribed channel."""
         found: dict[int, list[int]] = {}
         for number, channel in self.subscriptions.items():
             found.setdefault(channel, []).append(number)
         return found
 
-    def say(self, what: str | bytes) -> None:
-        """Soon; never waits."""
-        self._waiting.append(what)
-        self._something.set()
+    def queue(self, message: str | bytes) -> None:
+        """Queue a message for this client; never waits."""
+        self._messages.append(message)
+        self._ready.set()
 
     async def send(self) -> None:
-        """One after the other; until cancelled, or until nobody is there."""
+        """Send queued messages until cancelled or until the client disconnects."""
         with contextlib.suppress(ConnectionClosed):
             while True:
-                await self._something.wait()
-                self._something.clear()
-                while self._waiting:
-                    await self.connection.send(self._waiting.popleft())
+                await self._ready.wait()
+                self._ready.clear()
+                while self._messages:
+                    await self.connection.send(self._messages.popleft())
 
 
 def _scope_of(request: Request) -> Scope:
-    """The request of a websocket as the gate knows it."""
+    """Convert the opening request of a WebSocket to an ASGI scope, which the access checks need."""
     path, _, query = request.path.partition("?")
     headers = [(name.lower().encode("latin-1"), value.encode("latin-1")) for name, value in request.headers.raw_items()]
     return {"type": "websocket", "path": path, "query_string": query.encode("latin-1"), "headers": headers}
 
 
-async def _nothing(_scope: Scope, _receive: Receive, _send: Send) -> None:
-    """Nobody gets here."""
+async def _no_endpoint(_scope: Scope, _receive: Receive, _send: Send) -> None:
+    """Do nothing: placeholder for the application that `Access` requires; it is never called."""

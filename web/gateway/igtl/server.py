@@ -1,6 +1,6 @@
-"""The OpenIGTLink server: everybody gets the newest, as often as they read, and nobody waits for anybody.
+"""OpenIGTLink server: each client gets the newest frame whenever it reads, and no client delays another.
 
-A client that does not read has one frame waiting, the newest, beside what its socket holds: nothing piles up.
+For a client that does not read, the server queues only the newest frame, in addition to the socket's buffer.
 """
 
 import asyncio
@@ -13,148 +13,158 @@ from typing import NamedTuple, Protocol
 
 from core.robot.robot import Array, Robot
 from web.gateway.igtl.messages import (
-    HEADER,
-    KINDS,
+    HEADER_BYTES,
+    MESSAGE_KINDS,
     TRACKING,
     BadMessage,
-    Packed,
-    answer,
-    content_of,
-    head_of,
-    moving,
-    standing,
-    target_of,
+    PackedMessage,
+    body_content,
+    motion_messages,
+    parse_head,
+    parse_target,
+    refusal,
+    reply,
+    state_messages,
     tracking_data,
 )
-from web.gateway.seen import Look, Told
-from web.gateway.wanted import Address
+from web.gateway.options import ListenAddress
+from web.gateway.snapshot import Snapshot, StationInfo
 
-#: What the system keeps for a client that does not read [bytes]; it makes two of each.
-_BUFFER = 32 * 1024
-#: Answers that wait for one; whoever asks without reading gets the newest.
-_ANSWERS = 32
-#: That one may have of what it wants and what not.
-_MOST_WISHES = 64
+#: Largest number of clients; each uses a file descriptor and gets 50 frames a second.
+MAX_CLIENTS = 32
+#: Socket send buffer of a client that does not read [bytes]; the kernel doubles it.
+_SEND_BUFFER_BYTES = 32 * 1024
+#: Largest number of answers queued for one client; the oldest are dropped first.
+_MAX_PENDING_REPLIES = 32
+#: Largest number of entries in a client's list of stopped messages, and in its list of requested messages.
+_MAX_SUBSCRIPTIONS = 64
 
 
-class OnTarget(Protocol):
-    """Who hears of targets."""
+class TargetHandler(Protocol):
+    """Function that receives the targets of OpenIGTLink clients."""
 
-    def __call__(self, place: Array, sent: float | None) -> None:
-        """Where (3,) [m] in the world, and when by the sender's clock [s]."""
+    def __call__(self, position: Array, sent: float | None) -> None:
+        """Take the target `position` (3,) [m] in the world frame, and the time `sent` by the sender's clock [s]."""
         ...
 
 
 class _Frame(NamedTuple):
-    """All there is to send at one moment."""
+    """All OpenIGTLink messages of one telemetry snapshot."""
 
-    moving: list[Packed]
-    standing: list[Packed]  #: the same list as long as nothing has changed
-    time: float  #: [s] since 1970
+    motion: list[PackedMessage]
+    state: list[PackedMessage]  #: the same list object while the state is unchanged
+    time: float  #: time of the snapshot [s] since 1970
 
 
 class IgtlServer:
-    """One of them, in the event loop that opens it."""
+    """OpenIGTLink server; it runs in the event loop that opens it."""
 
-    def __init__(self, robot: Robot, on_target: OnTarget) -> None:
+    def __init__(self, robot: Robot, on_target: TargetHandler) -> None:
         self._robot, self._on_target = robot, on_target
-        self._clients: set[_Client] = set()
-        self._leader: _Client | None = None  # the first that has sent a target, until it leaves
-        self._told: Told | None = None
-        self._standing: list[Packed] = []
+        self._clients: set[_IgtlClient] = set()
+        self._target_source: _IgtlClient | None = None  # the first client that sent a target, until it disconnects
+        self._info: StationInfo | None = None
+        self._state: list[PackedMessage] = []
         self._server: asyncio.Server | None = None
 
-    async def open(self, address: Address) -> Address:
-        """Listen; where.
+    async def open(self, address: ListenAddress) -> ListenAddress:
+        """Start listening and return the address.
 
         Raises:
-            OSError: that port cannot be had.
+            OSError: the port is not available.
         """
         self._server = await asyncio.start_server(self._serve, address.host, address.port)
-        return Address(address.host, self._server.sockets[0].getsockname()[1])
+        return ListenAddress(address.host, self._server.sockets[0].getsockname()[1])
 
     @property
-    def watched(self) -> bool:
-        """Whether anybody is there."""
+    def needs_scene(self) -> bool:
+        """Whether a client is connected."""
         return bool(self._clients)
 
-    def publish(self, look: Look) -> None:
-        """Give everybody the newest."""
+    def publish(self, snapshot: Snapshot) -> None:
+        """Offer the newest frame to all clients."""
         now = time.time()
-        if look.told != self._told:
-            self._told, self._standing = look.told, standing(look.told, now)
+        if snapshot.info != self._info:
+            self._info, self._state = snapshot.info, state_messages(snapshot.info, now)
         if not self._clients:
             return
-        frame = _Frame([] if look.seen is None else moving(self._robot, look.seen), self._standing, now)
+        frame = _Frame([] if snapshot.scene is None else motion_messages(self._robot, snapshot.scene), self._state, now)
         for client in self._clients:
             client.offer(frame)
 
     async def close(self) -> None:
-        """Hang up."""
+        """Disconnect all clients."""
         if self._server is not None:
             self._server.close()
         for client in tuple(self._clients):
             client.hang_up()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        client = _Client(writer)
+        if len(self._clients) >= MAX_CLIENTS:
+            text = f"{len(self._clients)} clients are connected, the limit is {MAX_CLIENTS}; disconnect one"
+            with contextlib.suppress(OSError):
+                writer.write(refusal(text))
+                await writer.drain()
+            writer.close()
+            return
+        client = _IgtlClient(writer)
         self._clients.add(client)
         sending = asyncio.create_task(client.send())
         try:
             with contextlib.suppress(BadMessage, OSError, asyncio.IncompleteReadError, asyncio.CancelledError):
-                await self._hear(client, reader)
+                await self._receive(client, reader)
         finally:
             sending.cancel()
             self._clients.discard(client)
-            if self._leader is client:
-                self._leader = None
+            if self._target_source is client:
+                self._target_source = None
             client.hang_up()
 
-    async def _hear(self, client: "_Client", reader: asyncio.StreamReader) -> None:
+    async def _receive(self, client: "_IgtlClient", reader: asyncio.StreamReader) -> None:
         while True:
-            head = head_of(await reader.readexactly(HEADER))
+            head = parse_head(await reader.readexactly(HEADER_BYTES))
             body = await reader.readexactly(head.size)
-            place = target_of(head, body)
-            if place is None:
-                client.asked(head.kind, head.name, content_of(head, body))
-            elif self._leader in (None, client):
-                # Two who pull at one tip would tear it: the first has it until it leaves.
-                self._leader = client
-                self._on_target(place, head.time or None)
+            target = parse_target(head, body)
+            if target is None:
+                client.handle_request(head.kind, head.name, body_content(head, body))
+            elif self._target_source in (None, client):
+                # Two clients must not move one tip: the first that sends a target controls it until it disconnects.
+                self._target_source = client
+                self._on_target(target, head.time or None)
 
 
-class _Client:
-    """One who is connected: what waits for it, and what it wants."""
+class _IgtlClient:
+    """A connected OpenIGTLink client with its queue and its requests."""
 
     def __init__(self, writer: asyncio.StreamWriter) -> None:
         self._writer = writer
         connected: socket.socket = writer.get_extra_info("socket")
-        connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
-        writer.transport.set_write_buffer_limits(high=0)  # whoever has not read the last gets nothing more
-        self._something = asyncio.Event()
+        connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        writer.transport.set_write_buffer_limits(high=0)  # no new frame is sent before the client has read the last
+        self._ready = asyncio.Event()
         self._newest: _Frame | None = None
-        self._said: list[Packed] | None = None
-        self._answers: deque[bytes] = deque(maxlen=_ANSWERS)
-        self._stopped: set[tuple[str, str]] = set()  # kinds, as they begin, and names; all names where that is empty
+        self._sent_state: list[PackedMessage] | None = None
+        self._answers: deque[bytes] = deque(maxlen=_MAX_PENDING_REPLIES)
+        self._stopped: set[tuple[str, str]] = set()  # stopped messages: prefix of the type, and name (empty: all)
         self._once: set[tuple[str, str]] = set()
-        self._tracking: float | None = None  # TDATA, so many seconds apart at least
-        self._tracked = 0.0
+        self._tracking: float | None = None  # shortest interval of TDATA [s]; None: not requested
+        self._last_tracking = 0.0
 
     def offer(self, frame: _Frame) -> None:
-        """Takes the place of one that is still waiting."""
+        """Queue a frame for this client; it replaces an older queued frame."""
         self._newest = frame
-        self._something.set()
+        self._ready.set()
 
-    def asked(self, kind: str, name: str, body: bytes) -> None:
-        """GET_, STT_ and STP_ of anything; all else is not for us."""
+    def handle_request(self, kind: str, name: str, body: bytes) -> None:
+        """Handle the client's GET_, STT_ and STP_ messages; ignore all others."""
         verb, _, what = kind.partition("_")
         if not what or verb not in ("GET", "STT", "STP"):
             return
-        refused = not any(known.startswith(what) for known in KINDS)
+        refused = not any(known.startswith(what) for known in MESSAGE_KINDS)
         if what == TRACKING:
             resolution = struct.unpack("> i", body[:4])[0] if len(body) >= 4 else 0
             self._tracking = 1e-3 * max(0, resolution) if verb == "STT" else None
-        elif not refused and len(self._stopped) + len(self._once) < _MOST_WISHES:
+        elif not refused and len(self._stopped) + len(self._once) < _MAX_SUBSCRIPTIONS:
             if verb == "STP":
                 self._stopped.add((what, name))
             elif verb == "STT":
@@ -162,42 +172,42 @@ class _Client:
             else:
                 self._once.add((what, name))
         if verb != "GET" or refused:
-            self._answers.append(answer(what, name, refused=refused))
-            self._something.set()
+            self._answers.append(reply(what, name, refused=refused))
+            self._ready.set()
 
     async def send(self) -> None:
-        """Send the newest whenever the last has gone; until cancelled, or until nobody is there."""
+        """Send the newest frame as soon as the last one was sent, until cancelled or until the client disconnects."""
         with contextlib.suppress(OSError):
             while True:
-                await self._something.wait()
-                self._something.clear()
-                self._writer.write(self._all())
+                await self._ready.wait()
+                self._ready.clear()
+                self._writer.write(self._next_bytes())
                 await self._writer.drain()
 
     def hang_up(self) -> None:
-        """Without waiting for what it has not read."""
+        """Disconnect the client without waiting until it has read its data."""
         self._writer.transport.abort()
 
-    def _all(self) -> bytes:
+    def _next_bytes(self) -> bytes:
         answers = b"".join(self._answers)
         self._answers.clear()
         frame, self._newest = self._newest, None
         if frame is None:
             return answers
-        old = frame.standing is self._said
-        self._said = frame.standing
-        sent = [each for each in frame.moving if self._once_or_always(each)]
-        sent += [each for each in frame.standing if (_is_any(each, self._once) if old else self._once_or_always(each))]
+        unchanged = frame.state is self._sent_state
+        self._sent_state = frame.state
+        sent = [each for each in frame.motion if self._is_due(each)]
+        sent += [each for each in frame.state if (_is_requested(each, self._once) if unchanged else self._is_due(each))]
         self._once.clear()
-        if self._tracking is not None and frame.time - self._tracked >= self._tracking:
-            self._tracked = frame.time
-            sent.append(tracking_data(frame.moving, frame.time))
+        if self._tracking is not None and frame.time - self._last_tracking >= self._tracking:
+            self._last_tracking = frame.time
+            sent.append(tracking_data(frame.motion, frame.time))
         return answers + b"".join(each.data for each in sent)
 
-    def _once_or_always(self, sent: Packed) -> bool:
-        return not _is_any(sent, self._stopped) or _is_any(sent, self._once)
+    def _is_due(self, sent: PackedMessage) -> bool:
+        return not _is_requested(sent, self._stopped) or _is_requested(sent, self._once)
 
 
-def _is_any(sent: Packed, wanted: set[tuple[str, str]]) -> bool:
-    """Whether it was asked for: names of queries are cut (`STT_TRANS`), and no name means all."""
-    return any(sent.kind.startswith(kind) and name in ("", sent.name) for kind, name in wanted)
+def _is_requested(sent: PackedMessage, requested: set[tuple[str, str]]) -> bool:
+    """Return whether a message was requested; a request may abbreviate the type (`STT_TRANS`) and omit the name."""
+    return any(sent.kind.startswith(kind) and name in ("", sent.name) for kind, name in requested)

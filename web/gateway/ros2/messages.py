@@ -1,7 +1,7 @@
-"""ROS 2 messages of what is seen, as CDR: the bytes that ROS 2 has on its wire, without an installation of it.
+"""ROS 2 messages of the robot's state in CDR, the wire format of ROS 2, without an installation of ROS 2.
 
-Little-endian XCDR 1: numbers are aligned to their own size, counted from behind the four bytes at the beginning. The
-definitions are those of common_interfaces; the hashes are what ROS 2 (Iron and later) knows them by.
+The encoding is little-endian XCDR 1: numbers are aligned to their size, counted from the end of the four-byte header.
+The type definitions are those of ROS 2's common_interfaces; ROS 2 (Iron and later) identifies a type by its hash.
 """
 
 import struct
@@ -11,31 +11,31 @@ from typing import NamedTuple
 import numpy as np
 
 from core.robot.robot import Robot
-from station.recording.posed import Pose
-from web.gateway.seen import Seen
+from station.recording.robot_pose import Pose
+from web.gateway.snapshot import SceneState
 
-#: Frame of everything, and one at the tip that is not turned, for the force that acts there.
+#: Names of two frames: the world frame of all poses, and an unrotated frame at the tip for the force that acts there.
 WORLD, LOAD = "world", "tip_load"
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
-class Kind(NamedTuple):
-    """A type of message."""
+class RosType(NamedTuple):
+    """A ROS 2 message type."""
 
-    name: str  #: as in `ros2 interface show`
+    name: str  #: name of the type as in `ros2 interface show`
     hash: str
-    definition: str  #: all of it, parts included
+    definition: str  #: complete text of the definition, nested types included
 
     @property
     def wire(self) -> str:
-        """The name that DDS and Zenoh have for it."""
+        """Name of the type as DDS and Zenoh use it."""
         package, _, name = self.name.split("/")
         return f"{package}::msg::dds_::{name}_"
 
 
-class Message(NamedTuple):
-    """One, on its way."""
+class RosMessage(NamedTuple):
+    """A ROS 2 message that is ready to send."""
 
     topic: str
     data: bytes
@@ -64,25 +64,25 @@ float64 y
 float64 z
 float64 w
 """
-JOINT_STATE = Kind(
+JOINT_STATE = RosType(
     "sensor_msgs/msg/JointState",
     "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
     f"std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n{_HEADER}",
 )
-POSE = Kind(
+POSE = RosType(
     "geometry_msgs/msg/PoseStamped",
     "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
     f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{_HEADER}{_BAR}\nMSG: geometry_msgs/Pose\n"
     f"geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n{_BAR}\nMSG: geometry_msgs/Point\n"
     f"float64 x\nfloat64 y\nfloat64 z\n{_QUATERNION}",
 )
-WRENCH = Kind(
+WRENCH = RosType(
     "geometry_msgs/msg/WrenchStamped",
     "RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77",
     f"std_msgs/Header header\ngeometry_msgs/Wrench wrench\n{_HEADER}{_BAR}\nMSG: geometry_msgs/Wrench\n"
     f"geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n{_VECTOR}",
 )
-TRANSFORMS = Kind(
+TRANSFORMS = RosType(
     "tf2_msgs/msg/TFMessage",
     "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
     f"geometry_msgs/TransformStamped[] transforms\n{_BAR}\nMSG: geometry_msgs/TransformStamped\n"
@@ -90,7 +90,7 @@ TRANSFORMS = Kind(
     f"MSG: geometry_msgs/Transform\ngeometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"
     f"{_VECTOR}{_QUATERNION}",
 )
-#: What is published, by topic.
+#: Message type of each published topic.
 TOPICS = {
     "/joint_states": JOINT_STATE,
     "/tip/measured": POSE,
@@ -102,79 +102,81 @@ TOPICS = {
 
 
 class _Cdr:
-    """Bytes that grow."""
+    """Encoder of CDR, the wire format of ROS 2."""
 
     def __init__(self) -> None:
         self._data = bytearray()
 
     def of(self, kind: str, *values: float) -> "_Cdr":
-        """Numbers of one kind, as `struct` calls it."""
+        """Append aligned numbers of one `struct` format."""
         size = struct.calcsize(kind)
         self._data += bytes(-len(self._data) % size)
         self._data += struct.pack(f"<{len(values)}{kind}", *values)
         return self
 
-    def word(self, text: str) -> "_Cdr":
-        """A string."""
-        told = text.encode() + b"\0"
-        self.of("I", len(told))
-        self._data += told
+    def string(self, text: str) -> "_Cdr":
+        """Append a string, with its length before it."""
+        encoded = text.encode() + b"\0"
+        self.of("I", len(encoded))
+        self._data += encoded
         return self
 
     def numbers(self, values: Sequence[float]) -> "_Cdr":
-        """A sequence of float64; an empty one has nothing to align."""
+        """Append a sequence of float64; an empty sequence needs no alignment."""
         self.of("I", len(values))
         return self.of("d", *values) if values else self
 
     def head(self, stamp: int, frame: str) -> "_Cdr":
-        """A std_msgs/Header of `stamp` [ns] since 1970."""
+        """Append a std_msgs/Header with the time `stamp` [ns] since 1970 and the frame's name."""
         seconds, nanoseconds = divmod(stamp, 10**9)
-        return self.of("i", seconds).of("I", nanoseconds).word(frame)
+        return self.of("i", seconds).of("I", nanoseconds).string(frame)
 
     def done(self) -> bytes:
-        """All of it."""
+        """Return the bytes of the complete message."""
         return _LITTLE_ENDIAN + bytes(self._data)
 
 
-def messages(robot: Robot, seen: Seen) -> list[Message]:
-    """All that is known now."""
-    said = [Message("/joint_states", joint_state(seen.stamp, robot.joint_names, seen.joints, seen.velocities))]
-    said += [Message(f"/tip/{name}", pose(seen.stamp, tip)) for name, tip in seen.tips().items()]
-    if seen.posed is None:
-        return said
-    plate, tip = seen.posed.plate, seen.posed.tip
+def ros_messages(robot: Robot, scene: SceneState) -> list[RosMessage]:
+    """Return the ROS 2 messages of all values that are known now."""
+    messages = [
+        RosMessage("/joint_states", joint_state(scene.stamp, robot.joint_names, scene.joints, scene.velocities))
+    ]
+    messages += [RosMessage(f"/tip/{name}", pose(scene.stamp, tip)) for name, tip in scene.tips().items()]
+    if scene.pose is None:
+        return messages
+    plate, tip = scene.pose.plate, scene.pose.tip
     named = [("plate", plate), ("tip", tip), (LOAD, (tip[0], _UPRIGHT))]
-    named += [(f"{tube.name}_base", base) for tube, base in zip(robot.tubes, seen.bases, strict=True)]
-    said.append(Message("/tf", transforms(seen.stamp, named)))
-    if seen.force is not None and seen.moment is not None:
-        # What the sensors' moment about the plate is about the tip: nothing but noise, if the load acts there.
-        torque = seen.moment - np.cross(np.subtract(tip[0], plate[0]), seen.force)
-        said.append(Message("/tip/force", wrench(seen.stamp, seen.force.tolist(), torque.tolist())))
-    return said
+    named += [(f"{tube.name}_base", base) for tube, base in zip(robot.tubes, scene.bases, strict=True)]
+    messages.append(RosMessage("/tf", transforms(scene.stamp, named)))
+    if scene.force is not None and scene.moment is not None:
+        # The measured moment about the plate, moved to the tip, is only noise if the load acts at the tip.
+        torque = scene.moment - np.cross(np.subtract(tip[0], plate[0]), scene.force)
+        messages.append(RosMessage("/tip/force", wrench(scene.stamp, scene.force.tolist(), torque.tolist())))
+    return messages
 
 
 def joint_state(stamp: int, names: Sequence[str], positions: Iterable[float], velocities: Iterable[float]) -> bytes:
-    """sensor_msgs/JointState: positions [rad or m] and velocities as sent, without efforts."""
+    """Return a sensor_msgs/JointState with positions [rad or m] and commanded velocities, without efforts."""
     cdr = _Cdr().head(stamp, "").of("I", len(names))
     for name in names:
-        cdr.word(name)
+        cdr.string(name)
     return cdr.numbers(list(positions)).numbers(list(velocities)).numbers([]).done()
 
 
-def pose(stamp: int, where: Pose) -> bytes:
-    """geometry_msgs/PoseStamped in the world [m]."""
-    position, quaternion = where
+def pose(stamp: int, value: Pose) -> bytes:
+    """Return a geometry_msgs/PoseStamped in the world frame [m]."""
+    position, quaternion = value
     return _Cdr().head(stamp, WORLD).of("d", *position, *quaternion).done()
 
 
 def wrench(stamp: int, force: Sequence[float], torque: Sequence[float]) -> bytes:
-    """geometry_msgs/WrenchStamped at the tip, along the axes of the world [N, N m]."""
+    """Return a geometry_msgs/WrenchStamped at the tip, along the world's axes [N, N m]."""
     return _Cdr().head(stamp, LOAD).of("d", *force, *torque).done()
 
 
 def transforms(stamp: int, poses: Sequence[tuple[str, Pose]]) -> bytes:
-    """tf2_msgs/TFMessage: frames in the world [m]."""
+    """Return a tf2_msgs/TFMessage with the poses of frames in the world frame [m]."""
     cdr = _Cdr().of("I", len(poses))
     for name, (position, quaternion) in poses:
-        cdr.head(stamp, WORLD).word(name).of("d", *position, *quaternion)
+        cdr.head(stamp, WORLD).string(name).of("d", *position, *quaternion)
     return cdr.done()

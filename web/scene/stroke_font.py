@@ -1,10 +1,10 @@
-"""Numbers and axes' names as strokes: they lie in the grid's planes and are seen on light and dark alike."""
+"""Font made of line segments for the numbers and axis names of the scene's grid."""
 
 import numpy as np
 
 from core.robot.robot import Array
 
-#: Corners of the strokes by letter, in a field one wide and two high; like a seven-segment display.
+#: Named end points of the strokes in a cell of width 1 and height 2, as in a seven-segment display.
 _AT = {
     "a": (0.0, 2.0), "b": (1.0, 2.0), "c": (0.0, 1.0), "d": (1.0, 1.0), "e": (0.0, 0.0), "f": (1.0, 0.0),
     "g": (0.5, 0.4), "h": (0.5, 1.0), "i": (0.5, 0.0),
@@ -14,25 +14,25 @@ _GLYPHS: dict[str, tuple[str, ...]] = {
     "6": ("baefdc",), "7": ("abf",), "8": ("abfea", "cd"), "9": ("dcabfe",), "-": ("cd",),
     "x": ("cf", "de"), "y": ("cg", "de"), "z": ("cdef",), "m": ("ecdf", "hi"), " ": (),
 }  # fmt: skip
-#: From one letter to the next, its width being 1.
+#: Distance between the starts of two characters, each of width 1.
 _STEP = 1.6
 
 
 def strokes(text: str, middle: Array, right: Array, up: Array, height: float) -> Array:
-    """Segments (k, 2, 3) [m] of a line of text.
+    """Return the segments (k, 2, 3) [m] of a line of text.
 
     Args:
-        text: of digits, minus, x, y, z, m and spaces.
-        middle: of the text (3,) [m].
-        right, up: the directions in which it runs and stands (3,), of length 1.
-        height: of a digit [m].
+        text: text of digits, minus, x, y, z, m and spaces.
+        middle: centre of the text (3,) [m].
+        right, up: directions of the text's line and of its height, unit vectors (3,).
+        height: height of a digit [m].
     """
     size = 0.5 * height
-    begin = -0.5 * (_STEP * (len(text) - 1) + 1.0)
+    start = -0.5 * (_STEP * (len(text) - 1) + 1.0)
     segments: list[Array] = []
     for number, letter in enumerate(text):
         for line in _GLYPHS[letter]:
             across, above = np.array([_AT[corner] for corner in line]).T[..., None]
-            points = middle + size * ((begin + _STEP * number + across) * right + (above - 1.0) * up)
+            points = middle + size * ((start + _STEP * number + across) * right + (above - 1.0) * up)
             segments.append(np.stack((points[:-1], points[1:]), axis=1))
     return np.concatenate(segments) if segments else np.empty((0, 2, 3))

@@ -1,0 +1,300 @@
+"""The rig over REST: devices, homing, tare, jogging, and the virtual lab's loads and faults."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Depends, Query
+from pydantic import ConfigDict, Field
+
+from core.control.controllers import INNER_LOOPS, STRATEGIES
+from station.config.controllers import ControllerFile
+from station.config.strict import Strict
+from station.control.jog import Space
+from station.control.messages import DeviceStatus
+from station.control.states import RefusedError
+from station.lab.faults import FAULT_KINDS, LabFault, Part, check_faults
+from station.lab.loads import Load
+from station.service.audit import Audit, Entry
+from station.service.station_service import JOG_TIP_SPEED_M_S, JOG_TURN_SPEED_RAD_S, StationService
+from web.api.commands import Commands, Permitted, run_in_thread
+from web.api.schemas import REFUSED_RESPONSES, DoneOut, StartOut
+
+
+class JointOut(Strict):
+    """A joint and the limits of its stage."""
+
+    name: str
+    motion: Literal["rotation", "translation"]
+    unit: str
+    lower: float
+    upper: float
+    speed: float
+
+
+class RigOut(Strict):
+    """The rig: robot, joints, limits and controllers."""
+
+    robot: str
+    lab: str
+    """name of the virtual lab, or the drivers in use"""
+    virtual: bool
+    """a virtual lab: it accepts simulated loads and device faults"""
+    joints: tuple[JointOut, ...]
+    working_pose: Mapping[str, float] | None
+    """pose to which the robot moves after homing [rad or m]; null: it stays at the homing pose"""
+    tubes: tuple[str, ...]
+    """innermost first"""
+    max_force: float
+    """tip force at which a motion ends in HOLD or the tip pushes no further [N]"""
+    max_force_reason: str
+    """what `max_force` protects"""
+    model: str
+    """integrator chosen for the curvature of the tubes; empty: the paper's, or that of the station's file"""
+    tip_speed: float
+    """speed limit of the tip while it is jogged [m/s]"""
+    turn_speed: float | None
+    """limit of the tip's turning speed while it is jogged [rad/s]; null: its direction is not controlled"""
+    strategies: tuple[str, ...]
+    """control strategies"""
+    inner: tuple[str, ...]
+    """inner loops"""
+    controller: ControllerFile
+    """controller of a free motion that specifies none"""
+
+
+class DevicesOut(Strict):
+    """All devices, and their newest measurements."""
+
+    devices: tuple[DeviceStatus, ...]
+    raw: Mapping[str, float]
+    """values by channel, named as in recordings, with the unit in the name"""
+
+
+class HomeIn(Strict):
+    """The operator's confirmation for homing."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"way_is_clear": True}]})
+
+    way_is_clear: Literal[True]
+    """the operator has checked that the tubes can be retracted and turned without touching anything"""
+    then_working_pose: bool = True
+    """then go to the working pose, if the robot's file has one; false: stay at the homing pose"""
+
+
+class GotoIn(Strict):
+    """A joint pose to go to, at half of the joints' top speed at most."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{}, {"joints": {"inner_translation": -0.08}}]})
+
+    joints: Annotated[Mapping[str, float], Field(min_length=1, max_length=20)] | None = None
+    """joint positions by name [rad or m]; omitted joints stay; null: the working pose of the robot's file"""
+
+
+class JogIn(Strict):
+    """A jog velocity for the next 0.3 s; repeat the request to continue."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"space": "tip", "velocity": [0.0, 0.0, 0.002]}]})
+
+    space: Space
+    velocity: Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=20)]
+    """of every joint [rad/s or m/s]; or in the world frame: of the tip [m/s], or of its direction [rad/s]"""
+
+
+class LoadIn(Strict):
+    """A load on the simulated tip or shaft, effective immediately."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"load": {"kind": "constant", "magnitude": 0.2}}]})
+
+    load: Load
+
+
+class FaultsIn(Strict):
+    """Faults of the simulated devices, effective immediately."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"faults": [{"kind": "mute", "device": "tracker", "duration": 1.0}]}]}
+    )
+
+    faults: Annotated[tuple[LabFault, ...], Field(strict=False, min_length=1, max_length=20)]
+
+
+class FaultKindOut(Strict):
+    """A kind of fault that can be injected."""
+
+    kind: str
+    devices: tuple[str, ...]
+    """devices or joints that it can affect"""
+    most: float | None
+    """largest value; null: the fault has no value"""
+    unit: str
+    lasts: bool
+    """the fault has a duration"""
+
+
+#: Names of the telemetry channels that contain unprocessed values of a device.
+RAW_CHANNELS = (
+    "joints",
+    "velocity_commanded",
+    "velocity_sent",
+    "wrench_raw",
+    "tip_measured",
+    "tip_time",
+    "force",
+    "moment",
+)
+
+
+def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRouter:
+    """Return the routes under /api for the rig."""
+    router = APIRouter(prefix="/api", tags=["bench"], dependencies=[Depends(of.renew_lease)])
+    operator = [Depends(of.require_operator)]
+    supervisor = service.supervisor
+
+    def done() -> DoneOut:
+        return DoneOut(state=supervisor.status().state.name)
+
+    async def in_a_virtual_lab() -> None:
+        if supervisor.bench.devices is not None:
+            raise RefusedError("this rig has real devices; only a virtual lab accepts simulated loads and faults")
+
+    virtual = [Depends(in_a_virtual_lab), *operator]
+
+    @router.get("/rig", summary="Robot, joints and their limits")
+    def bench() -> RigOut:
+        return bench_out(service)
+
+    @router.get("/devices", summary="Every device with its details, and raw values")
+    def devices() -> DevicesOut:
+        return devices_out(service)
+
+    @router.get("/log", summary="Commands and refusals, newest first")
+    def log(count: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[Entry]:
+        return list(audit.tail(count))
+
+    @router.post("/connect", responses=REFUSED_RESPONSES, dependencies=operator, summary="Find the devices")
+    async def connect(permit: Permitted) -> DoneOut:
+        await run_in_thread(supervisor.connect, permit)
+        return done()
+
+    @router.post("/home", responses=REFUSED_RESPONSES, dependencies=operator, summary="Home every stage")
+    async def home(request: HomeIn, permit: Permitted) -> DoneOut:
+        await run_in_thread(partial(service.home, then_work=request.then_working_pose, permit=permit))
+        return done()
+
+    @router.post(
+        "/goto", status_code=202, responses=REFUSED_RESPONSES, dependencies=operator, summary="Go to a joint pose"
+    )
+    async def goto(request: GotoIn, permit: Permitted) -> StartOut:
+        run = await run_in_thread(partial(service.go_to, request.joints, permit=permit))
+        return StartOut(run_id=run.id, warnings=run.start.warnings)
+
+    @router.post("/tare", responses=REFUSED_RESPONSES, dependencies=operator, summary="Zero the force sensors")
+    async def tare(permit: Permitted) -> DoneOut:
+        await run_in_thread(supervisor.tare, permit)
+        return done()
+
+    @router.post(
+        "/jog", responses=REFUSED_RESPONSES, dependencies=operator, summary="Jog for 0.3 s; repeat to continue"
+    )
+    async def jog(request: JogIn, permit: Permitted) -> DoneOut:
+        await run_in_thread(partial(service.jog, request.space, request.velocity, permit=permit))
+        return done()
+
+    @router.post(
+        "/load",
+        responses=REFUSED_RESPONSES,
+        dependencies=virtual,
+        summary="Apply a load to the simulated robot (virtual lab)",
+    )
+    async def apply_load(request: LoadIn) -> DoneOut:
+        await run_in_thread(service.apply_load, request.load)
+        return done()
+
+    @router.get("/faults", summary="Faults that can be injected (virtual lab)")
+    def faults() -> list[FaultKindOut]:
+        return fault_kinds(service)
+
+    @router.post(
+        "/faults", responses=REFUSED_RESPONSES, dependencies=virtual, summary="Inject device faults (virtual lab)"
+    )
+    async def inject(request: FaultsIn) -> DoneOut:
+        check_faults(request.faults, supervisor.bench.robot)
+        await run_in_thread(supervisor.inject, request.faults)
+        return done()
+
+    @router.delete(
+        "/faults", responses=REFUSED_RESPONSES, dependencies=virtual, summary="Remove injected faults (virtual lab)"
+    )
+    async def remove_faults() -> DoneOut:
+        await run_in_thread(supervisor.inject, ())
+        return done()
+
+    return router
+
+
+def bench_out(service: StationService) -> RigOut:
+    """Return the description of the rig as a response."""
+    bench = service.supervisor.bench
+    force = bench.robot.largest_force()
+    return RigOut(
+        robot=bench.robot.name,
+        lab=bench.title,
+        virtual=bench.devices is None,
+        joints=tuple(
+            JointOut(
+                name=joint.name,
+                motion=joint.motion,
+                unit="rad" if joint.motion == "rotation" else "m",
+                lower=joint.lower,
+                upper=joint.upper,
+                speed=joint.speed,
+            )
+            for joint in bench.robot.joints
+        ),
+        working_pose=bench.robot.working_pose,
+        tubes=tuple(tube.name for tube in bench.robot.tubes),
+        max_force=force.newton,
+        max_force_reason=force.reason,
+        model=bench.model_note,
+        tip_speed=JOG_TIP_SPEED_M_S,
+        turn_speed=None if bench.controller.task == "position" else JOG_TURN_SPEED_RAD_S,
+        strategies=tuple(STRATEGIES),
+        inner=tuple(INNER_LOOPS),
+        controller=bench.controller,
+    )
+
+
+def devices_out(service: StationService) -> DevicesOut:
+    """Return the state of all devices as a response; unknown or stale values are omitted."""
+    status = service.supervisor.status()
+    raw: dict[str, float] = {}
+    for group in RAW_CHANNELS:
+        if group in status.values and group not in status.stale_groups:
+            names = [c.column for c in service.supervisor.channels.all if c.name.rsplit(".", 1)[0] == group]
+            raw |= {name: x for name, x in zip(names, status.values[group].tolist(), strict=True) if x == x}
+    return DevicesOut(
+        devices=status.devices,
+        raw=raw,
+    )
+
+
+def fault_kinds(service: StationService) -> list[FaultKindOut]:
+    """Return every kind of fault with the devices that it can affect on this rig."""
+    robot = service.supervisor.bench.robot
+    targets: dict[Part, tuple[str, ...]] = {
+        "stages": ("stages",),
+        "joint": tuple(joint.name for joint in robot.joints),
+        "tracker": ("tracker",),
+        "sensor": ("sensors", *(tube.name for tube in robot.tubes)),
+    }
+    return [
+        FaultKindOut(
+            kind=name,
+            devices=tuple(device for part in kind.parts for device in targets[part]),
+            most=kind.maximum,
+            unit=kind.unit,
+            lasts=kind.lasts,
+        )
+        for name, kind in FAULT_KINDS.items()
+    ]
