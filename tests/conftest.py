@@ -15,12 +15,12 @@ from core.robot.robot import Joint, Robot, Section, Tube
 from station.cli.main import main
 from station.config.robots import RobotFile, load_robot
 from station.config.strict import PRESETS
-from station.threads import one_thread_each
+from station.threads import limit_to_one_thread
 from tests.harness.cases import SHORT
 from tests.harness.leftovers import nothing_left_behind
 
 # Of workers and of all processes that tests start.
-one_thread_each()
+limit_to_one_thread()
 # Processes that tests start keep what Python has compiled of this project, for those that come after them.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 

@@ -1,11 +1,11 @@
-"""Disturbed lines for both ends of an Aurora: the host's session, and the simulated unit.
+"""Fuzz test of the Aurora protocol on a disturbed serial line, for the driver's session and for the simulated unit.
 
     python -m tests.fuzz.aurora 1000000 1
 
-Each case disturbs one exchange: bytes lost, bits flipped, noise put in, replies late, twice, cut short,
-of the wrong kind, or absent. An exception, an end that does not recover, and a value or a command
-that nobody sent (a false accept) are counted. The host talks to a responder written here, from the
-protocol's description, and not to the simulated unit.
+Each case disturbs one exchange: bytes are lost, bits are flipped, or noise is inserted; replies are late, repeated,
+cut short, of the wrong type, or absent. The fuzzer counts exceptions, ends of the line that do not recover, and false
+accepts. A false accept is a value or a command that was never sent. The driver's session talks to a responder that was
+written here from the protocol's description, not to the simulated unit.
 """
 
 import json
@@ -17,58 +17,59 @@ from collections import Counter
 
 import numpy as np
 
-from station.devices.aurora.measurement import Quality
+from station.devices.aurora.measurement import FrameQuality
 from station.devices.aurora.protocol import binary, framed
 from station.devices.aurora.session import AuroraSession
 from station.devices.aurora.settings import AuroraSettings
 from station.lab.aurora.simulated import SimulatedAurora
 from station.lab.config import TrackerConfig
 
-#: After how many disturbed exchanges an end has to prove that it still works.
+#: Number of disturbed exchanges after which the session or the unit must prove that it still works.
 ROUND = 25
-#: Virtual seconds in which it must: a search at two rates, a break, tools, a start.
+#: Time within which a session must recover [s, virtual]: it searches at two baud rates, sends a break, sets up the
+#: tools and starts tracking.
 PATIENCE = 30.0
 PERIOD = 1.0 / 40.0
 
 
 def disturb(data: bytes, draw: random.Random) -> bytes:
-    """Spoil `data` in one of the ways of a bad line."""
+    """Return `data` corrupted in one of the ways in which a bad line corrupts bytes."""
     out = bytearray(data)
     kind = draw.randrange(7)
     if kind == 0 and out:  # bits flipped
         for _ in range(draw.choice((1, 1, 2, 3, 4, 6, 12))):
             out[draw.randrange(len(out))] ^= 1 << draw.randrange(8)
-    elif kind == 1 and out:  # a burst
+    elif kind == 1 and out:  # a burst of errors
         at = draw.randrange(len(out))
         for i in range(at, min(len(out), at + draw.randrange(1, 20))):
             out[i] = draw.randrange(256)
-    elif kind == 2:  # bytes lost
+    elif kind == 2:  # bytes are lost
         for _ in range(draw.choice((1, 1, 2, 5))):
             if out:
                 del out[draw.randrange(len(out))]
-    elif kind == 3:  # noise put in
+    elif kind == 3:  # noise is inserted
         at = draw.randrange(len(out) + 1)
         out[at:at] = draw.randbytes(draw.randrange(1, 40))
-    elif kind == 4:  # cut short
+    elif kind == 4:  # the data is cut short
         del out[draw.randrange(len(out) + 1) :]
-    elif kind == 5:  # nothing but noise
+    elif kind == 5:  # noise replaces the data
         out = bytearray(draw.randbytes(draw.randrange(80)))
-    else:  # twice, the second time over the end of the first
+    else:  # the data is repeated, and the repetition overwrites its end
         out = out[: draw.randrange(len(out) + 1)] + out
     return bytes(out)
 
 
 def pieces(data: bytes, draw: random.Random) -> list[bytes]:
-    """`data` in a few parts."""
+    """Return `data` cut into a few pieces."""
     cuts = sorted(draw.randrange(len(data) + 1) for _ in range(draw.randrange(4)))
     return [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
 
 
 class Responder:
-    """What a good unit says, as the protocol's description has it."""
+    """Simple Aurora unit that answers every command as the protocol's description requires."""
 
     def __init__(self, draw: random.Random, old: bool) -> None:
-        self.sent: dict[int, tuple[float, ...]] = {}  #: true positions by frame [mm]
+        self.sent: dict[int, tuple[float, ...]] = {}  #: sent position of the coil by frame number [mm]
         self._draw = draw
         self._old = old
         self._tracking = self._prepared = 0
@@ -111,7 +112,7 @@ class Responder:
         return binary(body)
 
 
-#: Replies whose CRC is right and that are wrong all the same.
+#: Returns a reply that is wrong although its CRC is correct.
 def wrong_kind(draw: random.Random) -> bytes:
     kind = draw.randrange(6)
     if kind == 0:
@@ -128,7 +129,7 @@ def wrong_kind(draw: random.Random) -> bytes:
 
 
 class HostLine:
-    """A session and a responder on a line that can be disturbed."""
+    """The driver's session and a responder on a line that can be disturbed."""
 
     def __init__(self, draw: random.Random) -> None:
         self.draw = draw
@@ -140,9 +141,9 @@ class HostLine:
         self._late: list[bytes] = []
 
     def exchange(self, bad: bool) -> None:
-        """Let the session say something and answer it, well or badly."""
+        """Let the session send its next command, and answer it; `bad`: disturb the answer."""
         draw = self.draw
-        for _ in range(60):  # at most until something is said
+        for _ in range(60):  # until the session sends a command
             self.now += 0.002 if self.session.tracking else 0.02
             orders = self.session.due(self.now)
             if any(isinstance(order, bytes) for order in orders):
@@ -170,15 +171,15 @@ class HostLine:
 
     def _receive(self, data: bytes) -> None:
         for seen in self.session.receive(data, self.now):
-            if seen.quality is Quality.GOOD:
+            if seen.quality is FrameQuality.GOOD:
                 self.good += 1
                 true = self.responder.sent.get(seen.frame)
-                # A frame may be told by TX in decimals and by BX in single precision: 1e-4 mm is the same.
+                # TX sends a frame in decimals and BX in single precision, so differences up to 1e-4 mm are rounding.
                 if true is None or seen.position is None or math.dist(true, seen.position) > 1e-4:
                     self.false_accepts += 1
 
     def recovers(self) -> bool:
-        """Whether good frames come again on a good line."""
+        """Return whether the session receives good frames again on an undisturbed line."""
         before, give_up = self.good, self.now + PATIENCE
         while self.good < before + 3 and self.now < give_up:
             self.exchange(bad=False)
@@ -193,7 +194,7 @@ COMMANDS = (
 
 
 class DeviceLine:
-    """A simulated unit and a host that talks badly."""
+    """A simulated Aurora unit and a host that sends disturbed commands."""
 
     def __init__(self, draw: random.Random) -> None:
         self.draw = draw
@@ -201,15 +202,15 @@ class DeviceLine:
         self.now = 0.0
         self.false_accepts = 0
         self._tip = np.zeros(3)
-        self._said: set[str] = set()  # since the last CR
+        self._said: set[str] = set()  # commands that were sent since the last CR
 
     def exchange(self, bad: bool) -> None:
-        """Say one command, well or badly."""
+        """Send one command; `bad`: disturb it."""
         command = self.draw.choice(COMMANDS)
         self.unit.executed.clear()
         data = disturb(framed(command), self.draw) if bad else framed(command)
         self.say(data)
-        # A command that only lost its CR is carried out with the next CR, be it noise.
+        # A command that has lost only its CR is executed with the next CR, even if that CR is noise.
         self._said.add(command)
         if bad and not self._said.issuperset(self.unit.executed):
             self.false_accepts += 1
@@ -230,14 +231,14 @@ class DeviceLine:
         return self.unit.transmit(self.now)
 
     def recovers(self) -> bool:
-        """Whether a good command is answered once what is left on the line has been ended by CR."""
+        """Return whether the unit answers a good command after CRs have ended the bytes that are left on the line."""
         for _ in range(10):
             self.say(b"\r")
         return framed("OKAY") in self.say(framed("INIT:"))
 
 
 def fuzz(cases: int, seed: int) -> dict[str, int]:
-    """Disturb so many exchanges, half of them at each end."""
+    """Run `cases` disturbed exchanges, half with the session and half with the unit; return the counts."""
     draw = random.Random(seed)
     counts = Counter(cases=0, exceptions=0, hangs=0, false_accepts=0, good_frames=0)
     host, device = HostLine(draw), DeviceLine(draw)
@@ -249,7 +250,7 @@ def fuzz(cases: int, seed: int) -> dict[str, int]:
                     if draw.random() < 0.7:
                         line.exchange(bad=False)
                 hung = not line.recovers()
-            except Exception as error:  # the very thing that is looked for
+            except Exception as error:  # any exception is a finding of the fuzzer
                 counts["exceptions"] += 1
                 sys.stderr.write(f"after {counts['cases']} cases: {error!r}\n")
                 hung = True

@@ -1,6 +1,6 @@
-"""Spoilt bytes for everything that reads what a Net F/T box sends, or what is sent to one.
+"""Fuzz test of the Net F/T code with corrupted bytes: driver, simulated box, configuration page and calibration file.
 
-`python -m tests.fuzz.netft 1000000 [SEED]` runs a million cases and prints what came of them.
+`python -m tests.fuzz.netft 1000000 [SEED]` runs a million cases and prints the counts of the findings.
 """
 
 import json
@@ -14,18 +14,18 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from station.devices.netft.page import NetftPage, PageError, read_page
-from station.devices.netft.protocol import LATENCY, Command
+from station.devices.netft.protocol import LATENCY_S, RdtCommand
 from station.devices.netft.sensors import NetftSensors
 from station.devices.nidaq.ati_calibration import AXES, CalibrationError, parse_calibration
 from station.lab.config import BaseSensorConfig
 from station.lab.netft.simulated import SimulatedNetft
-from station.lab.netft.wire import MemoryEnd, respond
+from station.lab.netft.wire import MemoryDatagramEnd, respond
 
-#: A case that takes longer hangs [s].
+#: Time after which a case counts as a hang [s].
 HANG = 10.0
-#: Cases of one stream, or of one box.
+#: Number of cases that use the same stream of records, or the same simulated box.
 LENGTH = 400
-#: A sample time may be wrong by the drift of the box's clock while nothing is accepted [s].
+#: Largest error of a sample's time [s], caused by the drift of the box's clock while no record is accepted.
 TIME = 0.010
 PAGE = (
     b'<?xml version="1.0"?>\n<netft><runstat>0x00000000</runstat><prodname>Net F/T</prodname>'
@@ -44,17 +44,17 @@ CALIBRATION = (
 
 
 def fuzz(cases: int, seed: int) -> dict[str, int]:
-    """Run `cases` cases; false accepts are values that nobody measured or that were known to be bad."""
+    """Run `cases` cases and return the counts; a false accept is a value that was never measured or is known as bad."""
     rng = random.Random(seed)
     found = {"cases": 0, "exceptions": 0, "hangs": 0, "false_accepts": 0, "accepted": 0, "undetectable": 0}
     kinds, weights = (_host, _device, _http, _page, _calibration), (0.6, 0.2, 0.06, 0.07, 0.07)
-    lengths = (LENGTH, LENGTH, 1, 1, 1)  # cases in one go
+    lengths = (LENGTH, LENGTH, 1, 1, 1)  # number of cases in one call of each function
     while found["cases"] < cases:
         (kind,) = rng.choices(kinds, [weight / length for weight, length in zip(weights, lengths, strict=True)])
         before, begin = found["cases"], time.perf_counter()
         try:
             kind(rng, found, min(LENGTH, cases - found["cases"]))
-        except Exception as error:  # the very thing that is looked for
+        except Exception as error:  # any exception is a finding of the fuzzer
             found["exceptions"] += 1
             found["cases"] = max(found["cases"], before + 1)
             print(f"{kind.__name__}: {error!r}", file=sys.stderr)  # noqa: T201
@@ -63,7 +63,7 @@ def fuzz(cases: int, seed: int) -> dict[str, int]:
 
 
 def _spoil(rng: random.Random, data: bytes) -> bytes:
-    """Cut, lengthen, flip, replace, repeat."""
+    """Return `data` with bytes cut, added, flipped, replaced or repeated."""
     kind = rng.randrange(6)
     at = rng.randrange(len(data) + 1)
     if kind == 0:
@@ -87,14 +87,14 @@ def _flip(rng: random.Random, data: bytes, bits: int) -> bytes:
 
 
 def _host(rng: random.Random, found: dict[str, int], cases: int) -> None:
-    """A stream of records with everything that can happen to it, read by the driver of one sensor."""
-    end = MemoryEnd()
+    """Let the driver of one sensor read a stream of records that are lost, late, repeated or corrupted."""
+    end = MemoryDatagramEnd()
     link = end.link("box")
     sensors = NetftSensors([link], [NetftPage("Net F/T", "FT1", 1e-6, 1e-6, (18.0,) * 3 + (0.25,) * 3)])
     divisor = rng.choice([1, 2, 7, 14, 70, 140])
     period = divisor / (7000.0 * (1.0 + rng.uniform(-0.005, 0.005)))
     rdt, ft = rng.choice([0, 2**32 - rng.randint(1, 200)]), rng.choice([rng.randrange(2**32), 2**32 - 300])
-    measured: dict[int, float] = {}  # when, by force along x in counts: each record has its own
+    measured: dict[int, float] = {}  # time of each record by its force along x [counts], which no other record has
     undetectable: set[tuple[int, ...]] = set()
     held: list[bytes] = []
     now = number = 0
@@ -130,7 +130,7 @@ def _host(rng: random.Random, found: dict[str, int], cases: int) -> None:
         else:
             sent = [_flip(rng, data, rng.randint(1, 2))]
         for datagram in sent:
-            # Bits of the counts, or a status made healthy by chance, are for UDP's own checksum to find.
+            # Flipped bits in the counts, or in a status that then looks healthy, are found by UDP's checksum instead.
             if len(datagram) == 36 and (datagram[12:] != data[12:] or bad):
                 undetectable.add(struct.unpack(">6i", datagram[12:]))
         if held and rng.random() < 0.5:
@@ -138,7 +138,7 @@ def _host(rng: random.Random, found: dict[str, int], cases: int) -> None:
             held = []
         for datagram in sent:
             end.send(datagram, link.address)
-        reading = sensors.poll(now + LATENCY)
+        reading = sensors.poll(now + LATENCY_S)
         values = reading.wrenches[0]
         if (
             not np.isfinite(values).all()
@@ -158,7 +158,7 @@ def _host(rng: random.Random, found: dict[str, int], cases: int) -> None:
 
 
 class _Recorder:
-    """An end of the wire that remembers to whom the box talks."""
+    """One end of the wire; it records to which address the box sends."""
 
     def __init__(self) -> None:
         self.requests: list[tuple[bytes, tuple[str, int]]] = []
@@ -178,10 +178,10 @@ class _Recorder:
 
 
 def _device(rng: random.Random, found: dict[str, int], cases: int) -> None:
-    """Requests of all kinds to a box, which must serve the latest that asked rightly, and nobody else."""
+    """Send requests of all kinds to a box, which must serve only the last client with a valid request."""
     end, client, wrench = _Recorder(), None, np.zeros(6)
     box = SimulatedNetft(end, BaseSensorConfig(), np.random.default_rng(rng.randrange(2**32)))
-    commands = [*Command, 1, 4, rng.randrange(2**15)]
+    commands = [*RdtCommand, 1, 4, rng.randrange(2**15)]
     for number in range(1, cases + 1):
         found["cases"] += 1
         host = ("10.0.0.1", rng.randint(1, 5))
@@ -206,7 +206,7 @@ def _device(rng: random.Random, found: dict[str, int], cases: int) -> None:
 
 
 def _http(rng: random.Random, found: dict[str, int], cases: int) -> None:
-    """A request for the page."""
+    """Send a corrupted HTTP request to the box's page."""
     found["cases"] += 1
     data = _spoil(rng, b"GET /netftapi2.xml?index=0 HTTP/1.1\r\nHost: box\r\nAccept: */*\r\n\r\n")
     answer = respond(data, lambda: PAGE)
@@ -218,7 +218,7 @@ def _http(rng: random.Random, found: dict[str, int], cases: int) -> None:
 
 
 def _page(rng: random.Random, found: dict[str, int], cases: int) -> None:
-    """A page of configuration, compared with what another XML reader makes of it."""
+    """Read a corrupted configuration page, and compare the result with that of another XML reader."""
     found["cases"] += 1
     data = _spoil(rng, PAGE)
     try:
@@ -240,7 +240,7 @@ def _page(rng: random.Random, found: dict[str, int], cases: int) -> None:
 
 
 def _calibration(rng: random.Random, found: dict[str, int], cases: int) -> None:
-    """A calibration file."""
+    """Read a corrupted calibration file."""
     found["cases"] += 1
     try:
         calibration = parse_calibration(_spoil(rng, CALIBRATION))

@@ -1,7 +1,7 @@
-"""Raw bodies at the REST interface of a station that really runs: `python -m tests.fuzz.rest 10000 SEED`.
+"""Fuzz test of the REST interface of a running station: `python -m tests.fuzz.rest 10000 SEED`.
 
-Bodies that make sense are damaged, cut, nested, and filled with what a number or a name should not be. Looked for
-are answers that blame the station (5xx), answers that give no reason, and motion that was not asked for.
+Valid bodies are corrupted, cut, nested, and filled with invalid numbers and names. The fuzzer looks for answers with a
+server error (5xx), refusals without a reason, and motion that no request asked for.
 """
 
 import json
@@ -15,7 +15,8 @@ import httpx
 from tests.harness.serving import Served, serving
 
 JSON = {"content-type": "application/json"}
-#: What is sent where; requests that move something, and those that only set or ask.
+#: Method, path and valid body of each request. `MOVES` has the requests that move the robot; the second list those that
+#: only set or query values.
 MOVES: list[tuple[str, str, Any]] = [
     ("POST", "/api/start", {"trajectory": {"kind": "circle", "radius": 0.005, "period": 20.0}, "duration": 5.0}),
     ("POST", "/api/start", {"experiment": "fig10", "case": "paper"}),
@@ -30,7 +31,7 @@ OTHERS: list[tuple[str, str, Any]] = [
     ("PUT", "/api/controller", {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5}),
     ("POST", "/api/model/solve", {"joints": {"outer_rotation": 0.0}, "force": [0.1, 0.0, 0.0]}),
     ("POST", "/api/operator", {"name": "somebody", "take_over": True}),
-    ("POST", "/api/pull", {"load": {"kind": "constant", "magnitude": 0.1}}),
+    ("POST", "/api/load", {"load": {"kind": "constant", "magnitude": 0.1}}),
     ("POST", "/api/faults", {"faults": [{"kind": "stall", "device": "nobody", "duration": 1.0}]}),
     ("POST", "/api/tare", {}),
     ("DELETE", "/api/faults", None),
@@ -46,17 +47,17 @@ ODD: list[Any] = [
 
 
 class RestFuzz:
-    """One station and what it has answered."""
+    """Fuzzer of one station; it keeps the findings in the station's answers."""
 
     def __init__(self, station: Served, seed: int) -> None:
         self.station, self.chance = station, random.Random(seed)
         self.answers: Counter[int] = Counter()
         self.wrong: list[str] = []
-        self.taken: deque[str] = deque(maxlen=12)  #: the last requests that were accepted
+        self.taken: deque[str] = deque(maxlen=12)  #: last requests that the station has accepted
         self._joints = self._at_rest()
 
     def one(self) -> None:
-        """One request and a look at what it did."""
+        """Send one request and check its answer and its effect."""
         method, path, body = self.chance.choice(MOVES if self.chance.random() < 0.4 else OTHERS)
         raw = self._damaged(body)
         headers = JSON if self.chance.random() < 0.9 else {"content-type": self.chance.choice(("text/plain", "", "é"))}
@@ -64,7 +65,7 @@ class RestFuzz:
             answer = self.station.rest.request(method, path, content=raw, headers=headers)
         except (httpx.HTTPError, UnicodeError) as error:
             if isinstance(error, UnicodeError):
-                return  # httpx does not send such a header
+                return  # httpx refuses to send such a header
             self.wrong.append(f"{method} {path} {raw[:80]!r}: {error!r}")
             return
         self.answers[answer.status_code] += 1
@@ -81,16 +82,16 @@ class RestFuzz:
             self._look(f"{method} {path} {raw[:200]!r}")
 
     def _look(self, after: str) -> None:
-        """Nothing has moved and nothing runs."""
+        """Check that no joint has moved and no run has started."""
         status = self.station.status()
         if status["state"] not in ("READY", "HOLD", "FAULT") or status["joints"] != self._joints:
             self.wrong.append(f"motion that nobody asked for after {after}: {status['state']}")
             self._joints = self._at_rest()
 
     def _at_rest(self) -> dict[str, float]:
-        """Stop whatever was asked for; where the joints then are."""
+        """Stop every motion; return the joint positions at rest."""
         self.station.rest.post("/api/stop")
-        self.station.rest.post("/api/pull", json={"load": {"kind": "none"}})
+        self.station.rest.post("/api/load", json={"load": {"kind": "none"}})
         self.station.rest.delete("/api/faults")
         self.station.ready()
         return self.station.wait_for(lambda status: status["joints"] == self._joints_of())["joints"]
@@ -120,7 +121,7 @@ class RestFuzz:
         return bytes(raw[: chance.randrange(len(raw) + 1)] if way > 0.9 else raw)
 
     def _odd(self, body: Any) -> Any:
-        """The body with one thing in it that should not be."""
+        """Return the body with one invalid value in it."""
         if isinstance(body, dict) and body and self.chance.random() < 0.8:
             key = self.chance.choice(list(body))
             if self.chance.random() < 0.2:
@@ -140,7 +141,7 @@ def _reason(answer: httpx.Response) -> str:
 
 
 def fuzz(station: Served, requests: int, seed: int) -> RestFuzz:
-    """So many requests."""
+    """Send `requests` requests to a station and return the fuzzer with its findings."""
     fuzzed = RestFuzz(station, seed)
     for _ in range(requests):
         try:
@@ -154,7 +155,7 @@ def fuzz(station: Served, requests: int, seed: int) -> RestFuzz:
 
 
 def main() -> None:
-    """As many as the first argument says."""
+    """Send as many requests as the first argument specifies."""
     requests, seed = [int(word) for word in sys.argv[1:3]] + [10_000, 1][len(sys.argv) - 1 :]
     with serving() as station:
         fuzzed = fuzz(station, requests, seed)

@@ -1,4 +1,4 @@
-"""A simulated Aurora and its driver on a line in memory, in virtual time."""
+"""A simulated Aurora tracker and its driver on a serial line in memory, in virtual time."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import numpy as np
 from station.devices.aurora.settings import AuroraSettings
 from station.devices.aurora.tracker import AuroraTracker, TrackerReport
 from station.devices.interfaces import TipReading
-from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.coil import GENERATOR_POSE
 from station.lab.aurora.simulated import SimulatedAurora
 from station.lab.aurora.wire import HostPort, pump
 from station.lab.config import TrackerConfig
@@ -17,16 +17,20 @@ REST = np.array([0.010, -0.020, 0.190])
 
 
 class AuroraBench:
-    """Advances both ends tick by tick."""
+    """Test bench that advances the simulated Aurora and its driver tick by tick."""
 
     def __init__(self, settings: AuroraSettings | None = None, seed: int = 0, noise: float = 0.0, **unit: Any) -> None:
         self.unit = SimulatedAurora(TrackerConfig(noise=noise), np.random.default_rng(seed), **unit)
         self.port = HostPort("aurora")
-        self.tracker = AuroraTracker(self.port, settings, MOUNT)
+        self.tracker = AuroraTracker(self.port, settings, GENERATOR_POSE)
         self.now = 0.0
 
     def run(self, seconds: float, tip=lambda time: REST, target=lambda time: REST) -> list[tuple[float, TipReading]]:
-        """Let time pass, the true tip at `tip(time)`, a second coil at `target(time)`; what was read and when."""
+        """Advance by `seconds`, with the true tip at `tip(time)` and a second coil at `target(time)`.
+
+        Returns:
+            Time and value of each reading of the driver.
+        """
         read = []
         for _ in range(round(seconds / TICK)):
             before, self.now = self.now, self.now + TICK

@@ -1,11 +1,12 @@
-"""What the controller shows on a lab that the station has calibrated itself.
+"""Measure the controller's errors in a virtual lab that the station has calibrated by itself.
 
 `python -m tests.harness.calibrated_runs [--lab realistic] [--seeds N] [--first K] [--density D] [--load-rate]`
 
-For each seed the bench is calibrated at rest (`tubes`), and the experiments run calibrated on its wire-level devices.
-With `--density` the lab's tubes are of another density [kg/m^3] than the robot's file says: a weight that is not known.
-With `--load-rate` every case of that experiment is run instead, for the largest true distance.
-One JSON line a run with the largest errors of x, y, z, then the table: median and worst of the seeds.
+For each seed the bench is calibrated at rest (procedure `tubes`), and the experiments use this calibration with devices
+that are simulated at wire level. `--density` gives the lab's tubes another density [kg/m^3] than the robot file has, so
+that the controller does not know their weight. `--load-rate` runs every case of the experiment `load_rate` instead, for
+the largest true distance. The output is one JSON line per run with the largest errors of x, y and z, then a table with
+median and worst of the seeds.
 """
 
 import argparse
@@ -25,13 +26,13 @@ from station.control.clock import VirtualClock
 from station.experiments.experiment import load_experiment
 from station.experiments.results import summarise
 from station.experiments.runner import run_case
-from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.coil import GENERATOR_POSE
 from station.lab.config import load_lab
 from tests.harness.calibration_seeds import calibrated
 
-#: A weight lowered by hand in 1.5 s and taken off again so.
+#: Load of a weight that is lowered by hand within 1.5 s and taken off within 1.5 s.
 BY_HAND = {"kind": "ramps", "times": [5.0, 6.5, 15.0, 16.5], "magnitudes": [0.0, 0.5, 0.5, 0.0]}
-#: Name, experiment, case and what is changed; fig10 for two of its ten periods after the settling time.
+#: Name, experiment, case and changed keys of each run; fig10 is cut to two of its ten periods after the settling time.
 RUNS = (
     ("fig8 as in the paper", "fig8", "type_1", {}),
     ("fig8 live default", "fig8", "regulation", {}),
@@ -45,16 +46,16 @@ COLUMNS = ("true_max_abs_error_mm", "max_abs_error_mm", "model_error_mm", "true_
 
 
 def write(folder: Path, lab: str, seed: int) -> None:
-    """Calibrate the bench of that seed and leave what was found in a folder."""
+    """Calibrate the bench of a seed and write the result to a folder."""
     subject, _, found = calibrated(load_lab(lab, load_robot("paper")), seed)
     tubes, made = found.calibration, f"seed {seed}"
-    write_registration(folder, subject.robot, tubes.frames, tubes.fit, tubes.errors, MOUNT, made)
+    write_registration(folder, subject.robot, tubes.frames, tubes.fit, tubes.errors, GENERATOR_POSE, made)
     write_sensors(folder, subject.robot, found.sensors, made)
     write_robot(folder, subject.file, tubes, made)
 
 
 def run(folder: Path, lab: str, seed: int, experiment: str, case_name: str, changes: dict) -> dict[str, object]:
-    """What one case comes to."""
+    """Run one case with the calibration in `folder`; return its errors."""
     everything = {"lab": lab, "calibration": str(folder), **changes}
     case = next(case for case in load_experiment(experiment, everything).cases if case.name == case_name)
     summary = summarise(run_case(case, seed, VirtualClock(), lambda done: None))
@@ -62,7 +63,7 @@ def run(folder: Path, lab: str, seed: int, experiment: str, case_name: str, chan
 
 
 def _of_density(lab: str, density: float | None, file: Path) -> str:
-    """The preset, or a file of it with other tubes."""
+    """Return the name of the lab's preset, or the path of a copy of it whose tubes have another density."""
     if density is None:
         return lab
     text = (PRESETS / "labs" / f"{lab}.toml").read_text(encoding="utf-8")

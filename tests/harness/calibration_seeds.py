@@ -1,10 +1,11 @@
-"""What calibration achieves, over many seeds of a bench that does not know itself.
+"""Measure the accuracy of the calibration over many seeds of an uncalibrated bench.
 
 `python -m tests.harness.calibration_seeds [--seeds N] [--first K] [--distortion MM] [--no-runs]`
 
-For each seed a lab is drawn (tubes within 8 %, tracker, coil, sensors and zeros unknown: preset `uncalibrated`) and
-calibrated from what its devices say; then the result is compared with the hidden truth, fig6 and fig10 run
-calibrated on the wire-level devices, and contacts on the shaft are looked for. One JSON line a seed, then the table.
+For each seed a lab is drawn from the preset `uncalibrated`: the tubes differ by up to 8 %, and tracker, coil, sensors
+and zeros are unknown. The lab is calibrated from its devices' readings, and the result is compared with the hidden
+truth. Then fig6 and fig10 run with this calibration and devices at wire level, and contacts on the shaft are located.
+The output is one JSON line per seed, then a table.
 """
 
 import argparse
@@ -16,38 +17,38 @@ from pathlib import Path
 
 import numpy as np
 
-from core.calibration.contact import locate
+from core.calibration.contact import locate_contact
 from core.calibration.measurements import Noise
 from core.errors import CtrError
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics
 from station.calibration import procedures
 from station.calibration.files import write_registration, write_robot, write_sensors
-from station.calibration.plan import Subject
-from station.calibration.static_lab import StaticLab, carry_out
+from station.calibration.plan import PlanSubject
+from station.calibration.static_lab import StaticLab, run_static
 from station.config.robots import load_robot
 from station.config.strict import PRESETS
 from station.control.clock import VirtualClock
 from station.experiments.experiment import load_experiment
 from station.experiments.results import summarise
 from station.experiments.runner import run_case
-from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.coil import GENERATOR_POSE
 from station.lab.config import LabConfig, load_lab
 
 START = np.array([0.0, math.pi / 2, -0.100])
-#: Of a contact's fused load: drift since the last rest without load and what the offsets are known to.
+#: Noise of the load that is used to locate a contact: drift since the last rest without load, and error of the offsets.
 CONTACT_NOISE = Noise(force=3e-3, moment=0.2e-3)
 
 
-def calibrated(lab: LabConfig, seed: int) -> tuple[Subject, StaticLab, procedures.TubesResult]:
-    """A bench and what the tube procedure found out about it."""
-    subject = Subject.of(load_robot("paper"), START)
+def calibrated(lab: LabConfig, seed: int) -> tuple[PlanSubject, StaticLab, procedures.TubesResult]:
+    """Return the bench of a seed and the result of its tube calibration."""
+    subject = PlanSubject.of(load_robot("paper"), START)
     bench = StaticLab(subject, lab, seed)
-    return subject, bench, carry_out(procedures.tubes(subject, procedures.Effort()), bench)
+    return subject, bench, run_static(procedures.tubes(subject, procedures.Effort()), bench)
 
 
 def against_truth(bench: StaticLab, found: procedures.TubesResult, path: np.ndarray) -> dict[str, object]:
-    """Errors of tubes, registration and model; `path` are joints (m, 3)."""
+    """Return the errors of tubes, registration and model, the latter at the joints `path` (m, 3)."""
     errors = {}
     for true, new in zip(bench.true_robot.tubes, found.calibration.robot.tubes, strict=True):
         bent, fitted = (math.hypot(*tube.sections[1].curvature) for tube in (true, new))
@@ -58,8 +59,8 @@ def against_truth(bench: StaticLab, found: procedures.TubesResult, path: np.ndar
     for k, joints in enumerate(path):
         wrench = np.array([0.5 * (k % 2), 0.0, 0.0, 0.0, 0.0, 0.0])
         true, pose = exact.solve(bench.hidden.joints(joints), wrench), model.solve(joints, wrench)
-        target.append(frames.registration.apply(bench.said(true.tip)) - true.tip)
-        coil = frames.registration.apply(bench.said(true.tip + true.rotation @ bench.hidden.coil))
+        target.append(frames.registration.apply(bench.reported_position(true.tip)) - true.tip)
+        coil = frames.registration.apply(bench.reported_position(true.tip + true.rotation @ bench.hidden.coil))
         tip.append(coil - pose.rotation @ frames.coil - true.tip)
         shape.append(pose.tip - true.tip)
     for name, vectors in (("target_registration_mm", target), ("tip_mm", tip), ("model_mm", shape)):
@@ -70,8 +71,10 @@ def against_truth(bench: StaticLab, found: procedures.TubesResult, path: np.ndar
     return errors
 
 
-def contacts(subject: Subject, bench: StaticLab, found: procedures.TubesResult, seed: int, count: int) -> list[dict]:
-    """Forces of 0.3 N at random places of the shaft, in random directions."""
+def contacts(
+    subject: PlanSubject, bench: StaticLab, found: procedures.TubesResult, seed: int, count: int
+) -> list[dict]:
+    """Locate forces of 0.3 N at random positions on the shaft, in random directions; return the errors."""
     random, results = np.random.default_rng([seed, 77]), []
     model = Statics(found.calibration.robot)
     while len(results) < count:
@@ -84,19 +87,21 @@ def contacts(subject: Subject, bench: StaticLab, found: procedures.TubesResult, 
         except CtrError:
             continue
         before, load = (found.sensors.load(subject.robot, each) for each in (free, measurement))
-        # Tared where it is, a moment before: the sensors drift.
+        # The sensors drift, so they are tared at this pose just before the contact.
         load = load._replace(force=load.force - before.force, moment=load.moment - before.moment)
-        contact = locate(model, joints, load, CONTACT_NOISE)
+        contact = locate_contact(model, joints, load, CONTACT_NOISE)
         if contact is None:
             continue
         inside = any(start - 1e-3 <= place <= end + 1e-3 for start, end in contact.intervals)
-        results.append({"error_mm": 1e3 * abs(contact.place - place), "located": contact.located, "inside": inside})
+        results.append(
+            {"error_mm": 1e3 * abs(contact.arc_length - place), "located": contact.located, "inside": inside}
+        )
     return results
 
 
 def runs(folder: Path, lab: str, seed: int) -> dict[str, object]:
-    """fig6 and fig10 on the wire-level devices with what was found."""
-    # A calibrated model needs less correction by the tracker, and so takes less of its noise.
+    """Run fig6 and fig10 with the calibration in `folder` and devices at wire level; return their errors."""
+    # A calibrated model needs less correction by the tracker, so a lower observer bandwidth admits less noise.
     changes = {"lab": lab, "calibration": str(folder), "controller": {"observer_bandwidth": 1.0}}
     result: dict[str, object] = {}
     for name, case_name in (("fig6", "turn"), ("fig10", "feedforward")):
@@ -112,7 +117,7 @@ def runs(folder: Path, lab: str, seed: int) -> dict[str, object]:
 
 
 def one(seed: int, distortion: float, with_runs: bool) -> dict[str, object]:
-    """Everything about one seed."""
+    """Return all results of one seed."""
     robot = load_robot("paper")
     config = load_lab("uncalibrated", robot)
     config = config.model_copy(update={"tracker": config.tracker.model_copy(update={"distortion": distortion})})
@@ -125,7 +130,7 @@ def one(seed: int, distortion: float, with_runs: bool) -> dict[str, object]:
         with tempfile.TemporaryDirectory() as where:
             folder, made = Path(where), f"seed {seed}"
             tubes = found.calibration
-            write_registration(folder, subject.robot, tubes.frames, tubes.fit, tubes.errors, MOUNT, made)
+            write_registration(folder, subject.robot, tubes.frames, tubes.fit, tubes.errors, GENERATOR_POSE, made)
             write_sensors(folder, subject.robot, found.sensors, made)
             write_robot(folder, subject.file, tubes, made)
             lab = "uncalibrated"

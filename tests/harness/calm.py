@@ -1,9 +1,10 @@
-"""What keeps tests of live stations calm, whatever else the computer does."""
+"""Station settings that let tests of live stations pass on a busy computer."""
 
 from station.control.clock import StationClock
 
 RATE = 0.5
-#: A clock that leaves the processors time, and no limit on how late the loop may be: others have the processors, too.
+#: Settings with a slow clock and without a limit on the control loop's lateness, because other programs also use the
+#: processors.
 SETTINGS = {
     "clock": {"rate": RATE, "patience": 1.0},
     "overruns": {"hold_in_a_row": 1000, "hold_share": 1.0, "fault_in_a_row": 5000},

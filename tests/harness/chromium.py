@@ -1,4 +1,4 @@
-"""The browser of this computer, and the page of a station in it."""
+"""The Chromium of this computer, and the page of a station in it."""
 
 import os
 import shutil
@@ -19,13 +19,13 @@ FLAGS = [
     "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-gpu-compositing",
 ]  # fmt: skip
-#: Started so that it stays beside the stations: as root it would put itself before them all.
+#: Script that starts Chromium with normal priority, because as root it would give itself priority over the stations.
 GENTLY = Path(__file__).with_name("gentle_chromium")
-#: For what a page waits for [ms].
+#: Timeout of everything for which a test waits in a page [ms].
 PATIENCE = 1e3 * NET
 SIZE: ViewportSize = {"width": 1280, "height": 720}
-#: Drawn without a graphics card a scene takes a whole processor; in coarse pixels at four pictures a second, a fifth.
-#: Pictures to be kept are drawn finely.
+#: Device scale factor of pages. Without a graphics card the scene takes a whole processor; with coarse pixels and four
+#: pictures a second it takes a fifth. Pictures that are kept for the documents are drawn finely.
 COARSE = 1.0 if "CTR_STATION_PICTURES" in os.environ else 0.4
 SLOWLY = """
 const now = () => performance.now();
@@ -35,7 +35,7 @@ window.cancelAnimationFrame = (drawing) => clearTimeout(drawing);
 
 
 def scene_page(browser: Browser) -> Page:
-    """A page whose scene is drawn, coarsely and slowly."""
+    """Return a page whose scene is drawn coarsely and at a low rate, to save processor time."""
     page = browser.new_page(viewport=SIZE, device_scale_factor=COARSE)
     page.set_default_timeout(PATIENCE)
     page.add_init_script(SLOWLY)
@@ -44,7 +44,7 @@ def scene_page(browser: Browser) -> Page:
 
 @contextmanager
 def chromium(*flags: str) -> Iterator[Browser]:
-    """A browser that puts itself before nobody."""
+    """Yield a browser with normal priority."""
     with (
         sync_playwright() as playwright,
         playwright.chromium.launch(
@@ -56,7 +56,7 @@ def chromium(*flags: str) -> Iterator[Browser]:
 
 @contextmanager
 def bare_page(browser: Browser, station: Served, query: str = "") -> Iterator[Page]:
-    """The page of a person of its own, without the scene: it takes a processor to draw."""
+    """Yield the page of a separate client without the scene, because drawing the scene takes a processor."""
     context = browser.new_context(viewport=SIZE)
     context.set_default_timeout(PATIENCE)
     page = context.new_page()

@@ -1,4 +1,4 @@
-"""How well a text stands out from what is behind it, in a page: a function of an element."""
+"""JavaScript function that computes the contrast of an element's text with its background."""
 
 CONTRAST = """element => {
   const rgb = (text) => text.match(/[\\d.]+/g).map(Number);

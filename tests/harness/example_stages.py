@@ -1,4 +1,4 @@
-"""A driver of one's own: stages behind a box that takes lines `v1 v2 v3` by TCP and sends `q1 q2 q3` all the time."""
+"""Example of a custom driver: stages whose box takes lines `v1 v2 v3` by TCP and keeps sending `q1 q2 q3`."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,12 +8,12 @@ import numpy as np
 from core.errors import CtrError
 from station.config.robots import RobotFile
 from station.config.strict import Strict, check
-from station.devices.interfaces import Clock, Condition, JointReading, NotStopped, Severity, Trouble
+from station.devices.interfaces import Clock, Condition, DeviceFault, JointReading, NotStopped, Severity
 from station.devices.links.link import LinkError, SerialLink, reopen
 
 
 class Options(Strict):
-    """`[devices.stages]` of the station file."""
+    """Keys of `[devices.stages]` in the station file."""
 
     host: str
     port: int
@@ -24,12 +24,12 @@ class Options(Strict):
 
 
 class LineStages:
-    """Polled by the control loop: it never waits, and after `connect` it never raises."""
+    """Driver of the stages. The control loop polls it, so it never waits, and after `connect` it never raises."""
 
     def __init__(self, options: Options, joints: int) -> None:
-        self._link = SerialLink(options.url, 9600)  # raises LinkError
+        self._link = SerialLink(options.url, 9600)  # raises LinkError if the box cannot be reached
         self._positions, self._sent = np.full(joints, np.nan), np.zeros(joints)
-        self._heard, self._problem, self._newest = b"", "", -np.inf
+        self._received, self._problem, self._newest = b"", "", -np.inf
 
     @property
     def condition(self) -> Condition:
@@ -54,8 +54,8 @@ class LineStages:
 
     def poll(self, now: float) -> JointReading:
         try:
-            self._heard += self._link.read()
-            *lines, self._heard = self._heard.split(b"\n")
+            self._received += self._link.read()
+            *lines, self._received = self._received.split(b"\n")
             if lines:
                 self._positions, self._newest = np.array(lines[-1].split(), float), now
         except (LinkError, ValueError) as error:
@@ -72,9 +72,9 @@ class LineStages:
     def stop(self, now: float) -> None:
         self.command(np.zeros_like(self._sent), now)
 
-    def trouble(self, now: float) -> Trouble | None:
+    def trouble(self, now: float) -> DeviceFault | None:
         if self._problem or now - self._newest > 0.1:
-            return Trouble(Severity.FAULT, self._problem or f"{self._link.name} says no positions; is the box on?")
+            return DeviceFault(Severity.FAULT, self._problem or f"{self._link.name} sends no positions; is it on?")
         return None
 
     def details(self) -> Mapping[str, Any]:
@@ -85,25 +85,25 @@ class LineStages:
 
 
 def open_stages(options: Mapping[str, Any], robot: RobotFile) -> LineStages:
-    """The entry point."""
+    """Entry point of the driver: open the stages."""
     return LineStages(check(Options, options, "devices.stages"), len(robot.joints))
 
 
 def emergency_stop(options: Mapping[str, Any], robot: RobotFile, clock: Clock) -> str:
-    """Stop every axis from another process: the one with the driver has died."""
-    begin = clock.now()
+    """Stop every axis; another process calls this after the process with the driver has died."""
+    start = clock.now()
     link = SerialLink(check(Options, options, "devices.stages").url, 9600)
     try:
         link.write(b"stop\n")
         answer = b""
         while b"stopped" not in answer:
-            if clock.now() - begin > 2.0:
-                raise NotStopped(f"the stages at {link.name} do not say that they stop: press the emergency stop")
+            if clock.now() - start > 2.0:
+                raise NotStopped(f"the stages at {link.name} confirm no stop: press the emergency stop")
             clock.sleep(0.005)
             answer += link.read()
     finally:
         link.close()
-    return f"{len(robot.joints)} stages at {link.name} say that they have stopped"
+    return f"{len(robot.joints)} stages at {link.name} report that they have stopped"
 
 
 open_stages.emergency_stop = emergency_stop

@@ -1,4 +1,4 @@
-"""A driver of one's own: a tracker that sends a line `frame x y z` [mm] by TCP for every frame that it measures."""
+"""Example of a custom driver: a tracker that sends a line `frame x y z` [mm] by TCP for every measured frame."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,26 +7,26 @@ import numpy as np
 
 from station.config.robots import RobotFile
 from station.config.strict import Positive, Strict, check
-from station.devices.interfaces import Condition, Severity, TipReading, Trouble
+from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
 from station.devices.links.link import LinkError, SerialLink, reopen
 
 
 class Options(Strict):
-    """`[devices.tracker]` of the station file."""
+    """Keys of `[devices.tracker]` in the station file."""
 
     host: str
     port: int
-    rate: Positive = 40.0  # frames a second
-    latency: float = 0.0  # from a measurement to its line [s]
+    rate: Positive = 40.0  # measured frames per second
+    latency: float = 0.0  # time from a measurement to the arrival of its line [s]
 
 
 class LineTracker:
-    """Polled by the control loop: it never waits, and after `connect` it never raises."""
+    """Driver of the tracker. The control loop polls it, so it never waits, and after `connect` it never raises."""
 
     def __init__(self, options: Options) -> None:
         self._options = options
         self._link = SerialLink(f"socket://{options.host}:{options.port}", 9600)  # raises LinkError
-        self._heard, self._problem, self._newest, self._malformed = b"", "", -np.inf, 0
+        self._received, self._problem, self._newest, self._malformed = b"", "", -np.inf, 0
 
     @property
     def condition(self) -> Condition:
@@ -46,10 +46,10 @@ class LineTracker:
         if self._problem:
             return None
         try:
-            self._heard += self._link.read()
+            self._received += self._link.read()
         except LinkError as error:
             self._problem = str(error)
-        *lines, self._heard = self._heard.split(b"\n")
+        *lines, self._received = self._received.split(b"\n")
         for line in reversed(lines):
             try:
                 frame, *position = line.split()
@@ -63,9 +63,9 @@ class LineTracker:
                 return reading
         return None
 
-    def trouble(self, now: float) -> Trouble | None:
+    def trouble(self, now: float) -> DeviceFault | None:
         if self._problem or now - self._newest > 10.0 / self._options.rate:
-            return Trouble(Severity.HOLD, self._problem or f"{self._link.name} sends no frames; is it tracking?")
+            return DeviceFault(Severity.HOLD, self._problem or f"{self._link.name} sends no frames; is it tracking?")
         return None
 
     def details(self) -> Mapping[str, Any]:
@@ -76,5 +76,5 @@ class LineTracker:
 
 
 def open_tracker(options: Mapping[str, Any], robot: RobotFile) -> LineTracker:
-    """The entry point."""
+    """Entry point of the driver: open the tracker."""
     return LineTracker(check(Options, options, "devices.tracker"))

@@ -1,4 +1,4 @@
-"""The example's stages, by somebody who divides by zero once it has been asked to home."""
+"""The stages of `example_stages.py` with a driver error: they divide by zero once homing was requested."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -25,7 +25,7 @@ class FaultyStages:
 
 
 def open_stages(options: Mapping[str, Any], robot: RobotFile) -> FaultyStages:
-    """The entry point."""
+    """Entry point of the driver: open the faulty stages."""
     return FaultyStages(open_good_ones(options, robot))
 
 

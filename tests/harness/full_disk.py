@@ -1,4 +1,4 @@
-"""A disk with room for so much and no more: the limit on the size of files that the system has for a process."""
+"""Simulation of a full disk by the system's limit on the size of a process's files."""
 
 import resource
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def full_disk(room: int) -> Iterator[None]:
-    """No file of this process grows beyond `room` [bytes]; Python ignores the signal that comes with it."""
+    """Limit each file of this process to `room` [bytes]; Python ignores the signal that the system then sends."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:

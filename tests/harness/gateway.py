@@ -1,7 +1,7 @@
-"""The gateway's process on a ring that is really written at 500 Hz, without a station around it.
+"""A gateway process without a station, on a telemetry ring that a thread writes at 500 Hz.
 
-`python -m tests.harness.gateway [SECONDS]` serves all of it on the usual ports; it says the process's number first, and
-its share of a processor last.
+`python -m tests.harness.gateway [SECONDS]` serves all protocols on their default ports. It prints the process ID first,
+and the gateway's share of a processor at the end.
 """
 
 import sys
@@ -15,43 +15,43 @@ import psutil
 
 from core.robot.robot import Array
 from station.config.robots import load_robot
-from station.control.child import Child
-from station.control.clock import REAL_TIME
+from station.control.child_process import ChildProcess
+from station.control.clock import REAL_TIME_CLOCK
 from station.control.ring import HEARTBEAT
 from station.control.states import State
 from tests.harness.kill_recordings import Feed
 from web.access.tokens import Tokens
-from web.gateway.messages import Ready, Setup
+from web.gateway.messages import GatewayReady, GatewaySetup
+from web.gateway.options import GatewayOptions, ListenAddress
 from web.gateway.process import run_gateway
-from web.gateway.seen import Told
-from web.gateway.wanted import Address, Wanted
+from web.gateway.snapshot import StationInfo
 
-ANY = Address("127.0.0.1", 0)
-#: What the rows say: tips [m], force [N] and moment [N m].
+ANY = ListenAddress("127.0.0.1", 0)
+#: Values in the rows of telemetry: measured and desired tip [m], force [N] and moment [N m].
 MEASURED, DESIRED, FORCE, MOMENT = (0.01, 0.02, 0.15), (0.011, 0.021, 0.149), (0.2, -0.1, 0.05), (0.001, 0.002, 0.003)
 PAPER = load_robot("paper")
 
 
 class Shown(Feed):
-    """Rows in which everything is known and of now."""
+    """Writer of telemetry rows in which every value is known and current."""
 
     def pause(self) -> None:
-        """Nothing comes any more."""
+        """Stop writing rows."""
         self._stopping.set()
 
     def row(self, number: int) -> Array:
         row, of = super().row(number), self.channels.of
-        of(row, "held")[:] = of(row, "trouble")[:] = 0.0
+        of(row, "estimates_frozen")[:] = of(row, "trouble")[:] = 0.0
         of(row, "tip_measured")[:], of(row, "tip_desired")[:] = MEASURED, DESIRED
         of(row, "force")[:], of(row, "moment")[:] = FORCE, MOMENT
-        self.ring.numbers[HEARTBEAT] = REAL_TIME.now()  # as the loop shows with every row that it lives
+        self.ring.numbers[HEARTBEAT] = REAL_TIME_CLOCK.now()  # as the control loop does with every row
         return row
 
 
 class Running:
-    """A gateway, and the end of its pipe."""
+    """A running gateway process with the station's end of its pipe."""
 
-    def __init__(self, child: Child, feed: Shown, lines: tuple[str, ...]) -> None:
+    def __init__(self, child: ChildProcess, feed: Shown, lines: tuple[str, ...]) -> None:
         self.pipe: Connection = child.pipe
         self.feed, self.lines = feed, lines
         self.process = psutil.Process(child.pid)
@@ -59,24 +59,26 @@ class Running:
 
     @property
     def port(self) -> int:
-        """Of its first line."""
+        """Port in the first line that the gateway has reported."""
         return int(self.lines[0].partition("?")[0].rstrip("/").rpartition(":")[2])
 
-    def tell(self, told: Told) -> None:
-        self._child.tell(told)
+    def tell(self, told: StationInfo) -> None:
+        self._child.send(told)
 
 
 @contextmanager
-def gateway(wanted: Wanted, tokens: Tokens | None = None) -> Iterator[Running]:
-    """One that is ready."""
+def gateway(wanted: GatewayOptions, tokens: Tokens | None = None) -> Iterator[Running]:
+    """Yield a gateway process that is ready to serve."""
     with Shown(PAPER) as feed:
-        child = Child(run_gateway, Setup(wanted, PAPER, REAL_TIME, None, tokens), feed.ring.name, name="gateway")
+        child = ChildProcess(
+            run_gateway, GatewaySetup(wanted, PAPER, REAL_TIME_CLOCK, None, tokens), feed.ring.name, name="gateway"
+        )
         try:
             assert child.pipe.poll(60.0)
             ready: Any = child.pipe.recv()
-            assert isinstance(ready, Ready), ready
+            assert isinstance(ready, GatewayReady), ready
             running = Running(child, feed, ready.lines)
-            running.tell(Told(State.RUNNING, "", (("controller.k1", 2.0), ("controller.strategy", "best"))))
+            running.tell(StationInfo(State.RUNNING, "", (("controller.k1", 2.0), ("controller.strategy", "best"))))
             yield running
             assert child.alive
             child.end(20.0)
@@ -86,7 +88,7 @@ def gateway(wanted: Wanted, tokens: Tokens | None = None) -> Iterator[Running]:
 
 
 def eventually(what: Callable[[], Any], patience: float = 30.0) -> Any:
-    """The first true answer."""
+    """Call `what` until its result is true, and return it; fail after `patience` [s]."""
     deadline = time.monotonic() + patience
     while not (answer := what()):
         assert time.monotonic() < deadline, f"not within {patience} s"
@@ -95,7 +97,9 @@ def eventually(what: Callable[[], Any], patience: float = 30.0) -> Any:
 
 
 if __name__ == "__main__":
-    everything = Wanted(Address("127.0.0.1", 18944), Address("127.0.0.1", 8765), True, Address("127.0.0.1", 7447))
+    everything = GatewayOptions(
+        ListenAddress("127.0.0.1", 18944), ListenAddress("127.0.0.1", 8765), True, ListenAddress("127.0.0.1", 7447)
+    )
     with gateway(everything) as served:
         sys.stdout.write("\n".join((str(served.process.pid), *served.lines, "")))
         sys.stdout.flush()

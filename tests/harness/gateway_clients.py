@@ -1,4 +1,4 @@
-"""Clients of a gateway, as other people's programs have them."""
+"""Third-party clients of a gateway: a Zenoh session and an OpenIGTLink client."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +10,7 @@ from tests.harness.serving import Served
 
 
 def zenoh_session(port: int, mode: str = "client", way: str = "connect") -> zenoh.Session:
-    """That looks for nobody but on this port."""
+    """Return a Zenoh session that connects only to this port and discovers no other peers."""
     config = zenoh.Config()
     config.insert_json5("mode", f'"{mode}"')
     config.insert_json5("scouting/multicast/enabled", "false")
@@ -21,7 +21,7 @@ def zenoh_session(port: int, mode: str = "client", way: str = "connect") -> zeno
 
 @contextmanager
 def igtl_client(station: Served) -> Iterator[OpenIGTLinkClient]:
-    """Where the station says that OpenIGTLink is."""
+    """Yield an OpenIGTLink client connected to the port that the station has printed."""
     (line,) = [
         line for line in station.said.read_text().splitlines() if line.startswith("OpenIGTLink is at 127.0.0.1:")
     ]

@@ -1,9 +1,9 @@
-"""Kill -9 at random moments, and a look at what is left: `python -m tests.harness.kill_recordings VICTIM 20 [SEED]`.
+"""Kill processes at random times and check the recordings: `python -m tests.harness.kill_recordings VICTIM 20 [SEED]`.
 
-`recorder`: a telemetry ring is fed at 500 Hz, a real recorder process copies it and is killed; what is
-recovered is compared with what was fed, to the bit. `control`, `station` and `all`: a real station with a
-run on, of which one process is killed, or all of them at once. Every recording must open; printed is how much of it
-is missing, which should be no more than 0.3 s.
+With VICTIM `recorder`, a telemetry ring is written at 500 Hz, and a real recorder process copies it and is killed with
+SIGKILL. The recovered rows are compared bit for bit with the written ones. With `control`, `station` or `all`, one
+process of a real station with a run, or all of them at once, are killed. Every recording must open. The output is the
+missing time of each recording, which should be no more than 0.3 s.
 """
 
 import os
@@ -24,21 +24,21 @@ from core.robot.robot import Array
 from station.config.robots import RobotFile, load_robot
 from station.control.ring import Ring
 from station.control.telemetry import Channels
-from station.recording.label import Label
 from station.recording.read import open_case, read_case
 from station.recording.recorder import Recorder
 from station.recording.recover import recover
+from station.recording.run_outcome import RunOutcome
 from tests.harness.serving import serving
 from tests.harness.waiting import until
 
 PERIOD = 0.002
 POSE = np.array([0.0, np.pi / 2, -0.1])
-#: What a station starts; names as the system lists them.
+#: Names of the processes that a station starts, as the system lists them.
 CHILDREN = ("ctr-control", "ctr-lab", "ctr-recorder")
 
 
 class Feed:
-    """A ring with a writer that puts a row into it every 2 ms, as the control process does."""
+    """A telemetry ring and a thread that writes a row into it every 2 ms, as the control process does."""
 
     def __init__(self, robot: RobotFile) -> None:
         self.channels = Channels(robot.robot())
@@ -47,7 +47,7 @@ class Feed:
         self._thread = threading.Thread(target=self._run, name="feed")
 
     def row(self, number: int) -> Array:
-        """Row `number`: its time, a robot that can be drawn, and numbers that no other row has."""
+        """Return row `number`: its time, a robot that can be drawn, and values that no other row has."""
         row = np.random.default_rng(number).normal(size=len(self.channels))
         row[0], row[1] = number * PERIOD, 4.0
         self.channels.of(row, "joints")[:] = POSE
@@ -70,21 +70,21 @@ class Feed:
 
 
 class Left(NamedTuple):
-    """What a kill left behind."""
+    """What was recovered of a recording after its recorder was killed."""
 
-    lost: float  #: age of the newest row that was recovered, when the recorder was killed [s]
+    lost: float  #: age of the newest recovered row at the time of the kill [s]
     rows: int
 
 
 def kill_recorder(runs: Path, feed: Feed, robot: RobotFile, after: float) -> Left:
-    """Record for `after` [s], kill, recover, and check all that was recovered."""
+    """Record for `after` [s], kill the recorder, recover the recording, and check every recovered row."""
     recorder = Recorder(feed.ring, robot, runs)
     try:
         recorder.begin("killed", {"title": "to be killed"})
         first = feed.ring.written
         partial = runs / "killed.partial" / "run.mcap.partial"
         begun = partial.stat().st_size
-        until(lambda: partial.stat().st_size > begun)  # its first rows are there; how soon, no test says
+        until(lambda: partial.stat().st_size > begun)  # the first rows are written; no time is asserted
         time.sleep(after)
         written = feed.ring.written
         os.kill(recorder.child.pid, signal.SIGKILL)
@@ -94,7 +94,7 @@ def kill_recorder(runs: Path, feed: Feed, robot: RobotFile, after: float) -> Lef
         recorder.close()
     (folder,) = recover(runs)
     left = read_case(folder / "run.mcap")
-    assert left.label is Label.INTERRUPTED
+    assert left.label is RunOutcome.INTERRUPTED
     start = round(left.rows[0, 0] / PERIOD)
     assert start <= first, "rows at the beginning are missing"
     expected = np.array([feed.row(start + number) for number in range(len(left.rows))])
@@ -104,7 +104,7 @@ def kill_recorder(runs: Path, feed: Feed, robot: RobotFile, after: float) -> Lef
 
 
 def kill_station(data: Path, victim: str, after: float) -> Left:
-    """Serve, start a run, kill one process of the station or all of them, recover, and check."""
+    """Start a station and a run, kill one process or all of them, recover the recording, and check it."""
     with serving("--data", str(data), rate=None) as station:
         station.ready()
         body = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 5.0}, "duration": 60.0}
@@ -123,7 +123,7 @@ def kill_station(data: Path, victim: str, after: float) -> Left:
     assert len(recordings) == 1, [str(path) for path in data.rglob("*")]
     (folder,) = (path.parent for path in recordings)
     with open_case(folder / "run.mcap") as left:
-        assert left.label is Label.INTERRUPTED
+        assert left.label is RunOutcome.INTERRUPTED
         rows = np.concatenate(list(left.blocks()))
     assert (np.diff(rows[:, 0]) > 0.0).all()
     with (folder / "run.mcap").open("rb") as file:
@@ -135,7 +135,7 @@ def kill_station(data: Path, victim: str, after: float) -> Left:
 
 
 def main() -> None:
-    """Kill what the first argument names as often as the second says."""
+    """Kill the process that the first argument names as often as the second argument specifies."""
     victim = sys.argv[1] if len(sys.argv) > 1 else "recorder"
     times = int(sys.argv[2]) if len(sys.argv) > 2 else 20
     chance = random.Random(int(sys.argv[3]) if len(sys.argv) > 3 else 0)

@@ -1,7 +1,7 @@
-"""Kill the station's processes at random moments: `python -m tests.harness.kill_stations 20 [SEED [WHOM ...]]`.
+"""Kill the station's processes at random times: `python -m tests.harness.kill_stations 20 [SEED [WHOM ...]]`.
 
-Each time a run is on, one process gets kill -9, and it is measured how long it took until every stage had been told
-to stop, on the stages' own side of the line.
+Each time, one process is killed with SIGKILL during a run. The measured time ends when every stage has received a
+command to stop, at the device's end of the line.
 """
 
 import os
@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from station.control.realtime import ask_for_fifo
+from station.control.realtime import request_fifo
 from tests.harness.lone_station import LoneStation, lone_station
 from tests.harness.waiting import until
 from tests.harness.watched_lab import WatchedLab
@@ -21,7 +21,7 @@ WHOM = ("control", "station", "recorder")
 
 
 def until_moving(station: LoneStation, lab: WatchedLab | None = None) -> None:
-    """Start a run and wait until it moves, and until the stages of a watched lab do."""
+    """Start a run and wait until the robot moves; with a watched lab also until its stages move."""
     assert station.ask("start")["refused"] == ""
 
     def moving() -> bool:
@@ -33,13 +33,13 @@ def until_moving(station: LoneStation, lab: WatchedLab | None = None) -> None:
 
 
 def kill(station: LoneStation, lab: WatchedLab, whom: str, after: float) -> float:
-    """Kill one of its processes `after` [s] of motion: the time until the last stage was told to stop [s]."""
+    """Kill one process of the station after `after` [s] of motion; return the time until all stages must stop [s]."""
     until_moving(station, lab)
     pid = station.process.pid if whom == "station" else station.child(whom).pid
     lab.clock.sleep(after)
     until(lab.moving)
-    # Between the two lines nobody may take our turn.
-    ask_for_fifo(60)
+    # Real-time priority, so that no other program delays this process between the two lines.
+    request_fifo(60)
     begin = lab.clock.now()
     os.kill(pid, signal.SIGKILL)
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -47,7 +47,7 @@ def kill(station: LoneStation, lab: WatchedLab, whom: str, after: float) -> floa
 
 
 def back(station: LoneStation) -> None:
-    """READY again, after whatever it was."""
+    """Return the station to READY, whatever its state is."""
 
     def ready() -> bool:
         status = station.ask("status")
@@ -59,7 +59,7 @@ def back(station: LoneStation) -> None:
 
 
 def main() -> None:
-    """Kill each as often as the first argument says."""
+    """Kill each process as often as the first argument specifies."""
     times = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     chance = random.Random(int(sys.argv[2]) if len(sys.argv) > 2 else 0)
     with WatchedLab() as lab:
@@ -70,7 +70,7 @@ def main() -> None:
                     while len(took) < times:
                         took.append(kill(station, lab, whom, chance.uniform(0.1, 2.0)))
                         if whom != "control":
-                            break  # it is not started anew while the station lives
+                            break  # the station does not start this process again
                         back(station)
             sys.stdout.write(
                 f"{whom}: killed {times} times; every stage told to stop after"

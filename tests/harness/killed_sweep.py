@@ -1,8 +1,8 @@
-"""A sweep on a Dask cluster that loses a worker and its client: `python -m tests.harness.killed_sweep 200`.
+"""Run a sweep on a Dask cluster that loses a worker and its client: `python -m tests.harness.killed_sweep 200`.
 
-A scheduler and two workers, real processes on this computer. A third of the runs done, one worker gets kill -9 and
-stays away; two thirds done, the client does, and the same command is started again. Held against the same sweep on
-processes, row by row.
+The cluster is a scheduler and two workers, real processes on this computer. After a third of the runs one worker is
+killed for good. After two thirds the client is killed, and the same command is started again. The result is compared
+row by row with the same sweep on local processes.
 """
 
 import json
@@ -24,35 +24,35 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "C
 
 
 class Figures(NamedTuple):
-    """What came of it."""
+    """Result of a sweep whose worker and client were killed."""
 
-    worker_killed_at: int  #: runs that were done
+    worker_killed_at: int  #: number of finished runs when the worker was killed
     client_killed_at: int
-    rows: list[Mapping[str, Any]]  #: as the manifest has them
+    rows: list[Mapping[str, Any]]  #: rows of the sweep's manifest
     local: list[Mapping[str, Any]]
-    status: int  #: of the client that was started again
-    said: str  #: by it
-    before_s: float  #: until the client was killed
-    after_s: float  #: of the client that was started again
+    status: int  #: exit status of the client that was started again
+    said: str  #: output of the client that was started again
+    before_s: float  #: time until the client was killed [s]
+    after_s: float  #: run time of the client that was started again [s]
     local_s: float
 
 
 class Cluster(NamedTuple):
-    """A scheduler, and whatever workers it is given."""
+    """A Dask scheduler, to which workers can be added."""
 
     address: str
     scheduler: subprocess.Popen[bytes]
     start: Callable[..., subprocess.Popen[bytes]]
 
     def worker(self, first: str = "") -> subprocess.Popen[bytes]:
-        """One more, a process that nobody starts again; `first` is executed in it before anything else."""
+        """Add a worker process that is not restarted; it executes the code `first` before anything else."""
         options = ("--host=127.0.0.1", "--no-nanny", "--nthreads=1", "--no-dashboard")
         return self.start("dask_worker", first, self.address, *options)
 
 
 @contextmanager
 def cluster(folder: Path, workers: int, environment: Mapping[str, str] = ENVIRONMENT) -> Iterator[Cluster]:
-    """It, as processes of its own, which know nothing of the sweep; logs are in the folder."""
+    """Yield a cluster of separate processes that have not imported the sweep; their logs are in the folder."""
     with ExitStack() as ends:
 
         def start(module: str, first: str, *arguments: str) -> subprocess.Popen[bytes]:
@@ -76,13 +76,13 @@ def cluster(folder: Path, workers: int, environment: Mapping[str, str] = ENVIRON
 
 
 def sweep_command(experiment: Path, runs: int, folder: Path, *options: str) -> list[str]:
-    """A sweep of so many runs, an even number."""
+    """Return the command of a sweep with `runs` runs, which must be an even number."""
     swept = ("--seeds", str(runs // 2), "--set", "controller.k1=1,2.5")
     return [sys.executable, "-m", "station", "sweep", str(experiment), *swept, "--folder", str(folder), *options]
 
 
 def rows(manifest: Path) -> list[Mapping[str, Any]]:
-    """Its rows as they stand there, half a line left out."""
+    """Return the rows of a manifest; an incomplete last line is omitted."""
     if not manifest.is_file():
         return []
     lines = manifest.read_text(encoding="utf-8").split("\n")[1:-1]
@@ -90,7 +90,7 @@ def rows(manifest: Path) -> list[Mapping[str, Any]]:
 
 
 def wait_for_rows(folder: Path, count: int, client: subprocess.Popen[Any]) -> int:
-    """Wait until a sweep has so many rows, however long it takes; fails when its client has ended before."""
+    """Wait until a sweep has `count` rows, however long it takes; fail if its client ends before."""
     while len(found := rows(folder / "manifest.jsonl")) < count:
         assert client.poll() is None, "the sweep has ended"
         time.sleep(0.02)
@@ -98,13 +98,13 @@ def wait_for_rows(folder: Path, count: int, client: subprocess.Popen[Any]) -> in
 
 
 def without_clock(found: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The rows in the order of the runs, without what the computer's clock has to say of them."""
+    """Return the rows in the order of the runs, without the columns that depend on the computer's clock."""
     kept = [{key: value for key, value in row.items() if key != "wall_s"} for row in found]
     return sorted(kept, key=lambda row: row["run"])
 
 
 def killed_sweep(folder: Path, runs: int) -> Figures:
-    """Carry all of it out in a folder."""
+    """Run the whole scenario in a folder and return its result."""
     experiment, dask, local = folder / "own.toml", folder / "dask", folder / "local"
     experiment.write_text(SHORT.replace("duration = 1.0", "duration = 0.2"), encoding="utf-8")
     with cluster(folder, 1) as there:
@@ -134,7 +134,7 @@ def killed_sweep(folder: Path, runs: int) -> Figures:
 
 
 def main() -> None:
-    """Print what came of it."""
+    """Run the scenario and print its result."""
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     with tempfile.TemporaryDirectory(prefix="ctr-sweep-") as folder:
         found = killed_sweep(Path(folder), runs)

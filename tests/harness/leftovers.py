@@ -1,7 +1,7 @@
-"""A test leaves nothing running behind: no thread, no child process, no port that is open to others.
+"""Check that a test leaves no thread, no child process and no open port behind.
 
-What was there before it (a server or a browser that many share, say) is not the test's, nor what that starts.
-The look costs a fraction of a millisecond: it comes twice in each of thousands of tests.
+Whatever existed before the test, such as a shared server or browser, does not count, nor do processes that it starts.
+The check takes a fraction of a millisecond, because it runs twice in each of thousands of tests.
 """
 
 import socket
@@ -19,7 +19,7 @@ import pytest
 
 @contextmanager
 def nothing_left_behind(grace: float) -> Iterator[None]:
-    """Fail when there is something left `grace` [s] after the end."""
+    """Fail if the body has left something running that still exists after `grace` [s]."""
     before = _running()
     yield
     give_up = time.monotonic() + grace
@@ -38,18 +38,18 @@ class _Running(NamedTuple):
 def _running() -> _Running:
     children = set()
     for task in Path("/proc/self/task").iterdir():
-        with suppress(FileNotFoundError, ProcessLookupError):  # a thread that has just ended
+        with suppress(FileNotFoundError, ProcessLookupError):  # the thread has just ended
             children |= {int(pid) for pid in (task / "children").read_text().split()}
-    # The interpreter's own tracker of shared memory stays until the interpreter ends.
+    # Python's resource tracker is no leftover, because it runs until the interpreter ends.
     children.discard(getattr(resource_tracker._resource_tracker, "_pid", None) or 0)
     return _Running(set(threading.enumerate()), children, set(_sockets()))
 
 
 def _sockets() -> dict[str, int]:
-    """The sockets that are open here, by their number in the system, and the file that each is."""
+    """Return the file descriptors of this process's open sockets, by the socket's inode number."""
     found = {}
     for file in Path("/proc/self/fd").iterdir():
-        with suppress(FileNotFoundError):  # the one of this look
+        with suppress(FileNotFoundError):  # the descriptor with which this function reads the list
             name = str(file.readlink())
             if name.startswith("socket:"):
                 found[name] = int(file.name)
@@ -57,14 +57,14 @@ def _sockets() -> dict[str, int]:
 
 
 def _names(before: _Running) -> set[str]:
-    """What is new."""
+    """Return the names of all that runs now and did not before."""
     now = _running()
     left = {f"thread {thread.name}" for thread in now.threads - before.threads}
     if now.sockets - before.sockets:
         mine = {file for name, file in _sockets().items() if name not in before.sockets}
         left |= _ports(psutil.Process(), mine)
     for pid in now.children - before.children:
-        with suppress(psutil.NoSuchProcess):  # ended while it was looked at
+        with suppress(psutil.NoSuchProcess):  # the process ended during the check
             child = psutil.Process(pid)
             for process in (child, *child.children(recursive=True)):
                 left |= {f"process {process.pid} ({process.name()})", *_ports(process)}
@@ -72,7 +72,7 @@ def _names(before: _Running) -> set[str]:
 
 
 def _ports(process: psutil.Process, files: set[int] | None = None) -> set[str]:
-    """Ports of a process that are open to others, of these files only."""
+    """Return the ports on which a process listens, only those of the file descriptors `files` if given."""
     left = set()
     for connection in process.net_connections():
         serves = connection.status == psutil.CONN_LISTEN

@@ -1,12 +1,16 @@
-"""A station without a web server, as a process for tests: `python -m tests.harness.lone_station FOLDER RATE ENDPOINTS`.
+"""A station process without a web server: `python -m tests.harness.lone_station FOLDER RATE ENDPOINTS`.
 
-It answers each line of its input with a line of JSON: `start`, `stop`, `home`, `reset`, `gone` (its operator
-has) and `status`; it ends with its input.
+The process answers each line of its input with a line of JSON. The lines are `start`, `stop`, `home`, `reset`, `gone`
+(the operator has disconnected), `busy` (one thread keeps the interpreter's lock for a while) and `status`. The process
+ends when its input ends.
 """
 
+import ctypes
+import hashlib
 import json
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -29,13 +33,13 @@ from tests.harness.watched_lab import WatchedLab
 
 
 class LoneStation:
-    """The test's side."""
+    """The test's side: a handle of the station process."""
 
     def __init__(self, process: "subprocess.Popen[str]") -> None:
         self.process = process
 
     def ask(self, what: str) -> dict[str, Any]:
-        """Its answer."""
+        """Send one line to the station and return its answer."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.write(f"{what}\n")
@@ -43,12 +47,12 @@ class LoneStation:
         return json.loads(self.process.stdout.readline())
 
     def child(self, name: str) -> psutil.Process:
-        """Its child that is listed as ctr-NAME."""
+        """Return the station's child process that the system lists as ctr-NAME."""
         (found,) = [c for c in psutil.Process(self.process.pid).children() if c.name() == f"ctr-{name}"]
         return found
 
     def end(self) -> None:
-        """Close its input; it ends by itself."""
+        """Close the station's input, so that the process ends, and wait for it."""
         if self.process.stdin is not None:
             self.process.stdin.close()
         self.process.wait(NET)
@@ -60,9 +64,9 @@ class LoneStation:
 def lone_station(
     folder: Path, lab: WatchedLab | None = None, clock: StationClock = CLOCK, stages: Mapping[str, Any] | None = None
 ) -> Iterator[LoneStation]:
-    """One that is READY: on a lab that somebody watches, in its time, or on a virtual lab of its own.
+    """Yield a station that is READY, on a watched lab with its clock or on its own virtual lab.
 
-    With `stages` its `[devices.stages]` are those, and tracker and sensors the lab's.
+    `stages` replaces `[devices.stages]` of the station file; tracker and sensors are then still the lab's.
     """
     rate, endpoints = (clock.rate, None) if lab is None else (lab.clock.rate, lab.endpoints)
     told = json.dumps({"lab": endpoints, "stages": stages})
@@ -77,9 +81,9 @@ def lone_station(
 
 
 def main() -> None:
-    """The station's side."""
+    """Run the station's side: execute the lines of the input."""
     folder, rate, told = sys.argv[1], float(sys.argv[2]), json.loads(sys.argv[3])
-    # A fifth of the periods in 10 s: less than other programs take, and little enough to be brought about.
+    # HOLD follows when a fifth of the periods in 10 s are late: other programs cause fewer, and a test can cause them.
     calm = {"overruns": {**SETTINGS["overruns"], "hold_share": 0.2}}
     bench = load_station(None, calm if rate < 1.0 else {}).bench()
     bench = replace(bench, clock=StationClock(rate), on_operator_loss="hold")
@@ -100,6 +104,14 @@ def main() -> None:
         supervisor.close()
 
 
+def _keep_the_lock(seconds: float) -> None:
+    """Keep the interpreter's lock for `seconds`, while a thread that needs no lock works even longer."""
+    works = threading.Thread(target=hashlib.pbkdf2_hmac, args=("sha256", b"", b"", 10_000_000), daemon=True)
+    works.start()
+    time.sleep(0.1)
+    ctypes.PyDLL(None).usleep(int(1e6 * seconds))
+
+
 def _settled(supervisor: Supervisor) -> None:
     while supervisor.status().state.name in ("CONNECTING", "CONNECTED", "HOMED"):
         time.sleep(0.02)
@@ -110,9 +122,9 @@ def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[
     try:
         match what:
             case "start":
-                service.start_experiment("demo")  # from its start pose, wherever the robot is now
+                service.start_experiment("demo")  # the demo first goes to its start pose
             case "stop":
-                supervisor.stop()
+                note = supervisor.stop()
             case "reset":
                 note = supervisor.reset()
                 _settled(supervisor)
@@ -120,6 +132,8 @@ def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[
                 supervisor.home()
             case "gone":
                 supervisor.operator_gone()
+            case "busy":
+                _keep_the_lock(supervisor.bench.clock.real(1.3))
     except CtrError as error:
         refused = str(error)
     status = supervisor.status()

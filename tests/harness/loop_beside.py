@@ -1,12 +1,12 @@
-"""How punctual the loop is beside what looks at the station.
+"""Measure the punctuality of the control loop while browsers or gateway clients use the station.
 
     python -m tests.harness.loop_beside [nothing] [page] [gateway] [--seconds S] [--times N] [--config FILE]
 
-`ctr-station bench loop` has the control process, the lab and the recorder; here the server is on the same processors,
-and with `page` a Chromium that draws it, with `gateway` all four of its protocols with two clients each. One recorded
-motion under load; the loop's own counts, with the time that the machine was stolen meanwhile, on stations of their own
-that take turns, and the medians' ratio to the first that is named. With `fifo = false` in the file: without real-time
-scheduling.
+`ctr-station bench loop` runs only the control process, the lab and the recorder. Here the web server shares their
+processors; `page` adds a Chromium that draws the page, and `gateway` adds all four protocols with two clients each.
+Separate stations take turns, each with one recorded motion under load. The output has the loop's timing, the time that
+the hypervisor has taken from this computer, and the ratio of the medians to those of the first named setup. A station
+file with `fifo = false` measures without real-time scheduling.
 """
 
 import argparse
@@ -26,9 +26,9 @@ import pylsl
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from station.bench.loop import figures, stolen
-from station.bench.served import Served as TelemetryOf
-from station.bench.timer_probe import TimerProbe
+from station.benchmarks.loop import figures, stolen_seconds
+from station.benchmarks.served import ServedStation as TelemetryOf
+from station.benchmarks.timer_probe import TimerProbe
 from station.config.robots import load_robot
 from tests.harness.chromium import SIZE, chromium
 from tests.harness.gateway_clients import zenoh_session
@@ -38,15 +38,15 @@ MOTION = {
     "trajectory": {"kind": "circle", "radius": 0.010, "period": 20.0},
     "load": {"kind": "raised_cosine", "peak": 0.3, "period": 15.0},
 }
-#: Who looks has begun to by then, and the robot is at rest no more [s].
+#: Time for the clients to connect, and time from the start of the run until the robot moves [s].
 BEGUN, MOVING = 10.0, 5.0
-#: Clients of each protocol.
+#: Number of clients of each protocol.
 CLIENTS = 2
 
 
 @contextmanager
 def page(station: Served, _: dict[str, int]) -> Iterator[None]:
-    """A Chromium that draws everything."""
+    """Keep the page open in a Chromium that draws everything."""
     with chromium() as browser:
         browser.new_page(viewport=SIZE).goto(station.url)
         yield
@@ -54,7 +54,7 @@ def page(station: Served, _: dict[str, int]) -> Iterator[None]:
 
 @contextmanager
 def gateway(_: Served, ports: dict[str, int]) -> Iterator[None]:
-    """Clients that take whatever comes."""
+    """Keep clients of all protocols connected that receive everything."""
     context = get_context("spawn")
     clients = [
         context.Process(target=client, args=(ports.get(client.__name__, 0),), daemon=True)
@@ -72,19 +72,19 @@ def gateway(_: Served, ports: dict[str, int]) -> Iterator[None]:
 
 @contextmanager
 def nothing(_: Served, __: dict[str, int]) -> Iterator[None]:
-    """Nobody looks."""
+    """Connect no client."""
     yield
 
 
 def igtl(port: int) -> None:
-    """Reads all messages."""
+    """Run an OpenIGTLink client that reads all messages."""
     with socket.create_connection(("127.0.0.1", port)) as client:
         while client.recv(1 << 16):
             pass
 
 
 def foxglove(port: int) -> None:
-    """Subscribes to every channel."""
+    """Run a Foxglove client that subscribes to every channel."""
     address, spoken = f"ws://127.0.0.1:{port}/", [Subprotocol("foxglove.sdk.v1")]
     with connect(address, subprotocols=spoken, proxy=None, max_size=None) as client:
         for message in client:
@@ -95,14 +95,14 @@ def foxglove(port: int) -> None:
 
 
 def ros2(port: int) -> None:
-    """Subscribes to every topic."""
+    """Run a Zenoh client that subscribes to every ROS 2 topic."""
     with zenoh_session(port) as session:
         session.declare_subscriber("0/**", lambda _: None)
         time.sleep(1e6)
 
 
 def lsl(_: int) -> None:
-    """Takes every row."""
+    """Run an LSL client that receives every row."""
     inlet = pylsl.StreamInlet(pylsl.resolve_byprop("name", "ctr-station", 1, 60.0)[0])
     while True:
         inlet.pull_chunk(timeout=1.0)
@@ -112,7 +112,7 @@ BESIDE: dict[str, Callable[[Served, dict[str, int]], Any]] = {"nothing": nothing
 
 
 def measured(name: str, seconds: float, settings: str) -> dict[str, Any]:
-    """The loop's timing beside that."""
+    """Return the control loop's timing while the clients of setup `name` are connected."""
     ports = {name: free_port() for name in ("igtl", "foxglove", "ros2")} if name == "gateway" else {}
     options = [word for protocol, port in ports.items() for word in (f"--{protocol}", str(port))]
     with ExitStack() as owned:
@@ -127,13 +127,13 @@ def measured(name: str, seconds: float, settings: str) -> dict[str, Any]:
         time.sleep(MOVING)
         ring.clear_timing()
         probe.clear()
-        before = stolen()
+        before = stolen_seconds()
         time.sleep(seconds)
         status = station.status()
         result = {
-            **figures(ring, seconds, stolen() - before),
+            **figures(ring, seconds, stolen_seconds() - before),
             "computer": probe.figures(),
-            "state": f"{status['state']} {status['cause']}".strip(),  # a run that had to be held says why
+            "state": f"{status['state']} {status['cause']}".strip(),  # the cause, if the run ended in HOLD
         }
         station.post("/api/stop")
     return result
@@ -144,7 +144,7 @@ def _over(figure: dict[str, float], other: dict[str, float]) -> dict[str, float]
 
 
 def main() -> None:
-    """Print the loop's timing as JSON."""
+    """Measure each setup and print the control loop's timing as JSON."""
     parser = argparse.ArgumentParser(prog="python -m tests.harness.loop_beside")
     parser.add_argument("beside", nargs="+", choices=list(BESIDE))
     parser.add_argument("--seconds", type=float, default=60.0)

@@ -1,10 +1,11 @@
-"""Random poses by the million in batches, and of a sample whether the exact rod stands there, too.
+"""Solve millions of random poses in batches, and compare a sample with the exact rod model.
 
     python -m tests.harness.many_rows [--rows N] [--sample N] [--seed N] [--near]
 
-Poses anywhere in the travel of the paper's robot, forces up to 0.6 N in any direction. An answer is wrong when the tip
-of the exact rod is further away than 0.15 mm: solved at once, and if it is, led there from rest in small steps.
-With `--near` each is gone on from, warm, to a pose 3 mrad and 0.1 mm away.
+The poses cover the travel of the paper's robot, with forces up to 0.6 N in any direction. A solution is wrong if its
+tip is further than 0.15 mm from the tip of the exact rod. The exact rod is first solved directly; if the tips differ,
+it is loaded from rest in small steps. With `--near` each solution is the initial guess of a pose that is 3 mrad and
+0.1 mm away.
 """
 
 import argparse
@@ -18,17 +19,17 @@ import numpy as np
 from core.errors import NoSolution
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics
-from station.bench.accuracy import WRONG, cases
-from station.bench.many import random_rows
-from station.bench.solver import Pose, led_from_rest
+from station.benchmarks.accuracy import MAX_COLD_ERROR_M, cases
+from station.benchmarks.many import random_rows
+from station.benchmarks.solver import Pose, continued_from_rest
 from station.solve_many import solve_many
 
-#: Rows that are solved, and kept, at a time.
+#: Number of poses that are solved at once, which limits the memory.
 BATCH = 100_000
 
 
 def checked(rows: int, sample: int, seed: int = 0, near: bool = False) -> dict[str, Any]:
-    """Solve so many, and compare the sample; distances in millimetres."""
+    """Solve `rows` poses and compare `sample` of them with the exact rod; return counts, and distances in mm."""
     robot = cases()["paper"].robot
     model, exact = Statics(robot), ExactRod(robot)
     random = np.random.default_rng(seed)
@@ -48,11 +49,11 @@ def checked(rows: int, sample: int, seed: int = 0, near: bool = False) -> dict[s
             if not found.ok[row]:
                 continue
             away = _away(exact, found.tip[row], joints[row], wrenches[row])
-            if away > WRONG:
+            if away > MAX_COLD_ERROR_M:
                 led += 1
-                rod, _ = led_from_rest(Pose("paper", robot, joints[row], wrenches[row]))
+                rod, _ = continued_from_rest(Pose("paper", robot, joints[row], wrenches[row]))
                 away = np.inf if rod is None else float(np.linalg.norm(rod.tip - found.tip[row]))
-                wrong += away > WRONG
+                wrong += away > MAX_COLD_ERROR_M
             distances.append(1e3 * away)
     return {
         "rows": rows, "failed": failed, "rows_per_s": round(rows / spent), "sample": len(distances), "wrong": wrong,

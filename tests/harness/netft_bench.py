@@ -1,4 +1,4 @@
-"""A simulated Net F/T box on a wire in memory, and a host that writes hexadecimal."""
+"""A simulated Net F/T box on a network in memory, and a host that sends and reads hexadecimal text."""
 
 import struct
 
@@ -6,30 +6,31 @@ import numpy as np
 
 from station.lab.config import BaseSensorConfig
 from station.lab.netft.simulated import BoxSettings, SimulatedNetft
-from station.lab.netft.wire import MemoryDatagrams, MemoryEnd
+from station.lab.netft.wire import MemoryDatagramEnd, MemoryDatagrams
 
 PERFECT = BaseSensorConfig(
-    force_noise=0.0, moment_noise=0.0, force_count=0.0, moment_count=0.0, drift=0.0, force_offset=0.0, moment_offset=0.0
-)
+    force_noise=0.0, moment_noise=0.0, force_count=0.0, moment_count=0.0, drift=0.0, moment_drift=0.0,
+    force_offset=0.0, moment_offset=0.0,
+)  # fmt: skip
 WRENCH = np.array([1.0, -2.0, 3.0, 0.01, -0.02, 0.03])
 STREAM = "1234000200000000"
 TICK = 0.002
 
 
 class Bench:
-    """A box on a wire in memory, and a host that writes hexadecimal."""
+    """A simulated Net F/T box, and a host that sends requests as hexadecimal text."""
 
     def __init__(self, config: BaseSensorConfig = PERFECT, seed: int = 1, **settings: object) -> None:
-        self.end = MemoryEnd()
+        self.end = MemoryDatagramEnd()
         self.host = self.end.link("host")
         self.box = SimulatedNetft(self.end, config, np.random.default_rng(seed), BoxSettings(**settings))
         self.now = 0.0
 
-    def ask(self, request: str, host: MemoryDatagrams | None = None) -> None:
-        (host or self.host).send(bytes.fromhex(request))
+    def request(self, message: str, host: MemoryDatagrams | None = None) -> None:
+        (host or self.host).send(bytes.fromhex(message))
 
     def run(self, time: float, wrench: np.ndarray = WRENCH) -> list[tuple[int, ...]]:
-        """Records that the host gets in `time` [s]."""
+        """Return the records that the host receives in `time` [s]."""
         datagrams = []
         for _ in range(round(time / TICK)):
             self.now += TICK

@@ -1,4 +1,4 @@
-"""`[devices]` of a station file with the drivers of the paper's bench; nothing need be there to read it."""
+"""Table `[devices]` of a station file with the drivers of the paper's bench, for tests that open no device."""
 
 OWN_DEVICES = """
 [devices.stages]

@@ -1,8 +1,8 @@
-"""Pictures of the page anew: `python -m tests.harness.page_pictures web/pictures [NAME ...]`.
+"""Take the pictures of the page for the documents: `python -m tests.harness.page_pictures web/pictures [NAME ...]`.
 
-Without a name all that `web/README.md` shows; README's own is made by `... page_pictures web/static panel`.
-Stations of its own, in virtual labs; each picture is taken beside the scene while something goes on. A busy computer
-may hold a run on the way: it says so, and the pictures that are missing are asked for by name.
+Without a name it takes all pictures of `web/README.md`; `... page_pictures web/static panel` takes the main README's.
+The pictures show stations in virtual labs, each with its scene and during an activity. On a busy computer a run may end
+in HOLD; the program then reports this, and the missing pictures must be requested by name.
 """
 
 import sys
@@ -20,29 +20,30 @@ from tests.harness.chromium import PATIENCE, SIZE, SLOWLY, chromium
 from tests.harness.pad import LEFT, PAD
 from tests.harness.serving import Served, serving
 
-#: Colours of a picture: enough that each is what it is on the screen, few enough for a small file.
+#: Number of colours of a picture: enough to look like the screen, and few enough for a small file.
 COLOURS = 256
-#: For which the scene is given time to be drawn [s].
+#: Time for the scene to be drawn before a picture is taken [s].
 DRAWN = 5.0
 HEADER: FloatRect = {"x": 0, "y": 0, "width": 1280, "height": 91}
-#: Counts how often the page has become old or new; and whether it, its close-up and its numbers are new.
+#: JavaScript that counts how often the page became stale or current, and checks that page, close-up and numbers are
+#: current.
 COUNTING = """() => { window.turnedOld = 0;
   new MutationObserver(() => { window.turnedOld += 1; }).observe(document.body, { attributeFilter: ["class"] }); }"""
 FRESH = """() => !document.body.classList.contains("stale")
-  && document.querySelector("#tip p").textContent !== "nothing is heard of the tip"
+  && document.querySelector("#tip p").textContent !== "no data of the tip"
   && /[0-9]/.test(document.querySelectorAll("#strip output")[1].textContent)"""
 PLACES = "time [s], x [mm], y [mm], z [mm]\n0, 0, 0, 0\n4, 0, 8, 0\n8, 6, 8, 4\n12, 6, 0, 6\n16, 0, 0, 0\n"
 DEMO = {"experiment": "demo"}
 
 
 class Desk(NamedTuple):
-    """A station, and a person's page on it."""
+    """A station and a user's page of it."""
 
     station: Served
     page: Page
 
     def shot(self, clip: FloatRect | None = None) -> bytes:
-        """A picture in which nothing is old, of the state that the station is in now."""
+        """Return a picture of the present state in which no value is stale."""
         for close in self.page.locator("#notes").get_by_role("button", name="close").all():
             close.click()
         state = self.station.status()["state"]
@@ -52,12 +53,12 @@ class Desk(NamedTuple):
             before = self.page.evaluate("() => window.turnedOld")
             picture = self.page.screenshot(clip=clip)
             now = self.station.status()
-            assert now["state"] == state, f"{state} has become {now['state']}: {now['says']}"
+            assert now["state"] == state, f"{state} has become {now['state']}: {now['message']}"
             if self.page.evaluate("() => window.turnedOld") == before and self.page.evaluate(FRESH):
                 return picture
 
     def start(self, body: Mapping[str, object], progress: float) -> None:
-        """From READY on, until so much of the motion is over."""
+        """Start a run from READY and wait until `progress` of its motion is over (0 ... 1)."""
         self.station.ready()
         answer = self.station.post("/api/start", body)
         assert answer.status_code == 202, answer.text
@@ -81,7 +82,7 @@ def jog(desk: Desk) -> bytes:
 
 
 def pad(desk: Desk) -> bytes:
-    """The tip goes back along the tubes while a button is held."""
+    """Picture of the tab Jog while a gamepad moves the tip back along the tubes."""
     desk.station.ready()
     desk.tab("jog")
     desk.page.locator("#hands").scroll_into_view_if_needed()
@@ -99,7 +100,7 @@ def pad(desk: Desk) -> bytes:
 def places(desk: Desk) -> bytes:
     desk.station.ready()
     desk.tab("start")
-    desk.page.locator(".card", has_text="Through places").click()
+    desk.page.locator(".card", has_text="Move smoothly through").click()
     file = FilePayload(name="places.csv", mimeType="text/csv", buffer=PLACES.encode())
     desk.page.get_by_label("CSV file").set_input_files(file)
     desk.page.locator(".teach [role=status]", has_text="✓ on the model").wait_for()
@@ -109,7 +110,7 @@ def places(desk: Desk) -> bytes:
 
 
 def panel(desk: Desk) -> bytes:
-    """The demonstration half way, with the plots beside the scene."""
+    """Picture of the demonstration half way, with the plots next to the scene."""
     desk.tab("plots")
     desk.start(DEMO, 0.5)
     return desk.shot()
@@ -151,10 +152,10 @@ def contact(desk: Desk) -> bytes:
     desk.station.ready()
     desk.tab("faults")
     load = {"kind": "contact", "magnitude": 0.3, "place": 0.1, "direction": [0.0, 1.0, 0.3]}
-    desk.station.post("/api/pull", {"load": load})
+    desk.station.post("/api/load", {"load": load})
     desk.page.locator("#mind", has_text="load not at the tip").wait_for()
     picture = desk.shot()
-    desk.station.post("/api/pull", {"load": {"kind": "none"}})
+    desk.station.post("/api/load", {"load": {"kind": "none"}})
     return picture
 
 
@@ -168,29 +169,29 @@ def dark(desk: Desk) -> bytes:
 
 
 def follow(desk: Desk) -> bytes:
-    """In a lab with a target."""
+    """Picture of a run that follows the target of a virtual lab."""
     desk.tab("start")
-    desk.page.locator(".card", has_text="Follow: the tip stays").click()
+    desk.page.locator(".card", has_text="Follow: the tip keeps its offset").click()
     desk.start({"experiment": "follow", "case": "breathing"}, 0.4)
     return desk.shot()
 
 
-#: In which lab each is taken, in this order.
+#: Functions that take the pictures, by the virtual lab that they need and in their order.
 PICTURES: dict[str, tuple[Callable[[Desk], bytes], ...]] = {
     "gentle": (jog, places, pad, run, devices, plots, runs, faults, dark, hold, contact, panel),
     "breathing": (follow,),
 }
-#: All but README's own.
+#: Names of the pictures that are taken without a name: all but the main README's.
 USUAL = {take.__name__ for pictures in PICTURES.values() for take in pictures} - {"panel"}
 
 
 @contextmanager
 def at(lab: str, browser: Browser) -> Iterator[Desk]:
-    """A station in a lab and its page, the scene drawn."""
+    """Yield a station in a virtual lab with its page, whose scene is drawn."""
     with serving("--lab", lab, rate=1.0) as station:
         page = browser.new_page(viewport=SIZE, color_scheme="light")
         page.set_default_timeout(PATIENCE)
-        page.add_init_script(SLOWLY.replace("250", "2000"))  # a busy page is stale when its picture is taken
+        page.add_init_script(SLOWLY.replace("250", "2000"))  # slower, or the page is stale
         page.goto(station.url)
         page.frame_locator("#scene").locator("canvas").first.wait_for()
         page.locator(".card", has_text="demo").first.wait_for()
@@ -200,15 +201,15 @@ def at(lab: str, browser: Browser) -> Iterator[Desk]:
 
 
 def keep(picture: bytes, path: Path) -> None:
-    """In few colours, for a small file."""
-    # By what is there, not by how much of it: a tip is a few pixels of a colour that nothing else has.
+    """Write a picture with few colours, so that its file is small."""
+    # Colours are chosen by presence, not by area, because a tip has only a few pixels of a colour of its own.
     few = Image.open(BytesIO(picture)).convert("RGB")
     few = few.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=5, dither=Image.Dither.NONE)
     few.save(path, optimize=True)
 
 
 def main() -> None:
-    """Into the folder that is named; all of them, or those that are named."""
+    """Take all pictures, or those that are named, and write them to the given folder."""
     folder, wanted = Path(sys.argv[1]), set(sys.argv[2:])
     with chromium() as browser:
         for lab, pictures in PICTURES.items():

@@ -1,7 +1,7 @@
-"""Pseudo-terminals and sockets of the system with both ends in one thread.
+"""Pseudo-terminals and TCP sockets of the operating system, with both ends in one thread.
 
-What one end has written is waited for at the other: the system may take as long as it likes to carry it, and
-the test's own time stands still meanwhile.
+Each end waits for the bytes that the other end has written. The system may take any time to transfer them, because the
+test's virtual time does not advance meanwhile.
 """
 
 import os
@@ -19,7 +19,7 @@ RATES = {termios.B9600: 9600, termios.B115200: 115200}
 
 
 class FileLink:
-    """The device's end of a pty or a connected socket."""
+    """The device's end of a pseudo-terminal or of a connected socket."""
 
     name = "device"
 
@@ -29,7 +29,7 @@ class FileLink:
 
     @property
     def host_baud(self) -> int | None:
-        """Rate that the host has set, where the line knows it [bit/s]."""
+        """Baud rate that the host has set [bit/s]; None if the line has none."""
         return RATES.get(termios.tcgetattr(self._descriptor)[4]) if os.isatty(self._descriptor) else None
 
     def read(self) -> bytes:
@@ -43,11 +43,11 @@ class FileLink:
 
 
 class End:
-    """One end of a line: a link, and the file that it reads."""
+    """One end of a line: a link and its file descriptor."""
 
     def __init__(self, link: Any, file: int) -> None:
         self._link, self._file = link, file
-        self._coming = 0  #: bytes on their way here
+        self._coming = 0  #: number of bytes that the other end has written and this end has not read
         self.other: End
 
     def read(self) -> bytes:
@@ -69,7 +69,7 @@ class End:
 
 @contextmanager
 def pty_line() -> Iterator[tuple[End, End]]:
-    """The host's and the device's end of a pseudo-terminal."""
+    """Yield the host's and the device's end of a pseudo-terminal."""
     master, slave = os.openpty()
     tty.setraw(slave)
     link = SerialLink(os.ttyname(slave), 9600)
@@ -83,11 +83,11 @@ def pty_line() -> Iterator[tuple[End, End]]:
 
 @contextmanager
 def socket_line() -> Iterator[tuple[End, End]]:
-    """The same of a TCP connection."""
+    """Yield the host's and the device's end of a TCP connection."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         link = SerialLink(f"socket://127.0.0.1:{server.getsockname()[1]}", 9600)
         connection, _ = server.accept()
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # or the replies come in lumps
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # otherwise TCP delays and joins the replies
     with connection:
         try:
             yield _joined(link, connection.fileno())

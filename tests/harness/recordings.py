@@ -1,4 +1,4 @@
-"""Rows of a robot at rest, and recordings of them."""
+"""Fixtures with telemetry rows of a robot at rest, and with recordings of such rows."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.control.telemetry import Channels
-from station.recording.label import Label
+from station.recording.run_outcome import RunOutcome
 from station.recording.writer import CaseWriter
 
 PERIOD = 0.002
@@ -22,7 +22,7 @@ def channels(paper: RobotFile) -> Channels:
 
 @pytest.fixture(scope="session")
 def make_rows(channels: Channels) -> Callable[..., Array]:
-    """Rows that all differ; joints and force are such that the robot can be drawn."""
+    """Return a function that makes different telemetry rows, with joints and forces for which the robot has a shape."""
 
     def make(count: int, first: int = 0) -> Array:
         rows = np.random.default_rng(first).normal(size=(count, len(channels)))
@@ -37,7 +37,7 @@ def make_rows(channels: Channels) -> Callable[..., Array]:
 
 @pytest.fixture
 def open_writer(tmp_path: Path, paper: RobotFile, channels: Channels) -> Callable[..., CaseWriter]:
-    """A writer of `<name>.mcap` in the test's folder."""
+    """Return a function that opens a writer of `<name>.mcap` in the test's folder."""
 
     def open_(name: str = "one", **metadata: object) -> CaseWriter:
         return CaseWriter(tmp_path / f"{name}.mcap", paper.robot(), channels.all, metadata)
@@ -47,13 +47,13 @@ def open_writer(tmp_path: Path, paper: RobotFile, channels: Channels) -> Callabl
 
 @pytest.fixture
 def recorded(open_writer: Callable[..., CaseWriter]) -> Callable[..., Path]:
-    """A finished recording of some rows, in chunks of 100."""
+    """Return a function that writes rows to a finished recording, in chunks of 100."""
 
     def record(rows: Array, name: str = "one", **metadata: object) -> Path:
         writer = open_writer(name, **metadata)
         for first in range(0, len(rows), 100):
             writer.write(rows[first : first + 100])
-        writer.close(Label.COMPLETE)
+        writer.close(RunOutcome.COMPLETE)
         return writer.path
 
     return record

@@ -1,4 +1,4 @@
-"""A wire between browser and station of which only the scene's part can be cut."""
+"""Relay between browser and station that can cut the connections of the scene alone."""
 
 import contextlib
 import socket
@@ -8,28 +8,28 @@ from contextlib import contextmanager
 
 
 class Relay:
-    """Listens on a port of its own and passes every connection on to the station's."""
+    """Relay that listens on a separate port and passes every connection on to the station's port."""
 
     def __init__(self, station: int) -> None:
         self._station = station
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._server.getsockname()[1])
-        self.scenes = 0  #: websockets of the scene that have been passed on
+        self.scenes = 0  #: number of the scene's WebSockets that were passed on
         self._whole = True
         self._lock = threading.Lock()
-        self._ends: dict[socket.socket, bool] = {}  # open, and whether it is the scene's
+        self._ends: dict[socket.socket, bool] = {}  # open sockets, and whether each belongs to the scene
         self._threads = [threading.Thread(target=self._accept, name="relay")]
         self._threads[0].start()
 
     def cut(self) -> None:
-        """Close the scene's websockets, and refuse new ones."""
+        """Close the scene's WebSockets, and refuse new ones."""
         self._whole = False
         with self._lock:
             for end in [end for end, of_scene in self._ends.items() if of_scene]:
                 _shut(end)
 
     def mend(self) -> None:
-        """Let them through again."""
+        """Accept the scene's WebSockets again."""
         self._whole = True
 
     def close(self) -> None:
@@ -38,7 +38,7 @@ class Relay:
         with self._lock:
             for end in self._ends:
                 _shut(end)
-        # The browser has gone by now: what it opened and never used has ended.
+        # The threads end because the browser is closed, and with it the connections that it never used.
         for thread in self._threads:
             thread.join()
 

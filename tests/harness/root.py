@@ -1,4 +1,4 @@
-"""Where this project lies: processes that tests start find it from there."""
+"""Root folder of this project, for processes that tests start."""
 
 from pathlib import Path
 

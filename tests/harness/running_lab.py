@@ -1,4 +1,4 @@
-"""The open lab in a thread of the test."""
+"""A virtual lab that a thread of the test advances."""
 
 import contextlib
 import threading
@@ -9,7 +9,7 @@ from station.lab.lab_server import LabServer
 
 @contextlib.contextmanager
 def running(lab: LabServer) -> Iterator[LabServer]:
-    """A lab that a thread keeps in real time."""
+    """Advance a virtual lab in real time by a thread."""
     over = threading.Event()
     thread = threading.Thread(target=lab.run, args=(over.is_set,))
     thread.start()

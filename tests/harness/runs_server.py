@@ -1,4 +1,4 @@
-"""Only the run history, served on loopback: `python -m tests.harness.runs_server FOLDER PORT`."""
+"""Server of the run history alone, on loopback: `python -m tests.harness.runs_server FOLDER PORT`."""
 
 import sys
 from pathlib import Path
@@ -9,7 +9,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from core.errors import CtrError
-from station.recording.history import History
+from station.recording.history import RunHistory
 from web.access.gate import Access
 from web.access.lease import Lease
 from web.api.commands import commands
@@ -18,7 +18,7 @@ from web.api.runs import runs_routes
 if __name__ == "__main__":
     folder, port = Path(sys.argv[1]), int(sys.argv[2])
     app = FastAPI()
-    app.include_router(runs_routes(History(folder), commands(Lease())))
+    app.include_router(runs_routes(RunHistory(folder), commands(Lease())))
 
     @app.exception_handler(CtrError)
     def wrong(_request: Request, error: CtrError) -> JSONResponse:

@@ -1,9 +1,9 @@
-"""From a press on STOP to the stop bytes on the stages' line: `python -m tests.harness.stop_latency [PRESSES]`.
+"""Measure the time from a press of STOP to the stop bytes: `python -m tests.harness.stop_latency [PRESSES]`.
 
-A real page in Chromium is pressed while a run is on; five viewers watch (each with the scene's socket, the telemetry
-and the status, as a page has them, in processes of their own). The station drives the devices of `ctr-station lab`
-through a relay that notes when the bytes of a stop pass. What is counted: from the browser's own time of the press to
-the last byte of the last stop message of the three axes.
+STOP is pressed on a real page in Chromium during a run, while five viewers watch. Each viewer is a separate process
+with the scene's socket, the telemetry and the status, as a page has them. The station drives the devices of
+`ctr-station lab` through a relay that records when the bytes of a stop pass. The latency is the time from the press, by
+the browser's clock, to the last byte of the last stop message of the three axes.
 """
 
 import contextlib
@@ -29,23 +29,23 @@ import viser
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from station.bench.loop import stolen
-from station.control.realtime import ask_for_fifo
+from station.benchmarks.loop import stolen_seconds
+from station.control.realtime import request_fifo
 from tests.harness.chromium import bare_page, chromium
 from tests.harness.root import ROOT
 from tests.harness.serving import serving
 
 VIEWERS = 5
-STOP = 23  #: of the stages' binary protocol
+STOP = 23  #: number of the stop command in the stages' binary protocol
 AXES = 3
-#: Of the simulated devices, where the system grants it; the control loop's is above.
+#: Real-time priority of the simulated devices, if the system grants it; the control loop's priority is higher.
 PRIORITY = 40
 RUN = {"experiment": "fig10", "case": "feedforward"}
 
 
 def relay(address: tuple[str, int], told: Connection) -> None:
-    """Pass bytes between the station and the simulated line; tell the port, then the epoch times [s] of stops."""
-    ask_for_fifo(PRIORITY)
+    """Pass bytes between the station and the simulated line; send the port, then the times of stops [s] since 1970."""
+    request_fifo(PRIORITY)
     with socket.create_server(("127.0.0.1", 0)) as server:
         told.send(server.getsockname()[1])
         while True:
@@ -85,7 +85,7 @@ def relayed(address: tuple[str, int]) -> Iterator[Connection]:
 
 
 def heard(told: Connection) -> list[float]:
-    """Times of the stops since the last call."""
+    """Return the times of the stops since the last call."""
     times = []
     while told.poll():
         times.append(told.recv())
@@ -98,7 +98,7 @@ def lab() -> Iterator[dict[str, Any]]:
     try:
         assert process.stdout is not None
         endpoints = json.loads(process.stdout.readline())
-        # Real devices have processors of their own.
+        # Real devices have their own processors, so the simulated ones get real-time priority.
         with contextlib.suppress(OSError, AttributeError):
             os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(PRIORITY))
         yield endpoints
@@ -108,7 +108,7 @@ def lab() -> Iterator[dict[str, Any]]:
 
 
 def watch(port: int) -> None:
-    """One viewer: everything that a page keeps open."""
+    """Run one viewer that keeps open every connection that a page has."""
     protocol: Any = f"viser-v{viser.__version__}"
 
     def drain(path: str, **more: Any) -> None:
@@ -128,7 +128,7 @@ def watch(port: int) -> None:
 
 
 def measure(presses: int) -> np.ndarray:
-    """Latencies (presses,) [ms]."""
+    """Return the latencies (presses,) [ms]."""
     found: list[float] = []
     with lab() as there:
         address = there["zaber"].removeprefix("socket://").split(":")
@@ -193,15 +193,16 @@ driver = "netft"
 
 
 def main() -> None:
-    """Measure, and say what else the machine did: on a busy one the figure is the machine's."""
+    """Measure the latency and print how busy the computer was, because a busy computer increases the latency."""
     presses = int(sys.argv[1]) if len(sys.argv) > 1 else 50
-    load, before, begun = os.getloadavg()[0], stolen(), time.monotonic()
+    load, before, begun = os.getloadavg()[0], stolen_seconds(), time.monotonic()
     latencies = measure(presses)
     p50, p99 = np.percentile(latencies, [50, 99])
     print(f"{len(latencies)} presses: median {p50:.0f} ms, p99 {p99:.0f} ms, max {latencies.max():.0f} ms")  # noqa: T201
     print(  # noqa: T201
         f"machine: {os.cpu_count()} processors, load {load:.2f} before and {os.getloadavg()[0]:.2f} after (this"
-        f" measurement and its browser included), {stolen() - before:.1f} s stolen in {time.monotonic() - begun:.0f} s"
+        f" measurement and its browser included), {stolen_seconds() - before:.1f} s stolen in"
+        f" {time.monotonic() - begun:.0f} s"
     )
     if load > 0.5:
         print("the machine was busy before the first press: repeat this on a quiet one")  # noqa: T201

@@ -1,10 +1,10 @@
-"""A circle that a script streams, against the same circle as a trajectory, live.
+"""Compare a circle that a script streams with the same circle as a trajectory, on a live station.
 
 `python -m tests.harness.streamed_circles [--seconds S]`
 
-A usual station in real time, and a script that leads its tip at 10 places a second, a tenth of them lost, and at
-50, 100 and 500. For each the distance of the true tip from its setpoint [mm], RMS and largest, and what was really
-said a second; the trajectory before and after, as a measure of what differs by itself.
+The station runs in real time. A script streams setpoints at 10 Hz with a tenth of them lost, and at 50, 100 and 500 Hz.
+For each rate the output has the distance of the true tip from its setpoint [mm], RMS and largest, and the rate that was
+really reached. The trajectory runs before and after them, to show the variation between equal runs.
 """
 
 import argparse
@@ -21,23 +21,23 @@ from typing import Any
 import numpy as np
 
 from core.robot.robot import Array, Robot
-from station.bench.served import Served, served
+from station.benchmarks.served import ServedStation, serve_station
 from station.client import Station
 from station.config.robots import load_robot
 from station.control.ring import Ring
 from station.control.task import Phase
 from station.control.telemetry import Channels
 
-#: The circle [m], [s].
+#: Radius [m] and period [s] of the circle.
 RADIUS, TURN = 0.010, 20.0
-#: Between two looks at the ring, which keeps 8 s [s].
+#: Interval between two readings of the telemetry ring, which keeps 8 s [s].
 LOOK = 1.0
-#: Places a second, and which part of them is lost.
+#: Rate of the setpoints [1/s], and the share of them that is lost.
 STREAMS = ((10.0, 0.1), (50.0, 0.0), (100.0, 0.0), (500.0, 0.0))
 
 
 class Rows:
-    """What the loop tells while something runs."""
+    """Telemetry rows of the control loop during one run."""
 
     def __init__(self, ring: Ring, robot: Robot) -> None:
         self._ring, self._channels = ring, Channels(robot)
@@ -48,12 +48,12 @@ class Rows:
         self._rows.append(rows)
 
     def figures(self) -> dict[str, float]:
-        """Of the rows in which the tip was moving."""
+        """Return the errors over the rows in which the tip was moving."""
         self.look()
         rows, of = np.concatenate(self._rows), self._channels.of
         rows = rows[of(rows, "phase")[:, 0] == Phase.MOVING]
         away = 1e3 * np.linalg.norm(of(rows, "tip_true") - of(rows, "tip_desired"), axis=1)
-        # The setpoint's own acceleration, over 20 ms.
+        # Acceleration of the setpoint over 20 ms.
         bent = np.diff(of(rows, "tip_desired")[::10], 2, axis=0) / 0.02**2
         return {
             "rms_mm": round(float(np.sqrt(np.mean(away**2))), 3),
@@ -62,8 +62,8 @@ class Rows:
         }
 
 
-def trajectory(station: Served, rows: Rows, seconds: float) -> dict[str, Any]:
-    """The station knows the circle beforehand."""
+def trajectory(station: ServedStation, rows: Rows, seconds: float) -> dict[str, Any]:
+    """Measure the circle as a trajectory, which the station knows in advance."""
     with Station(station.url) as script:
         motion = {"kind": "circle", "radius": RADIUS, "period": TURN, "normal": [0.0, 0.0, 1.0]}
         script.start(trajectory=motion, duration=seconds)
@@ -73,8 +73,8 @@ def trajectory(station: Served, rows: Rows, seconds: float) -> dict[str, Any]:
         return {"as": "trajectory", **rows.figures()}
 
 
-def streamed(station: Served, rows: Rows, seconds: float, rate: float, lost: float) -> dict[str, Any]:
-    """A script tells it place by place."""
+def streamed(station: ServedStation, rows: Rows, seconds: float, rate: float, lost: float) -> dict[str, Any]:
+    """Measure the circle as a stream of setpoints from a script."""
     drawn, said, looked = random.Random(1), 0, 0.0
     with Station(station.url) as script, script.setpoints() as tip:
         for now in tip.every(1.0 / rate, seconds):
@@ -89,11 +89,15 @@ def streamed(station: Served, rows: Rows, seconds: float, rate: float, lost: flo
 
 
 def main() -> None:
-    """Print a JSON line for each."""
+    """Measure every run and print a JSON line for each."""
     parser = argparse.ArgumentParser(prog="python -m tests.harness.streamed_circles")
     parser.add_argument("--seconds", type=float, default=TURN)
     seconds, file = parser.parse_args().seconds, load_robot("paper")
-    with tempfile.TemporaryDirectory() as folder, served(Path(folder), {}) as station, station.ring(file) as ring:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        serve_station(Path(folder), {}) as station,
+        station.ring(file) as ring,
+    ):
         ways = [trajectory, *(partial(streamed, rate=rate, lost=lost) for rate, lost in STREAMS), trajectory]
         for way in ways:
             with Station(station.url) as script:

@@ -1,4 +1,4 @@
-"""A view on a live station."""
+"""The view of the 3D scene on a live station, without a web server."""
 
 import logging
 from collections.abc import Iterator
@@ -13,15 +13,15 @@ from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from tests.harness.calm import SETTINGS
 from tests.harness.waiting import NET, until
-from web.scene.view import View
+from web.scene.view import SceneView
 
 
 class Viewed(NamedTuple):
-    """What a test looks at."""
+    """A live station and its view."""
 
     server: viser.ViserServer
     service: StationService
-    view: View
+    view: SceneView
 
     @property
     def supervisor(self) -> Supervisor:
@@ -50,7 +50,7 @@ def viewing() -> Iterator[Viewed]:
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
             service = StationService(supervisor)
-            view = View(server, service)
+            view = SceneView(server, service)
             try:
                 yield Viewed(server, service, view)
             finally:
@@ -64,7 +64,7 @@ def viewing() -> Iterator[Viewed]:
 
 
 class _Failures(logging.Handler):
-    """Pictures that could not be drawn: the view goes on after them, a test does not."""
+    """Log handler that collects pictures that could not be drawn, because the view continues after them."""
 
     def __init__(self, level: int) -> None:
         super().__init__(level)

@@ -1,4 +1,4 @@
-"""A whole bench in virtual time for the tests of faults: plant, wires, drivers and the control loop."""
+"""A whole bench in virtual time for the tests of faults: plant, serial lines, drivers and the control loop."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from core.robot.robot import Array
-from station.config.controllers import PERIOD
+from station.config.controllers import PERIOD_S
 from station.config.motions import CircleMotion, Orders
-from station.control.led import Asked
 from station.control.loop import ControlLoop
 from station.control.margins import Margins
 from station.control.states import State
-from station.control.task import Phase, Task
+from station.control.streamed_motion import StreamRequest
+from station.control.task import MotionTask, Phase
 from station.experiments.experiment import Case
 from station.lab.faults import LabFault
 from station.lab.simulated_bench import SimulatedBench
@@ -24,12 +24,12 @@ AXES = ("outer_rotation", "inner_rotation", "inner_translation")
 
 
 def usual_case() -> Case:
-    """Fig. 10 with feed-forward and observer on the default virtual lab."""
+    """Return the case fig10 with feed-forward and observer on the default virtual lab."""
     return a_case("fig10", "feedforward")
 
 
 class VirtualStation:
-    """A control loop on simulated devices at wire level, ticked by hand."""
+    """A control loop on devices that are simulated at wire level; the test ticks it."""
 
     def __init__(self, case: Case, margins: Margins | None = None) -> None:
         self.case = case
@@ -38,8 +38,9 @@ class VirtualStation:
         self.lab = lab
         self.loop = ControlLoop(case.controller, self.devices, margins)
         self.rows: list[Array] = []
-        self.now = -PERIOD
-        self.asked: Callable[[float], Asked | None] = lambda _: None  #: of a tip that is led, at a time [s]
+        self.now = -PERIOD_S
+        #: Function that returns the latest streamed setpoint at a time [s].
+        self.request: Callable[[float], StreamRequest | None] = lambda _: None
         self.loop.connect(0.0)
 
     @property
@@ -48,11 +49,11 @@ class VirtualStation:
 
     @property
     def places(self) -> Array:
-        """Where the joints really are (n,) [rad or m]."""
+        """True joint positions (n,) [rad or m]."""
         return self.lab.positions
 
     def fail(self, kind: str, device: str, **more: Any) -> None:
-        """Let a fault begin now."""
+        """Start a fault of a device now."""
         self.lab.inject([LabFault.model_validate({"kind": kind, "device": device, **more})], self.now)
 
     def mend(self) -> None:
@@ -60,17 +61,17 @@ class VirtualStation:
 
     def tick(self, count: int = 1) -> None:
         for _ in range(count):
-            self.now = round(self.now + PERIOD, 9)
-            row = self.loop.tick(self.now, self.lab.advance(self.now), self.asked(self.now))
+            self.now = round(self.now + PERIOD_S, 9)
+            row = self.loop.tick(self.now, self.lab.advance(self.now), self.request(self.now))
             if row is not None:
                 assert np.isfinite(row).all()
                 self.rows.append(row)
 
     def seconds(self, time: float) -> None:
-        self.tick(round(time / PERIOD))
+        self.tick(round(time / PERIOD_S))
 
     def until(self, holds: Callable[[], bool], most: float = 10.0) -> float:
-        """Tick until it holds; how long that took [s]."""
+        """Tick until `holds()` is true; return the virtual time that it took [s]."""
         begin = self.now
         while not holds():
             assert self.now - begin < most, (self.state, self.loop.cause, self.loop.phase)
@@ -85,16 +86,16 @@ class VirtualStation:
         return self
 
     def moving(self, motion: Any = CIRCLE, duration: float = 60.0, since: float = 1.0) -> "VirtualStation":
-        """READY, then in the middle of a motion."""
+        """Bring the station to READY, start a motion and tick until it is under way."""
         self.ready()
-        self.loop.start(Task(self.case.controller, Orders(motion, self.case.robot.robot()), duration))
+        self.loop.start(MotionTask(self.case.controller, Orders(motion, self.case.robot.robot()), duration))
         self.until(lambda: self.loop.phase is Phase.MOVING)
         self.seconds(since)
         assert self.state is State.RUNNING
         return self
 
     def rests(self, joints: tuple[int, ...] = (0, 1, 2)) -> bool:
-        """Whether these joints really stand still for the next 0.1 s."""
+        """Return whether the true positions of these joints do not change for the next 0.1 s."""
         before = self.places
         self.seconds(0.1)
         return bool((self.places == before)[list(joints)].all())

@@ -1,4 +1,4 @@
-"""Waiting for what must happen; how fast it does is no test's business."""
+"""Waiting for a condition without a limit on its speed, because a test must not depend on the computer's speed."""
 
 import time
 from collections.abc import Callable
@@ -6,12 +6,12 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-#: What has not happened after this time hangs [s]. A net, never a judgement.
+#: Time after which a condition counts as a hang [s]; it is long, so that a slow computer fails no test.
 NET = 300.0
 
 
 def until(what: Callable[[], T], among: object = "") -> T:
-    """The first true answer; fails, with what `among` says, if there is none."""
+    """Call `what` until its result is true, and return it; fail with the text of `among` after `NET` seconds."""
     end = time.monotonic() + NET
     while not (answer := what()):
         if time.monotonic() > end:

@@ -1,4 +1,4 @@
-"""A virtual lab under control, tick by tick, whose devices are watched or break."""
+"""A virtual lab with its control loop, whose stages are recorded and whose devices can break."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 
 from core.robot.robot import Array
-from station.config.controllers import PERIOD
+from station.config.controllers import PERIOD_S
 from station.control.loop import ControlLoop, Phase
 from station.control.states import State
-from station.devices.interfaces import Devices, JointReading, Stages, Truth
+from station.devices.interfaces import Devices, GroundTruth, JointReading, Stages
 from station.experiments.experiment import Case
 from station.lab.virtual_bench import virtual_bench
 
 
 @dataclass
 class Watched:
-    """Stages that pass everything on and remember when they were told what."""
+    """Stages that pass every command on and record it with its time."""
 
     stages: Stages
     commands: list[tuple[float, Array]] = field(default_factory=list)
@@ -40,7 +40,7 @@ class Watched:
 
 @dataclass
 class Broken:
-    """A device whose reading has NaN in place of its numbers from some time on."""
+    """A device whose readings are NaN from a given time on."""
 
     device: Any
     since: float = math.inf
@@ -57,7 +57,7 @@ class Broken:
 
 
 class Bench:
-    """A virtual lab under control, tick by tick, and what came of it."""
+    """A virtual lab with its control loop, which the test ticks; it keeps the telemetry rows."""
 
     def __init__(self, case: Case, start: Array | None = None, breaks: str = "") -> None:
         self.lab, devices = virtual_bench(case.robot, case.lab, 0, case.start if start is None else start)
@@ -68,13 +68,13 @@ class Bench:
         self.stages = Watched(devices.stages)
         self.loop = ControlLoop(case.controller, Devices(self.stages, devices.tracker, devices.sensors))
         self.rows: list[Array] = []
-        self.truths: list[Truth] = []
-        self.now = -PERIOD
+        self.truths: list[GroundTruth] = []
+        self.now = -PERIOD_S
 
     def tick(self, count: int = 1) -> Array | None:
         row = None
         for _ in range(count):
-            self.now = round(self.now + PERIOD, 9)
+            self.now = round(self.now + PERIOD_S, 9)
             self.truths.append(self.lab.advance(self.now))
             row = self.loop.tick(self.now, self.truths[-1])
             if row is not None:
@@ -82,7 +82,7 @@ class Bench:
         return row
 
     def until(self, phase: Phase) -> Array | None:
-        """Tick until the run is in that phase."""
+        """Tick until the run is in the given phase."""
         row = None
         while self.loop.phase is not phase:
             assert self.now < 60.0

@@ -1,7 +1,7 @@
-"""The virtual lab in a process of its own that no station owns, and that notes what its stages were told and when.
+"""A virtual lab in a separate process that records which commands its stages received and when.
 
-Times are by a station's clock, which all processes of a machine share: what a stage was told counts from when
-the last byte of the message had gone over its line.
+Times are those of a station's clock, which all processes of a computer share. A stage has received a command when the
+last byte of the message has passed its line.
 """
 
 import multiprocessing
@@ -11,31 +11,31 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from station.control.clock import REAL_TIME, StationClock
-from station.control.realtime import ask_for_fifo
-from station.devices.zaber.protocol import Status
+from station.control.clock import REAL_TIME_CLOCK, StationClock
+from station.control.realtime import request_fifo
+from station.devices.zaber.protocol import ZaberStatus
 from station.lab.lab_server import LabServer
 from station.service.station_file import load_station
 from tests.harness.waiting import NET, until
 
 
 class Note(NamedTuple):
-    """The stages' statuses have changed."""
+    """A change of the stages' statuses."""
 
-    time: float  #: [s]
+    time: float  #: time of the change [s]
     statuses: tuple[int, ...]
 
     @property
     def moving(self) -> bool:
-        """Whether one has not been told to stop."""
-        return any(status not in (Status.IDLE, Status.STOPPING) for status in self.statuses)
+        """Whether a stage moves without a command to stop."""
+        return any(status not in (ZaberStatus.IDLE, ZaberStatus.STOPPING) for status in self.statuses)
 
 
 class WatchedLab:
-    """Use it as a context."""
+    """Handle of the lab's process; it is a context manager."""
 
-    def __init__(self, clock: StationClock = REAL_TIME) -> None:
-        """`clock`: of the station that will drive it."""
+    def __init__(self, clock: StationClock = REAL_TIME_CLOCK) -> None:
+        """`clock`: clock of the station that will drive the lab."""
         self.clock = clock
         context = multiprocessing.get_context("spawn")
         self._pipe, child = context.Pipe()
@@ -45,17 +45,17 @@ class WatchedLab:
         self.endpoints: Mapping[str, Any] = self._pipe.recv()
 
     def notes(self) -> list[Note]:
-        """All so far."""
+        """Return all recorded changes of the stages' statuses."""
         self._pipe.send("notes")
         return self._pipe.recv()
 
     def moving(self) -> bool:
-        """Whether a stage moves now."""
+        """Return whether a stage moves now without a command to stop."""
         notes = self.notes()
         return bool(notes) and notes[-1].moving
 
     def told(self, since: float) -> float:
-        """How long after `since` [s], when one was moving, the last stage was told to stop [s]. Waits for it."""
+        """Wait until all stages, one of which moved at `since` [s], must stop; return the time after `since` [s]."""
         before = [note for note in self.notes() if note.time <= since]
         assert before, "nothing is known of that time"
         assert before[-1].moving, "no stage was moving then"
@@ -88,13 +88,13 @@ def _run(pipe: Connection, clock: StationClock) -> None:
     bench = load_station(None).bench()
     notes: list[Note] = []
     with LabServer(bench.robot, bench.lab, 0, np.array(bench.park), homed=True, clock=clock) as lab:
-        ask_for_fifo(40)
+        request_fifo(40)
         pipe.send(lab.endpoints)
 
         def ended() -> bool:
             statuses = tuple(unit.status for unit in lab.lab.chain.units)
             if not notes or notes[-1].statuses != statuses:
-                notes.append(Note(lab.begun + lab.lab.chain.time, statuses))
+                notes.append(Note(lab.start_time + lab.lab.chain.time, statuses))
             while pipe.poll():
                 if pipe.recv() is None:
                     return True

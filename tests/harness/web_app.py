@@ -1,4 +1,4 @@
-"""The web application in the test's own process, on a station that was never opened: it is OFF and has no process."""
+"""The web application in the test's process, on a station that is OFF and has no processes."""
 
 import os
 from collections.abc import Iterator
@@ -8,27 +8,27 @@ from pathlib import Path
 import viser
 from starlette.testclient import TestClient
 
-from station.config.strict import OWN_EXPERIMENTS
+from station.config.strict import EXPERIMENTS_VARIABLE
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from web.app import build_app
-from web.scene.view import View
+from web.scene.view import SceneView
 
 HOST, PORT = "127.0.0.1", 8000
 
 
 @contextmanager
 def web_app(folder: Path) -> Iterator[TestClient]:
-    """Requests go straight into the application; runs, calibrations and the log are in `folder`."""
+    """Yield a client that calls the application without a network; runs, calibrations and the log are in `folder`."""
     supervisor, audit = Supervisor(load_station(None).bench()), Audit(folder)
-    own = os.environ.get(OWN_EXPERIMENTS, "")
+    own = os.environ.get(EXPERIMENTS_VARIABLE, "")
     server = viser.ViserServer(host=HOST, port=0, verbose=False)
     try:
         service, calibration = StationService(supervisor), LiveCalibration(supervisor, folder / "calibrations")
-        view = View(server, service)
+        view = SceneView(server, service)
         try:
             app = build_app(service, view, calibration, folder, audit, HOST, PORT, None)
             with TestClient(app, base_url=f"http://{HOST}:{PORT}", client=(HOST, 50000)) as client:
@@ -40,4 +40,4 @@ def web_app(folder: Path) -> Iterator[TestClient]:
         server.stop()
         supervisor.close()
         audit.close()
-        os.environ[OWN_EXPERIMENTS] = own  # what was saved has put its folder there
+        os.environ[EXPERIMENTS_VARIABLE] = own  # restored, because saving an experiment changes the variable

@@ -1,4 +1,4 @@
-"""The paper's three stages as simulated units under their driver, in virtual time."""
+"""The paper's three Zaber stages as simulated units with their driver, in virtual time."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -8,7 +8,7 @@ import numpy as np
 from station.config.robots import RobotFile
 from station.devices.links.link import Link
 from station.devices.links.memory_pipe import memory_pipe
-from station.devices.zaber.setup import Port, StageSetup
+from station.devices.zaber.setup import PortSetup, StageSetup
 from station.devices.zaber.stages import Condition, ZaberStages
 from station.lab.zaber.simulated import SimulatedChain, pump
 from station.lab.zaber.unit import Unit, UnitKind
@@ -17,12 +17,12 @@ TICK = 0.002
 START = np.array([0.0, math.pi / 2, -0.100])
 ROTARY = UnitKind(4421, None, 1_536_000)
 LINEAR = UnitKind(4332, 604_724, serial=1001)
-#: Microsteps of the three stages: 0.000234375 deg, 0.49609375 um.
+#: Size of a microstep of each stage [rad, rad, m]: 0.000234375 deg, 0.49609375 um.
 STEPS = np.array([math.radians(0.000234375)] * 2 + [0.49609375e-6])
 
 
 class Bench:
-    """The paper's three stages on one line, or on a line each, in virtual time."""
+    """The paper's three Zaber stages on one serial line or on one line each, in virtual time."""
 
     def __init__(
         self,
@@ -46,14 +46,14 @@ class Bench:
         self.truth = self.places  #: joint positions at the last poll
         self.ports = self.plug(groups)
         self.stages = ZaberStages(self.setups, self.ports)
-        self.order: list[int] = []  # in which the units began to home
+        self.order: list[int] = []  # units in the order in which they started homing
 
-    def plug(self, groups: Sequence[tuple[int, ...]] = ((0, 1, 2),)) -> list[Port]:
-        """New links, as after plugging an adapter in again."""
+    def plug(self, groups: Sequence[tuple[int, ...]] = ((0, 1, 2),)) -> list[PortSetup]:
+        """Return new links, as after unplugging and plugging in a serial adapter."""
         pipes = [memory_pipe(f"line {k}") for k in range(len(groups))]
         self.far: list[Link] = [device for _, device in pipes]
         self.near = [host for host, _ in pipes]
-        return [Port(host, group) for host, group in zip(self.near, groups, strict=True)]
+        return [PortSetup(host, group) for host, group in zip(self.near, groups, strict=True)]
 
     def run(
         self,
@@ -69,7 +69,7 @@ class Bench:
             self.let_go()
 
     def let_go(self) -> None:
-        """One tick of the units."""
+        """Advance the simulated units by one tick."""
         for far, chain in zip(self.far, self.chains, strict=True):
             pump(far, chain, self.now + TICK, written=self.now)
         for i, unit in enumerate(self.units):
@@ -88,7 +88,7 @@ class Bench:
 
     @property
     def places(self) -> np.ndarray:
-        return self.home_at + STEPS * [unit.place for unit in self.units]
+        return self.home_at + STEPS * [unit.true_position for unit in self.units]
 
     @property
     def moving(self) -> list[bool]:
@@ -96,12 +96,12 @@ class Bench:
 
 
 def connected(robot: RobotFile) -> Bench:
-    """A bench whose units have been found and set up."""
+    """Return a bench whose driver has found and configured the units."""
     bench = Bench(robot).connect()
     assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
     return bench
 
 
 def swing(now: float) -> list[float]:
-    """All three, up to 15 deg/s and 12 mm/s."""
+    """Return swinging velocities of the three joints, up to 15 deg/s and 12 mm/s."""
     return [0.25 * math.sin(1.3 * now), 0.26 * math.cos(0.9 * now), 0.012 * math.sin(2.0 * now)]

@@ -1,6 +1,7 @@
-"""What the tests of real processes share: a station of a module, and the command line."""
+"""Fixtures of all live tests: a running station for each module, and the command line."""
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator
@@ -17,9 +18,9 @@ HERE = Path(__file__).parent
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Live tests before all others, the pages first of them, and together those that share a station.
+    """Order the tests: live tests first, of these the browser tests, and tests that share a station together.
 
-    So one worker has the browsers, which take a processor to draw, and the shared station ends early.
+    Then one worker runs the browsers, which take a processor to draw, and the shared station ends early.
     """
     pages = {item.path for item in items if "browser" in item.fixturenames}
     sharing = {item.path for item in items if _shares_the_station(item)}
@@ -28,7 +29,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 class SharedStation:
-    """The station that all share who leave it READY: it ends when the next test is not one of them."""
+    """Station that is shared by all tests that leave it READY; it ends when the next test does not share it."""
 
     def __init__(self) -> None:
         self._owned = ExitStack()
@@ -49,10 +50,16 @@ _SHARED = pytest.StashKey[SharedStation]()
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None]:
-    """An idle station takes a quarter of a processor from the tests that come."""
+    """End the shared station before a test that does not use it, because it takes a quarter of a processor."""
     yield
     if nextitem is None or not _shares_the_station(nextitem):
         _shared(item.session).end()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _ctrl_c_reaches_processes() -> None:
+    """Restore Ctrl-C, which a shell's background job ignores, so that processes started by tests react to it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="module")
@@ -71,20 +78,20 @@ def _shared(session: pytest.Session) -> SharedStation:
 
 @pytest.fixture
 def station(running: Served) -> Served:
-    """It, READY and without an operator."""
+    """Return the running station, READY and without an operator."""
     running.ready()
     return running
 
 
 @pytest.fixture
 def environment() -> dict[str, str]:
-    """Of a process that finds this project from any folder."""
+    """Return the environment variables with which a process finds this project from any folder."""
     return {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100"}
 
 
 @pytest.fixture
 def command_line(tmp_path: Path, environment: dict[str, str]) -> Callable[..., subprocess.CompletedProcess[bytes]]:
-    """`python -m station` in a process and a folder of its own."""
+    """Return a function that runs `python -m station` in a separate process and folder."""
 
     def run(*arguments: str, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
         command = [sys.executable, "-m", "station", *arguments]

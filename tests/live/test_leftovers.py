@@ -1,4 +1,4 @@
-"""What a test leaves behind fails it by name; what was there before does not."""
+"""The check for leftovers fails a test that leaves a thread, process or port behind, and names the leftover."""
 
 import socket
 import subprocess
@@ -11,14 +11,14 @@ import pytest
 
 from tests.harness.leftovers import nothing_left_behind
 
-#: Both end with their input; the second one serves meanwhile.
+#: Code of two child processes that end when their input ends; the second one also opens a port.
 CHILD = "import sys; print(flush=True); sys.stdin.read()"
 SERVER = f"import socket; kept = socket.create_server(('127.0.0.1', 0)); {CHILD}"
 
 
 @pytest.fixture
 def kept() -> Iterator[ExitStack]:
-    """What leaks in a test ends here."""
+    """Yield a stack that ends everything that a test leaves behind on purpose."""
     with ExitStack() as stack:
         yield stack
 
@@ -60,7 +60,7 @@ def udp(kept: ExitStack) -> None:
         (port_of_a_child, r"^left behind: port \d+, process \d+ \(python[\d.]*\)$"),
     ],
 )
-def test_what_is_left_behind_fails_by_name_and_who_comes_next_is_not_blamed(
+def test_leftover_thread_process_or_port_fails_its_own_test_by_name_and_not_the_next_one(
     kept: ExitStack, leak: Callable[[ExitStack], None], named: str
 ) -> None:
     with pytest.raises(pytest.fail.Exception, match=named), nothing_left_behind(0.0):
@@ -69,7 +69,7 @@ def test_what_is_left_behind_fails_by_name_and_who_comes_next_is_not_blamed(
         pass
 
 
-def test_the_tidy_and_what_ends_within_the_grace_pass(kept: ExitStack) -> None:
+def test_body_without_leftovers_after_the_grace_time_passes(kept: ExitStack) -> None:
     with nothing_left_behind(0.0), ExitStack() as tidy:
         for leak in (thread, child, tcp, udp, port_of_a_child):
             leak(tidy)
@@ -78,7 +78,7 @@ def test_the_tidy_and_what_ends_within_the_grace_pass(kept: ExitStack) -> None:
         threading.Timer(0.05, kept.close).start()
 
 
-def test_what_was_there_before_may_start_more(kept: ExitStack) -> None:
+def test_process_that_ran_before_the_test_may_open_a_port(kept: ExitStack) -> None:
     code = (
         "import socket, sys; print(flush=True); sys.stdin.readline();"
         " kept = socket.create_server(('127.0.0.1', 0)); print(flush=True); sys.stdin.read()"

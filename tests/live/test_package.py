@@ -1,4 +1,4 @@
-"""The built package, installed where no source is, does what the source does."""
+"""The built wheel works like the source when it is installed without the source."""
 
 import importlib.util
 import json
@@ -29,7 +29,7 @@ PARTS = ("core", "station", "web")
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With what is installed; nothing is fetched."""
+    """Build the wheel with the installed packages; nothing is downloaded."""
     out = tmp_path_factory.mktemp("dist")
     subprocess.run(
         [sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", out, ROOT],
@@ -41,16 +41,16 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Of its own: the package as a wheel, the libraries that are here, and no way to the source."""
+    """Create a virtual environment with the wheel and the installed libraries, but without access to the source."""
     place = tmp_path_factory.mktemp("environment")
     venv.create(place, with_pip=False)
     (packages,) = place.glob("lib/python*/site-packages")
     libraries = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
-    # As a folder on the path: what an editable installation says in it is not heeded.
+    # The libraries are added as plain folders, so that their .pth files (of editable installations) have no effect.
     (packages / "libraries.pth").write_text("\n".join(libraries), encoding="utf-8")
     pip = [sys.executable, "-m", "pip", "--python", place / "bin" / "python", "install", "-q", "--no-index"]
     subprocess.run([*pip, "--no-deps", "--no-compile", wheel], check=True, timeout=NET)
-    # What the source has compiled so far goes by what its files say, not by where they lie, and need not be made again.
+    # The model's compiled cache depends on the content of the source files, not on their folder, so it can be reused.
     for part in PARTS:
         for code in (ROOT / part).rglob("__pycache__/*.nb[ic]"):
             there = packages / code.relative_to(ROOT)
@@ -70,7 +70,7 @@ Start = Callable[..., "subprocess.Popen[str]"]
 
 @pytest.fixture
 def start(environment: Path, tmp_path: Path) -> Start:
-    """Start the installed command in a folder of its own, with a home that takes nothing but a cache."""
+    """Return a function that starts the installed command in an empty folder, with a home folder for caches only."""
     known = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "NUMBA_", "CTR_"))}
     own = {"HOME": str(environment / "home"), "XDG_CACHE_HOME": str(environment / "cache")}
 
@@ -86,7 +86,7 @@ def start(environment: Path, tmp_path: Path) -> Start:
 
 @pytest.fixture
 def call(start: Start) -> Callable[..., str]:
-    """What it says, once it has done what it was told."""
+    """Return a function that runs the installed command to its end and returns its output."""
 
     def call(*arguments: object) -> str:
         with start(*arguments) as process:
@@ -97,10 +97,10 @@ def call(start: Start) -> Callable[..., str]:
     return call
 
 
-def test_every_file_of_the_source_is_in_the_wheel_and_so_is_what_its_pages_link_to(wheel: Path):
+def test_wheel_has_every_source_file_and_every_file_that_its_pages_link_to(wheel: Path):
     source = [path for part in PARTS for path in (ROOT / part).rglob("*") if path.is_file()]
     wanted = {path.relative_to(ROOT).as_posix() for path in source if "__pycache__" not in path.parts}
-    wanted.remove("web/ctr_station.py")  # there under a name of its own
+    wanted.remove("web/ctr_station.py")  # the wheel has this module under another name
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         assert wanted <= names
@@ -111,7 +111,7 @@ def test_every_file_of_the_source_is_in_the_wheel_and_so_is_what_its_pages_link_
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_another_package_of_a_parts_name_is_refused_in_a_sentence(start: Start, tmp_path: Path, name: str):
+def test_command_refuses_another_project_with_the_same_package_name(start: Start, tmp_path: Path, name: str):
     (tmp_path / name).mkdir()
     (tmp_path / name / "__init__.py").write_text("raise RuntimeError('another package')\n", encoding="utf-8")
     with start("keys", PYTHONPATH=str(tmp_path)) as process:
@@ -119,11 +119,11 @@ def test_another_package_of_a_parts_name_is_refused_in_a_sentence(start: Start, 
     assert process.returncode == 2
     (line,) = said.splitlines()
     assert line.startswith(
-        f"ctr-station: the package '{name}' found at {tmp_path / name / '__init__.py'} is not its own"
+        f"ctr-station: the package '{name}' found at {tmp_path / name / '__init__.py'} belongs to another project"
     )
 
 
-def test_commands_find_presets_pages_and_player(call: Callable[..., str], tmp_path: Path):
+def test_installed_commands_find_presets_pages_and_player(call: Callable[..., str], tmp_path: Path):
     assert call("keys") == (ROOT / "station" / "FILES.md").read_text(encoding="utf-8")
     (tmp_path / "short.toml").write_text(SHORT, encoding="utf-8")
     call("run", "short.toml")
@@ -134,7 +134,7 @@ def test_commands_find_presets_pages_and_player(call: Callable[..., str], tmp_pa
     assert {path.name for path in run.iterdir()} >= {"short.mcap", "summary.json", "report.html", "short.csv"}
 
 
-def test_the_lab_serves_its_devices(start: Start):
+def test_installed_lab_command_serves_its_devices(start: Start):
     with start("lab") as process:
         assert process.stdout is not None
         assert json.loads(process.stdout.readline())
@@ -142,7 +142,7 @@ def test_the_lab_serves_its_devices(start: Start):
         process.communicate(timeout=NET)
 
 
-def test_the_station_serves_its_page(start: Start, tmp_path: Path):
+def test_installed_station_serves_its_page(start: Start, tmp_path: Path):
     (tmp_path / "station.toml").write_text(calm(0.5), encoding="utf-8")
     with start("serve", "--no-browser", "--port", 0, "--config", "station.toml") as process:
         assert process.stdout is not None
@@ -161,7 +161,7 @@ def test_the_station_serves_its_page(start: Start, tmp_path: Path):
         assert process.returncode == 0
 
 
-def test_the_containers_steps_fit_the_package(wheel: Path, call: Callable[..., str], environment: Path):
+def test_container_build_steps_fit_the_package(wheel: Path, call: Callable[..., str], environment: Path):
     text = call("doctor", "--print", "dockerfile")
     steps = dict(re.findall(r"^([A-Z]+) (.*)$", text, re.MULTILINE))
     assert list(wheel.parent.glob(steps["COPY"].split()[0])) == [wheel]

@@ -1,4 +1,4 @@
-"""README's script and curl lines, as they stand there but for the address, on a station that has to be homed."""
+"""README's scripts and curl lines, unchanged except for the address, on a station that needs homing."""
 
 import json
 import re
@@ -13,7 +13,7 @@ from tests.harness.serving import Served, serving
 from tests.harness.waiting import NET
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-#: Powered up near where homing ends, so that homing is short.
+#: The stages start near their home position, so that homing is short.
 NEAR_HOME = "park = { outer_rotation = 0.05, inner_rotation = 0.05, inner_translation = -0.128 }\n"
 
 
@@ -23,9 +23,9 @@ def near_home():
         yield served
 
 
-def block(language: str, holding: str) -> str:
-    """README's block of code in which something stands."""
-    (found,) = [text for text in re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL) if holding in text]
+def block(language: str, content: str) -> str:
+    """Return README's only code block of a language with this content."""
+    (found,) = [text for text in re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL) if content in text]
     return found
 
 
@@ -36,7 +36,7 @@ def call(*command: str, folder: Path) -> str:
     return done.stdout
 
 
-def test_the_script_homes_runs_its_circle_and_downloads_it(near_home: Served, tmp_path: Path):
+def test_readme_script_homes_runs_its_circle_and_downloads_it(near_home: Served, tmp_path: Path):
     script = block("python", "station.home()").replace("Station()", f"Station({near_home.url!r})")
     call(sys.executable, "-c", script, folder=tmp_path)
     assert (tmp_path / "circle.mcap").read_bytes().startswith(b"\x89MCAP0\r\n")
@@ -46,20 +46,20 @@ def test_the_script_homes_runs_its_circle_and_downloads_it(near_home: Served, tm
     assert status["joints"]["inner_rotation"] == pytest.approx(1.57, abs=0.1)  # from the working pose
 
 
-def test_the_script_leads_the_tip(near_home: Served, tmp_path: Path):
+def test_readme_script_streams_setpoints(near_home: Served, tmp_path: Path):
     near_home.wait_for(lambda status: status["state"] == "READY")
     script = block("python", "station.setpoints()").replace("Station()", f"Station({near_home.url!r})")
-    patient = script.replace("setpoints()", "setpoints(silence=2.0, end=60.0)").replace("duration=20.0", "duration=3.0")
-    said = call(sys.executable, "-c", patient, folder=tmp_path).splitlines()
-    assert "mm off" in said[-1]
-    assert near_home.wait_for(lambda status: status["state"] == "READY")["run"]["title"] == "led from outside"
+    short = script.replace("setpoints()", "setpoints(silence=2.0, end=60.0)").replace("duration=20.0", "duration=3.0")
+    output = call(sys.executable, "-c", short, folder=tmp_path).splitlines()
+    assert "mm off" in output[-1]
+    assert near_home.wait_for(lambda status: status["state"] == "READY")["run"]["title"] == "streamed setpoints"
 
 
-def test_the_curl_lines_start_a_circle_tell_the_state_and_stop_it(near_home: Served, tmp_path: Path):
+def test_readme_curl_lines_start_a_circle_print_the_state_and_stop_it(near_home: Served, tmp_path: Path):
     near_home.wait_for(lambda status: status["state"] == "READY")
     lines = block("sh", "curl -X POST").replace("localhost:8000", f"localhost:{near_home.port}")
-    said = call("bash", "-ec", lines.replace("curl ", "curl -sS -w '\\n' "), folder=tmp_path)
-    begun, status, stopped = (json.loads(line) for line in said.splitlines())
-    assert begun["run_id"] == status["run"]["id"]
+    output = call("bash", "-ec", lines.replace("curl ", "curl -sS -w '\\n' "), folder=tmp_path)
+    started, status, stopped = (json.loads(line) for line in output.splitlines())
+    assert started["run_id"] == status["run"]["id"]
     assert status["state"] == "RUNNING"
     assert stopped == {"state": "STOPPED", "note": ""}

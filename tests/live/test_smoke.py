@@ -1,17 +1,17 @@
-"""A station as a person starts it: a circle, STOP, and the recording read back."""
+"""Smoke test of a station as a user starts it: a circle, STOP, and the recording."""
 
 from pathlib import Path
 
 from station.client import Station
-from station.recording.label import Label
 from station.recording.read import read_case
+from station.recording.run_outcome import RunOutcome
 from tests.harness.serving import serving
 
 CIRCLE = {"kind": "circle", "radius": 0.005, "period": 8.0}
 
 
-def test_a_circle_is_started_stopped_and_read_back(tmp_path: Path) -> None:
-    # One of its own: beside it others calculate, and one that all share would stay until they are done.
+def test_new_station_starts_and_stops_a_circle_whose_recording_is_readable(tmp_path: Path) -> None:
+    # Uses its own station, because a shared one would run until all tests that share it have ended.
     with serving() as served, Station(served.url) as station:
         served.ready()
         run = station.start(trajectory=CIRCLE, duration=3600.0)
@@ -23,5 +23,5 @@ def test_a_circle_is_started_stopped_and_read_back(tmp_path: Path) -> None:
         served.wait_for(lambda status: not status["run"]["recording"])
         read = read_case(station.download(run, tmp_path / "circle.mcap"))
 
-    assert read.label is Label.STOPPED
+    assert read.label is RunOutcome.STOPPED
     assert len(read.rows) > 0

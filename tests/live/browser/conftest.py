@@ -1,4 +1,4 @@
-"""A real Chromium on a real station. Without a Chromium these tests are deselected and the last line says so."""
+"""A real Chromium on a real station. Without a Chromium these tests are deselected, and the last line reports it."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -40,7 +40,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def open_page(running: Served, browser: Browser) -> Iterator[Page]:
-    """The page of a module, without its scene."""
+    """One page per test module, without the scene."""
     running.ready()
     with bare_page(browser, running) as page:
         yield page
@@ -48,18 +48,18 @@ def open_page(running: Served, browser: Browser) -> Iterator[Page]:
 
 @pytest.fixture
 def page(station: Served, open_page: Page) -> Page:
-    """It, on a station that is READY."""
+    """The module's page, on a station that is READY."""
     open_page.locator("#state", has_text="READY").wait_for()
     return open_page
 
 
 @pytest.fixture
 def picture(tmp_path: Path) -> Callable[[Page, str], None]:
-    """Take a picture of the page; they stay where CTR_STATION_PICTURES says."""
+    """Take a picture of the page; the folder CTR_STATION_PICTURES keeps the pictures."""
     folder = Path(os.environ.get("CTR_STATION_PICTURES", tmp_path))
 
     def take(page: Page, name: str) -> None:
-        # Written here: the library would leave a thread of its own behind.
+        # Written here, because the library would leave a thread behind.
         (folder / f"{name}.png").write_bytes(page.screenshot())
 
     return take

@@ -1,4 +1,4 @@
-"""A person is guided through a calibration in the page, from the first card to the report."""
+"""The page guides the user through a calibration, from the first card to the report."""
 
 from collections.abc import Callable, Iterator
 
@@ -30,7 +30,7 @@ def calibrate(page: Page) -> Page:
 
 
 def begin(page: Page, card: str, picture: Picture | None = None) -> None:
-    """From its card to the start, past the question."""
+    """Start a procedure from its card and confirm the question."""
     page.locator("#calibrate .card", has_text=card).first.click()
     if page.get_by_label("effort").count():
         page.get_by_label("effort").select_option("0.5")
@@ -40,19 +40,21 @@ def begin(page: Page, card: str, picture: Picture | None = None) -> None:
         picture(page, "calibrate_offer")
     page.get_by_role("button", name="Start: ").click()
     dialog = page.get_by_role("dialog")
-    assert "Is the way clear" in dialog.inner_text()
+    assert "Is the path clear" in dialog.inner_text()
     assert dialog.get_by_role("button", name="Start", exact=True).is_disabled()
     dialog.get_by_role("checkbox").check()
     dialog.get_by_role("button", name="Start", exact=True).click()
     page.locator("#course progress").wait_for()
 
 
-def test_a_latency_is_found_and_told(calibrate: Page, station: Served, picture: Picture) -> None:
+def test_latency_calibration_on_the_page_shows_the_estimated_latency(
+    calibrate: Page, station: Served, picture: Picture
+) -> None:
     page = calibrate
     picture(page, "calibrate")
     begin(page, "Latency", picture)
     page.locator("#course .ended", has_text="done").wait_for()
-    page.get_by_role("button", name="What was found").click()
+    page.get_by_role("button", name="Show results").click()
     page.locator("#found").wait_for()
     picture(page, "calibrate_found")
     report = page.get_by_role("link", name="Report with figures").get_attribute("href")
@@ -65,21 +67,23 @@ def test_a_latency_is_found_and_told(calibrate: Page, station: Served, picture: 
 
 
 ASKS = {
-    "what": "force", "stage": "asking", "on": True, "done": 0.3, "says": "weight 0.5 N",
-    "asked": "Hang a weight of 0.5 N at the tip.", "hangs": 0.5, "elapsed": 100.0, "left": 200.0, "result": "",
+    "what": "force", "stage": "asking", "on": True, "done": 0.3, "message": "weight 0.5 N",
+    "instruction": "Hang a weight of 0.5 N at the tip.", "weight": 0.5, "elapsed": 100.0, "left": 200.0, "result": "",
 }  # fmt: skip
 
 
-def test_a_person_is_asked_for_a_weight_and_says_by_keyboard_that_it_hangs(calibrate: Page, picture: Picture) -> None:
-    """The page alone: by its own way the procedure asks after minutes. `tests/virtual` hangs real weights."""
-    page, said = calibrate, []
+def test_calibrate_tab_requests_a_weight_and_accepts_the_confirmation_by_keyboard(
+    calibrate: Page, picture: Picture
+) -> None:
+    """Only the page, with simulated answers: a real procedure needs minutes. `tests/virtual` attaches weights."""
+    page, confirmed = calibrate, []
 
     def asks(route: Route) -> None:
-        course = ASKS | {"stage": "moving", "asked": "", "says": "pose 8"} if said else ASKS
+        course = ASKS | {"stage": "moving", "instruction": "", "message": "pose 8"} if confirmed else ASKS
         route.fulfill(json=route.fetch().json() | {"course": course})
 
     def done(route: Route) -> None:
-        said.append(route.request.method)
+        confirmed.append(route.request.method)
         route.fulfill(json={"course": ASKS})
 
     page.route("**/api/calibration", asks)
@@ -87,16 +91,18 @@ def test_a_person_is_asked_for_a_weight_and_says_by_keyboard_that_it_hangs(calib
     try:
         page.locator("#course .task:visible", has_text="Hang a weight of 0.5 N at the tip.").wait_for()
         picture(page, "calibrate_ask")
-        # The button is where the keyboard is: a person's hands are at the tip.
+        # The button has the keyboard focus, because the user's hands are at the tip.
         page.get_by_role("button", name="Weight attached").wait_for()
         page.keyboard.press("Enter")
         page.locator("#course .task").wait_for(state="hidden")
-        assert said == ["POST"]
+        assert confirmed == ["POST"]
     finally:
         page.unroute_all()
 
 
-def test_an_abort_leaves_nothing_and_says_so(calibrate: Page, station: Served, picture: Picture) -> None:
+def test_aborted_calibration_writes_no_result_and_shows_the_cause(
+    calibrate: Page, station: Served, picture: Picture
+) -> None:
     page = calibrate
     before = station.rest.get("/api/calibration/results").json()
     begin(page, "Axes")
@@ -105,7 +111,7 @@ def test_an_abort_leaves_nothing_and_says_so(calibrate: Page, station: Served, p
     page.locator("#course .ended", has_text="aborted by the operator").wait_for()
     page.locator("#state", has_text="STOPPED").wait_for()
     picture(page, "calibrate_aborted")
-    page.get_by_role("button", name="All right").click()
+    page.get_by_role("button", name="Dismiss").click()
     assert page.locator("#course .ended").is_hidden()
     assert station.rest.get("/api/calibration/results").json() == before
     page.locator("#calibrate .card", has_text="Axes").click()
@@ -116,16 +122,16 @@ def test_an_abort_leaves_nothing_and_says_so(calibrate: Page, station: Served, p
     page.wait_for_function("() => !document.querySelector('#calibrate button.main[type=submit]').disabled")
 
 
-def test_shift_space_ends_it(calibrate: Page, station: Served) -> None:
+def test_shift_space_stops_a_calibration(calibrate: Page, station: Served) -> None:
     page = calibrate
     begin(page, "Latency")
     station.wait_for(lambda status: status["state"] == "RUNNING")
     page.keyboard.press("Shift+Space")
     page.locator("#course .ended", has_text="STOPPED").wait_for()
-    page.get_by_role("button", name="All right").click()
+    page.get_by_role("button", name="Dismiss").click()
 
 
-def test_other_tubes_give_a_checklist(calibrate: Page, picture: Picture) -> None:
+def test_tube_exchange_shows_a_checklist_for_the_selected_robot(calibrate: Page, picture: Picture) -> None:
     page = calibrate
     page.locator("#calibrate .card", has_text="Tube exchange").click()
     page.get_by_label("robot with the new tubes").select_option("three_tubes")
@@ -142,7 +148,7 @@ def test_other_tubes_give_a_checklist(calibrate: Page, picture: Picture) -> None
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (820, 1180)])
-def test_nothing_is_cut_off_on_small_screens(calibrate: Page, width: int, height: int) -> None:
+def test_calibrate_tab_fits_small_screens(calibrate: Page, width: int, height: int) -> None:
     page = calibrate
     page.set_viewport_size({"width": width, "height": height})
     try:
@@ -153,7 +159,7 @@ def test_nothing_is_cut_off_on_small_screens(calibrate: Page, width: int, height
         page.set_viewport_size({"width": 1280, "height": 720})
 
 
-def test_it_can_be_read_in_the_light_and_in_the_dark(calibrate: Page, picture: Picture) -> None:
+def test_calibrate_tab_has_enough_contrast_in_light_and_dark(calibrate: Page, picture: Picture) -> None:
     page = calibrate
     try:
         for scheme in ("light", "dark"):

@@ -1,4 +1,4 @@
-"""A target that is followed, on the page: how far the tip is from it, that it is lost, and why the run has ended."""
+"""A followed target on the page: distance of the tip, loss of the target, and the cause of the run's end."""
 
 from collections.abc import Iterator
 
@@ -14,9 +14,9 @@ def running() -> Iterator[Served]:
         yield served
 
 
-def test_the_distance_is_shown_and_a_target_that_is_lost_is_told(page: Page, station: Served) -> None:
+def test_value_strip_shows_the_distance_to_the_target_and_reports_a_lost_target(page: Page, station: Served) -> None:
     distance = page.locator("#strip div").first
-    page.locator(".card", has_text="Follow: the tip stays beside a target").click()
+    page.locator(".card", has_text="Follow: the tip keeps its offset").click()
     page.get_by_role("button", name="Start experiment").click()
     page.locator("#strip div", has_text="off target, true").wait_for()
     page.wait_for_function("() => /^[0-9.]+ mm$/.test(document.querySelector('#strip output').textContent)")
@@ -27,5 +27,5 @@ def test_the_distance_is_shown_and_a_target_that_is_lost_is_told(page: Page, sta
     assert "target not seen" in distance.inner_text()
     assert station.status()["state"] == "RUNNING"  # at rest, until patience has run out
     page.locator("#state", has_text="HOLD").wait_for()
-    assert "target: not seen for 2.0 s" in page.locator("#says").inner_text()
+    assert "target: not measured for 2.0 s" in page.locator("#says").inner_text()
     assert "bring it back into the tracker's volume" in page.locator("#says").inner_text()

@@ -1,4 +1,4 @@
-"""Forms as a person fills them: refusals in the unit of the box, and nothing typed is lost."""
+"""Forms: refusals use the units of the fields, and typed text is not lost."""
 
 from playwright.sync_api import Page
 
@@ -12,7 +12,7 @@ def motion(page: Page, text: str) -> None:
     page.locator(".card", has_text=text).click()
 
 
-def test_a_refusal_is_told_once_in_the_pages_units_with_what_would_work(page: Page, station: Served) -> None:
+def test_page_shows_a_repeated_refusal_once_in_its_units_with_a_working_value(page: Page, station: Served) -> None:
     motion(page, "Move the tip along a circle")
     page.locator("#start").get_by_label("period").fill("4")
     refused = page.locator(".note", has_text="circle cannot be followed")
@@ -25,7 +25,7 @@ def test_a_refusal_is_told_once_in_the_pages_units_with_what_would_work(page: Pa
     assert station.status()["state"] == "READY"
 
 
-def test_notes_that_were_not_saved_are_there_again(page: Page, station: Served) -> None:
+def test_unsaved_notes_of_a_run_survive_a_page_reload(page: Page, station: Served) -> None:
     assert station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 0.5}).status_code == 202
     station.wait_for(lambda status: status["state"] == "READY" and not status["run"]["recording"])
 

@@ -1,4 +1,4 @@
-"""Going to a pose by numbers, from the tab Jog."""
+"""Motion to a joint pose by numbers, from the tab Jog."""
 
 import math
 
@@ -8,16 +8,14 @@ from tests.harness.serving import Served
 
 
 def arrives(station: Served, title: str, degrees: float) -> None:
-    """A way ends there; it may be over before anybody has seen it begin."""
+    """Wait until a motion ends there; its start may be missed."""
     status = station.wait_for(
         lambda s: s["state"] == "READY" and abs(math.degrees(s["joints"]["inner_rotation"]) - degrees) < 0.1
     )
     assert status["run"]["title"] == title
 
 
-def test_a_pose_is_gone_to_once_it_is_confirmed_and_the_working_pose_is_gone_back_to(
-    page: Page, station: Served
-) -> None:
+def test_robot_goes_to_a_pose_after_confirmation_and_back_to_the_working_pose(page: Page, station: Served) -> None:
     page.locator("#tab-jog").click()
     page.get_by_label("inner rotation to go to").fill("84")
     page.get_by_role("button", name="Go there").click()

@@ -1,4 +1,4 @@
-"""The header without the scene: it must tell the truth and stop the robot whatever else fails."""
+"""The header without the scene: it shows the true state and stops the robot whatever else fails."""
 
 import signal
 
@@ -10,7 +10,7 @@ from tests.harness.serving import Served, serving
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
 
 
-def test_stop_works_with_a_broken_scene(page: Page, station: Served) -> None:
+def test_stop_button_works_while_the_scene_is_broken(page: Page, station: Served) -> None:
     station.post("/api/start", HOLD)
     page.locator("#state", has_text="RUNNING").wait_for()
     page.locator("#stop").click()
@@ -18,15 +18,16 @@ def test_stop_works_with_a_broken_scene(page: Page, station: Served) -> None:
     assert station.status()["state"] == "STOPPED"
 
 
-def test_a_dead_control_process_is_a_fault_at_once_and_a_reset_revives_it(page: Page, station: Served) -> None:
+def test_page_shows_fault_for_a_dead_control_process_and_reset_restarts_it(page: Page, station: Served) -> None:
     station.control_process().kill()
     page.locator("#state", has_text="FAULT").wait_for()
     assert "signal 9" in page.locator("#says").inner_text()
     page.locator("#reset").click()
     page.locator("#state", has_text="READY").wait_for()
+    page.locator("#act button", has_text="Home").wait_for()
 
 
-def test_a_station_that_hangs_looks_old_and_starts_nothing_and_one_that_is_gone_is_told(browser: Browser) -> None:
+def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser: Browser) -> None:
     with serving() as station, bare_page(browser, station) as page:
         page.locator(".card", has_text="Keep the tip where it is").click()
         start = page.locator("button:enabled", has_text="Start motion")

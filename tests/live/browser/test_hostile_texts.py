@@ -1,4 +1,4 @@
-"""Texts that would like to be scripts, wherever a person can write one: shown as they are, nothing of them runs."""
+"""Script injection: texts of users are shown literally and never run as scripts."""
 
 import json
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from station.cli.main import main
 from tests.harness.chromium import bare_page
 from tests.harness.serving import Served, serving
 
-#: What ends a title, a script, an attribute, a line of a script; and letters that turn a line round or end it.
+#: Ends a title, a script, an attribute and a line of a script; includes line separator and right-to-left characters.
 HOSTILE = (
     "</title></script><script>top.ran = 1</script><img src=nowhere class=hostile onerror='top.ran = 2'>"
     "\"'`${top.ran = 3}\u2028\u202e{{DATA}} <!--"
@@ -30,13 +30,13 @@ FOUND = {
     "procedure": "axes", "made": HOSTILE, "lab": HOSTILE, "simulated": False, "findings": [HOSTILE], "visits": 1,
     "found": [dict.fromkeys(("name", "before", "found", "interval"), HOSTILE)], "robot_s": 1.0,
 }  # fmt: skip
-#: Of a folder: neither a slash nor longer than the system has it.
+#: Name of a folder: no slash, and not longer than the file system allows.
 NAME = HOSTILE.replace("/", "")[:80]
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run, a calibration and a folder, all of that name."""
+    """A run, a calibration and a folder with this name."""
     folder = tmp_path_factory.mktemp("data")
     (folder / "own.toml").write_text(RUN, encoding="utf-8")
     assert main(("run", str(folder / "own.toml"), "--jobs", "1", "--data", str(folder), "--json")) == 0
@@ -56,7 +56,7 @@ def hostile(data: Path) -> Iterator[Served]:
 
 @pytest.fixture
 def page(hostile: Served, browser: Browser) -> Iterator[Page]:
-    """The page; whatever has run or been made of a text in it, or in a page inside it, is noticed at the end."""
+    """The page; errors and dialogs caused by an injected text fail the test at the end."""
     with bare_page(browser, hostile) as page:
         complaints: list[str] = []
         page.on("pageerror", lambda error: complaints.append(str(error)))
@@ -71,7 +71,7 @@ def untouched(page: Page) -> None:
         assert frame.locator(".hostile").count() == 0
 
 
-def test_a_run_with_its_notes_its_report_and_its_replay(hostile: Served, page: Page) -> None:
+def test_hostile_text_in_a_run_its_notes_report_and_replay_is_not_executed(hostile: Served, page: Page) -> None:
     (run,) = hostile.rest.get("/api/runs").json()
     assert run["id"] == NAME
     page.locator("#tab-runs").click()
@@ -92,14 +92,14 @@ def test_a_run_with_its_notes_its_report_and_its_replay(hostile: Served, page: P
     untouched(page)
 
 
-def test_a_calibration(page: Page) -> None:
+def test_hostile_text_in_a_calibration_is_not_executed(page: Page) -> None:
     page.locator("#tab-calibrate").click()
     page.locator("#calibrate .card", has_text="top.ran = 1").click()
     page.locator("#found", has_text="top.ran = 1").wait_for()
     untouched(page)
 
 
-def test_an_operator_and_the_log(hostile: Served, page: Page) -> None:
+def test_hostile_text_in_operator_name_and_log_is_not_executed(hostile: Served, page: Page) -> None:
     name = "<img src=x class=hostile onerror=top.x()>"[:40]
     assert hostile.rest.post("/api/operator", json={"name": name, "take_over": True}).json()["name"] == name
     assert hostile.rest.post("/api/start", json={"experiment": HOSTILE}).status_code == 422

@@ -1,15 +1,15 @@
-"""A run from the first to the last with nothing but a keyboard."""
+"""A complete run with the keyboard only."""
 
 from playwright.sync_api import Page
 
 from tests.harness.serving import Served
 
-#: No way through the page is longer.
+#: Largest number of Tab presses to reach a control.
 KEYS = 80
 
 
 def tab_to(page: Page, text: str) -> None:
-    """Press Tab until what has the focus is called `text`."""
+    """Press Tab until the focused element's name contains `text`."""
     name = """() => {
       const here = document.activeElement;
       return here === document.body ? '' : here.getAttribute('aria-label') ?? here.innerText;
@@ -21,7 +21,7 @@ def tab_to(page: Page, text: str) -> None:
     raise AssertionError(f"'{text}' is not reached with Tab")
 
 
-def test_a_run_is_chosen_set_started_stopped_and_reset(page: Page, station: Served) -> None:
+def test_run_is_chosen_started_stopped_and_reset_by_keyboard(page: Page, station: Served) -> None:
     tab_to(page, "Keep the tip where it is")
     page.keyboard.press("Enter")
     page.locator("#start", has_text="Load on the simulated tip").wait_for()

@@ -1,4 +1,4 @@
-"""A hand at the tip: a stand-in for a pad, whose dead man's button has to be held, and keys in their own field."""
+"""Jogging the tip with a simulated gamepad, whose dead man's button must be held, and with keys in their field."""
 
 import pytest
 from playwright.sync_api import Page
@@ -7,7 +7,7 @@ from tests.harness.pad import LEFT, PAD
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
-FAR = 0.002  #: that the tip has to go, beyond all noise [m]
+FAR = 0.002  #: required motion of the tip, larger than all noise [m]
 
 
 @pytest.fixture
@@ -26,12 +26,12 @@ def says(page: Page, text: str) -> None:
 
 
 def along(station: Served) -> float:
-    """Where the tip is along the straight tubes [m]."""
+    """Position of the tip along the straight tubes [m]."""
     return station.status()["tip_true"][2]
 
 
 def moves(page: Page, station: Served) -> None:
-    """With the left stick to the left and the button held the tip goes back along the tubes."""
+    """Move the tip back along the tubes: left stick to the left, button held."""
     before = along(station)
     pad(page, LEFT, held=False)
     says(page, "Test Pad: hold a shoulder button")
@@ -41,34 +41,36 @@ def moves(page: Page, station: Served) -> None:
 
 
 def stands(station: Served) -> None:
-    """The jog has ended and no other one begins: telemetry goes on, the joints do not."""
+    """Check that the jog has ended and no other one starts: telemetry continues, the joints rest."""
     station.wait_for(lambda status: status["state"] == "READY")
     seen: list[list[float]] = []
     station.wait_for(lambda s: seen.append(list(s["joints"].values())) or (len(seen) > 40 and seen[-1] == seen[-30]))
     assert station.status()["state"] == "READY"
 
 
-def test_the_tip_moves_while_the_button_is_held_and_stops_when_it_is_let_go(page: Page, station: Served) -> None:
+def test_gamepad_moves_the_tip_while_its_button_is_held_and_stops_it_on_release(page: Page, station: Served) -> None:
     moves(page, station)
     pad(page, LEFT, held=False)
     stands(station)
     says(page, "hold a shoulder button")
 
 
-def test_it_stops_when_the_pad_is_unplugged_and_a_button_held_since_then_begins_nothing(
+def test_tip_stops_when_the_gamepad_is_unplugged_and_its_held_button_has_no_later_effect(
     page: Page, station: Served
 ) -> None:
     moves(page, station)
     page.evaluate(PAD, None)
     stands(station)
-    says(page, "no pad is seen")
+    says(page, "no gamepad detected")
     pad(page, LEFT, held=True, obeys=False)
-    says(page, "let go of its button, then press it again")
+    says(page, "release its button, then press it again")
     stands(station)
 
 
 @pytest.mark.parametrize("event", ["blur", "hide"])
-def test_it_stops_when_the_page_is_left_and_does_not_go_on_by_itself(page: Page, station: Served, event: str) -> None:
+def test_gamepad_jog_stops_when_the_page_is_left_and_does_not_resume_by_itself(
+    page: Page, station: Served, event: str
+) -> None:
     moves(page, station)
     pad(page, LEFT, held=True, obeys=False)
     if event == "blur":
@@ -78,11 +80,11 @@ def test_it_stops_when_the_page_is_left_and_does_not_go_on_by_itself(page: Page,
             """() => { Object.defineProperty(document, 'hidden', {value: true, configurable: true});
                        document.dispatchEvent(new Event('visibilitychange')); delete document.hidden; }"""
         )
-    says(page, "let go of its button, then press it again")
+    says(page, "release its button, then press it again")
     stands(station)
 
 
-def test_what_a_stick_at_rest_shows_is_nothing_and_a_corner_is_no_faster(page: Page, station: Served) -> None:
+def test_gamepad_stick_has_a_dead_zone_and_is_not_faster_in_its_corner(page: Page, station: Served) -> None:
     pad(page, [0.1, -0.1, 0.0, 0.09], held=False)
     says(page, "hold a shoulder button")
     speeds = "() => [...document.querySelectorAll('.axes output')].map((one) => parseFloat(one.textContent))"
@@ -97,7 +99,7 @@ def test_what_a_stick_at_rest_shows_is_nothing_and_a_corner_is_no_faster(page: P
     assert (x, y, z) == pytest.approx((1.7, 1.7, -1.7), abs=0.1)
 
 
-def test_nothing_moves_for_who_is_not_operator_and_the_page_says_why(page: Page, station: Served) -> None:
+def test_gamepad_has_no_effect_without_control_and_the_page_shows_the_reason(page: Page, station: Served) -> None:
     pad(page, LEFT, held=False)
     says(page, "hold a shoulder button")
     station.rest.post("/api/operator", json={"name": "Anna", "take_over": True})
@@ -105,10 +107,10 @@ def test_nothing_moves_for_who_is_not_operator_and_the_page_says_why(page: Page,
     pad(page, LEFT, held=True)
     stands(station)
     station.rest.delete("/api/operator")
-    says(page, "hold a shoulder button")  # held all the time, it begins nothing: who obeys lets go first
+    says(page, "hold a shoulder button")  # a button held since before has no effect: it must be released first
 
 
-def test_keys_move_the_tip_while_they_are_held_in_their_field(page: Page, station: Served) -> None:
+def test_arrow_keys_move_the_tip_while_they_are_held_in_the_jog_field(page: Page, station: Served) -> None:
     page.evaluate(PAD, None)
     field = page.get_by_role("application", name="move the tip by keys")
     before = along(station)

@@ -1,4 +1,4 @@
-"""Several people, some of them hostile: two operators, a viewer, a page of another site, a dropped socket."""
+"""Several clients, some of them hostile: two operators, a viewer, a page of another site, forged messages."""
 
 import http.server
 import threading
@@ -25,7 +25,7 @@ def become_operator(page: Page, name: str, button: str) -> None:
     page.locator("#operator", has_text="You are operator").wait_for()
 
 
-def test_two_browsers_and_one_lease(station: Served, browser: Browser) -> None:
+def test_two_browsers_share_one_operator_lease(station: Served, browser: Browser) -> None:
     with bare_page(browser, station) as anna, bare_page(browser, station) as ben:
         become_operator(anna, "Anna", "Take control")
         ben.locator("#operator", has_text="Operator: Anna").wait_for()
@@ -35,7 +35,7 @@ def test_two_browsers_and_one_lease(station: Served, browser: Browser) -> None:
         anna.locator(".card", has_text="Keep the tip where it is").click()
         anna.get_by_role("button", name="Start motion").click()
         ben.locator("#state", has_text="RUNNING").wait_for()
-        # STOP is anybody's.
+        # Every client may stop.
         ben.locator("#stop").click()
         anna.locator("#state", has_text="STOPPED").wait_for()
         assert ben.locator("#reset").is_disabled()
@@ -102,7 +102,7 @@ ATTACK = """async (station) => {
 }"""
 
 
-def test_a_page_of_another_site_reads_nothing_and_moves_nothing(
+def test_page_of_another_site_reads_nothing_and_moves_nothing(
     station: Served, browser: Browser, hostile_site: str
 ) -> None:
     page = browser.new_page()
@@ -120,11 +120,11 @@ def test_a_page_of_another_site_reads_nothing_and_moves_nothing(
     assert len(refused) >= 3
 
 
-#: Whether viser's page has the inner tube; it shows this to whoever tests it.
+#: Whether viser's page has the inner tube; viser exposes this for tests.
 SHOWN = "() => '/robot/inner' in (window.__viserSceneTree?.getState() ?? {})"
 
 
-def test_a_raw_client_with_forged_messages_changes_nothing_for_others(station: Served, browser: Browser) -> None:
+def test_client_with_forged_scene_messages_changes_nothing_for_others(station: Served, browser: Browser) -> None:
     context = browser.new_context()
     context.set_default_timeout(PATIENCE)
     try:
@@ -164,7 +164,7 @@ def guarded() -> Iterator[Served]:
         yield served
 
 
-def test_without_a_token_nobody_sees_anything(guarded: Served, browser: Browser) -> None:
+def test_client_without_a_token_has_no_access(guarded: Served, browser: Browser) -> None:
     for path in ("/api/status", "/api/docs", "/viser/"):
         assert httpx.get(f"{guarded.url}{path}").status_code == 401
     assert httpx.post(f"{guarded.url}/api/stop").status_code == 401
@@ -183,7 +183,7 @@ def test_without_a_token_nobody_sees_anything(guarded: Served, browser: Browser)
         page.close()
 
 
-def test_a_viewer_looks_and_stops_and_starts_nothing(guarded: Served, browser: Browser) -> None:
+def test_viewer_may_view_and_press_stop_but_starts_nothing(guarded: Served, browser: Browser) -> None:
     viewer, _ = guarded.tokens
     guarded.ready()
     with bare_page(browser, guarded, f"?token={viewer}") as page:
@@ -199,7 +199,7 @@ def test_a_viewer_looks_and_stops_and_starts_nothing(guarded: Served, browser: B
         assert "token" not in page.evaluate("document.cookie")
 
 
-def test_an_operators_token_commands(guarded: Served, browser: Browser) -> None:
+def test_operators_token_may_take_control(guarded: Served, browser: Browser) -> None:
     _, operator = guarded.tokens
     guarded.ready()
     with bare_page(browser, guarded, f"?token={operator}") as page:

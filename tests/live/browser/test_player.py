@@ -40,7 +40,7 @@ def player(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     page.on("pageerror", lambda error: complaints.append(str(error)))
 
     def hear(message: ConsoleMessage) -> None:
-        # What a driver without a graphics card says of its own speed is not the page's.
+        # A software renderer's messages about its speed are not caused by the page.
         if "GL Driver Message" not in message.text:
             complaints.append(message.text)
 
@@ -67,7 +67,7 @@ def clock(page: Page) -> float:
     return float(page.locator("#clock").inner_text().split()[0])
 
 
-def test_it_waits_for_those_who_want_less_motion_and_says_what_it_shows(at_start: Page) -> None:
+def test_replay_player_starts_paused_with_reduced_motion_and_labels_its_contents(at_start: Page) -> None:
     assert at_start.locator("#play").inner_text() == "Play"
     assert clock(at_start) == 0.0
     assert at_start.locator("#origin").inner_text() == "simulated bench"
@@ -80,7 +80,7 @@ def test_it_waits_for_those_who_want_less_motion_and_says_what_it_shows(at_start
     assert at_start.locator("#problem").is_hidden()
 
 
-def test_the_robot_is_drawn_in_its_colours(at_start: Page) -> None:
+def test_replay_player_draws_the_robot_in_its_colours(at_start: Page) -> None:
     shot = picture(at_start)
     # the inner tube's sky blue and the outer one's slate, whatever the shading
     blue = (shot[..., 2] > shot[..., 0] + 60) & (shot[..., 1] > shot[..., 0] + 30)
@@ -90,7 +90,7 @@ def test_the_robot_is_drawn_in_its_colours(at_start: Page) -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (830, 590), (390, 420)])
-def test_no_table_is_over_the_robot(at_start: Page, width: int, height: int) -> None:
+def test_tables_of_the_replay_player_do_not_cover_the_robot(at_start: Page, width: int, height: int) -> None:
     before = at_start.viewport_size
     at_start.set_viewport_size({"width": width, "height": height})
     scene, numbers = (at_start.locator(name).bounding_box() for name in ("#scene", "#side"))
@@ -106,7 +106,7 @@ def test_no_table_is_over_the_robot(at_start: Page, width: int, height: int) -> 
     assert beside or below
 
 
-def test_keys_move_time_and_the_picture_follows(at_start: Page) -> None:
+def test_keys_change_the_time_and_the_picture_of_the_replay_player(at_start: Page) -> None:
     page = at_start
     before = picture(page)
     page.keyboard.press("ArrowRight")
@@ -121,7 +121,7 @@ def test_keys_move_time_and_the_picture_follows(at_start: Page) -> None:
     assert np.abs(picture(page) - before).max() < 3.0
 
 
-def test_space_plays_to_the_end_and_stops_there(at_start: Page) -> None:
+def test_space_key_plays_a_replay_to_its_end_and_stops_there(at_start: Page) -> None:
     page = at_start
     page.locator("#speed").select_option("5")
     page.locator("#scene").focus()
@@ -129,12 +129,12 @@ def test_space_plays_to_the_end_and_stops_there(at_start: Page) -> None:
     assert page.locator("#play").inner_text() == "Pause"
     page.locator("#play", has_text="Play").wait_for()
     assert clock(page) > 1.9
-    page.locator("#play").click()  # from the beginning again
+    page.locator("#play").click()  # from the start again
     page.keyboard.press("Space")
     assert page.locator("#play").inner_text() == "Play"
 
 
-def test_the_slider_the_mouse_and_another_case(at_start: Page) -> None:
+def test_slider_mouse_and_case_change_the_picture_of_the_replay_player(at_start: Page) -> None:
     page = at_start
     page.locator("#time").fill("25")
     assert clock(page) == pytest.approx(1.0)
@@ -150,14 +150,14 @@ def test_the_slider_the_mouse_and_another_case(at_start: Page) -> None:
     assert page.locator("#numbers").inner_text() != text
 
 
-def test_the_numbers_are_those_of_the_recording(at_start: Page) -> None:
+def test_replay_player_shows_the_numbers_of_the_recording(at_start: Page) -> None:
     rows = [row.split("\t") for row in at_start.locator("#numbers").inner_text().splitlines()]
     joints = {row[0]: row[1] for row in rows if "rotation" in row[0] or "translation" in row[0]}
     assert float(joints["inner rotation"]) == pytest.approx(90.0, abs=0.5)
     assert float(joints["inner translation"]) == pytest.approx(-100.0, abs=0.5)
 
 
-#: Where the measured tip is drawn in each frame, the picture's edges at -1 and 1.
+#: Position of the measured tip in each frame, with the picture's edges at -1 and 1.
 TIPS = """() => {
   choose(0);
   const m = scene.view, part = (row, p) => m[row] * p[0] + m[4 + row] * p[1] + m[8 + row] * p[2] + m[12 + row];
@@ -167,7 +167,7 @@ TIPS = """() => {
 
 
 @pytest.mark.parametrize("size", [(390, 844), (500, 900), (1280, 720)])
-def test_the_tip_is_in_the_picture_whatever_its_shape(at_start: Page, size: tuple[int, int]) -> None:
+def test_replay_player_shows_the_tip_at_every_aspect_ratio(at_start: Page, size: tuple[int, int]) -> None:
     before = at_start.viewport_size
     assert before is not None
     at_start.set_viewport_size({"width": size[0], "height": size[1]})

@@ -22,7 +22,7 @@ def button(page: Page, name: str) -> None:
 
 def home(_station: Served, page: Page) -> None:
     tab(page, "devices")
-    button(page, "Home…")
+    page.locator("#devices").get_by_role("button", name="Home…").click()
 
 
 def operator(_station: Served, page: Page) -> None:
@@ -36,7 +36,7 @@ def calibrate(_station: Served, page: Page) -> None:
 
 
 def experiment(station: Served, page: Page) -> None:
-    """It asks before it goes to another pose."""
+    """Open the confirmation of an experiment that first goes to another pose."""
     station.post("/api/jog", {"space": "joints", "velocity": [0.3, 0.0, 0.0]})
     station.wait_for(lambda s: s["state"] == "READY" and abs(s["joints"]["outer_rotation"]) > 0.02)
     station.rest.delete("/api/operator")
@@ -51,7 +51,7 @@ def delete(station: Served, page: Page) -> None:
 
 
 def open_new_run(station: Served, page: Page) -> None:
-    """What is recorded of a short run, in the tab Runs."""
+    """Record a short run and open its page in the tab Runs."""
     station.post("/api/start", HOLD | {"duration": 0.5})
     run = station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])["run"]["id"]
     station.rest.delete("/api/operator")
@@ -68,7 +68,7 @@ def open_new_run(station: Served, page: Page) -> None:
 
 
 @pytest.mark.parametrize("ask", [home, operator, calibrate, experiment, delete])
-def test_stop_and_the_state_are_reached_under_every_dialog(
+def test_stop_button_and_state_are_usable_under_every_dialog(
     station: Served, page: Page, ask: Callable[[Served, Page], None]
 ) -> None:
     page.locator("#operator", has_text="No operator").wait_for()
@@ -83,10 +83,10 @@ def test_stop_and_the_state_are_reached_under_every_dialog(
         page.locator("#state", has_text="READY").wait_for()
     page.keyboard.press("Escape")
     question.wait_for(state="hidden")
-    assert station.status()["state"] == "READY"  # it answered the question and nothing else
+    assert station.status()["state"] == "READY"  # Escape closed the question and did nothing else
 
 
-def test_a_finger_stops_under_a_dialog(station: Served, browser: Browser) -> None:
+def test_touch_on_the_stop_button_works_under_a_dialog(station: Served, browser: Browser) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
     context.set_default_timeout(PATIENCE)
     try:
@@ -102,7 +102,7 @@ def test_a_finger_stops_under_a_dialog(station: Served, browser: Browser) -> Non
         context.close()
 
 
-def test_a_stop_is_repeated_until_it_is_acknowledged_and_the_page_says_so(station: Served, page: Page) -> None:
+def test_stop_is_repeated_until_acknowledged_and_the_page_reports_it(station: Served, page: Page) -> None:
     station.post("/api/start", HOLD)
     page.locator("#state", has_text="RUNNING").wait_for()
     page.context.set_offline(True)
@@ -113,12 +113,12 @@ def test_a_stop_is_repeated_until_it_is_acknowledged_and_the_page_says_so(statio
     finally:
         page.context.set_offline(False)
     station.wait_for(lambda s: s["state"] == "STOPPED")
-    page.locator("#alarm", has_text="STOP was taken: acknowledged after").wait_for()
+    page.locator("#alarm", has_text="STOP was accepted: acknowledged after").wait_for()
     page.get_by_role("button", name="Close").click()
     assert page.locator("#alarm").is_hidden()
 
 
-def test_escape_stops_what_moves(station: Served, page: Page) -> None:
+def test_escape_key_in_the_page_stops_a_motion(station: Served, page: Page) -> None:
     page.locator("#tab-start").focus()
     page.keyboard.press("Escape")
     station.post("/api/start", HOLD)
@@ -128,7 +128,7 @@ def test_escape_stops_what_moves(station: Served, page: Page) -> None:
     page.locator("#state", has_text="STOPPED").wait_for()
 
 
-def test_a_text_box_takes_a_space_while_nothing_moves_and_stops_what_does(station: Served, page: Page) -> None:
+def test_shift_space_in_a_text_box_types_a_space_at_rest_and_stops_a_motion(station: Served, page: Page) -> None:
     tab(page, "runs")
     if page.get_by_role("button", name="all runs").count():
         button(page, "all runs")
@@ -144,7 +144,7 @@ def test_a_text_box_takes_a_space_while_nothing_moves_and_stops_what_does(statio
     search.fill("")
 
 
-def test_the_keys_work_in_a_report_s_frame(station: Served, page: Page) -> None:
+def test_stop_keys_work_in_the_frame_of_a_replay(station: Served, page: Page) -> None:
     open_new_run(station, page)
     button(page, "Replay")
     page.locator("#cover", has_text="this is not live").wait_for()

@@ -1,10 +1,10 @@
-"""The strip above the tabs: numbers of now or none, and how well a run went when it is over."""
+"""The strip above the tabs: current values or none, and the result of a finished run."""
 
 from playwright.sync_api import Page
 
 from tests.harness.serving import Served
 
-#: Longer than anybody waits: it is stopped once all has been seen.
+#: Longer than the test: it is stopped after all checks.
 HELD = {
     "trajectory": {"kind": "hold"},
     "load": {"kind": "trapezoid", "magnitude": 0.3, "rise": 0.5},
@@ -13,11 +13,11 @@ HELD = {
 CELL = "(nth) => document.querySelectorAll('#strip output')[nth].textContent"
 NUMBER = f"(nth) => /^[0-9.]+ m?[mN]$/.test(({CELL})(nth))"
 EMPTY = f"(nth) => !/[0-9]/.test(({CELL})(nth))"
-ERROR, _, FORCE, DEFLECTION, LEFT = range(5)  # the second is of the direction, where one is asked for
+ERROR, _, FORCE, DEFLECTION, LEFT = range(5)  # the second is the direction, hidden without a desired one
 
 
-def test_numbers_while_it_moves_and_how_it_went_at_the_end(page: Page, station: Served) -> None:
-    assert page.evaluate(EMPTY, ERROR)  # there is no path to be away from
+def test_value_strip_shows_values_during_a_motion_and_the_result_at_its_end(page: Page, station: Served) -> None:
+    assert page.evaluate(EMPTY, ERROR)  # there is no desired path
     page.wait_for_function(NUMBER, arg=FORCE)
     started = station.post("/api/start", HELD)
     assert started.status_code == 202, started.text
@@ -33,7 +33,7 @@ def test_numbers_while_it_moves_and_how_it_went_at_the_end(page: Page, station: 
     assert "largest" in page.locator("#runs .result").inner_text()
 
 
-def test_what_is_not_known_any_more_is_not_shown(page: Page, station: Served) -> None:
+def test_value_strip_hides_the_force_while_its_sensor_is_silent(page: Page, station: Served) -> None:
     page.wait_for_function(NUMBER, arg=FORCE)
     station.post("/api/faults", {"faults": [{"kind": "mute", "device": "inner"}]})
     page.wait_for_function(EMPTY, arg=FORCE)

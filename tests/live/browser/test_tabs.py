@@ -1,4 +1,4 @@
-"""The tabs under an operator's hands; the scene is left out, it takes a processor to draw."""
+"""The tabs as an operator uses them, without the scene, which needs a whole processor."""
 
 import time
 from collections.abc import Callable
@@ -29,7 +29,7 @@ def joints(station: Served) -> list[float]:
 def hold(page: Page, station: Served, button: str, moved: Callable[[dict[str, Any]], bool]) -> None:
     """Press with the mouse and keep pressed until it has moved.
 
-    The page lets go by itself when the station's word is older than half a second, which happens on a busy machine.
+    The page ends the jog when the status is older than half a second, which happens on a busy machine.
     """
     for _ in range(10):
         page.get_by_role("button", name=button).hover()
@@ -45,7 +45,7 @@ def hold(page: Page, station: Served, button: str, moved: Callable[[dict[str, An
 # ---- run
 
 
-def test_a_preset_is_started_after_the_way_to_its_start_pose_is_confirmed(
+def test_page_starts_an_experiment_after_its_start_pose_is_confirmed(
     page: Page, station: Served, picture: Picture
 ) -> None:
     tab(page, "start")
@@ -75,7 +75,7 @@ def test_a_preset_is_started_after_the_way_to_its_start_pose_is_confirmed(
     page.get_by_role("button", name="all motions").click()
 
 
-def test_a_free_motion_has_units_and_bounds_and_runs_as_set(page: Page, station: Served, picture: Picture) -> None:
+def test_free_motion_form_has_units_and_bounds_and_runs_as_set(page: Page, station: Served, picture: Picture) -> None:
     tab(page, "start")
     page.locator(".card", has_text="Move the tip along a circle").click()
     radius = page.locator("#start").get_by_label("radius")
@@ -97,19 +97,19 @@ def test_a_free_motion_has_units_and_bounds_and_runs_as_set(page: Page, station:
     page.get_by_role("button", name="all motions").click()
 
 
-def test_a_load_that_is_too_fast_is_started_and_warned_of(page: Page, station: Served) -> None:
+def test_run_with_a_load_that_is_too_fast_starts_with_a_warning(page: Page, station: Served) -> None:
     tab(page, "start")
     page.locator(".card", has_text="Keep the tip where it is").click()
     page.locator("#start").get_by_label("duration").first.fill("5")
     page.get_by_label("Load on the simulated tip").select_option("tap")
     page.get_by_role("button", name="Start motion").click()
-    page.locator(".note", has_text="started, but load tap is more than the joints can make up for").wait_for()
+    page.locator(".note", has_text="started, but the joints cannot compensate load tap").wait_for()
     station.wait_for(lambda s: s["state"] == "RUNNING" and s["run"]["phase"] == "moving")
     station.post("/api/stop")
     page.get_by_role("button", name="all motions").click()
 
 
-def test_what_cannot_be_reached_is_refused_with_the_reason(page: Page, station: Served) -> None:
+def test_page_refuses_an_unreachable_motion_with_the_reason(page: Page, station: Served) -> None:
     tab(page, "start")
     page.locator(".card", has_text="Move the tip along a circle").click()
     page.locator("#start").get_by_label("radius").fill("90")
@@ -123,7 +123,7 @@ def test_what_cannot_be_reached_is_refused_with_the_reason(page: Page, station: 
 
 
 @pytest.mark.parametrize("ending", ["release", "leave", "blur", "hide"])
-def test_a_jog_moves_while_held_and_no_longer(page: Page, station: Served, ending: str) -> None:
+def test_jog_stops_when_its_button_is_released_or_the_page_is_left(page: Page, station: Served, ending: str) -> None:
     tab(page, "jog")
     before = joints(station)
     plus = "outer_rotation plus: hold to move"
@@ -147,7 +147,7 @@ def test_a_jog_moves_while_held_and_no_longer(page: Page, station: Served, endin
     page.mouse.up()
 
 
-def test_a_jog_of_the_tip_by_keyboard(page: Page, station: Served, picture: Picture) -> None:
+def test_keyboard_jogs_the_tip_in_the_jog_tab(page: Page, station: Served, picture: Picture) -> None:
     tab(page, "jog")
     before = station.status()["tip_true"]
     page.get_by_role("button", name="z minus: hold to move").focus()
@@ -160,7 +160,7 @@ def test_a_jog_of_the_tip_by_keyboard(page: Page, station: Served, picture: Pict
     assert abs(after[0] - before[0]) + abs(after[1] - before[1]) < abs(after[2] - before[2])
 
 
-def test_a_page_that_is_closed_while_it_jogs_stops_the_robot(station: Served, browser: Browser) -> None:
+def test_closing_the_page_stops_a_jog(station: Served, browser: Browser) -> None:
     with bare_page(browser, station) as page:
         tab(page, "jog")
         before = joints(station)
@@ -173,7 +173,7 @@ def test_a_page_that_is_closed_while_it_jogs_stops_the_robot(station: Served, br
 # ---- devices
 
 
-def test_devices_say_what_they_are_and_home_only_when_the_way_is_clear(
+def test_devices_tab_shows_details_and_homes_only_after_the_path_is_confirmed_clear(
     page: Page, station: Served, picture: Picture
 ) -> None:
     tab(page, "devices")
@@ -184,7 +184,7 @@ def test_devices_say_what_they_are_and_home_only_when_the_way_is_clear(
     picture(page, "devices")
     page.get_by_role("button", name="Zero the force sensors").click()
     page.locator(".note.good", has_text="read zero").first.wait_for()
-    page.get_by_role("button", name="Home…").click()
+    page.locator("#devices").get_by_role("button", name="Home…").click()
     dialog = page.get_by_role("dialog")
     assert dialog.get_by_role("button", name="Home", exact=True).is_disabled()
     picture(page, "home")
@@ -192,27 +192,27 @@ def test_devices_say_what_they_are_and_home_only_when_the_way_is_clear(
     assert dialog.get_by_role("button", name="Home", exact=True).is_enabled()
     dialog.get_by_role("button", name="Cancel").click()
     assert station.status()["state"] == "READY"
-    page.get_by_role("button", name="Home…").click()
+    page.locator("#devices").get_by_role("button", name="Home…").click()
     dialog.get_by_role("checkbox").check()
     dialog.get_by_role("button", name="Home", exact=True).click()
     page.locator("#state", has_text="HOMING").wait_for()
-    assert page.get_by_role("button", name="Home…").is_disabled()
+    assert page.locator("#devices").get_by_role("button", name="Home…").is_disabled()
     page.locator("#state", has_text="READY").wait_for()
     assert abs(station.status()["joints"]["inner_translation"] + 0.1) > 0.02  # retracted, not where it was
 
 
-def test_an_axis_is_checked_against_the_model(page: Page, station: Served) -> None:
+def test_axis_direction_is_checked_against_the_model(page: Page, station: Served) -> None:
     tab(page, "devices")
     before = joints(station)
     hold(page, station, "outer rotation +", lambda s: s["joints"]["outer_rotation"] > before[0] + 0.08)
     page.mouse.up()
-    page.locator("#devices", has_text="✓ right way").wait_for()
+    page.locator("#devices", has_text="✓ right direction").wait_for()
 
 
 # ---- plots
 
 
-def test_plots_are_chosen_paused_and_zoomed(page: Page, station: Served, picture: Picture) -> None:
+def test_plots_of_the_page_can_be_chosen_paused_and_zoomed(page: Page, station: Served, picture: Picture) -> None:
     tab(page, "plots")
     assert page.locator(".chart").count() == 3
     page.get_by_role("button", name="timing").click()
@@ -235,7 +235,7 @@ def test_plots_are_chosen_paused_and_zoomed(page: Page, station: Served, picture
     page.mouse.up()
     assert force.evaluate(pixels) != still
     page.get_by_role("button", name="Whole time").click()
-    page.get_by_role("button", name="Go on").click()
+    page.get_by_role("button", name="Resume").click()
     page.wait_for_timeout(500)
     assert force.evaluate(pixels) != still
 
@@ -243,7 +243,7 @@ def test_plots_are_chosen_paused_and_zoomed(page: Page, station: Served, picture
 # ---- runs
 
 
-def test_runs_are_listed_annotated_replayed_and_compared(page: Page, station: Served, picture: Picture) -> None:
+def test_runs_tab_lists_annotates_replays_and_compares_runs(page: Page, station: Served, picture: Picture) -> None:
     for _ in range(2):
         station.post("/api/start", CIRCLE)
         station.wait_for(lambda s: s["state"] == "READY")
@@ -276,7 +276,7 @@ def test_runs_are_listed_annotated_replayed_and_compared(page: Page, station: Se
         box.check()
     page.get_by_role("button", name="Compare two").click()
     page.locator(".result svg.curve").nth(1).wait_for()
-    assert page.locator(".result svg.curve").first.locator("polyline").count() == 2  # over each other
+    assert page.locator(".result svg.curve").first.locator("polyline").count() == 2  # overlaid
     assert page.locator("#comparison tr").count() > 5
     picture(page, "compare")
     page.get_by_role("button", name="all runs").click()
@@ -285,7 +285,7 @@ def test_runs_are_listed_annotated_replayed_and_compared(page: Page, station: Se
 # ---- faults
 
 
-def test_a_fault_is_injected_seen_explained_and_reset(page: Page, station: Served, picture: Picture) -> None:
+def test_injected_fault_is_shown_explained_and_reset(page: Page, station: Served, picture: Picture) -> None:
     station.post("/api/start", CIRCLE | {"duration": 60.0})
     station.wait_for(lambda s: s["run"]["phase"] == "moving")
     station.rest.delete("/api/operator")
@@ -297,7 +297,7 @@ def test_a_fault_is_injected_seen_explained_and_reset(page: Page, station: Serve
     light = page.locator("#lights li", has_text="tracker").locator(".light")
     assert "What to do" in page.locator("#faults").inner_text()
     picture(page, "faults")
-    page.locator("#lights li[title*='tracker: answers']").wait_for()
+    page.locator("#lights li[title*='tracker: connected, nothing is wrong']").wait_for()
     assert light.get_attribute("data-severity") == "0"
     page.locator("#faults").get_by_role("button", name="Reset").click()
     page.locator("#state", has_text="READY").wait_for()
@@ -307,7 +307,7 @@ def test_a_fault_is_injected_seen_explained_and_reset(page: Page, station: Serve
 # ---- hands without a mouse, eyes without colours, small screens
 
 
-def test_every_control_is_reached_by_keyboard(page: Page, station: Served) -> None:
+def test_keyboard_reaches_every_control_of_the_page(page: Page, station: Served) -> None:
     page.locator("#tab-start").focus()
     for name in ("jog", "devices", "plots", "runs", "calibrate", "faults", "start"):
         page.keyboard.press("ArrowRight")
@@ -326,7 +326,7 @@ def test_every_control_is_reached_by_keyboard(page: Page, station: Served) -> No
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (820, 1180)])
-def test_nothing_is_cut_off_on_small_screens(page: Page, width: int, height: int, picture: Picture) -> None:
+def test_page_tabs_fit_small_screens(page: Page, width: int, height: int, picture: Picture) -> None:
     page.set_viewport_size({"width": width, "height": height})
     try:
         for name in ("start", "jog", "devices", "plots", "runs", "faults"):
@@ -345,7 +345,7 @@ def test_nothing_is_cut_off_on_small_screens(page: Page, width: int, height: int
         page.set_viewport_size({"width": 1280, "height": 720})
 
 
-def test_text_can_be_read_in_the_light_and_in_the_dark(page: Page, picture: Picture) -> None:
+def test_page_text_has_enough_contrast_in_light_and_dark(page: Page, picture: Picture) -> None:
     """WCAG AA: a contrast of 4.5 for every text of header and tab."""
     try:
         for scheme in ("light", "dark"):

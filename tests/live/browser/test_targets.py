@@ -1,4 +1,4 @@
-"""A run whose tip goes where another program says, started on the page, ended by STOP."""
+"""A run that follows an external program's target, started on the page and ended by STOP."""
 
 import time
 from collections.abc import Iterator
@@ -25,9 +25,11 @@ def client(running: Served) -> Iterator[OpenIGTLinkClient]:
         yield client
 
 
-def test_an_operator_starts_it_and_stop_ends_it(page: Page, station: Served, client: OpenIGTLinkClient) -> None:
+def test_operator_starts_following_an_external_target_and_stop_ends_it(
+    page: Page, station: Served, client: OpenIGTLinkClient
+) -> None:
     page.locator("#tab-start").click()
-    page.locator(".card", has_text="target from outside").click()
+    page.locator(".card", has_text="external target").click()
     assert page.get_by_label("speed").input_value() == "20"  # mm/s
     page.get_by_label("end", exact=True).fill("60")
     page.get_by_role("button", name="Start following").click()

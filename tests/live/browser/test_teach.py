@@ -1,4 +1,4 @@
-"""Places taught where the tip is: by mouse and by keyboard, tried before they start, kept under a name and run."""
+"""Waypoints added at the tip, by mouse and by keyboard: checked before the start, saved under a name, and run."""
 
 import json
 
@@ -18,8 +18,8 @@ def teach(page: Page, station: Served) -> Page:
     page.reload()
     page.locator("#state", has_text="READY").wait_for()
     page.locator("#tab-start").click()
-    page.locator(".card", has_text="Through places").click()
-    page.get_by_role("button", name="Add this place").wait_for()
+    page.locator(".card", has_text="Move smoothly through").click()
+    page.get_by_role("button", name="Add waypoint here").wait_for()
     return page
 
 
@@ -28,11 +28,11 @@ def says(page: Page, text: str) -> None:
 
 
 def cell(page: Page, place: int, name: str) -> str:
-    return page.get_by_label(f"place {place} {name}").input_value()
+    return page.get_by_label(f"waypoint {place} {name}").input_value()
 
 
 def table(page: Page) -> list[list[float]]:
-    """What stands in it [s, mm]."""
+    """Values of the table [s, mm]."""
     cells = page.locator("tr.place").evaluate_all(
         "rows => rows.map(row => [...row.querySelectorAll('input')].map(one => Number(one.value)))"
     )
@@ -40,14 +40,14 @@ def table(page: Page) -> list[list[float]]:
 
 
 def take(page: Page, points: list[list[float]]) -> None:
-    """A file of `points` [s, m]."""
+    """Load a file of `points` [s, m]."""
     file = "time [s], x [m], y [m], z [m]\n" + "\n".join(", ".join(map(str, row)) for row in points)
     page.get_by_label("CSV file").set_input_files({"name": "a.csv", "mimeType": "text/csv", "buffer": file.encode()})
     page.locator("tr.place").nth(len(points) - 1).wait_for()
 
 
 def go(station: Served, pose: dict[str, float]) -> None:
-    """By somebody else; then nobody is operator."""
+    """Move the robot as another client; afterwards there is no operator."""
     assert station.post("/api/goto", {"joints": pose}).status_code == 202
     station.wait_for(
         lambda s: s["state"] == "READY" and all(abs(s["joints"][name] - there) < 1e-4 for name, there in pose.items())
@@ -55,18 +55,16 @@ def go(station: Served, pose: dict[str, float]) -> None:
     station.rest.delete("/api/operator")
 
 
-def test_places_are_added_where_the_tip_is_and_it_is_told_that_it_is_not_at_the_start(
-    teach: Page, station: Served
-) -> None:
-    add = teach.get_by_role("button", name="Add this place")
+def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(teach: Page, station: Served) -> None:
+    add = teach.get_by_role("button", name="Add waypoint here")
     add.click()
     assert table(teach) == [[0.0, 0.0, 0.0, 0.0]]
     before = station.status()
     go(station, {"inner_translation": -0.095})
-    teach.get_by_text("away from the start; a motion that begins here").wait_for()
+    teach.get_by_text("away from the start; a motion from here").wait_for()
 
     def added() -> bool:
-        # While a busy station is not heard for half a second no place is taken: who clicks then clicks again.
+        # While the status is stale on a busy computer the button is disabled, so click again.
         if len(table(teach)) < 2:
             add.click()
         return len(table(teach)) == 2
@@ -77,27 +75,27 @@ def test_places_are_added_where_the_tip_is_and_it_is_told_that_it_is_not_at_the_
     moved = [1e3 * (b - a) for a, b in zip(before["tip_true"], after["tip_true"], strict=True)]
     assert place == pytest.approx(moved, abs=1.5)  # measured, as the tracker's noise has it
     assert time == pytest.approx(sum(x * x for x in place) ** 0.5 / 5.0, abs=0.02)  # at 5 mm/s
-    says(teach, "✓ on the model the tip gets to all 2")
+    says(teach, "✓ according to the model, the tip reaches all 2")
     teach.get_by_role("button", name="Go to the start").click()
     teach.get_by_role("dialog").get_by_role("button", name="Go").click()
     station.wait_for(lambda status: abs(status["joints"]["inner_translation"] + 0.1) < 1e-4)
-    teach.get_by_text("away from the start; a motion that begins here").wait_for(state="hidden")
+    teach.get_by_text("away from the start; a motion from here").wait_for(state="hidden")
 
 
-def test_a_table_is_edited_reordered_undone_and_started_by_mouse(teach: Page, station: Served) -> None:
+def test_waypoint_table_is_edited_reordered_undone_and_started_by_mouse(teach: Page, station: Served) -> None:
     take(teach, POINTS)
-    says(teach, "✓ on the model the tip gets to all 3 in 8 s")
-    assert teach.locator("svg.way circle").count() == 6  # each place, from the side and from above
-    teach.get_by_label("place 3 up").click()
+    says(teach, "✓ according to the model, the tip reaches all 3 in 8 s")
+    assert teach.locator("svg.way circle").count() == 6  # each waypoint, from the side and from above
+    teach.get_by_label("waypoint 3 up").click()
     assert table(teach) == [[0.0, 0.0, 0.0, 0.0], [4.0, 0.0, 4.0, 3.0], [8.0, 0.0, 4.0, 0.0]]
-    teach.get_by_label("delete place 3").click()
+    teach.get_by_label("delete waypoint 3").click()
     teach.get_by_role("button", name="Undo").click()
     teach.get_by_role("button", name="Undo").click()
     assert table(teach) == [[0.0, 0.0, 0.0, 0.0], [4.0, 0.0, 4.0, 0.0], [8.0, 0.0, 4.0, 3.0]]
-    teach.get_by_label("speed from place to place").fill("1")
+    teach.get_by_label("speed between waypoints").fill("1")
     teach.get_by_role("button", name="Times from speed").click()
     assert [row[0] for row in table(teach)] == [0.0, 4.0, 7.0]
-    says(teach, "✓ on the model the tip gets to all 3 in 7 s")
+    says(teach, "✓ according to the model, the tip reaches all 3 in 7 s")
     with teach.expect_request("**/api/start") as asked:
         teach.get_by_role("button", name="Start motion").click()
     sent = json.loads(asked.value.post_data or "")
@@ -107,7 +105,7 @@ def test_a_table_is_edited_reordered_undone_and_started_by_mouse(teach: Page, st
     station.post("/api/stop")
 
 
-def test_a_table_is_made_and_changed_by_keyboard_alone(teach: Page) -> None:
+def test_waypoint_table_is_created_and_changed_by_keyboard_only(teach: Page) -> None:
     teach.get_by_role("button", name="Add a row").focus()
     teach.keyboard.press("Enter")  # the first cell of the new row has the focus
     for text in ("5", "0", "4", "0"):
@@ -115,31 +113,31 @@ def test_a_table_is_made_and_changed_by_keyboard_alone(teach: Page) -> None:
         teach.keyboard.type(text)
         teach.keyboard.press("Tab")
     assert table(teach) == [[5.0, 0.0, 4.0, 0.0]]
-    says(teach, "✓ on the model the tip gets to it in 5 s")
+    says(teach, "✓ according to the model, the tip reaches it in 5 s")
     teach.get_by_role("button", name="Add a row").focus()
     teach.keyboard.press("Enter")
     for text in ("9", "0", "6", "0"):
         teach.keyboard.press("Control+A")
         teach.keyboard.type(text)
         teach.keyboard.press("Tab")
-    assert teach.evaluate("document.activeElement.getAttribute('aria-label')") == "place 2 up"
+    assert teach.evaluate("document.activeElement.getAttribute('aria-label')") == "waypoint 2 up"
     teach.keyboard.press("Enter")
     assert table(teach) == [[5.0, 0.0, 6.0, 0.0], [9.0, 0.0, 4.0, 0.0]]
 
 
-def test_the_first_place_that_is_not_got_to_is_marked_with_the_reason(teach: Page) -> None:
+def test_first_unreachable_waypoint_is_marked_with_the_reason(teach: Page) -> None:
     take(teach, [*POINTS, [30, 0, 0.12, 0]])
-    says(teach, "✗ the tip does not get to place 4")
+    says(teach, "✗ the tip does not reach waypoint 4")
     assert teach.locator("tr.place.bad td").first.inner_text() == "4"
     assert "waypoints cannot be followed: at" in teach.locator("tr.why").inner_text()
     assert " m " not in teach.locator("tr.why").inner_text()  # in the page's units
-    teach.get_by_label("place 4 time s").fill("3")
-    teach.get_by_label("place 4 time s").press("Tab")
-    teach.locator("tr.why", has_text="time 3 s does not come after 8 s").wait_for()
+    teach.get_by_label("waypoint 4 time s").fill("3")
+    teach.get_by_label("waypoint 4 time s").press("Tab")
+    teach.locator("tr.why", has_text="time 3 s is not after 8 s").wait_for()
     assert teach.get_by_role("button", name="Start motion").is_disabled()
 
 
-def test_a_file_is_taken_in_its_own_unit_and_given_back(teach: Page) -> None:
+def test_waypoint_csv_file_is_read_in_its_unit_and_saved_again(teach: Page) -> None:
     take(teach, POINTS)
     with teach.expect_download() as download:
         teach.get_by_role("button", name="Save as CSV").click()
@@ -151,7 +149,7 @@ def test_a_file_is_taken_in_its_own_unit_and_given_back(teach: Page) -> None:
     assert len(table(teach)) == 3  # as it was
 
 
-def test_what_is_saved_is_replaced_only_when_confirmed_and_is_there_again(teach: Page, station: Served) -> None:
+def test_saved_motion_is_replaced_only_after_confirmation_and_can_be_loaded(teach: Page, station: Served) -> None:
     take(teach, POINTS)
     says(teach, "✓ on the model")
     name = teach.get_by_label("name to save it under")
@@ -162,10 +160,10 @@ def test_what_is_saved_is_replaced_only_when_confirmed_and_is_there_again(teach:
     name.fill("taught_here")
     save.click()
     teach.locator(".note.good", has_text="experiments/taught_here.toml").wait_for()
-    teach.get_by_label("delete place 3").click()
-    says(teach, "✓ on the model the tip gets to all 2")
+    teach.get_by_label("delete waypoint 3").click()
+    says(teach, "✓ according to the model, the tip reaches all 2")
     save.click()
-    teach.get_by_role("dialog").get_by_text("There is an experiment 'taught_here' already").wait_for()
+    teach.get_by_role("dialog").get_by_text("'taught_here' exists already").wait_for()
     teach.get_by_role("dialog").get_by_role("button", name="Cancel").click()
     teach.get_by_label("saved motions").select_option("taught_here")
     teach.get_by_role("button", name="Load").click()

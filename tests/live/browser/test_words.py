@@ -1,4 +1,4 @@
-"""What the page tells a person is done by a button beside it, and nothing that happened is left untold."""
+"""Messages of the page: complete texts, a button for the next action, and a report of lost control."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -11,7 +11,7 @@ from tests.harness.serving import Served
 
 @pytest.fixture
 def says(station: Served, page: Page) -> Iterator[Callable[..., None]]:
-    """Let the station's status say something else: `says(state="FAULT", act="reset")`; the truth again: `says()`."""
+    """Replace fields of the status: `says(state="FAULT", action="reset")`; `says()` restores the true status."""
     changes: dict[str, Any] = {}
     before = station.status()
 
@@ -31,9 +31,9 @@ def says(station: Served, page: Page) -> Iterator[Callable[..., None]]:
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (390, 844)])
-def test_what_has_happened_is_told_whole(page: Page, says: Callable[..., None], width: int, height: int) -> None:
+def test_long_fault_message_is_shown_completely(page: Page, says: Callable[..., None], width: int, height: int) -> None:
     axes = [f"axis {n} cannot be reached (2 replies are missing); last seen at 1{n}.0 deg" for n in range(6)]
-    says(state="FAULT", says="; ".join(axes), next="find the cause, then Reset", act="reset")
+    says(state="FAULT", message="; ".join(axes), next="find the cause, then Reset", action="reset")
     page.set_viewport_size({"width": width, "height": height})
     try:
         text = page.locator("#says")
@@ -46,10 +46,10 @@ def test_what_has_happened_is_told_whole(page: Page, says: Callable[..., None], 
         page.set_viewport_size({"width": 1280, "height": 720})
 
 
-def test_what_is_asked_for_is_a_button_wherever_it_is_told(page: Page, says: Callable[..., None]) -> None:
+def test_page_shows_a_button_for_the_next_action_next_to_every_message(page: Page, says: Callable[..., None]) -> None:
     page.locator("#tab-start").click()
     page.locator(".card", has_text="Keep the tip where it is").click()
-    says(state="CONNECTED", says="devices answer", next="home the stages", act="home")
+    says(state="CONNECTED", message="devices answer", next="home the stages", action="home")
     places = (
         ("start", "#start .sticky"), ("jog", "#jog > p"), ("jog", "#hands"), ("faults", "#faults"), ("plots", "#act"),
     )  # fmt: skip
@@ -57,7 +57,7 @@ def test_what_is_asked_for_is_a_button_wherever_it_is_told(page: Page, says: Cal
         page.locator(f"#tab-{tab}").click()
         page.locator(place).get_by_role("button", name="Home…").click()
         page.get_by_role("dialog", name="Home every stage?").get_by_role("button", name="Cancel").click()
-    says(state="OFF", says="no device is spoken to", next="connect the devices", act="connect")
+    says(state="OFF", message="no device is spoken to", next="connect the devices", action="connect")
     page.locator("#act").get_by_role("button", name="Connect").wait_for()
     says()
     page.locator("#act").get_by_role("button", name="Choose a motion").click()
@@ -65,10 +65,10 @@ def test_what_is_asked_for_is_a_button_wherever_it_is_told(page: Page, says: Cal
     page.get_by_role("button", name="all motions").click()
 
 
-def test_a_refusal_comes_with_the_button_that_leads_out_of_it(
+def test_refusal_on_the_page_shows_the_button_that_resolves_it(
     station: Served, page: Page, says: Callable[..., None]
 ) -> None:
-    says(state="READY", act="start")
+    says(state="READY", action="start")
     station.post("/api/stop")
     station.rest.delete("/api/operator")
 
@@ -86,7 +86,7 @@ def test_a_refusal_comes_with_the_button_that_leads_out_of_it(
     page.unroute("**/api/tare")
 
 
-def test_a_reload_keeps_the_tab_and_the_plots_history(station: Served, page: Page) -> None:
+def test_page_reload_keeps_the_tab_and_the_plots_history(station: Served, page: Page) -> None:
     first = "import('/static/history.js').then((history) => history.samples[0]?.time ?? null)"
     page.locator("#tab-plots").click()
     page.wait_for_function(f"() => {first}")
@@ -100,7 +100,7 @@ def test_a_reload_keeps_the_tab_and_the_plots_history(station: Served, page: Pag
     )
 
 
-def test_who_loses_control_to_another_is_told(station: Served, page: Page) -> None:
+def test_page_reports_the_loss_of_control_to_another_client(station: Served, page: Page) -> None:
     page.locator("#operator", has_text="No operator").wait_for()
     page.get_by_role("button", name="Take control").click()
     page.get_by_label("your name").fill("Anna")
@@ -113,4 +113,4 @@ def test_who_loses_control_to_another_is_told(station: Served, page: Page) -> No
     page.locator("#operator", has_text="You are operator").wait_for()
     page.get_by_role("button", name="Release").click()
     page.locator("#operator", has_text="No operator").wait_for()
-    assert page.locator(".note").count() == 0  # given back on purpose
+    assert page.locator(".note").count() == 0  # released on purpose

@@ -1,4 +1,4 @@
-"""One station for all faults that it outlives, on a lab that notes what its stages are told."""
+"""Fixtures of the fault tests: one live station that survives them, and a lab that records its stages' commands."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +19,7 @@ def watched_lab() -> Iterator[WatchedLab]:
 
 @pytest.fixture(scope="package")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where that station's runs are."""
+    """Return the folder of the station's recorded runs."""
     return tmp_path_factory.mktemp("runs")
 
 
@@ -31,6 +31,6 @@ def lone(watched_lab: WatchedLab, recordings: Path) -> Iterator[LoneStation]:
 
 @pytest.fixture
 def mortal(lone: LoneStation) -> LoneStation:
-    """It, READY."""
+    """Return the shared station in the state READY, for tests that kill or suspend one of its processes."""
     back(lone)
     return lone

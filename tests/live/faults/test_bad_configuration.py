@@ -1,4 +1,4 @@
-"""Bad configuration: nothing is half-started."""
+"""An invalid station file ends `ctr-station serve` with one line of error, before any child process starts."""
 
 import subprocess
 import sys
@@ -7,7 +7,7 @@ import time
 import psutil
 
 
-def test_nothing_is_half_started(write) -> None:
+def test_invalid_station_file_ends_serve_before_any_child_process_starts(write) -> None:
     path = write("[controller]\nstrategy = 'magic'\n")
     command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--config", str(path), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:

@@ -1,30 +1,34 @@
-"""Control process killed or hung: the station process stops the axes; run interrupted; a reset starts another."""
+"""The station process reacts to a killed or hung control process: it stops the axes and marks the run as interrupted.
+
+A reset then starts another control process.
+"""
 
 import signal
 from pathlib import Path
 
-from station.recording.label import Label
 from station.recording.read import read_case
+from station.recording.run_outcome import RunOutcome
 from tests.harness.kill_stations import back, kill, until_moving
 from tests.harness.lone_station import LoneStation
 from tests.harness.waiting import until
 from tests.harness.watched_lab import WatchedLab
 
 
-def label(recordings: Path, run: str) -> Label:
-    """Of a run, once it is finished."""
+def label(recordings: Path, run: str) -> RunOutcome:
+    """Return the outcome of a run after its recording is finished."""
     return read_case(until(lambda: next(recordings.glob(f"{run}/run.mcap"), None), run)).label
 
 
-def test_a_killed_one_the_stages_are_stopped_and_a_reset_starts_a_new_one(
+def test_stages_stop_after_a_kill_of_the_control_process_and_a_reset_starts_another(
     mortal: LoneStation, watched_lab: WatchedLab, recordings: Path
 ) -> None:
     killed = mortal.child("control").pid
     assert kill(mortal, watched_lab, "control", 0.3) > 0.0
     status = until(lambda: (now := mortal.ask("status"))["state"] == "FAULT" and now)
+    assert status["cause"].startswith("the control process ended by signal 9; ")
+    status = until(lambda: (now := mortal.ask("status"))["cause"].endswith("reset to restart it") and now)
     assert "the control process ended by signal 9; 3 stages on" in status["cause"]
-    assert status["cause"].endswith("reset to start it anew")
-    assert label(recordings, status["run"]) is Label.INTERRUPTED
+    assert label(recordings, status["run"]) is RunOutcome.INTERRUPTED
     back(mortal)
     assert mortal.child("control").pid != killed
     kept = until(lambda: sorted((recordings / "last_seconds").glob("*-fault.csv")))
@@ -32,12 +36,14 @@ def test_a_killed_one_the_stages_are_stopped_and_a_reset_starts_a_new_one(
     assert len(kept[-1].read_text().splitlines()) > 400
 
 
-def test_a_hung_one_is_ended(mortal: LoneStation, watched_lab: WatchedLab, recordings: Path) -> None:
+def test_stages_stop_and_the_run_is_interrupted_when_the_control_process_hangs(
+    mortal: LoneStation, watched_lab: WatchedLab, recordings: Path
+) -> None:
     until_moving(mortal, watched_lab)
     begin = watched_lab.clock.now()
     mortal.child("control").send_signal(signal.SIGSTOP)
     assert watched_lab.told(begin) > 0.0
     status = until(lambda: (now := mortal.ask("status"))["state"] == "FAULT" and now["cause"] and now)
     assert "the control loop has not ticked for 1 s" in status["cause"]
-    assert label(recordings, status["run"]) is Label.INTERRUPTED
+    assert label(recordings, status["run"]) is RunOutcome.INTERRUPTED
     back(mortal)

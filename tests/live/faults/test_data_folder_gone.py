@@ -1,6 +1,6 @@
-"""The folder of data takes nothing any more: runs are refused or end, the station goes on, and STOP stops.
+"""Behaviour of a station whose data folder cannot be written: runs are refused or end, and everything else works.
 
-A file stands in its place, which is in the way of root, too, as a folder without rights would not be.
+The tests put a file where the folder was. A folder without write permission would not stop root from writing.
 """
 
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ def served() -> Iterator[Served]:
 
 @contextmanager
 def no_data(served: Served) -> Iterator[Path]:
-    """The station's folder of data is elsewhere, and a file is where it was."""
+    """Replace the station's data folder by a file during the block."""
     data = served.said.parent
     away = data.with_name(f"{data.name}-away")
     data.rename(away)
@@ -35,14 +35,14 @@ def no_data(served: Served) -> Iterator[Path]:
 
 
 def goes_on(served: Served) -> None:
-    """A run begins, comes to its end and is kept."""
+    """Check that the station completes a run and lists its recording."""
     begun = served.post("/api/start", HOLD)
     assert begun.status_code == 202, begun.text
     served.wait_for(lambda status: status["state"] == "READY" and not status["run"]["recording"])
     assert begun.json()["run_id"] in [run["id"] for run in served.rest.get("/api/runs").json()]
 
 
-def test_a_run_is_refused_and_everything_else_is_answered(served: Served):
+def test_start_is_refused_without_a_data_folder_and_other_requests_are_answered(served: Served):
     served.ready()
     with no_data(served) as data:
         refused = served.post("/api/start", HOLD)
@@ -51,7 +51,7 @@ def test_a_run_is_refused_and_everything_else_is_answered(served: Served):
         assert served.status()["state"] == "READY"
         assert served.post("/api/stop").json() == {"state": "STOPPED", "note": ""}
         assert served.post("/api/reset").status_code == 200
-        for path in ("/api/log", "/api/runs", "/api/calibration/results", "/api/experiments", "/api/bench"):
+        for path in ("/api/log", "/api/runs", "/api/calibration/results", "/api/experiments", "/api/rig"):
             assert served.rest.get(path).status_code == 200, path
         saved = served.rest.put("/api/experiments/mine", json={})
         assert saved.status_code < 500, saved.text
@@ -59,7 +59,7 @@ def test_a_run_is_refused_and_everything_else_is_answered(served: Served):
     goes_on(served)
 
 
-def test_a_run_that_is_on_ends_and_the_next_one_is_kept(served: Served):
+def test_active_run_ends_after_the_loss_of_the_data_folder_and_the_next_run_is_recorded(served: Served):
     served.ready()
     assert served.post("/api/start", HOLD).status_code == 202
     served.wait_for(lambda status: status["phase"] == "moving")

@@ -1,4 +1,7 @@
-"""Station process killed: the control process stops the axes and ends; the next start has the recording."""
+"""The control process stops the axes when the station process is killed or suspended.
+
+A station process that is only busy does not end a run.
+"""
 
 import os
 import signal
@@ -6,18 +9,20 @@ from pathlib import Path
 
 import psutil
 
-from station.recording.label import Label
 from station.recording.read import read_case
 from station.recording.recover import recover
+from station.recording.run_outcome import RunOutcome
 from tests.harness.calm import CLOCK
 from tests.harness.kill_stations import kill, until_moving
-from tests.harness.lone_station import lone_station
+from tests.harness.lone_station import LoneStation, lone_station
 from tests.harness.serving import shared_memory
 from tests.harness.waiting import NET, until
 from tests.harness.watched_lab import WatchedLab
 
 
-def test_the_control_process_stops_the_stages_and_the_next_start_has_the_recording(tmp_path: Path) -> None:
+def test_control_process_stops_the_stages_of_a_killed_station_and_the_next_start_recovers_the_run(
+    tmp_path: Path,
+) -> None:
     with WatchedLab(CLOCK) as lab:
         with lone_station(tmp_path, lab) as station:
             used = shared_memory(station.process.pid)
@@ -27,10 +32,12 @@ def test_the_control_process_stops_the_stages_and_the_next_start_has_the_recordi
             assert used
             until(lambda: not any(path.exists() for path in used))
         with lone_station(tmp_path, lab) as station:
-            assert len(station.ask("status")["recovered"]) <= 1  # none, if the recorder could still finish it
+            assert (
+                len(station.ask("status")["recovered"]) <= 1
+            )  # 0 if the recorder could still finish the recording itself
             (first,) = runs(tmp_path)
             until_moving(station, lab)
-            # All of them at once: nobody finishes anything.
+            # Kill every process at once, so that no process can finish the recording.
             everybody = [station.child(name) for name in ("control", "recorder")]
             for pid in (station.process.pid, *(process.pid for process in everybody)):
                 os.kill(pid, signal.SIGKILL)
@@ -41,11 +48,35 @@ def test_the_control_process_stops_the_stages_and_the_next_start_has_the_recordi
     assert first in found
     for run in found:
         read = read_case(run / "run.mcap")
-        assert read.label is Label.INTERRUPTED
+        assert read.label is RunOutcome.INTERRUPTED
         assert len(read.rows) > 0
         assert (read.rows[1:, 0] > read.rows[:-1, 0]).all()
 
 
+def test_run_continues_while_another_thread_keeps_the_interpreters_lock_of_the_station_process(
+    mortal: LoneStation, watched_lab: WatchedLab
+) -> None:
+    until_moving(mortal, watched_lab)
+    status = mortal.ask("busy")
+    assert status["state"] == "RUNNING", status
+    assert mortal.ask("stop")["state"] == "STOPPED"
+
+
+def test_stages_stop_and_the_run_ends_when_the_station_process_is_suspended(
+    mortal: LoneStation, watched_lab: WatchedLab
+) -> None:
+    until_moving(mortal, watched_lab)
+    begin = watched_lab.clock.now()
+    mortal.process.send_signal(signal.SIGSTOP)
+    try:
+        assert watched_lab.told(begin) > 0.0
+    finally:
+        mortal.process.send_signal(signal.SIGCONT)
+    status = until(lambda: (now := mortal.ask("status"))["state"] == "STOPPED" and now["cause"] and now)
+    assert "the station process has not run for " in status["cause"]
+    assert " processors); end them, see ctr-station doctor" in status["cause"]
+
+
 def runs(folder: Path) -> list[Path]:
-    """Those that are finished."""
+    """Return the folders of the finished runs."""
     return [path.parent for path in folder.glob("*/run.mcap")]

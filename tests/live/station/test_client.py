@@ -1,4 +1,4 @@
-"""The client against a station that really runs."""
+"""The Python client `station.client`, used with a running station."""
 
 import itertools
 from collections.abc import Iterator
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from station.client import Refused, RunFailed, Station, StationError
+from station.client import RunFailed, Station, StationError, StationRefused
 from tests.harness.serving import Served, free_port
 
 CIRCLE = {"kind": "circle", "radius": 0.004, "period": 4.0}
@@ -19,7 +19,7 @@ def station(running: Served) -> Iterator[Station]:
         yield station
 
 
-def test_a_circle_is_run_waited_for_and_downloaded(station: Station, tmp_path: Path) -> None:
+def test_client_runs_waits_for_and_downloads_a_circle(station: Station, tmp_path: Path) -> None:
     run = station.start(trajectory=CIRCLE, load={"kind": "constant", "magnitude": 0.1}, duration=2.0)
     assert station.status()["operator"]["name"] == "Zoë's script"
     assert station.wait(run)["state"] == "READY"
@@ -28,7 +28,7 @@ def test_a_circle_is_run_waited_for_and_downloaded(station: Station, tmp_path: P
     assert station.runs()[0]["id"] == run
 
 
-def test_a_stopped_run_has_failed_and_says_why(station: Station) -> None:
+def test_client_wait_for_a_stopped_run_raises_with_the_cause(station: Station) -> None:
     run = station.start("fig7")
     assert station.stop() == ""
     with pytest.raises(RunFailed, match="STOPPED"):
@@ -37,46 +37,48 @@ def test_a_stopped_run_has_failed_and_says_why(station: Station) -> None:
     assert station.status()["state"] == "READY"
 
 
-def test_refusals_carry_the_stations_reason(station: Station, running: Served, tmp_path: Path) -> None:
-    with pytest.raises(Refused, match="'nope' is not one of the experiments"):
+def test_client_error_has_the_stations_reason_for_a_refusal(station: Station, running: Served, tmp_path: Path) -> None:
+    with pytest.raises(StationRefused, match="'nope' is not one of the experiments"):
         station.start("nope")
-    with pytest.raises(Refused, match="outside"):
+    with pytest.raises(StationRefused, match="outside"):
         station.jog("tip", (1.0, 0.0, 0.0))
-    with pytest.raises(Refused, match="nope"):
+    with pytest.raises(StationRefused, match="nope"):
         station.download("nope", tmp_path / "x.mcap")
     with pytest.raises(StationError, match="cannot be written"):
         station.download(station.runs()[0]["id"], tmp_path / "no" / "folder")
-    station.become_operator()  # what made no sense has made nobody so
-    with Station(running.url, name="another") as another, pytest.raises(Refused, match="Zoë's script"):
+    station.become_operator()  # a refused request did not make the client the operator
+    with Station(running.url, name="another") as another, pytest.raises(StationRefused, match="Zoë's script"):
         another.tare()
 
 
-def test_joints_are_gone_to_by_name_and_the_working_pose_without_one(station: Station) -> None:
+def test_client_goto_moves_named_joints_and_without_joints_to_the_working_pose(station: Station) -> None:
     station.goto({"inner_rotation": 1.5})
     joints = station.status()["joints"]
     assert joints["inner_rotation"] == pytest.approx(1.5, abs=0.002)
-    assert joints["inner_translation"] == pytest.approx(-0.1, abs=0.02)  # not named: it stayed
-    with pytest.raises(Refused, match=r"inner_translation 0.2 m is outside -0.13 ... -0.005 m"):
+    assert joints["inner_translation"] == pytest.approx(
+        -0.1, abs=0.02
+    )  # this joint was not named, so it keeps its position
+    with pytest.raises(StationRefused, match=r"inner_translation 0.2 m is outside -0.13 ... -0.005 m"):
         station.goto({"inner_translation": 0.2})
-    with pytest.raises(Refused, match=r"joints.elbow: robot 'paper' has no such joint; it has outer_rotation"):
+    with pytest.raises(StationRefused, match=r"joints.elbow: robot 'paper' has no such joint; it has outer_rotation"):
         station.goto({"elbow": 0.2})
     station.goto()
     assert station.status()["joints"]["inner_rotation"] == pytest.approx(1.5708, abs=0.002)
 
 
-def test_telemetry_comes_at_the_rate_that_was_asked_for(station: Station) -> None:
+def test_client_receives_telemetry_at_the_requested_rate(station: Station) -> None:
     samples = [sample for _, sample in zip(range(5), station.telemetry(10.0), strict=False)]
     assert all(later["time"] - earlier["time"] > 0.02 for earlier, later in itertools.pairwise(samples))
     assert len(samples[0]["joints"]) == 3
 
 
-def test_the_lease_is_given_back(station: Station, running: Served) -> None:
+def test_operators_lease_is_released_when_the_client_closes(station: Station, running: Served) -> None:
     with Station(running.url) as other:
         other.become_operator(take_over=True)
         assert station.status()["operator"]["name"] == "script"
     assert station.status()["operator"]["name"] is None
 
 
-def test_a_station_that_is_not_there_is_said_so() -> None:
+def test_client_error_names_a_station_that_does_not_answer() -> None:
     with Station(f"http://127.0.0.1:{free_port()}") as nobody, pytest.raises(StationError, match="does not answer"):
         nobody.status()

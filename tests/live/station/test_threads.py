@@ -1,4 +1,4 @@
-"""Linear algebra in one thread, seen in processes that load it."""
+"""Number of threads of linear algebra libraries, measured in child processes."""
 
 import os
 import subprocess
@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from station.threads import NAMES, one_thread_each, one_thread_meanwhile
+from station.threads import THREAD_VARIABLES, limit_to_one_thread, one_thread_during
 
 SCRIPT = "import os, numpy; print(len(os.listdir('/proc/self/task')))"
 
@@ -16,27 +16,27 @@ def threads_of_a_process() -> int:
 
 
 @pytest.fixture(autouse=True)
-def as_it_was(monkeypatch):
-    for name in NAMES:
+def clean_environment(monkeypatch):
+    for name in THREAD_VARIABLES:
         monkeypatch.delenv(name, raising=False)
 
 
-def test_processes_get_no_threads_for_linear_algebra(monkeypatch):
-    one_thread_each()
+def test_child_process_has_one_thread_for_linear_algebra(monkeypatch):
+    limit_to_one_thread()
     assert threads_of_a_process() == 1
-    for name in NAMES:
+    for name in THREAD_VARIABLES:
         monkeypatch.delenv(name)
 
 
-def test_what_somebody_has_said_stands(monkeypatch):
+def test_number_of_linear_algebra_threads_in_the_environment_is_kept(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    one_thread_each()
+    limit_to_one_thread()
     assert os.environ["OMP_NUM_THREADS"] == "3"
-    for name in NAMES:
+    for name in THREAD_VARIABLES:
         monkeypatch.delenv(name)
 
 
-def test_meanwhile_is_over_when_it_ends():
-    with one_thread_meanwhile():
+def test_one_thread_during_restores_the_environment_after_its_block():
+    with one_thread_during():
         assert threads_of_a_process() == 1
-    assert not any(name in os.environ for name in NAMES)
+    assert not any(name in os.environ for name in THREAD_VARIABLES)

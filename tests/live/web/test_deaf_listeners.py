@@ -1,4 +1,4 @@
-"""A thousand programs that ask for telemetry and never read it: the station moves, stops and does not grow."""
+"""A thousand programs that request telemetry and never read it: the station moves, stops and its memory is bounded."""
 
 import base64
 import os
@@ -12,19 +12,19 @@ import pytest
 from tests.harness.serving import Served, serving
 
 LISTENERS = 1000
-#: What a station may grow by for all of them together [bytes]; a row of each is some 3 kB.
+#: Largest growth of the station's memory for all clients together [bytes]; a row for one client has about 3 kB.
 ROOM = 200e6
 FREE = {"trajectory": {"kind": "circle", "radius": 0.002, "period": 20.0}, "duration": 600.0}
 
 
 @pytest.fixture
 def served() -> Iterator[Served]:
-    with serving(rate=0.1) as served:  # what has to be heard within a second gets ten
+    with serving(rate=0.1) as served:  # a slow clock, so that a timeout of one second lasts ten
         yield served
 
 
 def deaf(port: int, number: int, opened: ExitStack) -> socket.socket:
-    """One that asks for a hundred rows a second, from one of many addresses, and reads nothing; buffers as they are."""
+    """Connect from one of many addresses, request a hundred rows a second and read nothing; default buffers."""
     listener = socket.create_connection(("127.0.0.1", port), source_address=(f"127.0.1.{1 + number % 20}", 0))
     opened.enter_context(listener)
     key = base64.b64encode(os.urandom(16)).decode()
@@ -35,7 +35,7 @@ def deaf(port: int, number: int, opened: ExitStack) -> socket.socket:
     return listener
 
 
-def test_a_thousand_listeners_that_do_not_read_keep_nobody_from_anything(served: Served):
+def test_a_thousand_telemetry_clients_that_do_not_read_delay_no_other_client(served: Served):
     served.ready()
     station = psutil.Process(served.process.pid)
     before = station.memory_info().rss
@@ -45,7 +45,7 @@ def test_a_thousand_listeners_that_do_not_read_keep_nobody_from_anything(served:
         for number in range(LISTENERS):
             deaf(served.port, number, opened)
         ticks = served.status()["loop"]["ticks"]
-        # So many rows that those who read nothing have all their buffers full.
+        # After so many rows all buffers of the clients that do not read are full.
         status = served.wait_for(lambda status: status["loop"]["ticks"] > ticks + 1_500)
         assert (status["state"], status["phase"]) == ("RUNNING", "moving"), status["cause"]
         assert station.num_fds() < LISTENERS

@@ -1,4 +1,4 @@
-"""Bodies that make no sense, by the hundred: never a 5xx, and nothing moves."""
+"""Hundreds of invalid bodies: never a 5xx, and nothing moves."""
 
 import subprocess
 import sys
@@ -9,7 +9,7 @@ from tests.harness.serving import Served
 from tests.harness.waiting import NET
 
 
-def test_damaged_bodies_break_nothing_and_move_nothing(station: Served) -> None:
+def test_corrupted_rest_bodies_cause_no_server_error_and_no_motion(station: Served) -> None:
     fuzzed = fuzz(station, 150, seed=1)
 
     assert fuzzed.wrong == []
@@ -17,9 +17,10 @@ def test_damaged_bodies_break_nothing_and_move_nothing(station: Served) -> None:
     assert fuzzed.answers[422] > 30
 
 
-def test_what_the_schema_allows_and_forbids_is_answered_without_a_server_error(station: Served, tmp_path: Path) -> None:
+def test_valid_and_invalid_rest_requests_cause_no_server_error(station: Served, tmp_path: Path) -> None:
     command = [
-        Path(sys.executable).parent / "st", "run", f"{station.url}/api/openapi.json", "--checks", "not_a_server_error",
+        sys.executable, "-c", "from schemathesis.cli import schemathesis; schemathesis()",
+        "run", f"{station.url}/api/openapi.json", "--checks", "not_a_server_error",
         "--phases", "examples,coverage,fuzzing", "--max-examples", "3", "--max-time", "10", "--seed", "1", "--no-color",
         "--request-timeout", str(NET),
         # a report of a run that does not exist is not looked for by name

@@ -1,4 +1,4 @@
-"""What the tests of the model share: exact tips, robots of one and three tubes, differences of a solved tip."""
+"""Fixtures of the model's tests: exact tips, robots of one and three tubes, differences of a solved tip."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from core.robot.robot import Joint, Robot, Section, Tube
 
 EXACT_TIPS = Path(__file__).parents[1] / "exact_tips.csv"
 
-#: Half steps of the differences, by the unit of what is moved.
+#: Half steps of the central differences, by unit.
 STEPS = {"rad": 1e-5, "m": 1e-6, "N": 1e-5, "N m": 1e-6}
 
 
@@ -34,7 +34,7 @@ def one_tube():
 
 @pytest.fixture(scope="session")
 def three_tubes() -> Robot:
-    """Three unlike tubes and six motors: rotation and translation of each, from the inside out."""
+    """Robot of three different tubes and six joints: rotation and translation of each, from the innermost outward."""
     tubes = (
         Tube("a", (Section(0.20), Section(0.10, (6.0, 0.0))), 0.02, 0.30, 1.0e-3, 0.5e-3),
         Tube("b", (Section(0.10), Section(0.10, (3.0, 2.0))), 0.04, 0.35, 1.8e-3, 1.2e-3),
@@ -52,7 +52,7 @@ def differences():
     """Derivative of a solved tip, position then rotation, by central differences of the whole solve."""
 
     def differences(solver, joints: np.ndarray, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """J (6, n) and C (6, 6)."""
+        """Return J (6, n) and C (6, 6)."""
         n = joints.size
         steps = [STEPS[joint.unit] for joint in solver.robot.joints] + 3 * [STEPS["N"]] + 3 * [STEPS["N m"]]
         columns = []

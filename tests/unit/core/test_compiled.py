@@ -1,4 +1,4 @@
-"""Compiled code sees what is not a number, and is made anew when anything that it is made of has changed."""
+"""Compiled code detects NaN, and is recompiled when anything that it depends on has changed."""
 
 import math
 import subprocess
@@ -44,20 +44,20 @@ def _finite(value: float) -> bool:
 
 
 @pytest.mark.parametrize(("value", "finite"), [(1.0, True), (math.nan, False), (math.inf, False), (-math.inf, False)])
-def test_compiled_code_still_sees_nan_and_infinity(value, finite):
+def test_compiled_code_detects_nan_and_infinity(value, finite):
     assert _finite(value) == finite
 
 
 def answer(folder: Path) -> list[str]:
-    """Of a process of its own: what the function answers, and how much of it came from the cache."""
-    # Python itself tells an old .pyc by the second and the size of its source: two edits within a second can be alike.
+    """Return the function's result in a separate process, and the number of cache hits."""
+    # Python detects an outdated .pyc by the time (1 s) and size of its source: two quick edits may look identical.
     environment = {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
     return subprocess.run(
         [sys.executable, str(folder / "user.py")], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
     ).stdout.split()
 
 
-def test_a_change_of_what_it_calls_in_another_file_is_seen_by_a_later_process(tmp_path: Path) -> None:
+def test_a_compiled_function_is_recompiled_after_a_change_in_another_file(tmp_path: Path) -> None:
     layout = tmp_path / "layout.py"
     layout.write_text(LAYOUT.format(place=1))
     (tmp_path / "user.py").write_text(USER)

@@ -1,4 +1,4 @@
-"""Bad configuration: refused at start with file, line, key, value and what was expected."""
+"""An invalid configuration file is refused at the start; the error names file, line, key, value and expected value."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from station.config.strict import PRESETS, ConfigError
 from station.experiments.experiment import load_experiment
 from station.service.station_file import load_station
 
-#: Millimetres where metres are meant.
+#: Start pose with a typical mistake: its translation is in millimetres, but the key is in metres.
 PARK = """[park]
 outer_rotation = 0.0
 inner_rotation = 0.0
@@ -36,12 +36,12 @@ driver = "netft"
         ('on_operator_loss = "stay"\n', "on_operator_loss = 'stay': Input should be 'continue' or 'hold' (line 1)"),
         (PARK, "inner_translation -100 m is outside -0.13 ... -0.005 m (its travel)"),
         ("[controller]\nk1 = 100.0\n", "K1"),
-        (PORTLESS, "devices.stages.port is missing: outer_rotation has neither a port of its own nor"),
+        (PORTLESS, "devices.stages.port is missing: outer_rotation has no port, and the chain has none"),
         (STAGES, "'devices.tracker' is missing (line 1); 'devices.sensors' is missing (line 1)"),
         ("seed = [1\n", "not valid TOML"),
     ],
 )  # fmt: skip
-def test_a_station_file_is_refused_with_line_key_value_and_what_was_expected(write, text: str, said: str) -> None:
+def test_error_of_an_invalid_station_file_names_line_key_value_and_expected_value(write, text: str, said: str) -> None:
     path = write(text)
     with pytest.raises(ConfigError) as refusal:
         load_station(path).bench()
@@ -51,7 +51,7 @@ def test_a_station_file_is_refused_with_line_key_value_and_what_was_expected(wri
     assert "\n" not in str(refusal.value)
 
 
-def test_so_are_robots_and_experiments(write) -> None:
+def test_error_of_an_invalid_robot_or_experiment_file_names_line_and_key(write) -> None:
     robot = (PRESETS / "robots" / "paper.toml").read_text(encoding="utf-8")
     bad = robot.replace("outer_diameter = ", "outer_diameter = -", 1)
     line = 1 + bad[: bad.index("outer_diameter = -")].count("\n")

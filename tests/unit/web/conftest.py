@@ -11,7 +11,7 @@ from tests.harness.web_app import web_app
 
 @pytest.fixture(autouse=True, scope="module")
 def nothing_is_left_behind() -> Iterator[None]:
-    """Nothing outlives its module: the application's threads are ready for the next request until it ends."""
+    """Check that no thread or process outlives its module; the application keeps its threads until then."""
     with nothing_left_behind(30.0):
         yield
 

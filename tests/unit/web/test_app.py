@@ -1,4 +1,4 @@
-"""What the application takes to start."""
+"""Imports of the application."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ from tests.harness.root import ROOT
 SCRIPT = "import sys, web.app; print(*{name.split('.')[0] + '.' + name.split('.')[-1] for name in sys.modules})"
 
 
-def test_what_only_draws_and_fits_is_not_loaded_for_it() -> None:
+def test_the_application_does_not_import_plotting_and_fitting_packages() -> None:
     loaded = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True, cwd=ROOT)
     assert "web.app" in loaded.stdout.split()
     assert {"matplotlib.matplotlib", "scipy.spatial", "scipy.optimize"}.isdisjoint(loaded.stdout.split())

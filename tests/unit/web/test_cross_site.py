@@ -1,6 +1,6 @@
-"""Cross-site request, foreign Host or Origin: refused before anything looks at it, on HTTP and on websockets.
+"""Cross-site request, foreign Host or Origin: refused before any processing, on HTTP and on WebSockets.
 
-Every rule is in `test_access.py`; here, that they stand before the whole application.
+`access/test_gate.py` tests every rule of the access checks; this file tests that the checks precede the application.
 """
 
 import pytest
@@ -16,7 +16,7 @@ FOREIGN = [
 
 
 @pytest.mark.parametrize("headers", FOREIGN)
-def test_a_foreign_request_is_refused(app: TestClient, headers: dict[str, str]) -> None:
+def test_a_cross_site_rest_request_is_refused(app: TestClient, headers: dict[str, str]) -> None:
     for path in ("/", "/api/status", "/viser/"):
         assert app.get(path, headers=headers).status_code == 403
     for path in ("/api/stop", "/api/start", "/api/nothing"):
@@ -26,8 +26,17 @@ def test_a_foreign_request_is_refused(app: TestClient, headers: dict[str, str]) 
 
 @pytest.mark.parametrize("path", ["/api/telemetry", "/viser/"])
 @pytest.mark.parametrize("headers", FOREIGN[:2])
-def test_so_is_a_foreign_websocket(app: TestClient, path: str, headers: dict[str, str]) -> None:
+def test_a_cross_site_websocket_is_refused(app: TestClient, path: str, headers: dict[str, str]) -> None:
     own = {"host": app.base_url.netloc.decode()}
     with pytest.raises(WebSocketDisconnect), app.websocket_connect(path, headers=own | headers):
         pass
     assert headers[next(iter(headers))].removeprefix("http://") in app.get("/api/log?count=1").json()[0]["outcome"]
+
+
+@pytest.mark.parametrize("path", ["/api/telemetry?rate=200", "/api/telemetry?rate=fast"])
+def test_a_websocket_with_an_invalid_parameter_is_refused_without_an_exception(app: TestClient, path: str) -> None:
+    headers = {"host": app.base_url.netloc.decode()}
+    with pytest.raises(WebSocketDisconnect) as refused, app.websocket_connect(path, headers=headers):
+        pass
+    assert refused.value.code == 1008
+    assert "rate" in refused.value.reason

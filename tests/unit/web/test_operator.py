@@ -1,4 +1,4 @@
-"""One operator, viewers, and the log of it all: the rules, before the state of the station plays a part."""
+"""Rules for operator, viewers and audit log, independent of the station's state."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ HOLD = {"trajectory": {"kind": "hold"}, "duration": 20.0}
 
 
 class Person:
-    """One client with a name."""
+    """A client with a name."""
 
     def __init__(self, app: TestClient, client: str, name: str) -> None:
         self._app, self.headers = app, {"x-ctr-client": f"{client}-0123456789", "x-ctr-name": name}
@@ -33,10 +33,10 @@ def people(app: TestClient):
         one.leave()
 
 
-def test_the_first_command_makes_operator_and_the_second_person_is_told_who(people) -> None:
+def test_the_first_command_makes_its_sender_operator_and_a_second_client_gets_the_name(people) -> None:
     anna, ben = people
     assert anna.get("/api/operator").json()["name"] is None
-    # The state forbids it: a command all the same.
+    # The station's state forbids the start, but it is a valid command, so its sender becomes operator.
     assert "OFF" in anna.post("/api/start", HOLD).json()["error"]
     status = ben.get("/api/status").json()["operator"]
     assert (status["name"], status["you"], status["role"]) == ("Anna", False, "operator")
@@ -53,19 +53,19 @@ def test_the_first_command_makes_operator_and_the_second_person_is_told_who(peop
     ):
         refused = ben.post(path, body)
         assert refused.status_code == 409, path
-        assert "'Anna' is operator; ask them, or take over on purpose" in refused.json()["error"]
+        assert "'Anna' is operator; ask them, or take over" in refused.json()["error"]
 
 
-def test_stop_is_taken_from_anybody(people) -> None:
+def test_stop_is_accepted_from_any_client(people) -> None:
     anna, ben = people
     anna.post("/api/operator")
     stopped = ben.post("/api/stop")
     assert stopped.status_code == 202
-    assert stopped.json() == {"state": "OFF", "note": "there is no control process and nothing that moves"}
+    assert stopped.json() == {"state": "OFF", "note": "there is no control process and nothing moves"}
     assert anna.get("/api/operator").json()["you"]
 
 
-def test_taking_over_is_on_purpose_and_seen_by_the_other(people) -> None:
+def test_a_take_over_must_be_explicit_and_is_visible_to_the_other_client(people) -> None:
     anna, ben = people
     assert anna.post("/api/operator").json()["you"]
     assert ben.post("/api/operator").status_code == 409
@@ -85,26 +85,26 @@ def test_taking_over_is_on_purpose_and_seen_by_the_other(people) -> None:
         ("/api/start", {"experiment": "fig99"}),
         ("/api/jog", {"space": "tip", "velocity": [9.0, 0.0, 0.0]}),
         ("/api/home", {"way_is_clear": False}),
-        ("/api/pull", {}),
+        ("/api/load", {}),
     ],
 )
-def test_a_command_that_makes_no_sense_makes_nobody_operator(people, path: str, body: dict) -> None:
+def test_an_invalid_command_does_not_make_its_sender_operator(people, path: str, body: dict) -> None:
     anna, ben = people
     assert anna.post(path, body).status_code == 422
     assert anna.get("/api/operator").json()["name"] is None
-    # Nor does it cost the lease of somebody who has it.
+    # An invalid command does not end the lease of a client that is operator.
     assert ben.post("/api/tare").status_code == 409
     assert ben.post(path, body).status_code == 422
     assert ben.get("/api/operator").json()["you"]
 
 
-def test_a_name_is_one_line_and_not_too_long(people) -> None:
+def test_a_clients_name_is_one_line_of_limited_length(people) -> None:
     anna, _ = people
     assert anna.post("/api/operator", {"name": "A\nn\tna\x00"}).json()["name"] == "Anna"
     assert anna.post("/api/operator", {"name": "A" * 41}).status_code == 422
 
 
-def test_a_name_that_was_given_stays_whatever_is_commanded_then(people) -> None:
+def test_the_operators_name_is_unchanged_by_later_commands(people) -> None:
     anna, _ = people
     anna.post("/api/operator", {"name": "Anna at the bench"})
     anna.post("/api/tare")

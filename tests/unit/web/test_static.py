@@ -1,4 +1,4 @@
-"""The page's own files."""
+"""The page's files."""
 
 import re
 from pathlib import Path
@@ -11,6 +11,6 @@ MODULES = sorted((Path(web.__file__).parent / "static").glob("*.js")) if web.__f
 
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda path: path.name)
-def test_no_module_opens_what_makes_the_header_inert(module: Path) -> None:
-    """A modal dialog, and a browser's own question, take STOP away from mouse, touch and keyboard."""
+def test_no_module_opens_a_modal_dialog_that_blocks_stop(module: Path) -> None:
+    """A modal dialog and a browser's question block STOP for mouse, touch and keyboard."""
     assert not re.search(r"showModal|\b(alert|prompt)\(|window\.confirm|requestFullscreen", module.read_text())

@@ -1,4 +1,4 @@
-"""What the tests of faults share: a bench in virtual time."""
+"""Fixtures of the fault tests in virtual time: one case, and a station that runs it."""
 
 import pytest
 
@@ -13,5 +13,5 @@ def case() -> Case:
 
 @pytest.fixture
 def virtual(case: Case) -> VirtualStation:
-    """Not READY yet."""
+    """Return a station in virtual time that is not READY yet."""
     return VirtualStation(case)

@@ -1,13 +1,13 @@
-"""Operator's browser closed: a jog stops at once."""
+"""A jog ends 0.3 s after its last renewal, for example when the operator's browser is closed."""
 
 import numpy as np
 
-from station.control.jog import ALIVE
+from station.control.jog import JOG_TIMEOUT_S
 from station.control.states import State
 from tests.harness.virtual_station import VirtualStation
 
 
-def test_a_jog_that_is_not_asked_for_any_more_ends_by_itself(virtual: VirtualStation) -> None:
+def test_jog_that_is_not_renewed_ends_by_itself(virtual: VirtualStation) -> None:
     virtual.ready()
     for _ in range(10):
         virtual.loop.jog(virtual.now, "joints", np.array([0.05, 0.0, 0.0]))
@@ -16,6 +16,6 @@ def test_a_jog_that_is_not_asked_for_any_more_ends_by_itself(virtual: VirtualSta
     begin = virtual.now
     virtual.becomes(State.READY)
 
-    assert virtual.now - begin <= ALIVE  # 0.3 s since the last word
+    assert virtual.now - begin <= JOG_TIMEOUT_S  # the timeout counts from the last renewal
     virtual.seconds(0.1)
     assert virtual.rests()

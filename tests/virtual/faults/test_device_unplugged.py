@@ -1,4 +1,7 @@
-"""One device unplugged: stages FAULT, tracker or sensor HOLD; known again by who it is; nothing resumes by itself."""
+"""Unplugged stages cause FAULT; an unplugged tracker or force sensor causes HOLD. No motion resumes by itself.
+
+A device that is plugged in again is identified by its serial number, or else by its USB socket.
+"""
 
 import pytest
 
@@ -17,7 +20,7 @@ from tests.harness.virtual_station import VirtualStation
         ("inner", State.HOLD, "force sensor 1 (netft 1)"),
     ],
 )
-def test_it_ends_the_motion_and_coming_back_does_not_resume_it(
+def test_unplugged_device_ends_the_motion_and_its_return_does_not_resume_it(
     virtual: VirtualStation, device: str, state: State, named: str
 ) -> None:
     virtual.moving()
@@ -36,14 +39,14 @@ def test_it_ends_the_motion_and_coming_back_does_not_resume_it(
 
 
 @pytest.mark.parametrize("device", ["tracker", "outer"])
-def test_a_reset_connects_it_again_and_nothing_moves_before_it_is_right(virtual: VirtualStation, device: str) -> None:
+def test_reset_reconnects_a_returned_device_and_nothing_moves_before(virtual: VirtualStation, device: str) -> None:
     virtual.moving()
     virtual.fail("disconnect", device)
     virtual.becomes(State.HOLD)
     virtual.seconds(0.5)
     virtual.loop.reset(virtual.now)
     virtual.seconds(1.0)
-    assert virtual.state is State.CONNECTING  # it is not there
+    assert virtual.state is State.CONNECTING  # the device is still unplugged
 
     virtual.mend()
     virtual.becomes(State.READY)
@@ -51,7 +54,7 @@ def test_a_reset_connects_it_again_and_nothing_moves_before_it_is_right(virtual:
     virtual.moving()
 
 
-def test_another_coil_in_its_place_is_not_taken(virtual: VirtualStation) -> None:
+def test_tracker_with_a_different_coil_stays_connecting_and_names_the_expected_coil(virtual: VirtualStation) -> None:
     virtual.moving()
     virtual.fail("disconnect", "tracker")
     virtual.becomes(State.HOLD)
@@ -66,12 +69,14 @@ def test_another_coil_in_its_place_is_not_taken(virtual: VirtualStation) -> None
     assert "3A5C1D00" in trouble.text
 
 
-def test_an_adapter_is_known_by_its_serial_number_or_else_by_its_socket() -> None:
+def test_usb_adapter_is_identified_by_its_serial_number_or_else_by_its_socket() -> None:
     numbered = UsbPort("/dev/ttyUSB0", 0x0403, 0x6001, "A900", "1-1:1.0")
     nameless = UsbPort("/dev/ttyUSB1", 0x067B, 0x2303, "", "1-2:1.0")
     now = [
-        UsbPort("/dev/ttyUSB4", 0x0403, 0x6001, "B777", "1-1:1.0"),  # another one in the old socket
-        UsbPort("/dev/ttyUSB5", 0x0403, 0x6001, "A900", "1-9:1.0"),  # the old one elsewhere
+        UsbPort(
+            "/dev/ttyUSB4", 0x0403, 0x6001, "B777", "1-1:1.0"
+        ),  # another adapter in the socket of the first adapter
+        UsbPort("/dev/ttyUSB5", 0x0403, 0x6001, "A900", "1-9:1.0"),  # the first adapter in another socket
         UsbPort("/dev/ttyUSB6", 0x067B, 0x2303, "", "1-3:1.0"),
         UsbPort("/dev/ttyUSB7", 0x067B, 0x2303, "", "1-2:1.0"),
     ]

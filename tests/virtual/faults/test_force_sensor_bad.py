@@ -1,9 +1,12 @@
-"""Force sensor saturated or its status bad: the sample never enters control, is never clamped into it; HOLD."""
+"""A force sensor that is saturated, silent or reports a bad status causes HOLD.
+
+Its sample is never used by the controller, not even clamped to the sensor's range.
+"""
 
 import numpy as np
 import pytest
 
-from station.config.controllers import PERIOD
+from station.config.controllers import PERIOD_S
 from station.control.states import State
 from tests.harness.virtual_station import VirtualStation
 
@@ -12,7 +15,7 @@ from tests.harness.virtual_station import VirtualStation
     ("kind", "said"),
     [("saturate", "saturated"), ("bad_status", "status"), ("mute", "stale"), ("restart", "stale")],
 )
-def test_its_sample_never_enters_control(virtual: VirtualStation, kind: str, said: str) -> None:
+def test_sample_of_a_faulty_force_sensor_never_enters_control(virtual: VirtualStation, kind: str, said: str) -> None:
     virtual.moving()
     before = len(virtual.rows)
     usual = np.abs(virtual.of("wrench_raw")[-500:]).max(axis=0)
@@ -20,27 +23,29 @@ def test_its_sample_never_enters_control(virtual: VirtualStation, kind: str, sai
     took = virtual.becomes(State.HOLD)
     virtual.seconds(0.5)
 
-    assert took <= 0.06  # 50 ms without a record count as silence; everything else shows at the next one
+    assert (
+        took <= 0.06
+    )  # a sensor is silent after 50 ms without a record; the other faults are visible in the next record
     assert "force sensor 1 (netft 1): " in virtual.loop.cause
     assert said in virtual.loop.cause
-    # the last good one stands: nothing near full scale (18 N, 0.25 N m) came through
+    # The last valid sample is repeated, so no value is near the full scale of 18 N and 0.25 N m.
     assert (np.abs(virtual.of("wrench_raw", virtual.rows[before:])).max(axis=0) < usual + 0.2).all()
     assert np.abs(virtual.of("force", virtual.rows[before:])).max() < 0.3
     assert virtual.rests()
 
 
-def test_it_stays_held_until_a_person_resets_it(virtual: VirtualStation) -> None:
+def test_station_is_ready_again_only_after_a_reset_and_the_end_of_the_saturation(virtual: VirtualStation) -> None:
     virtual.moving()
     virtual.fail("saturate", "outer")
     virtual.becomes(State.HOLD)
     virtual.loop.reset(virtual.now)
     virtual.seconds(0.5)
-    assert virtual.state is State.CONNECTING  # it is still saturated
+    assert virtual.state is State.CONNECTING  # the sensor is still saturated
     virtual.mend()
     virtual.becomes(State.READY, 1.0)
 
 
-def test_a_box_that_has_started_anew_is_not_taken_for_the_one_that_was_tared(virtual: VirtualStation) -> None:
+def test_restarted_force_sensor_box_is_not_used_before_a_reset(virtual: VirtualStation) -> None:
     virtual.moving()
     virtual.fail("restart", "inner")
     virtual.becomes(State.HOLD)
@@ -52,10 +57,10 @@ def test_a_box_that_has_started_anew_is_not_taken_for_the_one_that_was_tared(vir
     virtual.becomes(State.READY, 1.0)
 
 
-def test_a_sensor_that_repeats_itself_is_silent(virtual: VirtualStation) -> None:
+def test_force_sensor_that_repeats_its_sample_counts_as_silent(virtual: VirtualStation) -> None:
     virtual.moving()
     virtual.fail("freeze", "inner")
     took = virtual.becomes(State.HOLD)
 
-    assert took <= 0.05 + 3 * PERIOD
+    assert took <= 0.05 + 3 * PERIOD_S
     assert "stale" in virtual.loop.cause

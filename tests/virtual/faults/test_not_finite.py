@@ -1,4 +1,4 @@
-"""NaN or infinity anywhere in the loop: nothing is sent, a controlled stop, the last second is kept."""
+"""A reading or command with NaN or infinity is never sent to the stages; every axis stops, and the state is HOLD."""
 
 from dataclasses import replace
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from station.config.controllers import PERIOD
+from station.config.controllers import PERIOD_S
 from station.control.states import State
 from station.control.task import Phase
 from station.devices.interfaces import Devices
@@ -14,7 +14,7 @@ from tests.harness.virtual_station import VirtualStation
 
 
 class Spoilt:
-    """A driver whose numbers are `bad` from some moment on."""
+    """Driver whose readings are `bad` (NaN or infinity) after the test has set that value."""
 
     def __init__(self, device: Any) -> None:
         self.device = device
@@ -34,7 +34,9 @@ class Spoilt:
 @pytest.mark.parametrize(
     ("device", "named"), [("stages", "stages: "), ("tracker", "tracker: "), ("sensors", "force sensors: ")]
 )
-def test_nothing_is_sent_and_every_axis_stops(virtual: VirtualStation, device: str, named: str, bad: float) -> None:
+def test_reading_that_is_not_finite_stops_every_axis_and_no_velocity_is_sent(
+    virtual: VirtualStation, device: str, named: str, bad: float
+) -> None:
     spoilt = Spoilt(getattr(virtual.devices, device))
     devices: Devices = replace(virtual.devices, **{device: spoilt})
     virtual.loop.devices = devices
@@ -43,26 +45,26 @@ def test_nothing_is_sent_and_every_axis_stops(virtual: VirtualStation, device: s
     spoilt.bad = bad
     took = virtual.becomes(State.HOLD)
 
-    assert took <= (0.025 if device == "tracker" else 0.0) + 2 * PERIOD
+    assert took <= (0.025 if device == "tracker" else 0.0) + 2 * PERIOD_S
     assert named in virtual.loop.cause
     assert str(bad).removeprefix("-") in virtual.loop.cause
     assert "\n" not in virtual.loop.cause
     virtual.seconds(0.4)
-    since = virtual.rows[begin + round(took / PERIOD) :]
+    since = virtual.rows[begin + round(took / PERIOD_S) :]
     assert not virtual.of("velocity_commanded", since).any()
-    # estimates that stand are told from those that are new
-    assert virtual.of("held", since).all() == (device != "tracker")
-    assert not virtual.of("held", virtual.rows[:begin]).any()
+    # The rows mark estimates that the controller did not update.
+    assert virtual.of("estimates_frozen", since).all() == (device != "tracker")
+    assert not virtual.of("estimates_frozen", virtual.rows[:begin]).any()
     assert set(virtual.of("phase", since).ravel()) == {Phase.NONE}
     spoilt.bad = None
     assert virtual.rests()
-    # every row since is finite (looked at when it was made), so nothing of it has spread
+    # The harness has checked that every row is finite, so the bad value has not spread.
     virtual.loop.reset(virtual.now)
     virtual.seconds(0.5)
     assert virtual.state is State.READY
 
 
-def test_a_command_that_is_not_finite_is_not_sent_by_the_driver_either(virtual: VirtualStation) -> None:
+def test_stage_driver_does_not_send_a_velocity_that_is_not_finite(virtual: VirtualStation) -> None:
     virtual.moving()
     virtual.devices.stages.command(np.array([0.1, np.nan, 0.0]), virtual.now)
     virtual.loop.stop(virtual.now)

@@ -11,7 +11,7 @@ from tests.harness.serving import Served
 
 @pytest.fixture(scope="module")
 def open_page(running: Served, browser: Browser) -> Iterator[Page]:
-    """Opened once, software rendering is slow."""
+    """Open one page with its scene for all tests of a module, because software rendering is slow."""
     running.ready()
     page = scene_page(browser)
     page.goto(running.url)

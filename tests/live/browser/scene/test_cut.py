@@ -1,4 +1,4 @@
-"""The scene's websocket dropped while everything else lives."""
+"""The scene's websocket is dropped while all other connections stay."""
 
 from collections.abc import Iterator
 
@@ -20,7 +20,7 @@ def wire(station: Served) -> Iterator[Relay]:
 
 @pytest.fixture
 def cut_page(station: Served, wire: Relay) -> Iterator[Page]:
-    """The page in a browser that reaches the station over the wire."""
+    """The page in a browser that reaches the station through the relay."""
     rule = f"--host-resolver-rules=MAP localhost:{station.port} 127.0.0.1:{wire.port}"
     with chromium(rule) as browser:
         page = scene_page(browser)
@@ -29,22 +29,22 @@ def cut_page(station: Served, wire: Relay) -> Iterator[Page]:
         yield page
 
 
-def test_the_scene_says_that_it_is_cut_off_and_comes_back_by_itself_and_stop_works_all_along(
+def test_disconnected_scene_is_reported_and_reconnects_while_stop_keeps_working(
     cut_page: Page, station: Served, wire: Relay
 ) -> None:
-    page, said = cut_page, cut_page.locator("#scene-cut")
+    page, notice = cut_page, cut_page.locator("#scene-cut")
     page.locator("#state", has_text="READY").wait_for()
     scenes = wire.scenes
-    assert said.is_hidden()
+    assert notice.is_hidden()
     station.post("/api/start", HOLD)
     page.locator("#state", has_text="RUNNING").wait_for()
     wire.cut()
-    said.wait_for()
-    assert "STOP" in said.inner_text()
+    notice.wait_for()
+    assert "STOP" in notice.inner_text()
     page.locator("#stop").click()
     page.locator("#state", has_text="STOPPED").wait_for()
     assert "stale" not in str(page.locator("body").get_attribute("class"))
     wire.mend()
-    said.wait_for(state="hidden")
+    notice.wait_for(state="hidden")
     assert wire.scenes > scenes
     page.frame_locator("#scene").locator("canvas").first.wait_for()

@@ -1,4 +1,4 @@
-"""The page with its scene: what an operator sees, and drags in it."""
+"""The page with its scene: displayed contents and draggable handles."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,10 +11,10 @@ from station.config.palette import CONTACT
 from station.config.robots import load_robot
 from tests.harness.serving import Served
 from tests.harness.waiting import until
-from web.scene.extent import extent
-from web.scene.gizmos import FORCE_SIZE, TARGET_SIZE
-from web.scene.scene import ARROW
-from web.scene.views import FIELD, camera
+from web.scene.gizmos import FORCE_SIZE_M, TARGET_SIZE_M
+from web.scene.robot_extent import extent
+from web.scene.scene import ARROW_SCALE_M_PER_N
+from web.scene.views import FIELD_OF_VIEW_RAD, camera
 
 Picture = Callable[[Page, str], None]
 
@@ -48,7 +48,7 @@ def state(page: Page) -> str:
     return page.locator("#state").inner_text()
 
 
-def test_the_page_says_the_state_and_every_device_answers(page: Page) -> None:
+def test_page_shows_the_station_state_and_every_device(page: Page) -> None:
     assert state(page) == "READY"
     assert page.locator("#says").inner_text() == "nothing moves"
     lights = page.locator("#lights li")
@@ -58,7 +58,7 @@ def test_the_page_says_the_state_and_every_device_answers(page: Page) -> None:
     assert "µs" in page.locator("#loop").inner_text()
 
 
-def test_the_scene_shows_units_and_a_legend(page: Page) -> None:
+def test_scene_has_a_legend_with_units(page: Page) -> None:
     page.locator("#legend summary").click()
     text = page.locator("#legend").inner_text()
     page.locator("#legend summary").click()
@@ -66,8 +66,8 @@ def test_the_scene_shows_units_and_a_legend(page: Page) -> None:
         assert name in text
 
 
-def test_the_robot_moves_in_pixels_and_in_numbers(page: Page, station: Served, picture: Picture) -> None:
-    # What changes by itself: trackers are noisy, texts are refreshed. The quietest of three looks counts.
+def test_running_robot_moves_in_the_scene_and_in_the_status(page: Page, station: Served, picture: Picture) -> None:
+    # Changes without motion: tracker noise and refreshed texts. The smallest of three samples is used.
     noise = []
     for _ in range(3):
         still = pixels(page)
@@ -84,7 +84,7 @@ def test_the_robot_moves_in_pixels_and_in_numbers(page: Page, station: Served, p
     picture(page, "running")
 
 
-def test_the_header_stops_the_robot_and_reset_makes_it_ready(page: Page, station: Served) -> None:
+def test_stop_in_the_page_header_stops_the_robot_and_reset_makes_it_ready(page: Page, station: Served) -> None:
     station.post("/api/start", CIRCLE)
     station.rest.delete("/api/operator")
     page.locator("#state", has_text="RUNNING").wait_for()
@@ -106,7 +106,7 @@ def test_shift_space_stops_with_the_focus_on_the_page_and_in_the_scene(page: Pag
         page.locator("#state", has_text="STOPPED").wait_for()
 
 
-def test_a_view_is_chosen(page: Page) -> None:
+def test_view_button_moves_the_camera_of_the_scene(page: Page) -> None:
     before = pixels(page)
     page.locator("#views button", has_text="Tip").click()
     until(lambda: changed(before, pixels(page)) > 5000)
@@ -115,11 +115,13 @@ def test_a_view_is_chosen(page: Page) -> None:
 
 
 def _chosen(response: Response) -> bool:
-    """The answer to what a person has chosen to see; the page also asks by itself."""
+    """Whether this is the answer to a changed switch; the page also polls this path."""
     return response.url.endswith("/api/scene") and response.request.method == "PUT"
 
 
-def test_workspace_ghost_and_uncertainty_are_shown_on_demand(page: Page, station: Served, picture: Picture) -> None:
+def test_scene_shows_workspace_unloaded_shape_and_uncertainty_on_demand(
+    page: Page, station: Served, picture: Picture
+) -> None:
     for name in ("workspace", "ghost", "uncertainty"):
         before = pixels(page)
         box = page.locator(f"#switches input[name={name}]")
@@ -137,7 +139,7 @@ def test_workspace_ghost_and_uncertainty_are_shown_on_demand(page: Page, station
 
 
 def on_screen(page: Page, place: np.ndarray) -> np.ndarray:
-    """Where a place (3,) [m] is drawn by the camera that the scene begins with, in pixels of the page."""
+    """Return the pixel of the page where the initial camera draws a position (3,) [m]."""
     box = page.locator("#scene").bounding_box()
     assert box is not None
     robot = load_robot("paper")
@@ -147,13 +149,13 @@ def on_screen(page: Page, place: np.ndarray) -> np.ndarray:
     right = np.cross(ahead, (-1.0, 0.0, 0.0))
     right /= np.linalg.norm(right)
     seen = place - eye
-    scale = 0.5 * box["height"] / (np.tan(0.5 * FIELD) * (seen @ ahead))
+    scale = 0.5 * box["height"] / (np.tan(0.5 * FIELD_OF_VIEW_RAD) * (seen @ ahead))
     middle = np.array((box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]))
     return middle + scale * np.array((seen @ right, -seen @ np.cross(right, ahead)))
 
 
 def drag(page: Page, handle: np.ndarray, size: float, axis: int, way: float) -> None:
-    """Take a handle at a place (3,) [m] by the arrow of one axis, `size` long [m], and pull it along [m]."""
+    """Drag a handle at a position (3,) [m] by the arrow of one axis, `size` long [m], by a distance [m]."""
     arrow = np.zeros(3)
     arrow[axis] = 1.0
     grip = handle + 0.75 * size * arrow  # further in are the planes' handles
@@ -171,21 +173,23 @@ def target(station: Served) -> dict[str, Any]:
     return station.rest.get("/api/scene/target").json()
 
 
-def test_a_target_is_dragged_judged_and_gone_to(page: Page, station: Served, picture: Picture) -> None:
+def test_target_handle_is_dragged_and_checked_and_the_tip_reaches_it(
+    page: Page, station: Served, picture: Picture
+) -> None:
     box = page.locator("#switches input[name=target]")
     with page.expect_response(_chosen):
         box.check()
     try:
         page.wait_for_timeout(1500)
         tip = np.array(target(station)["position"])
-        drag(page, tip, TARGET_SIZE, 0, -0.13)
+        drag(page, tip, TARGET_SIZE_M, 0, -0.13)
         page.locator("#target-says", has_text="✗").wait_for()
         assert page.locator("#go").is_disabled()
         far = np.array(target(station)["position"])
         assert far[0] - tip[0] < -0.1
         assert np.abs(far - tip)[1:].max() < 1e-6
-        drag(page, far, TARGET_SIZE, 0, tip[0] - far[0] + 0.008)
-        drag(page, np.array(target(station)["position"]), TARGET_SIZE, 2, -0.004)
+        drag(page, far, TARGET_SIZE_M, 0, tip[0] - far[0] + 0.008)
+        drag(page, np.array(target(station)["position"]), TARGET_SIZE_M, 2, -0.004)
         page.locator("#target-says", has_text="✓").wait_for()
         goal = np.array(target(station)["position"])
         assert goal[0] - tip[0] > 0.004
@@ -198,7 +202,7 @@ def test_a_target_is_dragged_judged_and_gone_to(page: Page, station: Served, pic
         box.uncheck()
 
 
-def test_a_hand_pulls_at_the_tip_and_the_controller_answers(page: Page, station: Served, picture: Picture) -> None:
+def test_controller_compensates_a_pull_at_the_tip(page: Page, station: Served, picture: Picture) -> None:
     assert station.post("/api/start", HOLD).status_code == 202
     station.wait_for(lambda s: s["phase"] == "moving")
     station.rest.delete("/api/operator")
@@ -209,10 +213,10 @@ def test_a_hand_pulls_at_the_tip_and_the_controller_answers(page: Page, station:
         page.wait_for_timeout(1500)
         before = station.status()
         force = np.mean([station.status()["force"] for _ in range(40)], axis=0)  # the handle is at the mean's end
-        drag(page, np.array(before["tip_measured"]) + ARROW * force, FORCE_SIZE, 0, 0.02)
+        drag(page, np.array(before["tip_measured"]) + ARROW_SCALE_M_PER_N * force, FORCE_SIZE_M, 0, 0.02)
         pulled = station.wait_for(lambda s: s["force"][0] > 0.1)
         picture(page, "hand")
-        # The tip is held although it is pulled at: by joints that have moved.
+        # The tip keeps its position under the pull, because the joints have moved.
         held = station.wait_for(
             lambda s: 1e3 * np.linalg.norm(np.array(s["tip_true"]) - before["tip_true"]) < 1.0 and s["force"][0] > 0.1
         )
@@ -224,7 +228,7 @@ def test_a_hand_pulls_at_the_tip_and_the_controller_answers(page: Page, station:
     station.wait_for(lambda s: abs(s["force"][0]) < 0.1)
 
 
-# ---- what touches the shaft, and the colours of the page
+# ---- contacts on the shaft, and the colours of the page
 
 
 def orange(page: Page) -> int:
@@ -234,10 +238,10 @@ def orange(page: Page) -> int:
     return int(((np.abs(seen / np.maximum(bright, 1.0) - hue).max(axis=-1) < 0.12) & (bright[..., 0] > 120)).sum())
 
 
-def test_a_touched_shaft_is_marked_and_told(page: Page, station: Served, picture: Picture) -> None:
+def test_contact_on_the_shaft_is_marked_and_reported(page: Page, station: Served, picture: Picture) -> None:
     before = orange(page)
     load = {"kind": "contact", "magnitude": 0.3, "place": 0.1, "direction": [0.0, 1.0, 0.3]}
-    station.post("/api/pull", {"load": load})
+    station.post("/api/load", {"load": load})
     try:
         page.locator("#mind", has_text="load not at the tip").wait_for()
         until(lambda: orange(page) > before + 60)
@@ -245,12 +249,12 @@ def test_a_touched_shaft_is_marked_and_told(page: Page, station: Served, picture
         page.locator("#mind").click()
         page.locator("#faults", has_text="the load does not act at the tip: contact at").wait_for()
     finally:
-        station.post("/api/pull", {"load": {"kind": "none"}})
+        station.post("/api/load", {"load": {"kind": "none"}})
         page.locator("#tab-start").click()
     page.locator("#mind", has_text="load not at the tip").wait_for(state="hidden")
 
 
-def test_the_scene_follows_the_page_into_the_dark_and_back(page: Page, picture: Picture) -> None:
+def test_scene_follows_the_page_to_the_dark_theme_and_back(page: Page, picture: Picture) -> None:
     def back() -> float:
         return float(np.median(pixels(page)))
 

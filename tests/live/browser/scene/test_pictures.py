@@ -1,4 +1,4 @@
-"""Every tab beside the scene, as `web/README.md` shows them: the robot is seen, and the words are there."""
+"""Every tab beside the scene, as `web/README.md` shows them: the robot is visible, and the texts are present."""
 
 from collections.abc import Callable
 
@@ -12,14 +12,14 @@ from tests.harness.waiting import until
 Picture = Callable[[Page, str], None]
 
 DEMO = {"experiment": "demo"}  # from its start pose, wherever the robot is
-#: What each tab must say.
+#: A text that each tab must contain.
 SAYS = {
-    "start": "Free motions, from where the robot is",
+    "start": "Your own motion, from the current pose",
     "jog": "The robot moves while a button is held",
-    "devices": "Does every axis turn the right way?",
-    "plots": "drag over a chart to zoom",
+    "devices": "Does every axis turn in the right direction?",
+    "plots": "drag to zoom",
     "runs": "demo",
-    "faults": "Let a simulated device fail",
+    "faults": "Inject a fault into a simulated device",
 }
 
 
@@ -34,8 +34,10 @@ def robot(page: Page) -> int:
     return int(((blue > red + 35) & (green > red + 10)).sum())
 
 
-def test_every_tab_beside_the_scene_during_a_run(page: Page, station: Served, picture: Picture) -> None:
-    # One that has ended, for the list of runs.
+def test_robot_is_visible_next_to_every_tab_of_the_page_during_a_run(
+    page: Page, station: Served, picture: Picture
+) -> None:
+    # A finished run, for the list of runs.
     assert station.post("/api/start", {"experiment": "demo"}).status_code == 202
     station.wait_for(lambda s: s["phase"] == "moving")
     station.ready()
@@ -48,7 +50,7 @@ def test_every_tab_beside_the_scene_during_a_run(page: Page, station: Served, pi
         picture(page, f"tab_{name}")
 
 
-def test_the_header_in_hold_says_why_and_what_to_do(page: Page, station: Served, picture: Picture) -> None:
+def test_page_header_in_hold_shows_the_cause_and_the_next_step(page: Page, station: Served, picture: Picture) -> None:
     assert station.post("/api/start", DEMO).status_code == 202
     station.wait_for(lambda s: s["phase"] == "moving")
     station.post("/api/faults", {"faults": [{"kind": "lose_tool", "device": "tracker", "duration": 3.0}]})

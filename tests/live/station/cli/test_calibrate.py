@@ -1,4 +1,4 @@
-"""`ctr-station calibrate` as a process."""
+"""`ctr-station calibrate` as a separate process that receives Ctrl-C."""
 
 import os
 import signal
@@ -9,17 +9,17 @@ import time
 from tests.harness.waiting import NET
 
 
-def test_ctrl_c_ends_the_command_and_leaves_nothing(tmp_path, environment):
+def test_ctrl_c_ends_calibrate_and_leaves_no_files(tmp_path, environment):
     command = [sys.executable, "-m", "station", "calibrate", "tubes", "--realtime", "--out", "found"]
     process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
         time.sleep(8.0)
         assert process.poll() is None, process.stderr.read()
         os.kill(process.pid, signal.SIGINT)
-        _, said = process.communicate(timeout=NET)
+        _, errors = process.communicate(timeout=NET)
     finally:
         process.kill()
         process.wait()
     assert process.returncode == 130
-    assert b"interrupted" in said
+    assert b"interrupted" in errors
     assert not (tmp_path / "found").exists()

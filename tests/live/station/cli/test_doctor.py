@@ -1,10 +1,10 @@
-"""What the machine offers, in words that a person can act on."""
+"""Findings of `ctr-station doctor` about this computer."""
 
 from station.cli.doctor import findings
 from station.control.realtime import may_lock_memory
 
 
-def test_every_finding_has_words_and_what_is_not_good_says_what_to_do():
+def test_every_finding_of_doctor_has_a_text_and_the_timer_is_measured():
     found = {finding.subject: finding for finding in findings()}
     assert list(found) == [
         "Python",
@@ -22,7 +22,7 @@ def test_every_finding_has_words_and_what_is_not_good_says_what_to_do():
     assert all(finding.text for finding in found.values())
     assert found["memory"].good == may_lock_memory()
     assert "times by 2 ms or more" in found["timer"].text
-    # 3 s of a 500 Hz timer, less what a busy computer swallowed.
+    # The timer runs for 3 s at 500 Hz; a busy computer misses some of its ticks.
     woken = int(found["timer"].text.split(" of ")[1].split()[0])
     assert 100 < woken < 1800
     assert found["timer"].good == (" and 0 of " in found["timer"].text)

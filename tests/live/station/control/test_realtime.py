@@ -1,4 +1,4 @@
-"""What the system grants, looked at from outside."""
+"""Real-time rights of a process, checked from another process."""
 
 import os
 import subprocess
@@ -14,12 +14,12 @@ from tests.harness.waiting import NET
 SCRIPT = """
 import os, sys, gc
 from pathlib import Path
-from station.control.realtime import be_punctual, last_core, leave, show_as
+from station.control.realtime import last_core, move_off_core, request_realtime, set_process_name
 left = last_core()
-leave(left, [os.getpid()])
+move_off_core(left, [os.getpid()])
 others = sorted(os.sched_getaffinity(0))
-granted = be_punctual(fifo=True, core=left)
-show_as("ctr-tested")
+granted = request_realtime(fifo=True, core=left)
+set_process_name("ctr-tested")
 locked = next(l for l in Path("/proc/self/status").read_text().splitlines() if l.startswith("VmLck"))
 child = os.fork()
 if child == 0:
@@ -42,7 +42,7 @@ def run(*before: str, **environment: str) -> dict:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux")
-def test_what_is_granted_is_so_and_what_is_not_is_said() -> None:
+def test_granted_real_time_rights_are_in_effect_and_refused_rights_are_reported() -> None:
     got = run()
     cores = sorted(os.sched_getaffinity(0))
     if len(cores) > 1:
@@ -58,7 +58,7 @@ def test_what_is_granted_is_so_and_what_is_not_is_said() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="takes rights away, which only root can")
-def test_without_the_rights_it_is_said_in_plain_words() -> None:
+def test_missing_real_time_rights_are_reported_in_plain_words() -> None:
     rights = "--bounding-set=-sys_nice,-ipc_lock,-sys_resource"
     got = run("setpriv", rights, "--inh-caps=-all", "prlimit", "--rtprio=0:0", "--memlock=65536:65536")
     assert got["fifo"] is False
@@ -68,11 +68,11 @@ def test_without_the_rights_it_is_said_in_plain_words() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux")
-def test_a_killed_process_is_seen_to_die_before_it_is_reaped() -> None:
+def test_killed_process_is_detected_as_dying_before_it_is_reaped() -> None:
     with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) as process:
         assert not is_dying(process.pid)
         process.kill()
         deadline = time.monotonic() + 5.0
         while not is_dying(process.pid):
             assert time.monotonic() < deadline
-    assert not is_dying(process.pid)  # there is none of that number
+    assert not is_dying(process.pid)  # no process has that pid

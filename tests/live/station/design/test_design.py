@@ -1,4 +1,4 @@
-"""The command `design`: real processes, a real Dask cluster, and one that is stopped."""
+"""The command `design` with real processes, a real Dask cluster, and an interrupted search."""
 
 import importlib.util
 import json
@@ -39,7 +39,7 @@ def study(tmp_path):
 
 @pytest.fixture
 def here(study, environment, tmp_path):
-    """What one process finds."""
+    """Return the results of a search in one process."""
     words = command(study, tmp_path / "here", "--jobs", "1")
     return json.loads(subprocess.run(words, env=environment, capture_output=True, check=True).stdout)
 
@@ -49,7 +49,7 @@ def kept(folder):
     return sorted(lines[1:])
 
 
-def test_the_found_robot_can_be_loaded_and_holds_more(here, tmp_path):
+def test_the_robot_found_by_a_design_search_can_be_loaded_and_holds_a_larger_load(here, tmp_path):
     (folder,) = (tmp_path / "here").iterdir()
     assert here["after"]["largest_force_n"] > here["before"]["largest_force_n"]
     assert here["after"]["exact_away_mm"] < 0.25
@@ -60,7 +60,7 @@ def test_the_found_robot_can_be_loaded_and_holds_more(here, tmp_path):
 
 
 @pytest.mark.parametrize("engine", ["processes", "dask"])
-def test_every_engine_keeps_the_same_candidates(engine, here, study, environment, tmp_path):
+def test_every_engine_of_a_design_search_stores_the_same_candidates(engine, here, study, environment, tmp_path):
     if engine == "dask" and importlib.util.find_spec("distributed") is None:
         pytest.skip("the extra dask is not installed")
     more = ("--scheduler", "local") if engine == "dask" else ()
@@ -70,7 +70,7 @@ def test_every_engine_keeps_the_same_candidates(engine, here, study, environment
     assert {**found, "folder": ""} == {**here, "folder": ""}
 
 
-def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(here, study, environment, tmp_path):
+def test_a_design_search_stopped_by_ctrl_c_can_be_continued(here, study, environment, tmp_path):
     words = command(study, tmp_path / "stopped", "--jobs", "1")
     first = subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     try:

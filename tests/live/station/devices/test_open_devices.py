@@ -1,4 +1,4 @@
-"""A bench from its configuration: the station's own drivers open a lab's real endpoints, or nothing stays open."""
+"""A bench from its configuration: the built-in drivers open a lab's real endpoints, or nothing stays open."""
 
 import math
 import time
@@ -22,12 +22,14 @@ from tests.harness.running_lab import running
 
 PARK = np.array([0.2, 1.2, -0.08])
 LOAD = np.array([0.3, 0.0, 0.0])
-QUIET = BaseSensorConfig(force_noise=0.0, moment_noise=0.0, drift=0.0, force_offset=0.0, moment_offset=0.0)
+QUIET = BaseSensorConfig(
+    force_noise=0.0, moment_noise=0.0, drift=0.0, moment_drift=0.0, force_offset=0.0, moment_offset=0.0
+)
 CONFIG = LabConfig(tracker=TrackerConfig(noise=0.0), sensors=QUIET)
 
 
 def bench_of(lab: LabServer) -> dict[str, Any]:
-    """What a station file would have for a lab's endpoints."""
+    """Return the devices of a station file for a lab's endpoints."""
     tubes = {
         box["tube"]: {
             "host": "127.0.0.1",
@@ -49,12 +51,12 @@ def bench_of(lab: LabServer) -> dict[str, Any]:
 
 
 def come_up(devices: Devices, seconds: float = 30.0) -> list[np.ndarray]:
-    """Connect, and poll until everything is; the tips seen from then on."""
-    begin = time.monotonic()
+    """Connect, poll until all devices are connected, and return the tips measured from then on."""
+    start = time.monotonic()
     tips: list[np.ndarray] = []
     for device in (devices.stages, devices.tracker, devices.sensors):
-        device.connect(begin)
-    while len(tips) < 20 and (now := time.monotonic()) < begin + seconds:
+        device.connect(start)
+    while len(tips) < 20 and (now := time.monotonic()) < start + seconds:
         devices.stages.poll(now)
         frame, sample = devices.tracker.poll(now), devices.sensors.poll(now)
         up = devices.stages.condition is Condition.CONNECTED and devices.sensors.condition is Condition.CONNECTED
@@ -65,7 +67,7 @@ def come_up(devices: Devices, seconds: float = 30.0) -> list[np.ndarray]:
 
 
 def is_free(lab: LabServer) -> bool:
-    """Whether every endpoint can be had."""
+    """Return whether every endpoint can be opened."""
     for url in (lab.endpoints["zaber"], lab.endpoints["aurora"]):
         SerialLink(url, 9600).close()
     for box in lab.endpoints["netft"]:
@@ -78,13 +80,13 @@ def close(devices: Devices) -> None:
         device.close()
 
 
-def test_a_bench_comes_up_from_its_file_and_measures_the_truth(paper):
+def test_bench_connects_from_its_file_and_measures_the_true_tip(paper):
     turned = {"rotation_vector": [0.0, 0.0, 0.5], "position": [0.0, 0.0, 0.01]}
     with running(LabServer(paper, CONFIG, 0, PARK, homed=True)) as lab:
         lab.lab.apply_load(ConstantLoad(magnitude=0.3), 0.0)
-        told = bench_of(lab)
-        told["sensors"]["tubes"]["outer"]["mount"] = turned
-        devices = open_devices(BenchFile(**told), paper)
+        options = bench_of(lab)
+        options["sensors"]["tubes"]["outer"]["mount"] = turned
+        devices = open_devices(BenchFile(**options), paper)
         try:
             tips = come_up(devices)
             assert len(tips) == 20, [device.trouble(time.monotonic()) for device in vars(devices).values()]
@@ -96,7 +98,7 @@ def test_a_bench_comes_up_from_its_file_and_measures_the_truth(paper):
         finally:
             close(devices)
         assert is_free(lab)
-    # As if the outer sensor stood turned about its tube and 10 mm ahead of its end: undone by hand it is the load.
+    # The outer sensor is rotated about its tube and 10 mm ahead of its end: the inverse gives the load.
     c, s = math.cos(-0.5), math.sin(-0.5)
     back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     force, moment = wrenches[1][:3], wrenches[1][3:] - np.cross([0.0, 0.0, 0.01], wrenches[1][:3])
@@ -105,7 +107,7 @@ def test_a_bench_comes_up_from_its_file_and_measures_the_truth(paper):
     assert np.abs(fuse_at(paper.robot(), PARK, wrenches).force - LOAD).max() > 0.01
 
 
-def test_a_device_that_comes_back_as_another_terminal_is_connected_again(paper, tmp_path: Path):
+def test_device_that_returns_as_another_terminal_is_connected_again(paper, tmp_path: Path):
     with running(LabServer(paper, CONFIG, 0, PARK, pty=True, homed=True, folder=tmp_path)) as lab:
         devices = open_devices(BenchFile(**bench_of(lab)), paper)
         try:
@@ -152,10 +154,10 @@ def no_box(bench: dict[str, Any]) -> str:
 
 
 @pytest.mark.parametrize("spoil", [no_tracker, one_port_for_two, exchanged_sensors, no_box])
-def test_all_or_nothing(paper, spoil):
+def test_failure_of_one_device_closes_all_devices(paper, spoil):
     with running(LabServer(paper, CONFIG, 0, PARK)) as lab:
         bench = bench_of(lab)
-        told = spoil(bench)
-        with pytest.raises(OpenError, match=told):
+        options = spoil(bench)
+        with pytest.raises(OpenError, match=options):
             open_devices(BenchFile(**bench), paper)
         assert is_free(lab)

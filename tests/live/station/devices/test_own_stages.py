@@ -1,6 +1,7 @@
-"""Stages of a driver of one's own, and who stops them when the control process has died."""
+"""Stages of a custom driver, and their stop after the control process has died."""
 
 import os
+import signal
 import socket
 import threading
 from collections.abc import Iterator
@@ -11,17 +12,17 @@ import pytest
 from tests.harness.calm import CLOCK
 from tests.harness.kill_stations import back
 from tests.harness.lone_station import lone_station
-from tests.harness.waiting import until
+from tests.harness.waiting import NET, until
 from tests.harness.watched_lab import WatchedLab
 
 
 class Box:
-    """Takes lines of velocities, says where the stages are 100 times a second, and notes what it was told."""
+    """Receives lines of velocities, sends positions 100 times per second, and records the received lines."""
 
     def __init__(self) -> None:
         self.server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self.server.getsockname()[1])
-        self.told: list[bytes] = []
+        self.lines: list[bytes] = []
         self._over = threading.Event()
         self._threads = [threading.Thread(target=self._accept)]
         self._threads[0].start()
@@ -37,7 +38,7 @@ class Box:
             self._threads[-1].start()
 
     def _serve(self, host: socket.socket) -> None:
-        heard = b""
+        received = b""
         with host:
             host.settimeout(0.01)
             while not self._over.is_set():
@@ -49,8 +50,8 @@ class Box:
                     continue
                 except OSError:
                     return
-                *lines, heard = (heard + more).split(b"\n")
-                self.told += lines
+                *lines, received = (received + more).split(b"\n")
+                self.lines += lines
                 if b"stop" in lines:
                     host.sendall(b"stopped\n")
 
@@ -70,26 +71,27 @@ def box() -> Iterator[Box]:
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch) -> Path:
-    """A distribution with the driver."""
+    """Install a distribution with the drivers."""
     folder = tmp_path / "site" / "my_bench-1.0.dist-info"
     folder.mkdir(parents=True)
     (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: my-bench\nVersion: 1.0\n", encoding="utf-8")
-    entry = "faulty-stages = tests.harness.faulty_stages:open_stages"
-    (folder / "entry_points.txt").write_text(f"[ctr_station.devices]\n{entry}\n", encoding="utf-8")
+    drivers = ("faulty_stages", "bad_stops")
+    entries = "\n".join(f"{name.replace('_', '-')} = tests.harness.{name}:open_stages" for name in drivers)
+    (folder / "entry_points.txt").write_text(f"[ctr_station.devices]\n{entries}\n", encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")]))
     return tmp_path
 
 
-def test_the_station_process_stops_them_by_their_own_emergency_stop(box: Box, installed: Path) -> None:
+def test_station_process_stops_custom_stages_by_their_emergency_stop(box: Box, installed: Path) -> None:
     stages = {"driver": "faulty-stages", "host": "127.0.0.1", "port": box.port}
     with WatchedLab(CLOCK) as lab, lone_station(installed / "runs", lab, stages=stages) as station:
 
         def fault() -> str:
-            """Its cause, once the stages have been stopped; what the box was told is forgotten."""
-            status = until(lambda: "reset to start it anew" in (now := station.ask("status"))["cause"] and now)
-            assert f"3 stages at socket://127.0.0.1:{box.port} say that they have stopped" in status["cause"]
-            assert b"stop" in box.told
-            box.told.clear()
+            """Return the cause after the stages have been stopped, and clear the lines that the box received."""
+            status = until(lambda: "reset to restart it" in (now := station.ask("status"))["cause"] and now)
+            assert f"3 stages at socket://127.0.0.1:{box.port} report that they have stopped" in status["cause"]
+            assert b"stop" in box.lines
+            box.lines.clear()
             return status["cause"]
 
         station.child("control").kill()
@@ -97,3 +99,36 @@ def test_the_station_process_stops_them_by_their_own_emergency_stop(box: Box, in
         back(station)
         assert station.ask("home")["refused"] == ""
         assert fault().startswith("driver 'faulty-stages' of devices.stages: poll raised ZeroDivisionError: float div")
+
+
+def test_every_kind_of_failing_emergency_stop_is_reported_and_survived(box: Box, installed: Path) -> None:
+    manner = installed / "manner"
+    manner.write_text("", encoding="utf-8")
+    stages = {"driver": "bad-stops", "host": "127.0.0.1", "port": box.port, "manner": str(manner)}
+    texts = {
+        "hangs": "has not stopped the stages; its attempt is still running after ",
+        "raises SystemExit": "SystemExit of driver 'bad-stops'",
+        "raises KeyboardInterrupt": "KeyboardInterrupt of driver 'bad-stops'",
+        "returns None": "NoneType instead of a text, no evidence that the stages stop: press the emergency stop",
+        "lies": "driver 'bad-stops' reports: all stages have stopped",
+    }
+    with WatchedLab(CLOCK) as lab, lone_station(installed / "runs", lab, stages=stages) as station:
+        for what in ("returns None", "raises SystemExit", "raises KeyboardInterrupt", "lies", "hangs"):
+            manner.write_text(what, encoding="utf-8")
+            assert station.ask("start")["refused"] == ""
+            station.child("control").kill()
+            status = until(lambda: (now := station.ask("status"))["state"] == "FAULT" and now)
+            assert status["cause"].startswith("the control process ended by signal 9; ")
+            assert texts[what] in station.ask("stop")["note"]
+            status = until(lambda: "reset to restart it" in (now := station.ask("status"))["cause"] and now)
+            assert texts[what] in status["cause"]
+            if what != "hangs":
+                back(station)
+
+
+def test_control_process_without_a_station_ends_although_the_emergency_stop_hangs(box: Box, installed: Path) -> None:
+    stages = {"driver": "bad-stops", "host": "127.0.0.1", "port": box.port, "manner": "hangs"}
+    with WatchedLab(CLOCK) as lab, lone_station(installed / "runs", lab, stages=stages) as station:
+        control = station.child("control")
+        os.kill(station.process.pid, signal.SIGKILL)
+        control.wait(NET)

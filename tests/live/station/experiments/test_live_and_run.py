@@ -1,4 +1,4 @@
-"""A live run and `run` of the same case: the same rows, and the same errors but for their noise."""
+"""A live run and `run` of the same case have the same rows, and the same errors except for noise."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ from station.experiments.runner import run_case
 from station.recording.read import read_case
 from tests.harness.serving import Served
 
-#: A weight that is held up: let go, the tip springs away by some 10 mm.
+#: Length of the motion [s], and a load that stays until its end: without it the tip would spring back by some 10 mm.
 DURATION = 4.0
 LOAD = {"kind": "trapezoid", "magnitude": 0.3, "rise": 1.0}
 CASE = f"""
@@ -33,13 +33,14 @@ rise = {LOAD["rise"]}
 CONTROLLER = {
     "strategy": "dual_layer", "inner": "type_2", "feedback": "observer", "feedforward": True, "filter_bandwidth": 0.7,
 }  # fmt: skip
-#: Of a largest error: of tracker and sensors, and of a loop that other programs hold up now and then [mm].
+#: Largest difference between the errors of both runs [mm]: noise of tracker and sensors, and delays of the live loop by
+#: other programs.
 NOISE = 1.0
 
 
 @pytest.fixture
 def headless(tmp_path: Path) -> dict[str, Any]:
-    """The numbers of `run`."""
+    """Return the summary of the command `ctr-station run`."""
     controller = "".join(f"{key} = {json.dumps(value)}\n" for key, value in CONTROLLER.items())
     path = tmp_path / "held.toml"
     path.write_text(f"{CASE}[controller]\n{controller}[cases.held]\n", encoding="utf-8")
@@ -47,7 +48,9 @@ def headless(tmp_path: Path) -> dict[str, Any]:
     return summarise(run_case(case, 0, VirtualClock(), lambda _: None))
 
 
-def test_both_tell_the_same(station: Served, headless: dict[str, Any], tmp_path: Path) -> None:
+def test_a_live_run_and_a_headless_run_have_the_same_errors(
+    station: Served, headless: dict[str, Any], tmp_path: Path
+) -> None:
     with Station(station.url) as client:
         run = client.start(trajectory={"kind": "hold"}, load=LOAD, controller=CONTROLLER, duration=DURATION)
         client.wait(run)

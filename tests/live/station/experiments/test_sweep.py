@@ -1,4 +1,4 @@
-"""A sweep that is ended by force leaves no process."""
+"""A sweep that is killed or interrupted leaves no process."""
 
 import os
 import signal
@@ -20,11 +20,11 @@ from tests.harness.waiting import NET, until
 
 @pytest.fixture
 def own(write, short):
-    """A second at rest, two cases."""
+    """Return an experiment of one second at rest with two cases."""
     return str(write(short + "[cases.one]\n[cases.two.controller]\nfeedforward = true\n"))
 
 
-def test_ctrl_c_ends_the_runs_that_are_on_and_leaves_out_the_others(own):
+def test_ctrl_c_ends_the_active_runs_of_a_sweep_and_starts_no_other(own):
     listed = jobs(own, settings(["duration=3600.0"]), range(4), "one")
     others, children = workers(psutil.Process()), list[psutil.Process]()
 
@@ -40,30 +40,30 @@ def test_ctrl_c_ends_the_runs_that_are_on_and_leaves_out_the_others(own):
     on_processes(listed, 1, rows.append, lambda _: None)
     presser.join()
 
-    assert rows == []  # a run that was ended is not done
+    assert rows == []  # an interrupted run is not a finished one
     assert not any(child.is_running() for child in children)
 
 
-def test_a_process_that_is_killed_costs_its_run_a_second_time_and_no_more(own):
+def test_the_sweep_run_of_a_killed_process_is_repeated_once(own):
     listed, killed = jobs(own, settings(["duration=2.0"]), range(4), "one"), list[int]()
     others, rows = workers(psutil.Process()), list[Row]()
 
-    def told(done: float) -> None:
+    def report_done(done: float) -> None:
         if done > 1.0 and not killed:
             killed.append(workers(psutil.Process(), others)[0].pid)
             os.kill(killed[0], signal.SIGKILL)
 
-    on_processes(listed, 2, rows.append, told)
+    on_processes(listed, 2, rows.append, report_done)
     assert len(killed) == 1
     assert sorted((row["run"], row["completed"]) for row in rows) == [(run, True) for run in range(4)]
 
 
 def workers(parent: psutil.Process, others: Sequence[psutil.Process] = ()) -> list[psutil.Process]:
-    """Processes that a parent has started, but for `others`, of tests before."""
+    """Return the processes that a parent has started, without `others` of earlier tests."""
     return [child for child in parent.children() if "spawn_main" in " ".join(child.cmdline()) and child not in others]
 
 
-def test_when_the_sweep_is_killed_its_processes_end_too(own, environment, tmp_path):
+def test_the_worker_processes_of_a_killed_sweep_end(own, environment, tmp_path):
     command = [sys.executable, "-m", "station", "sweep", own, "--seeds", "2", "--jobs", "1", "--set", "duration=3600.0"]
     parent = subprocess.Popen(command, cwd=tmp_path, env=environment)
     try:

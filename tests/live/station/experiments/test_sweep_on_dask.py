@@ -10,6 +10,7 @@ import psutil
 import pytest
 
 from tests.harness.killed_sweep import Figures, cluster, killed_sweep, rows, sweep_command, wait_for_rows, without_clock
+from tests.harness.root import ROOT
 from tests.harness.waiting import NET, until
 
 pytestmark = pytest.mark.skipif(
@@ -17,18 +18,34 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-#: Of the sweeps that lose somebody.
+#: Number of runs in a sweep that loses a worker or its client.
 RUNS = 12
+#: Program with three clients: one with the cluster's certificate, one without encryption, one without a certificate.
+STRANGERS = """
+from distributed import Client
+from station.experiments.dask_cluster import LOCAL, cluster
+
+if __name__ == "__main__":
+    with cluster(LOCAL, 1, lambda _: None) as own:
+        address = own.scheduler_info()["address"]
+        assert address.startswith("tls://127.0.0.1:"), address
+        print(own.submit(sum, [1, 2]).result())
+        for stranger in (address.replace("tls://", "tcp://"), address):
+            try:
+                Client(stranger, timeout="10s").close()
+            except (OSError, ValueError, TypeError):
+                print("refused")
+"""
 
 
 @pytest.fixture
 def own(write, short):
-    """A fifth of a second at rest."""
+    """Return an experiment of a fifth of a second at rest."""
     return write(short.replace("duration = 1.0", "duration = 0.2"))
 
 
 def busy(pid: int) -> bool:
-    """Whether a worker has begun to compute; one that is killed before makes the test longer, nothing else."""
+    """Return whether a worker computes; killing it earlier would only make the test longer."""
     return psutil.Process(pid).cpu_times().user > 4.0
 
 
@@ -38,11 +55,11 @@ def carry_out(command, folder, environment):
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory: pytest.TempPathFactory) -> Figures:
-    """A sweep that loses a worker and its client, and the same one on processes."""
+    """Return the figures of a sweep that loses a worker and its client, and of the same sweep on processes."""
     return killed_sweep(tmp_path_factory.mktemp("killed"), RUNS)
 
 
-def test_a_worker_and_then_the_client_are_killed_and_every_run_is_there_once_as_from_processes(killed):
+def test_every_sweep_run_is_done_once_although_a_dask_worker_and_the_client_are_killed(killed):
     assert killed.status == 0, killed.said
     assert RUNS // 3 <= killed.worker_killed_at < killed.client_killed_at < RUNS
     assert "1 workers; dashboard: " in killed.said
@@ -51,9 +68,7 @@ def test_a_worker_and_then_the_client_are_killed_and_every_run_is_there_once_as_
     assert without_clock(killed.rows) == without_clock(killed.local)
 
 
-def test_a_cluster_of_ones_own_gives_the_rows_of_processes_although_a_worker_is_killed(
-    killed, own, environment, tmp_path
-):
+def test_a_local_dask_cluster_gives_the_rows_of_processes_after_a_worker_is_killed(killed, own, environment, tmp_path):
     dask = tmp_path / "dask"
     command = sweep_command(own, RUNS, dask, "--scheduler", "local", "--jobs", "2")
     client = subprocess.Popen(
@@ -63,19 +78,19 @@ def test_a_cluster_of_ones_own_gives_the_rows_of_processes_although_a_worker_is_
         wait_for_rows(dask, 3, client)
         workers = [one for one in psutil.Process(client.pid).children() if "spawn_main" in " ".join(one.cmdline())]
         workers[0].kill()
-        _, said = client.communicate()
+        _, errors = client.communicate()
     finally:
         client.kill()
         client.wait()
 
-    assert (len(workers), client.returncode) == (2, 0), said
-    assert "2 workers; dashboard: http://127.0.0.1:" in said
+    assert (len(workers), client.returncode) == (2, 0), errors
+    assert "2 workers; dashboard: http://127.0.0.1:" in errors
     found = rows(dask / "manifest.jsonl")
     assert len(found) == RUNS
     assert without_clock(found) == without_clock(killed.local)
 
 
-def test_ctrl_c_keeps_what_is_done_and_leaves_no_worker(own, environment, tmp_path):
+def test_ctrl_c_keeps_the_finished_runs_and_leaves_no_dask_worker(own, environment, tmp_path):
     folder = tmp_path / "dask"
     command = sweep_command(own, 2000, folder, "--scheduler", "local", "--jobs", "1")
     client = subprocess.Popen(
@@ -85,21 +100,21 @@ def test_ctrl_c_keeps_what_is_done_and_leaves_no_worker(own, environment, tmp_pa
     try:
         wait_for_rows(folder, 2, client)
         workers = psutil.Process(client.pid).children(recursive=True)
-        os.killpg(client.pid, signal.SIGINT)  # as a terminal does: everybody hears it
-        out, said = client.communicate()
+        os.killpg(client.pid, signal.SIGINT)  # as a terminal does: every process receives it
+        out, errors = client.communicate()
     finally:
         client.kill()
         client.wait()
 
     kept = rows(folder / "manifest.jsonl")
-    assert client.returncode == 1, said
+    assert client.returncode == 1, errors
     assert f"{len(kept)} of 2000 runs in" in out
     assert all(row["completed"] for row in kept)
     _, left = psutil.wait_procs(workers, timeout=NET)
     assert left == []
 
 
-def test_a_run_that_loses_its_workers_time_after_time_is_a_row_with_that_reason(write, short, environment, tmp_path):
+def test_a_run_that_repeatedly_ends_its_dask_worker_gets_a_row_with_the_reason(write, short, environment, tmp_path):
     endless = write(short.replace("duration = 1.0", "duration = 3600.0"))
     folder, impatient = tmp_path / "dask", {**environment, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
     with cluster(tmp_path, 0, impatient) as there:
@@ -119,11 +134,11 @@ def test_a_run_that_loses_its_workers_time_after_time_is_a_row_with_that_reason(
 
     assert client.returncode == 1
     assert [row["completed"] for row in rows(folder / "manifest.jsonl")] == [False]
-    assert "own, seed 0: its worker was lost in the middle of it" in out
+    assert "own, seed 0: its worker ended before the run was done" in out
     assert "0 of 1" in out
 
 
-def test_a_scheduler_that_goes_ends_the_sweep_with_what_is_done_kept(own, environment, tmp_path):
+def test_a_lost_dask_scheduler_ends_the_sweep_and_keeps_the_finished_runs(own, environment, tmp_path):
     folder, hasty = tmp_path / "dask", {**environment, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "2s"}
     with cluster(tmp_path, 1) as there:
         command = sweep_command(own, 2000, folder, "--scheduler", there.address)
@@ -131,26 +146,26 @@ def test_a_scheduler_that_goes_ends_the_sweep_with_what_is_done_kept(own, enviro
         try:
             wait_for_rows(folder, 2, client)
             there.scheduler.kill()
-            _, said = client.communicate()
+            _, errors = client.communicate()
         finally:
             client.kill()
             client.wait()
 
     assert client.returncode == 2
-    assert "the scheduler has gone; what is done is kept, and the same command goes on" in said
+    assert "the scheduler is gone; results are stored, and the same command continues" in errors
     assert 2 <= len(rows(folder / "manifest.jsonl")) < 2000
 
 
-def test_no_scheduler_there_is_said_in_a_line(own, environment, tmp_path):
+def test_a_missing_dask_scheduler_is_reported_in_one_line(own, environment, tmp_path):
     with cluster(tmp_path, 0) as gone:
         pass
     done = carry_out(sweep_command(own, 2, tmp_path / "dask", "--scheduler", gone.address), tmp_path, environment)
 
     assert done.returncode == 2
-    assert f"--scheduler {gone.address}: no Dask scheduler answers there" in done.stderr.splitlines()[-1]
+    assert f"--scheduler {gone.address}: no Dask scheduler answers at this address" in done.stderr.splitlines()[-1]
 
 
-def test_workers_without_the_station_end_the_sweep_with_the_reason_and_without_a_row(own, environment, tmp_path):
+def test_dask_workers_without_ctr_station_end_the_sweep_with_a_reason_and_no_row(own, environment, tmp_path):
     folder = tmp_path / "dask"
     with cluster(tmp_path, 0) as there:
         there.worker("import sys; sys.modules['station'] = None")
@@ -159,3 +174,13 @@ def test_workers_without_the_station_end_the_sweep_with_the_reason_and_without_a
     assert done.returncode == 2
     assert "a worker cannot carry out runs: ModuleNotFoundError" in done.stderr.splitlines()[-1]
     assert rows(folder / "manifest.jsonl") == []
+
+
+def test_the_local_dask_scheduler_refuses_clients_without_its_certificate() -> None:
+    """Every user of the computer can connect to the scheduler's port, and a scheduler executes what a client sends.
+
+    The check runs in a separate process, because Dask's threads for certificates outlive its cluster.
+    """
+    done = subprocess.run([sys.executable, "-c", STRANGERS], capture_output=True, text=True, timeout=NET, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["3", "refused", "refused"]

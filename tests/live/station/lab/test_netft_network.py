@@ -1,4 +1,4 @@
-"""The simulated Net F/T box on real sockets."""
+"""The simulated Net F/T box serves its driver and browsers on real sockets."""
 
 import socket
 import threading
@@ -12,7 +12,7 @@ import pytest
 from station.devices.netft.page import read_page
 from station.devices.netft.sensors import BoxAddress, SensorError, connect
 from station.lab.netft.simulated import BoxSettings, SimulatedNetft
-from station.lab.netft.wire import AddressTaken, PageServer, UdpEnd
+from station.lab.netft.wire import AddressInUse, PageServer, UdpDeviceEnd
 from tests.harness.netft_bench import PERFECT, TICK, WRENCH
 
 
@@ -20,8 +20,9 @@ class Served:
     """A box on this machine's network, advanced by a thread as the lab's process would."""
 
     def __init__(self) -> None:
-        self.end = UdpEnd("127.0.0.1", 0)
+        self.end = UdpDeviceEnd("127.0.0.1", 0)
         self.box = SimulatedNetft(self.end, PERFECT, np.random.default_rng(1), BoxSettings(serial="FT77"))
+        self.box.page()  # compiles the page's code, which takes longer than a host waits for a page
         self.server = PageServer("127.0.0.1", 0, self.box.page)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve)
@@ -48,7 +49,7 @@ def served() -> Iterator[Served]:
     served.close()
 
 
-def test_over_http_and_udp_the_driver_connects_streams_biases_and_stops(served):
+def test_netft_driver_connects_streams_biases_and_stops_over_http_and_udp(served):
     sensors = connect([BoxAddress("127.0.0.1", served.end.port, served.server.port, "FT77")])
     try:
         sensors.start(time.perf_counter())
@@ -64,12 +65,12 @@ def test_over_http_and_udp_the_driver_connects_streams_biases_and_stops(served):
         sensors.close()
 
 
-def test_another_sensor_than_the_expected_one_is_refused_by_its_serial_number(served):
+def test_force_sensor_with_an_unexpected_serial_number_is_refused(served):
     with pytest.raises(SensorError, match="calibration 'FT77', expected 'FT78'"):
         connect([BoxAddress("127.0.0.1", served.end.port, served.server.port, "FT78")])
 
 
-def test_a_browser_gets_the_page_and_nothing_else(served):
+def test_browser_gets_only_the_page_from_the_simulated_box(served):
     with httpx.Client(base_url=f"http://127.0.0.1:{served.server.port}", trust_env=False) as client:
         page = client.get("/netftapi2.xml", params={"index": "0"})
         missing, posted = client.get("/"), client.post("/netftapi2.xml", content=b"x")
@@ -79,13 +80,13 @@ def test_a_browser_gets_the_page_and_nothing_else(served):
     assert (missing.status_code, posted.status_code) == (404, 405)
 
 
-def test_a_mute_box_does_not_answer_by_http_either(served):
+def test_mute_box_does_not_answer_by_http_either(served):
     served.box.faults.mute = True
     with pytest.raises(httpx.ReadTimeout), httpx.Client(trust_env=False, timeout=0.2) as client:
         client.get(f"http://127.0.0.1:{served.server.port}/netftapi2.xml")
 
 
-def test_visitors_that_say_nothing_do_not_keep_others_out(served):
+def test_silent_connections_to_the_box_do_not_block_others(served):
     silent = [socket.create_connection(("127.0.0.1", served.server.port)) for _ in range(8)]
     try:
         with httpx.Client(trust_env=False) as client:
@@ -95,8 +96,8 @@ def test_visitors_that_say_nothing_do_not_keep_others_out(served):
             visitor.close()
 
 
-def test_a_port_that_is_taken_is_named(served):
-    with pytest.raises(AddressTaken, match=f"udp://127.0.0.1:{served.end.port}"):
-        UdpEnd("127.0.0.1", served.end.port)
-    with pytest.raises(AddressTaken, match=f"http://127.0.0.1:{served.server.port}"):
+def test_port_in_use_is_named_in_the_error_of_the_simulated_box(served):
+    with pytest.raises(AddressInUse, match=f"udp://127.0.0.1:{served.end.port}"):
+        UdpDeviceEnd("127.0.0.1", served.end.port)
+    with pytest.raises(AddressInUse, match=f"http://127.0.0.1:{served.server.port}"):
         PageServer("127.0.0.1", served.server.port, served.box.page)

@@ -1,4 +1,4 @@
-"""The live recorder in a process of its own, on a real ring that is really written at 500 Hz."""
+"""The live recorder in a separate process, with a real ring that is written at 500 Hz."""
 
 import json
 import os
@@ -14,13 +14,13 @@ import psutil
 import pytest
 
 from station.config.robots import RobotFile, load_robot
-from station.control.ring import ROWS, Ring
+from station.control.ring import RING_ROWS, Ring
 from station.control.task import Phase
-from station.recording.events import Event
-from station.recording.label import Label, RecordingError
+from station.recording.events import RecordedEvent
 from station.recording.read import CaseRecording, read_case
 from station.recording.recorder import Recorder
 from station.recording.recover import recover
+from station.recording.run_outcome import RecordingError, RunOutcome
 from tests.harness.kill_recordings import PERIOD, Feed, kill_recorder
 from tests.harness.waiting import until
 
@@ -43,54 +43,54 @@ def is_what_was_fed(read: CaseRecording, feed: Feed) -> bool:
     return bool((read.rows == np.array([feed.row(first + number) for number in range(len(read.rows))])).all())
 
 
-def test_a_run_is_recorded_from_its_beginning_to_its_end(recorder, feed, paper, tmp_path):
+def test_the_recorder_records_a_run_from_start_to_end(recorder, feed, paper, tmp_path):
     first = feed.ring.written
     path = recorder.begin("one", {"title": "a circle", "experiment": "own", "seed": 3})
     begun = feed.ring.written
-    recorder.event(Event(float(feed.ring.written) * PERIOD, "state", "RUNNING"))
-    until(lambda: feed.ring.written > first + 400)
+    recorder.event(RecordedEvent(float(feed.ring.written) * PERIOD, "state", "RUNNING"))
+    until(lambda: feed.ring.written > begun + 400)
     last = feed.ring.written
-    assert recorder.end(Label.COMPLETE, numbers={"mean_error_mm": 0.1}) == path == tmp_path / "runs" / "one"
+    assert recorder.end(RunOutcome.COMPLETE, numbers={"mean_error_mm": 0.1}) == path == tmp_path / "runs" / "one"
 
     read = read_case(path / "run.mcap")
     assert first <= round(read.rows[0, 0] / PERIOD) <= begun
     assert round(read.rows[-1, 0] / PERIOD) >= last - 1
     assert is_what_was_fed(read, feed)
     assert [event.text for event in read.events] == ["RUNNING"]
-    assert read.label is Label.COMPLETE
+    assert read.label is RunOutcome.COMPLETE
     assert RobotFile.model_validate(read.metadata["robot"], strict=False) == paper
     assert recorder.trouble() == ""
 
 
-def test_one_recorder_records_run_after_run(recorder, feed, tmp_path):
+def test_one_recorder_records_several_runs(recorder, feed, tmp_path):
     for name in ("one", "two"):
         recorder.begin(name, {})
-        with pytest.raises(RecordingError, match="a recording is on already"):
+        with pytest.raises(RecordingError, match="another recording is active"):
             recorder.begin("three", {})
-        recorder.end(Label.STOPPED, "stopped by the operator")
-        with pytest.raises(RecordingError, match="nothing is being recorded"):
-            recorder.end(Label.COMPLETE)
+        recorder.end(RunOutcome.STOPPED, "stopped by the operator")
+        with pytest.raises(RecordingError, match="no recording is active"):
+            recorder.end(RunOutcome.COMPLETE)
 
     assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == ["one", "two"]
 
 
 @pytest.mark.parametrize("after", [0.45, 1.1])
-def test_kill_9_loses_no_row_that_is_older_than_300_ms(feed, paper, tmp_path, after):
+def test_killing_the_recorder_loses_no_row_that_is_older_than_300_ms(feed, paper, tmp_path, after):
     assert kill_recorder(tmp_path, feed, paper, after).rows > 0
 
 
-def test_asked_to_end_it_finishes_the_recording_as_interrupted(recorder, tmp_path):
+def test_the_recorder_finishes_its_recording_as_interrupted_on_sigterm(recorder, tmp_path):
     path = recorder.begin("one", {})
     os.kill(recorder.child.pid, signal.SIGTERM)
     recorder.child.ended()
 
-    assert read_case(path / "run.mcap").label is Label.INTERRUPTED
+    assert read_case(path / "run.mcap").label is RunOutcome.INTERRUPTED
     assert "the recorder ended with status 0" in recorder.trouble()
     with pytest.raises(RecordingError, match="the recorder ended"):
         recorder.begin("two", {})
 
 
-#: A parent that starts recording and is then killed from outside.
+#: Program of a parent process that starts a recording and is then killed by the test.
 PARENT = """
 import sys, time
 from pathlib import Path
@@ -109,7 +109,7 @@ if __name__ == "__main__":
 """
 
 
-def test_when_the_parent_is_killed_the_recording_is_finished_as_interrupted(tmp_path, environment):
+def test_the_recorder_of_a_killed_parent_finishes_its_recording_as_interrupted(tmp_path, environment):
     script = tmp_path / "parent.py"
     script.write_text(PARENT, encoding="utf-8")
     runs = tmp_path / "runs"
@@ -122,39 +122,39 @@ def test_when_the_parent_is_killed_the_recording_is_finished_as_interrupted(tmp_
     until(lambda: not recorder.is_running() or recorder.status() == psutil.STATUS_ZOMBIE)
 
     read = read_case(runs / "one" / "run.mcap")
-    assert (read.label, read.cause) == (Label.INTERRUPTED, "the station process is gone")
+    assert (read.label, read.cause) == (RunOutcome.INTERRUPTED, "the station process is gone")
     assert read.rows[-1, 0] >= (written - 1) * PERIOD
     assert recover(runs) == []
 
 
-def test_a_full_disk_ends_the_recording_and_is_told_unasked(recorder, feed, tmp_path):
+def test_a_full_disk_ends_the_recording_with_an_unsolicited_message(recorder, feed, tmp_path):
     path = recorder.begin("one", {})
     partial = tmp_path / "runs" / "one.partial" / "run.mcap.partial"
     limit = until(lambda: (size := partial.stat().st_size) > 100_000 and size) + 100_000
     resource.prlimit(recorder.child.pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
-    said = until(recorder.trouble)
+    trouble = until(recorder.trouble)
 
-    assert "the disk takes no more of the recording: File too large" in said
-    with pytest.raises(RecordingError, match="nothing is being recorded"):
-        recorder.end(Label.COMPLETE)
-    recover(tmp_path / "runs")  # finishes what there was no room for
+    assert "the recording cannot be continued: File too large" in trouble
+    with pytest.raises(RecordingError, match="no recording is active"):
+        recorder.end(RunOutcome.COMPLETE)
+    recover(tmp_path / "runs")  # finishes the recording that the full disk ended
     read = read_case(path / "run.mcap")
-    assert read.label is Label.INCOMPLETE
+    assert read.label is RunOutcome.INCOMPLETE
     assert is_what_was_fed(read, feed)
 
 
-def test_rows_that_were_overwritten_before_they_were_read_are_counted(paper, channels, make_rows, tmp_path):
+def test_the_recorder_counts_rows_that_were_overwritten_in_the_ring(paper, channels, make_rows, tmp_path):
     ring = Ring(len(channels))
     recorder = Recorder(ring, paper, tmp_path)
     try:
         path = recorder.begin("one", {})
         process = psutil.Process(recorder.child.pid)
         process.suspend()
-        rows = make_rows(ROWS + 500)
+        rows = make_rows(RING_ROWS + 500)
         for row in rows:
             ring.write(row)
         process.resume()
-        recorder.end(Label.COMPLETE)
+        recorder.end(RunOutcome.COMPLETE)
     finally:
         recorder.close()
         ring.close(remove=True)
@@ -165,7 +165,7 @@ def test_rows_that_were_overwritten_before_they_were_read_are_counted(paper, cha
     assert (read.rows == rows[-len(read.rows) :]).all()
 
 
-def test_rows_and_errors_end_with_the_motion_whenever_the_recorder_is_told(paper, channels, make_rows, tmp_path):
+def test_a_live_recording_ends_with_the_motion_even_if_the_request_is_late(paper, channels, make_rows, tmp_path):
     rows, moving = make_rows(1500), slice(200, 1200)
     channels.of(rows, "phase")[:] = Phase.NONE
     channels.of(rows[moving], "phase")[:] = Phase.MOVING
@@ -179,7 +179,7 @@ def test_rows_and_errors_end_with_the_motion_whenever_the_recorder_is_told(paper
         path = recorder.begin("one", {}, counted_from=1.0)
         for row in rows:
             ring.write(row)
-        recorder.end(Label.COMPLETE)
+        recorder.end(RunOutcome.COMPLETE)
     finally:
         recorder.close()
         ring.close(remove=True)
@@ -191,11 +191,11 @@ def test_rows_and_errors_end_with_the_motion_whenever_the_recorder_is_told(paper
     assert numbers["true_max_abs_error_mm"] == numbers["max_abs_error_mm"] == [0.0, 0.0, 0.0]
 
 
-def test_a_folder_that_cannot_be_written_is_refused_at_the_beginning(feed, paper, tmp_path):
+def test_a_recorder_start_with_an_unwritable_folder_is_refused(feed, paper, tmp_path):
     (tmp_path / "runs").write_text("a file", encoding="utf-8")
     recorder = Recorder(feed.ring, paper, tmp_path / "runs")
     try:
-        with pytest.raises(RecordingError, match="runs: cannot write results there"):
+        with pytest.raises(RecordingError, match="runs: cannot write results"):
             recorder.begin("one", {})
     finally:
         recorder.close()

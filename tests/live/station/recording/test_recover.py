@@ -1,4 +1,4 @@
-"""Folders that a killed process left behind."""
+"""Recovery of the folders of killed processes."""
 
 import json
 import os
@@ -8,18 +8,18 @@ import sys
 
 import pytest
 
-from station.recording.label import Label
 from station.recording.read import read_case
 from station.recording.recover import recover
-from station.recording.writer import PARTIAL
+from station.recording.run_outcome import RunOutcome
+from station.recording.writer import PARTIAL_SUFFIX
 
-#: Records one whole case and begins a second one, then waits to be killed.
+#: Program that records one whole case, starts to record a second one, and waits until the test kills it.
 RECORD = """
 import sys, time
 from pathlib import Path
 import numpy as np
 from station.recording.case_recorder import CaseRecorder
-from station.recording.label import Label
+from station.recording.run_outcome import RunOutcome
 from station.recording.run_folder import RunFolder
 from station.recording.writer import CaseWriter
 from station.config.robots import load_robot
@@ -35,7 +35,7 @@ for case in ("a", "b"):
     for number in range(750):
         recorder.write(np.full(len(channels), 0.002 * number))
     if case == "a":
-        recorder.close(Label.COMPLETE)
+        recorder.close(RunOutcome.COMPLETE)
 print("written", flush=True)
 time.sleep(60.0)
 """
@@ -43,7 +43,7 @@ time.sleep(60.0)
 
 @pytest.fixture
 def killed(tmp_path, environment):
-    """A folder of runs whose only run was killed by a signal."""
+    """Return a folder of runs whose only run was killed by a signal."""
 
     def kill(number: int):
         runs = tmp_path / "runs"
@@ -51,7 +51,7 @@ def killed(tmp_path, environment):
         with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
             assert process.stdout is not None
             assert process.stdout.readline() == b"written\n"
-            assert recover(runs) == []  # it is alive
+            assert recover(runs) == []  # the process that writes this run is still alive
             os.kill(process.pid, number)
         return runs
 
@@ -59,9 +59,9 @@ def killed(tmp_path, environment):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_killed_run_is_finished_labelled_and_named(killed, number):
+def test_the_recovery_finishes_labels_and_renames_a_killed_run(killed, number):
     runs = killed(number)
-    assert [path.name for path in runs.iterdir()] == [f"one{PARTIAL}"]
+    assert [path.name for path in runs.iterdir()] == [f"one{PARTIAL_SUFFIX}"]
 
     assert recover(runs) == [runs / "one"]
     assert sorted(path.name for path in (runs / "one").iterdir()) == [
@@ -71,9 +71,9 @@ def test_a_killed_run_is_finished_labelled_and_named(killed, number):
         "summary.json",
     ]
     whole, cut = read_case(runs / "one" / "a.mcap"), read_case(runs / "one" / "b.mcap")
-    assert (whole.label, len(whole.rows)) == (Label.COMPLETE, 750)
-    assert cut.label is Label.INTERRUPTED
-    assert len(cut.rows) >= 500  # a block that was full had reached the disk
+    assert (whole.label, len(whole.rows)) == (RunOutcome.COMPLETE, 750)
+    assert cut.label is RunOutcome.INTERRUPTED
+    assert len(cut.rows) >= 500  # the first full block was written to the disk
     assert (cut.rows == whole.rows[: len(cut.rows)]).all()
     summary = json.loads((runs / "one" / "summary.json").read_text(encoding="utf-8"))
     assert (summary["experiment"], summary["seed"], summary["title"]) == ("own", 5, "kept")
@@ -83,13 +83,13 @@ def test_a_killed_run_is_finished_labelled_and_named(killed, number):
     assert recover(runs) == []
 
 
-def test_recovering_again_changes_nothing_and_takes_no_name_that_is_in_use(killed):
+def test_a_second_recovery_changes_nothing_and_overwrites_no_folder(killed):
     runs = killed(signal.SIGKILL)
     assert recover(runs) == [runs / "one"]
     before = (runs / "one" / "b.mcap").read_bytes()
-    # As if the recovery had been killed before it gave the last file and the folder their names.
-    (runs / "one" / "b.mcap").rename(runs / "one" / f"b.mcap{PARTIAL}")
-    (runs / "one").rename(runs / f"one{PARTIAL}")
+    # The state of a recovery that was killed before it renamed the last file and the folder.
+    (runs / "one" / "b.mcap").rename(runs / "one" / f"b.mcap{PARTIAL_SUFFIX}")
+    (runs / "one").rename(runs / f"one{PARTIAL_SUFFIX}")
     (runs / "one").mkdir()
 
     assert recover(runs) == [runs / "one-2"]

@@ -1,4 +1,4 @@
-"""A station's processes: started, watched, stopped for when they die, started anew; and a run's recording on them."""
+"""Start, supervision and restart of a station's processes, and the recording of a run on them."""
 
 import os
 import signal
@@ -11,20 +11,22 @@ import pytest
 from station.config.controllers import ControllerFile
 from station.config.motions import HoldMotion, Orders
 from station.config.robots import RobotFile
-from station.control.messages import Notice
+from station.control.messages import StateNotice
 from station.control.process import ring_width
 from station.control.ring import Ring
-from station.control.states import Event, RefusedError, State
-from station.control.task import Task
-from station.recording.label import Label
+from station.control.states import RefusedError, State, Transition
+from station.control.task import MotionTask
 from station.recording.read import read_case
-from station.service.control_host import Ending, Said
-from station.service.processes import CONTROL, LAB, Processes
+from station.recording.run_outcome import RunOutcome
+from station.service import control_host
+from station.service.control_host import ControlReport, ExitReport
+from station.service.fallback_stop import StopOutcome
+from station.service.processes import CONTROL_LABEL, LAB_LABEL, ProcessSupervisor
+from station.service.run_request import StartRequest
 from station.service.runs import Runs
-from station.service.start import Start
 from station.service.station_file import load_station
 from tests.harness.calm import SETTINGS
-from tests.harness.waiting import until
+from tests.harness.waiting import NET, until
 
 
 @pytest.fixture
@@ -33,24 +35,28 @@ def grace() -> float:
 
 
 class Started(NamedTuple):
-    """Processes, and what they have said."""
+    """Running lab and control process, and the reports that they have sent."""
 
-    processes: Processes
+    processes: ProcessSupervisor
     runs: Runs
-    heard: list[Said]
-    ended: list[Ending]
+    reports: list[ControlReport]
+    ended: list[ExitReport]
+
+    def stopped(self) -> list[StopOutcome]:
+        return [report for report in self.reports if isinstance(report, StopOutcome)]
 
     def state(self) -> State:
-        return next((said.state for said in reversed(self.heard) if isinstance(said, Notice)), State.OFF)
+        states = (report.state for report in reversed(self.reports) if isinstance(report, StateNotice))
+        return next(states, State.OFF)
 
 
 @pytest.fixture
 def started(paper: RobotFile, tmp_path: Path) -> Iterator[Started]:
     bench, ring = load_station(None, SETTINGS).bench(), Ring(ring_width(paper))
-    heard, ended = list[Said](), list[Ending]()
+    reports, ended = list[ControlReport](), list[ExitReport]()
     runs = Runs(bench, ring, tmp_path)
-    processes = Processes(bench, ring, heard.append, ended.append, runs.problem)
-    started = Started(processes, runs, heard, ended)
+    processes = ProcessSupervisor(bench, ring, reports.append, ended.append, runs.problem)
+    started = Started(processes, runs, reports, ended)
     runs.open()
     processes.open()
     try:
@@ -62,73 +68,78 @@ def started(paper: RobotFile, tmp_path: Path) -> Iterator[Started]:
         ring.close(remove=True)
 
 
-def hold(paper: RobotFile) -> Start:
-    return Start(Task(ControllerFile().controller(paper), Orders(HoldMotion(), paper.robot()), 3600.0), "hold")
+def hold(paper: RobotFile) -> StartRequest:
+    return StartRequest(
+        MotionTask(ControllerFile().controller(paper), Orders(HoldMotion(), paper.robot()), 3600.0), "hold"
+    )
 
 
-def test_a_killed_control_process_ends_with_its_stages_stopped_and_is_started_anew(started: Started) -> None:
+def test_stages_stop_and_another_control_process_starts_after_a_kill_of_the_first(started: Started) -> None:
     processes = started.processes
-    assert processes.gone() == ()
+    assert processes.failed() == ()
     first = processes.pids()["control"]
     os.kill(first, signal.SIGKILL)
     until(lambda: bool(started.ended))
 
     assert started.ended[0].how == "the control process ended by signal 9"
-    assert started.ended[0].stopped.startswith("3 stages on ")
-    assert processes.gone() == (CONTROL,)
-    with pytest.raises(RefusedError, match="gone"):
-        processes.ask(Event.STOP)
-    started.heard.clear()
-    processes.end_dead(processes.gone())
-    processes.start_anew()
-    # Whatever is asked of one that is starting is answered, and a stop is not forgotten.
+    assert until(started.stopped)[0].text.startswith("3 stages on ")
+    assert processes.failed() == (CONTROL_LABEL,)
+    with pytest.raises(RefusedError, match="has ended"):
+        processes.send_command(Transition.STOP)
+    started.reports.clear()
+    processes.end_failed(processes.failed())
+    processes.restart()
+    # A starting process answers every command and does not lose a STOP.
     with pytest.raises(RefusedError):
-        processes.ask("tare")
+        processes.send_command("tare")
     processes.stop()
-    until(lambda: Notice(State.OFF, "stopped by the operator", 0) in started.heard)
-    processes.ask(Event.CONNECT)
+    until(lambda: StateNotice(State.OFF, "stopped by the operator", 0) in started.reports)
+    processes.send_command(Transition.CONNECT)
     until(lambda: started.state() is State.READY)
-    assert processes.gone() == ()
+    assert processes.failed() == ()
     assert processes.pids()["control"] != first
 
 
-def test_what_stands_still_is_ended_with_the_stages_stopped_and_replaced(
+def test_hung_processes_are_killed_and_replaced_and_the_stages_are_stopped(
     started: Started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     processes = started.processes
-    monkeypatch.setattr(processes, "_patience", 3600.0)  # as in the first ticks, or homing: no watchdog ends it
+    monkeypatch.setattr(control_host, "STOP_REPLY_TIMEOUT_S", NET)
+    monkeypatch.setattr(processes, "_tick_timeout", 3600.0)  # the watchdog must not kill the process first
     before = processes.pids()
     os.kill(before["control"], signal.SIGSTOP)
-    said = processes.stop()
-    assert said.startswith("the control process did not answer 'stop' within 1 s and was ended; 3 stages on ")
-    assert started.ended[0].stopped.startswith("3 stages on ")
+    warning = processes.stop()
+    assert warning.startswith("the control process did not answer 'stop' within 1 s and was ended; 3 stages on ")
+    assert until(started.stopped)[0].text.startswith("3 stages on ")
 
     os.kill(before["lab"], signal.SIGSTOP)
-    gone = processes.gone()
-    assert gone == (LAB, CONTROL)
-    processes.end_dead(gone)
-    started.heard.clear()
-    processes.start_anew()
+    failed = processes.failed()
+    assert failed == (LAB_LABEL, CONTROL_LABEL)
+    processes.end_failed(failed)
+    started.reports.clear()
+    processes.restart()
     until(lambda: started.state() is State.READY)
     os.kill(processes.pids()["control"], signal.SIGSTOP)
     stopped = processes.end_control()
-    assert stopped.seen, stopped.text
+    assert stopped.confirmed, stopped.text
     assert stopped.text.startswith("3 stages on ")
     with pytest.raises(RefusedError, match="the station is ending"):
-        processes.start_anew()
+        processes.restart()
 
 
-def test_a_run_is_recorded_until_its_recording_is_finished(started: Started, paper: RobotFile, tmp_path: Path) -> None:
+def test_recording_of_a_run_is_reported_until_it_is_finished(
+    started: Started, paper: RobotFile, tmp_path: Path
+) -> None:
     runs = started.runs
     run = runs.prepare(hold(paper))
-    started.processes.ask(Event.START, task=run.start.task, run=run.number)
+    started.processes.send_command(Transition.START, task=run.start.task, run=run.number)
     runs.accepted(run)
     until(lambda: started.state() is State.RUNNING)
     assert runs.recording
-    started.processes.ask(Event.STOP)
+    started.processes.send_command(Transition.STOP)
     until(lambda: started.state() is State.STOPPED)
-    runs.heard(Notice(State.STOPPED, "stopped by the operator", run.number))
+    runs.on_state(StateNotice(State.STOPPED, "stopped by the operator", run.number))
     until(lambda: not runs.recording)
 
     (file,) = (tmp_path / run.id).glob("*.mcap")
-    assert read_case(file).label is Label.STOPPED
+    assert read_case(file).label is RunOutcome.STOPPED

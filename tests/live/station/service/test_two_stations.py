@@ -1,4 +1,4 @@
-"""Two stations on one folder of runs."""
+"""Two stations that share one folder of runs."""
 
 from pathlib import Path
 
@@ -7,16 +7,18 @@ from station.config.motions import HoldMotion, Orders
 from station.config.robots import RobotFile
 from station.control.process import ring_width
 from station.control.ring import Ring
-from station.control.task import Task
-from station.recording.history import History
+from station.control.task import MotionTask
+from station.recording.history import RunHistory
 from station.recording.read import read_case
+from station.service.run_request import StartRequest
 from station.service.runs import Runs
-from station.service.start import Start
 from station.service.station_file import load_station
 
 
-def test_runs_of_the_same_second_have_names_of_their_own(paper: RobotFile, tmp_path: Path) -> None:
-    start = Start(Task(ControllerFile().controller(paper), Orders(HoldMotion(), paper.robot()), 2.0), "hold")
+def test_runs_that_two_stations_start_in_the_same_second_have_different_names(paper: RobotFile, tmp_path: Path) -> None:
+    start = StartRequest(
+        MotionTask(ControllerFile().controller(paper), Orders(HoldMotion(), paper.robot()), 2.0), "hold"
+    )
     bench, rings = load_station(None).bench(), [Ring(ring_width(paper)) for _ in range(2)]
     stations = [Runs(bench, ring, tmp_path) for ring in rings]
     names = []
@@ -34,7 +36,7 @@ def test_runs_of_the_same_second_have_names_of_their_own(paper: RobotFile, tmp_p
             ring.close(remove=True)
 
     assert len(set(names)) == 2
-    history = History(tmp_path)
+    history = RunHistory(tmp_path)
     assert {run.id for run in history.runs()} == set(names)
     for name in names:
         assert read_case(history.recording(name)).metadata["run"] == name

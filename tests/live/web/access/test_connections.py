@@ -1,4 +1,4 @@
-"""Connections that ask for nothing take no place from those that do."""
+"""Idle connections do not block connections with requests."""
 
 import socket
 import threading
@@ -20,7 +20,7 @@ asked: list[str] = []  #: for the slow answer
 
 
 async def application(scope: Scope, receive: Receive, send: Send) -> None:
-    """Answers when the body is whole; a websocket stays until its other end goes; /slow waits for its sender to go."""
+    """Answer complete bodies; keep WebSockets until the client disconnects; /slow waits for the disconnect."""
     if scope["type"] == "websocket":
         await send({"type": "websocket.accept"})
     while not (message := await receive())["type"].endswith("disconnect"):
@@ -35,7 +35,7 @@ async def application(scope: Scope, receive: Receive, send: Send) -> None:
 
 
 class Doors(NamedTuple):
-    """A server's address, and how many of its connections are open."""
+    """A server's address, and the number of its open connections."""
 
     port: int
     open: Callable[[], int]
@@ -68,7 +68,7 @@ def serve() -> Iterator[Callable[..., Doors]]:
         yield start
 
 
-def test_a_request_gets_in_whoever_is_idle_before_it(serve: Callable[..., Doors]) -> None:
+def test_a_request_is_accepted_despite_idle_connections(serve: Callable[..., Doors]) -> None:
     doors = serve(most=16, each=8, patience=NET)
     with ExitStack() as opened:
         for _ in range(100):
@@ -77,7 +77,7 @@ def test_a_request_gets_in_whoever_is_idle_before_it(serve: Callable[..., Doors]
         until(lambda: doors.open() <= 8)
 
 
-def test_one_that_waits_for_its_answer_outlasts_those_that_ask_for_nothing(serve: Callable[..., Doors]) -> None:
+def test_a_connection_waiting_for_its_answer_outlasts_idle_connections(serve: Callable[..., Doors]) -> None:
     doors = serve(most=16, each=8, patience=0.2)
     with ExitStack() as opened:
         slow = doors.idle(opened)
@@ -94,7 +94,7 @@ def test_one_that_waits_for_its_answer_outlasts_those_that_ask_for_nothing(serve
         slow.shutdown(socket.SHUT_WR)
 
 
-def test_websockets_leave_places_for_requests(serve: Callable[..., Doors]) -> None:
+def test_websockets_leave_connections_for_requests(serve: Callable[..., Doors]) -> None:
     doors = serve(most=16, each=8, patience=NET)
     with ExitStack() as opened:
         for _ in range(4):
@@ -105,7 +105,7 @@ def test_websockets_leave_places_for_requests(serve: Callable[..., Doors]) -> No
 
 
 def _closed(connection: socket.socket) -> bool:
-    """By the other end; waits for it."""
+    """Return whether the server has closed a connection; waits for it."""
     connection.settimeout(NET)
     try:
         return connection.recv(1) == b""

@@ -1,4 +1,4 @@
-"""Calibration over REST, on a station that really runs and was told what an earlier calibration has found."""
+"""Calibration over REST, on a live station that uses the results of an earlier calibration."""
 
 import subprocess
 import sys
@@ -19,7 +19,7 @@ CLEAR = {"way_is_clear": True}
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of a station, with one calibration in it."""
+    """Return the data folder of a station, with one calibration in it."""
     folder = tmp_path_factory.mktemp("data")
     command = [sys.executable, "-m", "station", "calibrate", "tracker", "--still", "--effort", "0.5"]
     subprocess.run([*command, "--out", folder / "calibrations"], cwd=ROOT, check=True, capture_output=True)
@@ -49,7 +49,7 @@ def course(station: Served) -> dict:
     return station.rest.get("/api/calibration").json()["course"]
 
 
-def test_what_can_be_found_out_is_listed_with_what_it_takes(station):
+def test_calibration_procedures_are_listed_with_their_requirements(station):
     told = station.rest.get("/api/calibration").json()
 
     assert [offer["name"] for offer in told["offers"]] == ["axes", "latency", "tracker", "force", "tubes"]
@@ -71,7 +71,7 @@ def test_what_can_be_found_out_is_listed_with_what_it_takes(station):
         ({"what": "tracker", "speed": 1.0} | CLEAR, "speed"),
     ],
 )
-def test_a_wrong_wish_is_refused_with_the_reason_and_nothing_moves(station, body, named):
+def test_an_invalid_calibration_request_is_refused_with_the_reason_and_nothing_moves(station, body, named):
     answer = station.post("/api/calibration/start", body)
 
     assert answer.status_code == 422
@@ -79,7 +79,7 @@ def test_a_wrong_wish_is_refused_with_the_reason_and_nothing_moves(station, body
     assert station.status()["state"] == "READY"
 
 
-def test_a_procedure_has_the_robot_to_itself_until_stop_ends_it(station):
+def test_a_calibration_has_exclusive_use_of_the_robot_until_stop_ends_it(station):
     assert station.post("/api/calibration/done").status_code == 409
     assert station.post("/api/calibration/abort").status_code == 409
     answer = station.post("/api/calibration/start", {"what": "tracker", "effort": 0.5} | CLEAR)
@@ -89,10 +89,10 @@ def test_a_procedure_has_the_robot_to_itself_until_stop_ends_it(station):
     station.wait_for(lambda status: status["state"] == "RUNNING")
     now = course(station)
     assert now["on"]
-    assert (now["stage"], now["says"]) == ("moving", "pose 1")
+    assert (now["stage"], now["message"]) == ("moving", "pose 1")
     assert now["left"] > 10.0
     assert station.status()["run"]["title"] == "calibrate tracker, pose 1"
-    assert station.rest.get("/api/runs").json() == []  # visits are not runs
+    assert station.rest.get("/api/runs").json() == []  # motions of a calibration are not listed as runs
     for path, body in (
         ("start", {"experiment": "fig7"}),
         ("calibration/start", {"what": "axes"} | CLEAR),
@@ -102,16 +102,16 @@ def test_a_procedure_has_the_robot_to_itself_until_stop_ends_it(station):
     ):
         refused = station.post(f"/api/{path}", body)
         assert refused.status_code == 409
-        assert "'calibrate tracker' has the robot to itself" in refused.json()["error"]
+        assert "'calibrate tracker' has reserved the robot" in refused.json()["error"]
 
     assert station.post("/api/stop").status_code == 200
     station.wait_for(lambda _: not course(station)["on"])
     assert course(station)["stage"] == "aborted"
-    assert "stopped by the operator" in course(station)["says"]
+    assert "stopped by the operator" in course(station)["message"]
     assert len(station.rest.get("/api/calibration/results").json()) == 1
 
 
-def test_a_stop_ends_it_while_it_thinks_even_if_it_is_reset_at_once(station):
+def test_stop_ends_a_computing_calibration_even_before_an_immediate_reset(station):
     station.post("/api/calibration/start", {"what": "tracker", "effort": 0.5} | CLEAR)
     station.post("/api/stop")
     assert station.post("/api/calibration/start", {"what": "axes"} | CLEAR).status_code == 409
@@ -119,12 +119,12 @@ def test_a_stop_ends_it_while_it_thinks_even_if_it_is_reset_at_once(station):
 
     station.wait_for(lambda _: not course(station)["on"])
     assert course(station)["stage"] == "aborted"
-    assert "stopped" in course(station)["says"].lower()
+    assert "stopped" in course(station)["message"].lower()
 
 
 def test_an_experiment_uses_the_calibration_that_the_station_was_started_with(station, data, earlier):
     def away() -> np.ndarray:
-        """Mean of the measured tip from the true one (3,) [m]."""
+        """Return the mean difference between the measured and the true tip (3,) [m]."""
         seen = []
         while len(seen) < 20:
             status = station.status()
@@ -137,23 +137,23 @@ def test_an_experiment_uses_the_calibration_that_the_station_was_started_with(st
     assert station.post("/api/start", {"experiment": "fig7"}).status_code == 202
     station.wait_for(lambda status: status["phase"] == "settling")
 
-    # A coil that were not taken into account would be several millimetres.
+    # The coil's offset is several millimetres, so ignoring it would be noticed.
     assert np.linalg.norm(table["coil"]) > 3e-3
     assert np.linalg.norm(away() - before) < 1e-3
     station.post("/api/stop")
 
 
-def test_an_abort_stops_the_robot(station):
+def test_an_aborted_calibration_stops_the_robot(station):
     station.post("/api/calibration/start", {"what": "axes"} | CLEAR)
     station.wait_for(lambda status: status["state"] == "RUNNING")
 
     assert station.post("/api/calibration/abort").status_code == 200
 
     station.wait_for(lambda status: status["state"] == "STOPPED" and not course(station)["on"])
-    assert course(station)["says"] == "aborted by the operator"
+    assert course(station)["message"] == "aborted by the operator"
 
 
-def test_earlier_results_are_listed_told_and_downloaded(station, earlier, data):
+def test_stored_calibrations_are_listed_described_and_downloaded(station, earlier, data):
     (listed,) = station.rest.get("/api/calibration/results").json()
     assert (listed["name"], listed["procedure"], listed["simulated"]) == (earlier, "tracker", True)
     assert "mm RMS between coil and model" in listed["findings"][0]
@@ -173,13 +173,13 @@ def test_earlier_results_are_listed_told_and_downloaded(station, earlier, data):
 @pytest.mark.parametrize(
     "path", ["nope", "nope/report.html", "%2e%2e", "{earlier}/nope.toml", "{earlier}/..%2faudit.jsonl"]
 )
-def test_what_is_not_there_is_absent(station, earlier, path):
+def test_missing_calibrations_and_files_are_not_found(station, earlier, path):
     answer = station.rest.get(f"/api/calibration/results/{path.format(earlier=earlier)}")
 
     assert answer.status_code == 404
 
 
-def test_other_tubes_make_a_checklist(station):
+def test_an_exchange_of_tubes_has_a_checklist(station):
     def todo(body: dict) -> list[str]:
         answer = station.post("/api/calibration/exchange", body)
         assert answer.status_code == 200, answer.text
@@ -202,7 +202,7 @@ def test_other_tubes_make_a_checklist(station):
         ({"file": "]["}, "TOML"),
     ],
 )
-def test_a_robot_that_is_none_is_refused(station, body, named):
+def test_a_tube_exchange_with_an_invalid_robot_is_refused(station, body, named):
     answer = station.post("/api/calibration/exchange", body)
 
     assert answer.status_code == 422

@@ -1,4 +1,4 @@
-"""The REST interface of a station that really runs."""
+"""The REST interface of a live station."""
 
 import itertools
 import json
@@ -19,8 +19,8 @@ from tests.harness.serving import Served
 CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforward": True}
 
 
-def test_status_says_everything_with_one_call(station: Served) -> None:
-    # What is known of the devices is told twice a second.
+def test_rest_status_has_the_whole_state_of_the_station(station: Served) -> None:
+    # Details of the devices are updated twice a second, so the status is polled.
     status = station.wait_for(
         lambda s: {(one["condition"], one["severity"]) for one in s["devices"].values()} == {("connected", 0)}
     )
@@ -29,7 +29,7 @@ def test_status_says_everything_with_one_call(station: Served) -> None:
     assert set(status["joints"]) == {"outer_rotation", "inner_rotation", "inner_translation"}
     assert all(math.isfinite(x) for x in (*status["tip_measured"], *status["tip_estimated"], *status["force"]))
     assert set(status["devices"]) == {"stages", "tracker", "sensors"}
-    assert (status["says"], status["next"]) == ("nothing moves", "choose a motion and press Start")
+    assert (status["message"], status["next"]) == ("nothing moves", "choose a motion and press Start")
     assert "simulated" in status["lab"]
     assert status["loop"]["ticks"] > 0
 
@@ -59,7 +59,7 @@ def test_a_script_runs_each_trajectory_to_its_end(
     assert abs(reached - travel_mm) < 1.5
 
 
-def test_a_load_at_the_tip_warns_of_nothing_and_a_touched_shaft_is_named_with_its_place(station: Served) -> None:
+def test_only_a_contact_on_the_shaft_is_a_warning_with_its_position(station: Served) -> None:
     def warned(status: dict) -> bool:
         return any("the load does not act at the tip" in warning for warning in status["warnings"])
 
@@ -67,39 +67,39 @@ def test_a_load_at_the_tip_warns_of_nothing_and_a_touched_shaft_is_named_with_it
     station.post("/api/start", {"trajectory": {"kind": "hold"}, "controller": CONTROLLER, "duration": 60.0})
     station.wait_for(lambda s: s["phase"] == "moving")
     try:
-        station.post("/api/pull", {"load": {"kind": "constant", "magnitude": 0.3}})
+        station.post("/api/load", {"load": {"kind": "constant", "magnitude": 0.3}})
         station.wait_for(lambda s: s["force"][0] > 0.25)
-        for _ in range(25):  # several looks
+        for _ in range(25):  # longer than several evaluations of the contact
             CLOCK.sleep(0.1)
             status = station.status()
-            assert status["touch"] is None
+            assert status["contact"] is None
             assert not warned(status)
         contact = {"kind": "contact", "magnitude": 0.3, "place": 0.1, "direction": [0.0, 1.0, 0.3]}
-        assert station.post("/api/pull", {"load": contact}).status_code == 200
-        status = station.wait_for(lambda s: s["touch"] is not None)
-        assert abs(status["touch"]["place"] - 0.1) < 0.010
-        assert any(first <= 0.101 and last >= 0.099 for first, last in status["touch"]["intervals"])
-        assert abs(np.linalg.norm(status["touch"]["force"]) - 0.3) < 0.05
+        assert station.post("/api/load", {"load": contact}).status_code == 200
+        status = station.wait_for(lambda s: s["contact"] is not None)
+        assert abs(status["contact"]["position"] - 0.1) < 0.010
+        assert any(first <= 0.101 and last >= 0.099 for first, last in status["contact"]["intervals"])
+        assert abs(np.linalg.norm(status["contact"]["force"]) - 0.3) < 0.05
         assert "the load does not act at the tip: contact at" in status["warnings"][-1]
-        assert status["state"] == "RUNNING"  # it is said, and nothing is stopped
-        beyond = station.post("/api/pull", {"load": contact | {"place": 0.9}})
+        assert status["state"] == "RUNNING"  # the contact causes only a warning
+        beyond = station.post("/api/load", {"load": contact | {"place": 0.9}})
         assert beyond.status_code == 422
         assert "contact at 900 mm is outside 0 ... 20" in beyond.json()["error"]  # about 203 mm
     finally:
-        station.post("/api/pull", {"load": {"kind": "none"}})
-    station.wait_for(lambda s: s["touch"] is None and not warned(s))
+        station.post("/api/load", {"load": {"kind": "none"}})
+    station.wait_for(lambda s: s["contact"] is None and not warned(s))
 
 
-def test_a_load_that_is_too_fast_is_taken_and_warned_of_with_the_time_and_the_limit(station: Served) -> None:
+def test_a_load_that_changes_too_fast_is_accepted_with_a_warning_of_time_and_limit(station: Served) -> None:
     load = {"kind": "trapezoid", "magnitude": 0.2, "rise": 0.05, "start": 0.2}
     body = {"trajectory": {"kind": "hold"}, "controller": CONTROLLER, "duration": 2.0}
     answer = station.post("/api/start", body | {"load": load})
     assert answer.status_code == 202
     (warning,) = answer.json()["warnings"]
-    assert "load trapezoid is more than the joints can make up for: hold cannot be followed: at 0.2" in warning
+    assert "the joints cannot compensate load trapezoid: hold cannot be followed: at 0.2" in warning
     assert "because of speed of " in warning
     assert warning in station.wait_for(lambda s: s["run"]["phase"] == "moving")["warnings"]
-    # What belongs to a run ends with it.
+    # The warning belongs to the run and ends with it.
     assert warning not in station.wait_for(lambda s: s["state"] == "READY")["warnings"]
     slow = station.post("/api/start", body | {"load": {**load, "rise": 60.0}})
     assert slow.json()["warnings"] == []
@@ -136,7 +136,7 @@ def test_stop_brings_a_moving_robot_to_rest(station: Served) -> None:
     assert station.status()["state"] == "STOPPED"
 
 
-def test_a_second_start_is_refused_while_one_is_on(station: Served) -> None:
+def test_a_second_start_is_refused_during_a_run(station: Served) -> None:
     station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 20.0})
     second = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 20.0})
     assert second.status_code == 409
@@ -162,8 +162,8 @@ def test_experiments_are_listed_with_their_cases(station: Served) -> None:
     assert [case["name"] for case in listed["fig3"]["cases"]] == ["a", "b", "c", "d", "d_feedforward"]
 
 
-def test_the_model_answers_with_the_exact_tip_to_its_accuracy(station: Served) -> None:
-    # tip of the exact rod at this pose and load, from an independent solver
+def test_the_solve_request_returns_the_exact_tip_within_the_models_accuracy(station: Served) -> None:
+    # The expected tip of the exact rod at this pose and load is from an independent solver.
     body = {"joints": {"outer_rotation": 0.0, "inner_rotation": math.pi / 2, "inner_translation": -0.075}}
     answer = station.post("/api/model/solve", body | {"force": [0.2, 0.0, 0.0]}).json()
     assert np.linalg.norm(1e3 * np.array(answer["tip"]) - [36.25495, -48.13712, 215.17980]) < 0.08
@@ -175,22 +175,26 @@ def test_the_model_answers_with_the_exact_tip_to_its_accuracy(station: Served) -
     assert "100 mm" in station.post("/api/model/solve", body).json()["error"]
 
 
-def test_telemetry_streams_and_says_what_it_skipped(station: Served) -> None:
+def test_the_telemetry_stream_reports_skipped_rows(station: Served) -> None:
     with connect(f"ws://127.0.0.1:{station.port}/api/telemetry?rate=50", proxy=None) as socket:
         samples = [json.loads(socket.recv()) for _ in range(25)]
     times = [sample["time"] for sample in samples]
     assert all(later > earlier for earlier, later in itertools.pairwise(times))
-    # every tick is either sent, or counted as skipped, or was missed by the loop
+    # Every tick is either sent, or counted as skipped, or counted as missed by the control loop.
     for earlier, later in itertools.pairwise(samples):
         assert round((later["time"] - earlier["time"]) / 0.002) == later["skipped"] + later["missed"] + 1
     assert sum(sample["skipped"] for sample in samples) > 0
     assert samples[0]["state"] == "READY"
     assert len(samples[0]["tip_measured"]) == len(samples[0]["force_filtered"]) == 3
-    assert (samples[0]["phase"], samples[0]["held"], samples[0]["trouble"]) == ("none", 0.0, [0.0, 0.0, 0.0])
+    assert (samples[0]["phase"], samples[0]["estimates_frozen"], samples[0]["trouble"]) == (
+        "none",
+        0.0,
+        [0.0, 0.0, 0.0],
+    )
     assert {"late_us", "tick_us"} <= set(samples[0])
 
 
-def test_paths_of_what_does_not_exist_are_absent(station: Served) -> None:
+def test_unknown_rest_paths_are_not_found(station: Served) -> None:
     for path in ("/api/nothing", "/nowhere", "/static/nothing.js", "/api/experiments/nope/picture.svg"):
         assert station.rest.get(path).status_code == 404
 
@@ -202,7 +206,7 @@ def test_every_experiment_has_its_picture(station: Served) -> None:
         assert ElementTree.fromstring(answer.text).tag.endswith("svg")
 
 
-def test_the_api_describes_itself_without_the_internet(station: Served) -> None:
+def test_the_api_documentation_works_without_the_internet(station: Served) -> None:
     schema = station.rest.get("/api/openapi.json").json()
     assert {"/api/status", "/api/start", "/api/stop", "/api/model/solve"} <= set(schema["paths"])
     page = station.rest.get("/api/docs").text
@@ -211,7 +215,7 @@ def test_the_api_describes_itself_without_the_internet(station: Served) -> None:
     assert httpx.get(station.url + script).status_code == 200
 
 
-def test_a_held_jog_is_one_line_of_the_log(station: Served) -> None:
+def test_a_continued_jog_is_one_line_of_the_audit_log(station: Served) -> None:
     for _ in range(8):
         assert station.post("/api/jog", {"space": "joints", "velocity": [0.01, 0.0, 0.0]}).status_code == 200
     station.post("/api/jog", {"space": "joints", "velocity": [0.0, 0.0, 0.0]})
@@ -236,17 +240,17 @@ def test_forged_messages_to_the_scene_are_dropped_and_logged(station: Served) ->
         ):  # fmt: skip
             socket.send(msgspec.msgpack.encode(message))
         socket.send("text")
-        station.wait_for(lambda _: drops() >= {"no message that is known here", "no message of a scene"})
+        station.wait_for(lambda _: drops() >= {"an unknown or invalid message", "not a message of the scene"})
     assert any("not operator" in reason for reason in drops())
 
 
-def test_a_run_goes_on_without_its_operator(station: Served) -> None:
+def test_a_run_continues_without_its_operator(station: Served) -> None:
     operator = {"x-ctr-client": "the-operators-page"}
     run = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 8.0}, "duration": 60.0}
     assert station.rest.post("/api/start", json=run, headers=operator).status_code == 202
     station.wait_for(lambda status: status["phase"] == "moving")
-    # what a page says when it goes; without that the lease lapses
+    # A page sends this request when it is closed; without it the lease expires later.
     assert station.rest.delete("/api/operator", headers=operator).status_code == 200
-    # Its end is looked for a few times a second of the computer.
+    # The operator watchdog polls a few times a second, so it has noticed the loss by then.
     time.sleep(2.0)
     assert station.status()["state"] == "RUNNING"

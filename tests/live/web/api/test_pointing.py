@@ -1,4 +1,4 @@
-"""Where the tip of a robot of six motors points, on a station that really runs: led, and at a target in the scene."""
+"""Direction of the tip of a robot with six motors on a live station: streamed, and at a target in the scene."""
 
 import json
 import math
@@ -17,10 +17,10 @@ from station.client import Station, StationError
 from station.control.task import Phase
 from station.recording.read import read_case
 from tests.harness.serving import Served, serving
-from web.scene.gizmos import TARGET, along
-from web.scene.scene import UNIT
+from web.scene.gizmos import TARGET_HANDLE, along
+from web.scene.scene import UNITS_PER_M
 
-#: The station's clock is slow and the computer busy.
+#: Long timeouts of the stream, because the station's clock is slow and the computer is busy.
 WIDE = {"silence": 2.0, "end": 20.0}
 BEST = {"inner": "type_2", "feedback": "observer", "feedforward": True, "filter_bandwidth": 0.7}
 POINTS = {**BEST, "task": "position_and_direction"}
@@ -39,7 +39,7 @@ filter_bandwidth = 0.7
 
 @pytest.fixture(scope="module")
 def six() -> Iterator[Served]:
-    """It starts in the robot's working pose."""
+    """Station in the robot's working pose."""
     with serving(settings=SETTINGS) as served:
         yield served
 
@@ -63,11 +63,11 @@ def _without_operator(six: Served) -> None:
 
 
 def angles(ones: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Between directions (..., 3) [deg]."""
+    """Return the angle between directions (..., 3) [deg]."""
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(ones, others), axis=-1), (ones * others).sum(axis=-1)))
 
 
-def test_the_true_direction_follows_the_one_that_is_told(ready: Served, tmp_path: Path) -> None:
+def test_the_true_direction_follows_the_streamed_direction(ready: Served, tmp_path: Path) -> None:
     with Station(ready.url) as script:
         with script.setpoints(**WIDE, controller=POINTS) as tip:
             assert tip.direction is not None
@@ -78,7 +78,7 @@ def test_the_true_direction_follows_the_one_that_is_told(ready: Served, tmp_path
             answer = tip.go(0.0, 0.0, 0.0, tuple(3.0 * told))
             first = float(answer["time"])
             for _ in tip.every(0.02):
-                answer = tip.go(0.0, 0.0, 0.0)  # the one told stands
+                answer = tip.go(0.0, 0.0, 0.0)  # without a direction, the previous direction stays
                 if answer["time"] > first + 4.0:
                     break
             assert angles(np.array(answer["direction_desired"]), told) < 0.01
@@ -94,7 +94,7 @@ def test_the_true_direction_follows_the_one_that_is_told(ready: Served, tmp_path
         recording.of("direction_desired")[told_for],
         recording.of("direction_true")[told_for],
     )
-    # Two rows are a period apart, or more where the computer made the loop wait.
+    # Rows are one period apart, or more where the computer delayed the control loop.
     rate = np.radians(angles(desired[1:], desired[:-1])) / np.diff(times)
     assert rate.max() == pytest.approx(0.2, rel=0.01)
     settled = times > first + 2.0
@@ -104,15 +104,15 @@ def test_the_true_direction_follows_the_one_that_is_told(ready: Served, tmp_path
     assert away[told_for].max() < 3e-3
 
 
-def test_where_only_the_place_is_controlled_a_direction_is_refused_with_what_to_do(ready: Served) -> None:
+def test_a_direction_is_refused_with_advice_where_only_the_position_is_controlled(ready: Served) -> None:
     with Station(ready.url) as script, script.setpoints(**WIDE, controller=BEST) as tip:
         assert tip.direction is None
-        with pytest.raises(StationError, match=r'begin it with controller\.task = "position_and_direction"'):
+        with pytest.raises(StationError, match=r'start the stream with controller\.task = "position_and_direction"'):
             tip.go(0.0, 0.0, 0.0, (0.0, 0.0, 1.0))
         assert "direction_desired" not in tip.go(0.0, 0.0, 0.001)
 
 
-def test_an_opposite_direction_turns_it_no_faster_than_agreed_and_stop_ends_that(ready: Served) -> None:
+def test_an_opposite_direction_turns_the_tip_within_the_agreed_speed_until_stop(ready: Served) -> None:
     address = f"ws://127.0.0.1:{ready.port}/api/setpoints"
     with connect(address, proxy=None) as socket:
         socket.send(json.dumps({**WIDE, "turning": 0.05, "controller": POINTS}))
@@ -142,7 +142,7 @@ def test_an_opposite_direction_turns_it_no_faster_than_agreed_and_stop_ends_that
     assert ready.post("/api/reset").status_code in (200, 202)
 
 
-def test_a_target_that_is_turned_in_the_scene_is_gone_to_and_pointed_at(ready: Served, tmp_path: Path) -> None:
+def test_the_tip_reaches_position_and_direction_of_a_turned_target(ready: Served, tmp_path: Path) -> None:
     operator = {"x-ctr-client": "somebody-0123456789"}
     rest = ready.rest
     assert rest.post("/api/operator", json={"take_over": True}, headers=operator).status_code == 200
@@ -153,10 +153,10 @@ def test_a_target_that_is_turned_in_the_scene_is_gone_to_and_pointed_at(ready: S
     across /= np.linalg.norm(across)
     told = math.cos(TILT) * heading + math.sin(TILT) * np.cross(across, heading)
 
-    # As the browser says it when the handle is turned by its rings; somebody else turns nothing.
+    # The message that a browser sends when the handle's rings are turned; a client without the lease turns nothing.
     drag = {
-        "type": "TransformControlsUpdateMessage", "name": TARGET, "wxyz": along(told).tolist(),
-        "position": [UNIT * x for x in begin["position"]], "owner": "",
+        "type": "TransformControlsUpdateMessage", "name": TARGET_HANDLE, "wxyz": along(told).tolist(),
+        "position": [UNITS_PER_M * x for x in begin["position"]], "owner": "",
     }  # fmt: skip
     protocol = [f"viser-v{viser.__version__}"]
     for client, turns in (("another-0123456789", False), ("somebody-0123456789", True)):

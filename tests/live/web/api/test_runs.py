@@ -1,4 +1,4 @@
-"""Run history over REST: what is there, in and out, and that no name leads anywhere else."""
+"""Run history over REST: list, notes, files; no name leaves the folder of runs."""
 
 import json
 import subprocess
@@ -24,7 +24,7 @@ from tests.harness.waiting import NET
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two runs of a second of fig7, the second one given up."""
+    """Two runs of one second of fig7; the second one is stopped."""
     folder = tmp_path_factory.mktemp("runs")
     experiment = load_experiment("fig7")
     (case,) = experiment.cases
@@ -89,7 +89,7 @@ def test_a_run_has_its_summary(client):
     assert len(answer["summary"]["cases"]["regulation"]["true_max_abs_error_mm"]) == 3
 
 
-def test_errors_and_curves_of_a_run_at_one_look(client, runs):
+def test_a_run_has_errors_and_curves(client, runs):
     run = client.get("/api/runs", params={"label": "complete"}).json()[0]
     outcome, numbers = run["outcomes"]["regulation"], client.get(f"/api/runs/{run['id']}").json()["summary"]
     assert outcome["largest"] == numbers["cases"]["regulation"]["true_max_abs_error_mm"]
@@ -105,7 +105,7 @@ def test_errors_and_curves_of_a_run_at_one_look(client, runs):
     assert client.get("/api/runs/none/curves").status_code == 404
 
 
-def test_the_recording_comes_as_it_is(client, runs, tmp_path):
+def test_the_recording_of_a_run_is_downloaded_unchanged(client, runs, tmp_path):
     (name,) = ids(client, label="complete")
     answer = client.get(f"/api/runs/{name}/recording")
 
@@ -118,7 +118,7 @@ def test_the_recording_comes_as_it_is(client, runs, tmp_path):
     assert "'lift' is not one of the cases: regulation" in missing.json()["error"]
 
 
-def test_notes_are_kept(client):
+def test_notes_of_a_run_are_stored(client):
     (name,) = ids(client, label="complete")
     answer = client.put(f"/api/runs/{name}/notes", json={"notes": "new coil"})
 
@@ -128,7 +128,7 @@ def test_notes_are_kept(client):
     assert client.put(f"/api/runs/{name}/notes", json={"note": "x"}).status_code == 422
 
 
-def test_a_report_is_made_once_and_stands_alone(client, runs):
+def test_a_report_is_rendered_once_and_is_self_contained(client, runs):
     (name,) = ids(client, label="complete")
     answer = client.get(f"/api/runs/{name}/report")
 
@@ -141,14 +141,14 @@ def test_a_report_is_made_once_and_stands_alone(client, runs):
     assert (runs / name / "report.html").stat().st_mtime_ns == made
 
 
-def test_why_there_is_no_report_is_said(client, runs):
+def test_a_missing_report_has_a_reason(client, runs):
     folder = runs / "spoilt"
     folder.mkdir()
     (folder / "summary.json").write_text("{", encoding="utf-8")
     try:
         answer = client.get("/api/runs/spoilt/report")
         assert answer.status_code == 422
-        assert "no report of run 'spoilt'" in answer.json()["error"]
+        assert "the report of run 'spoilt' failed" in answer.json()["error"]
     finally:
         client.delete("/api/runs/spoilt", params={"confirm": "spoilt"})
 
@@ -168,7 +168,7 @@ def test_a_run_is_deleted_only_with_its_name_as_confirmation(client, runs):
 
 
 @pytest.mark.parametrize("name", ["none", "..", "%2e%2e", "..%2f..%2fetc", "%2fetc%2fpasswd", "a%00b", "x" * 5000])
-def test_no_name_leads_elsewhere(client, name):
+def test_the_name_of_a_run_cannot_address_files_outside_the_runs_folder(client, name):
     before = ids(client)
     for answer in (
         client.get(f"/api/runs/{name}/recording"),

@@ -1,4 +1,4 @@
-"""Leading the tip of a station that really runs."""
+"""Setpoint streams to a live station."""
 
 import json
 import math
@@ -15,7 +15,7 @@ from tests.harness.serving import Served
 WIDE = {"silence": 2.0, "end": 20.0}  # the station's clock is slow and the computer busy
 
 
-def test_a_script_leads_the_tip_and_is_told_what_it_does(station: Served) -> None:
+def test_a_script_streams_setpoints_and_receives_the_tips_state(station: Served) -> None:
     with Station(station.url) as script:
         with script.setpoints(**WIDE) as tip:
             for now in tip.every(0.02, 2.0):
@@ -32,7 +32,7 @@ def test_a_script_leads_the_tip_and_is_told_what_it_does(station: Served) -> Non
         assert file["id"] == tip.run
 
 
-def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> None:
+def test_invalid_setpoints_are_refused_with_the_reason_and_the_run_continues(station: Served) -> None:
     with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as socket:
         socket.send(json.dumps(WIDE))
         assert "run_id" in json.loads(socket.recv())
@@ -67,10 +67,10 @@ def test_clients_that_lie_are_told_so_and_the_tip_goes_on(station: Served) -> No
     station.wait_for(lambda status: status["state"] == "READY")
 
 
-def test_whoever_falls_silent_is_told_so_when_the_run_has_ended_and_whoever_leaves_is_not_blamed(
+def test_only_a_silent_client_gets_the_timeout_as_the_cause_of_the_end(
     station: Served,
 ) -> None:
-    for last, cause in ((None, "nothing that counts was said for 1 s"), ('{"end": true}', "")):
+    for last, cause in ((None, "no valid setpoint for 1 s"), ('{"end": true}', "")):
         with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as socket:
             socket.send(json.dumps({"silence": 0.2, "end": 1.0}))
             assert "run_id" in json.loads(socket.recv())
@@ -82,7 +82,7 @@ def test_whoever_falls_silent_is_told_so_when_the_run_has_ended_and_whoever_leav
             assert json.loads(socket.recv()) == {"ended": "READY", "cause": cause}
 
 
-def test_a_velocity_beyond_all_measure_moves_the_tip_no_faster_than_it_may(station: Served) -> None:
+def test_an_excessive_velocity_moves_the_tip_within_its_speed_limit(station: Served) -> None:
     with Station(station.url) as script, script.setpoints(**WIDE) as tip:
         places = []
         for _ in tip.every(0.02, 1.0):
@@ -94,7 +94,7 @@ def test_a_velocity_beyond_all_measure_moves_the_tip_no_faster_than_it_may(stati
     assert 0.0 < way <= 0.02 * took + 1e-9
 
 
-def test_one_who_loses_the_lease_is_told_so_and_the_tip_comes_to_rest(station: Served) -> None:
+def test_a_setpoint_client_that_loses_the_lease_is_refused_and_the_tip_comes_to_rest(station: Served) -> None:
     leader, other = ({"x-ctr-client": f"{name}-0123456789", "x-ctr-name": name} for name in ("leader", "other"))
     address = f"ws://127.0.0.1:{station.port}/api/setpoints"
     with connect(address, additional_headers=leader, proxy=None) as socket:
@@ -106,13 +106,13 @@ def test_one_who_loses_the_lease_is_told_so_and_the_tip_comes_to_rest(station: S
             assert taken.json()["you"]
             socket.send('{"velocity": [0, 0, 0.005]}')
             assert "'other' is operator" in json.loads(socket.recv())["refused"]
-            assert json.loads(socket.recv()) == {"ended": "READY", "cause": "nothing that counts was said for 2 s"}
+            assert json.loads(socket.recv()) == {"ended": "READY", "cause": "no valid setpoint for 2 s"}
         finally:
             station.rest.delete("/api/operator", headers=other)
     station.wait_for(lambda status: status["state"] == "READY")
 
 
-def test_a_message_that_is_far_too_long_ends_it(station: Served) -> None:
+def test_a_setpoint_message_that_is_far_too_long_ends_the_stream(station: Served) -> None:
     with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as socket:
         socket.send(json.dumps(WIDE))
         assert "run_id" in json.loads(socket.recv())
@@ -122,7 +122,7 @@ def test_a_message_that_is_far_too_long_ends_it(station: Served) -> None:
     station.wait_for(lambda status: status["state"] == "READY")
 
 
-def test_stop_ends_it_and_is_told(station: Served) -> None:
+def test_stop_ends_a_setpoint_stream_and_is_reported(station: Served) -> None:
     with Station(station.url) as script, script.setpoints(**WIDE) as tip:
         tip.move(0.0, 0.0, 0.001)
         assert script.stop() == ""
@@ -131,14 +131,14 @@ def test_stop_ends_it_and_is_told(station: Served) -> None:
 
 
 def _say_too_much(socket: ClientConnection) -> None:
-    """10 MB in one message, and then what the station says until it hangs up."""
+    """Send 10 MB in one message; return the station's messages until it disconnects."""
     socket.send('{"tip": [' + "0" * 10_000_000)
     while True:
         socket.recv()
 
 
 def _flood(socket: ClientConnection) -> None:
-    """Far more than may come, and then what the station says until it hangs up."""
+    """Send far more messages than allowed; return the station's messages until it disconnects."""
     for _ in range(20_000):
         socket.send('{"velocity": [0, 0, 0]}')
     while True:

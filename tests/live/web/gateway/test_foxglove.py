@@ -1,4 +1,4 @@
-"""Foxglove's own client and a plain websocket on a gateway process that really runs."""
+"""Foxglove's client and a plain WebSocket on a live gateway process."""
 
 import base64
 import json
@@ -25,10 +25,10 @@ from station.recording.drawing import Drawing
 from tests.harness.gateway import ANY, MEASURED, PAPER, Running, gateway
 from tests.harness.root import ROOT
 from web.access.tokens import Tokens
-from web.gateway.seen import Told
-from web.gateway.wanted import Address, Wanted
+from web.gateway.options import GatewayOptions, ListenAddress
+from web.gateway.snapshot import StationInfo
 
-#: Where `npm install @foxglove/ws-protocol ws` has put them.
+#: Folder in which `npm install @foxglove/ws-protocol ws` has installed the packages.
 MODULES = Path(os.environ.get("CTR_NODE_MODULES", ROOT / "node_modules"))
 TOKENS = Tokens("operator-0123456789", "viewer-0123456789")
 SPOKEN = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
@@ -36,7 +36,7 @@ SPOKEN = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
 
 @pytest.fixture(scope="module")
 def running() -> Iterator[Running]:
-    with gateway(Wanted(foxglove=ANY)) as running:
+    with gateway(GatewayOptions(foxglove=ANY)) as running:
         yield running
 
 
@@ -51,7 +51,7 @@ def client(running: Running) -> Iterator[ClientConnection]:
     not (MODULES / "@foxglove/ws-protocol").exists(),
     reason="npm install @foxglove/ws-protocol ws, and CTR_NODE_MODULES=its node_modules",
 )
-def test_foxgloves_own_client_finds_the_topics_of_the_recordings(running: Running) -> None:
+def test_foxgloves_client_finds_the_topics_of_the_recordings(running: Running) -> None:
     found = _node(f"ws://127.0.0.1:{running.port}")
     channels = {each["topic"]: each for each in found["channels"]}
     drawing = Drawing(PAPER.robot(), running.feed.channels.all, 3)
@@ -68,7 +68,7 @@ def test_foxgloves_own_client_finds_the_topics_of_the_recordings(running: Runnin
     assert len(scene["lines"]) == 2
     assert {frame["child_frame_id"] for frame in messages["/tf"]["message"]["transforms"]} >= {"tip", "inner base"}
     assert messages["/events"]["message"]["name"] == "state"
-    # Every row, as a recording has it: ten or more to each of 25 pictures a second.
+    # Every telemetry row is sent, so there are ten or more for each of the 25 pictures a second.
     assert messages["/telemetry"]["count"] > 5 * messages["/scene"]["count"]
     channel = channels["/telemetry"]
     schema = Schema(1, channel["schema"].encode(), channel["schemaEncoding"], channel["schemaName"])
@@ -78,7 +78,9 @@ def test_foxgloves_own_client_finds_the_topics_of_the_recordings(running: Runnin
     assert [row.tip_measured.x, row.tip_measured.y, row.tip_measured.z] == pytest.approx(MEASURED)
 
 
-def test_a_plain_client_subscribes_and_unsubscribes(running: Running, client: ClientConnection) -> None:
+def test_a_plain_websocket_client_subscribes_to_foxglove_topics_and_unsubscribes(
+    running: Running, client: ClientConnection
+) -> None:
     assert client.subprotocol == SPOKEN[0]
     info, channels = _text(client), _text(client)
     assert info["op"] == "serverInfo"
@@ -92,17 +94,19 @@ def test_a_plain_client_subscribes_and_unsubscribes(running: Running, client: Cl
         assert abs(1e-9 * stamp - time.time()) < 60.0
         seen.add(subscription)
     _say(client, op="unsubscribe", subscriptionIds=[8])
-    running.tell(Told(State.HOLD, "the tracker does not see its coil", (("controller.k1", 2.0),)))
+    running.tell(StationInfo(State.HOLD, "the tracker does not see its coil", (("controller.k1", 2.0),)))
     event = _next(client, 7)
     while "HOLD" not in event["message"]:
         event = _next(client, 7)
     assert event["message"] == "HOLD: the tracker does not see its coil"
     assert event["level"] == 3
-    running.tell(Told(State.RUNNING, "", (("controller.k1", 2.0), ("controller.strategy", "best"))))
-    assert _next(client, 7)["message"] == "RUNNING"  # and no row between the two
+    running.tell(StationInfo(State.RUNNING, "", (("controller.k1", 2.0), ("controller.strategy", "best"))))
+    assert _next(client, 7)["message"] == "RUNNING"  # the unsubscribed telemetry is not sent in between
 
 
-def test_gains_are_told_and_cannot_be_set(running: Running, client: ClientConnection) -> None:
+def test_foxglove_clients_can_read_controller_gains_but_not_set_them(
+    running: Running, client: ClientConnection
+) -> None:
     _text(client), _text(client)
     _say(client, op="getParameters", parameterNames=["controller.k1"], id="one")
     k1 = {"name": "controller.k1", "value": 2.0, "type": "float64"}
@@ -115,13 +119,13 @@ def test_gains_are_told_and_cannot_be_set(running: Running, client: ClientConnec
     _say(client, op="subscribeParameterUpdates", parameterNames=["controller.k1"])
     _say(client, op="getParameters", parameterNames=["controller.k1"], id="after")
     assert _text(client)["id"] == "after"
-    running.tell(Told(State.RUNNING, "", (("controller.k1", 2.5), ("controller.strategy", "best"))))
+    running.tell(StationInfo(State.RUNNING, "", (("controller.k1", 2.5), ("controller.strategy", "best"))))
     assert _text(client)["parameters"] == [{"name": "controller.k1", "value": 2.5, "type": "float64"}]
-    running.tell(Told(State.RUNNING, "", (("controller.k1", 2.0), ("controller.strategy", "best"))))
+    running.tell(StationInfo(State.RUNNING, "", (("controller.k1", 2.0), ("controller.strategy", "best"))))
     assert _text(client)["parameters"][0]["value"] == 2.0
 
 
-def test_nonsense_is_no_wish_and_ends_nothing(client: ClientConnection) -> None:
+def test_invalid_foxglove_requests_are_ignored_and_do_not_disconnect(client: ClientConnection) -> None:
     _text(client), _text(client)
     for lie in (
         "", "null", "[", "[" * 5000, '{"op": 1}', '{"op": "subscribe"}', b"\x01\x02",
@@ -136,13 +140,15 @@ def test_nonsense_is_no_wish_and_ends_nothing(client: ClientConnection) -> None:
         assert told["op"] in ("status", "parameterValues")
 
 
-def test_one_who_does_not_read_holds_nobody_up(running: Running, client: ClientConnection) -> None:
+def test_a_foxglove_client_that_does_not_read_delays_no_other_client(
+    running: Running, client: ClientConnection
+) -> None:
     deaf = _deaf(running.port)
     try:
         _text(client), _text(client)
         _say(client, op="subscribe", subscriptions=[{"id": 1, "channelId": 1}, {"id": 4, "channelId": 4}])
         got, stamps = 0, list[int]()
-        while got < 3_000_000:  # far more than the system keeps for the deaf one
+        while got < 3_000_000:  # far more bytes than the system buffers for the client that does not read
             data = client.recv()
             got += len(data)
             stamps += [struct.unpack("<BIQ", data[:13])[2]] if data[1] == 1 else []
@@ -161,7 +167,7 @@ def test_one_who_does_not_read_holds_nobody_up(running: Running, client: ClientC
         deaf.close()
 
 
-def test_foreign_pages_hosts_and_protocols_are_refused(running: Running) -> None:
+def test_the_foxglove_server_refuses_foreign_pages_hosts_and_protocols(running: Running) -> None:
     address = f"ws://127.0.0.1:{running.port}/"
     for page in ("https://evil.example", "null", "http://localhost"):
         assert _refused(address, origin=page) == 403
@@ -173,8 +179,8 @@ def test_foreign_pages_hosts_and_protocols_are_refused(running: Running) -> None
     assert httpx.get(f"http://127.0.0.1:{running.port}/").status_code == 426
 
 
-def test_where_tokens_are_demanded_nobody_comes_in_without() -> None:
-    with gateway(Wanted(foxglove=Address("0.0.0.0", 0)), TOKENS) as running:
+def test_foxglove_clients_without_a_required_token_are_refused() -> None:
+    with gateway(GatewayOptions(foxglove=ListenAddress("0.0.0.0", 0)), TOKENS) as running:
         assert running.lines[0].endswith(f"?token={TOKENS.viewer}")
         address = f"ws://127.0.0.1:{running.port}/"
         assert _refused(address) == 401
@@ -207,7 +213,7 @@ def _text(client: ClientConnection) -> dict[str, Any]:
 
 
 def _next(client: ClientConnection, subscription: int) -> dict[str, Any]:
-    """The next message of a subscription; a row that is still on its way is none."""
+    """Return the next message of a subscription; skip rows sent before it."""
     while True:
         data = client.recv(30.0)
         assert isinstance(data, bytes)
@@ -216,7 +222,7 @@ def _next(client: ClientConnection, subscription: int) -> dict[str, Any]:
 
 
 def _deaf(port: int) -> socket.socket:
-    """A connection that has subscribed to every row, by hand: a library would read."""
+    """Return a raw connection that has subscribed to every row; a library would read from it."""
     deaf = socket.socket()
     deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
     deaf.connect(("127.0.0.1", port))
@@ -231,9 +237,20 @@ def _deaf(port: int) -> socket.socket:
 
 
 def _has_a_row_after(data: bytes, moment: int) -> bool:
-    """Whether there is the beginning of a message of that subscription, newer than `moment` [ns]."""
+    """Return whether the data has the start of a message of that subscription, newer than `moment` [ns]."""
     head, place = b"\x01" + struct.pack("<I", 16909060), -1
     while (place := data.find(head, place + 1)) >= 0 and place + 13 <= len(data):
         if struct.unpack("<Q", data[place + 5 : place + 13])[0] > moment:
             return True
     return False
+
+
+def test_invalid_bytes_at_the_foxglove_port_print_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    with gateway(GatewayOptions(foxglove=ANY)) as running:
+        for garbage in (b"\x16\x03\x01\x00\xff" * 20, b"GET / HTTP/1.1\r\nhost: x\r\n\r\n", b"\r\n\r\n", b""):
+            with socket.create_connection(("127.0.0.1", running.port)) as other:
+                other.sendall(garbage)
+                other.shutdown(socket.SHUT_WR)
+                while other.recv(4096):
+                    pass
+    assert capfd.readouterr().err == ""

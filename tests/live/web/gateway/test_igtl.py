@@ -1,4 +1,4 @@
-"""OpenIGTLink clients that nobody here wrote, on a gateway process that really runs."""
+"""Third-party OpenIGTLink clients on a live gateway process."""
 
 import shutil
 import socket
@@ -16,17 +16,17 @@ from pyigtl.messages import MessageBase, StringMessage, TransformMessage
 from station.control.states import State
 from tests.harness.gateway import ANY, FORCE, MEASURED, Running, eventually, gateway
 from tests.harness.root import ROOT
-from web.gateway.igtl.messages import HEADER
-from web.gateway.messages import Target
-from web.gateway.seen import Told
-from web.gateway.wanted import Wanted
+from web.gateway.igtl.messages import HEADER_BYTES
+from web.gateway.messages import TargetMessage
+from web.gateway.options import GatewayOptions
+from web.gateway.snapshot import StationInfo
 
 LIBRARY = Path("/usr/include/openigtlink/igtlClientSocket.h")
 
 
 @pytest.fixture(scope="module")
 def running() -> Iterator[Running]:
-    with gateway(Wanted(igtl=ANY)) as running:
+    with gateway(GatewayOptions(igtl=ANY)) as running:
         yield running
 
 
@@ -44,20 +44,20 @@ def plain(running: Running) -> Iterator[socket.socket]:
         yield plain
 
 
-def test_pyigtl_sees_the_tips_and_the_state(running: Running, client: OpenIGTLinkClient) -> None:
+def test_pyigtl_receives_the_tips_and_the_state(running: Running, client: OpenIGTLinkClient) -> None:
     measured = client.wait_for_message("TipMeasured", timeout=30)
     assert measured.matrix[:3, 3] == pytest.approx(1e3 * np.array(MEASURED), rel=1e-6)
     for name in ("TipEstimated", "TipDesired", "InnerBase", "OuterBase"):
         assert isinstance(client.wait_for_message(name, timeout=30), TransformMessage)
-    running.tell(Told(State.HOLD, "the tracker does not see its coil"))
+    running.tell(StationInfo(State.HOLD, "the tracker does not see its coil"))
     assert eventually(lambda: _newest_text(client, "Cause") == "the tracker does not see its coil")
-    running.tell(Told(State.RUNNING))
+    running.tell(StationInfo(State.RUNNING))
     assert eventually(lambda: _newest_text(client, "State") == "RUNNING")
 
 
 @pytest.mark.skipif(not LIBRARY.exists(), reason="the C++ library is missing (apt-get install libopenigtlink-dev)")
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
-def test_the_reference_library_reads_every_message(running: Running, tmp_path: Path) -> None:
+def test_the_openigtlink_reference_library_reads_every_message(running: Running, tmp_path: Path) -> None:
     program = tmp_path / "igtl_receive"
     source = ROOT / "tests/harness/igtl_receive.cpp"
     built = ["g++", "-w", f"-I{LIBRARY.parent}", str(source), "-lOpenIGTLink", "-lpthread", "-o", str(program)]
@@ -77,22 +77,22 @@ def test_the_reference_library_reads_every_message(running: Running, tmp_path: P
     assert end == pytest.approx(numbers["TipEstimated"], abs=1e-2)
 
 
-def test_one_who_does_not_read_costs_nobody_anything(running: Running) -> None:
-    """Three at once: two read, one never does."""
+def test_an_openigtlink_client_that_does_not_read_delays_no_other_client(running: Running) -> None:
+    """Three clients: two read, one never reads."""
     deaf = socket.socket()
     deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
     deaf.connect(("127.0.0.1", running.port))
     readers = [socket.create_connection(("127.0.0.1", running.port)) for _ in range(2)]
     try:
         sent = 0
-        while sent < 1_500_000:  # ten times what the system keeps for a deaf one
+        while sent < 1_500_000:  # ten times the bytes that the system buffers for a client that does not read
             for reader in readers:
                 reader.settimeout(30.0)
                 messages = [_message(reader) for _ in range(300)]
                 stamps = [stamp for _, name, stamp, _ in messages if name == "TipMeasured"]
-                assert np.all(np.diff(stamps) > 0.0)  # each is newer than the one before
-            sent += sum(HEADER + len(body) for *_, body in messages)
-        # Of now, and not what has piled up for somebody else.
+                assert np.all(np.diff(stamps) > 0.0)  # each message is newer than the one before
+            sent += sum(HEADER_BYTES + len(body) for *_, body in messages)
+        # The last message is current, although messages for the other client are queued.
         assert abs(time.time() - stamps[-1]) < 5.0
         deaf.settimeout(30.0)
         assert len(_all_there(deaf)) < 0.2 * sent
@@ -101,7 +101,7 @@ def test_one_who_does_not_read_costs_nobody_anything(running: Running) -> None:
             each.close()
 
 
-def test_streams_can_be_stopped_and_started(plain: socket.socket) -> None:
+def test_openigtlink_streams_can_be_stopped_and_started(plain: socket.socket) -> None:
     assert _stamps(plain, "TipMeasured", 2)
     plain.sendall(_query("STP_TRANS", ""))
     _until(plain, "RTS_TRANS")
@@ -115,12 +115,14 @@ def test_streams_can_be_stopped_and_started(plain: socket.socket) -> None:
     assert _until(plain, "RTS_TDATA") == b"\0"
     assert len(_until(plain, "TDATA")) == 5 * 70
     plain.sendall(_query("STT_IMAGE", ""))
-    assert _until(plain, "RTS_IMAGE") == b"\1"  # there are none
+    assert _until(plain, "RTS_IMAGE") == b"\1"  # 1: the station has no images
     plain.sendall(_query("GET_STATUS", ""))
     assert _until(plain, "STATUS")[30:].rstrip(b"\0") == b"RUNNING"
 
 
-def test_a_target_goes_to_the_station_and_only_from_the_first(running: Running, client: OpenIGTLinkClient) -> None:
+def test_only_openigtlink_targets_of_the_first_client_reach_the_station(
+    running: Running, client: OpenIGTLinkClient
+) -> None:
     client.wait_for_message("TipMeasured", timeout=30)
     matrix = np.eye(4)
     matrix[:3, 3] = (11.0, 22.0, 155.0)
@@ -129,28 +131,26 @@ def test_a_target_goes_to_the_station_and_only_from_the_first(running: Running, 
     client.send_message(TransformMessage(matrix, device_name="Target", timestamp=77.25))
     assert running.pipe.poll(30.0)
     heard = running.pipe.recv()
-    assert isinstance(heard, Target)
-    assert heard.place == pytest.approx([0.011, 0.022, 0.155])
+    assert isinstance(heard, TargetMessage)
+    assert heard.position == pytest.approx([0.011, 0.022, 0.155])
     assert heard.sent == pytest.approx(77.25)
     with socket.create_connection(("127.0.0.1", running.port)) as second:
         second.settimeout(30.0)
         second.sendall(TransformMessage(-matrix, device_name="Target").pack() + _query("GET_TRANS", "TipMeasured"))
         second.sendall(_query("STP_SENSOR", ""))
-        _until(second, "RTS_SENSOR")  # so its target has been read, too
+        _until(second, "RTS_SENSOR")  # the answer shows that the server has also read the target
     client.send_message(TransformMessage(matrix, device_name="Target", timestamp=78.25))
     assert running.pipe.poll(30.0)
     assert running.pipe.recv().sent == pytest.approx(78.25)
 
 
-def test_damaged_bytes_cost_the_sender_its_connection_and_nobody_else(
-    running: Running, client: OpenIGTLinkClient
-) -> None:
+def test_corrupted_openigtlink_bytes_disconnect_only_their_sender(running: Running, client: OpenIGTLinkClient) -> None:
     random = np.random.default_rng(1)
     target = TransformMessage(device_name="Target").pack()
     for junk in (
         random.bytes(5000),
         target[:40] + random.bytes(200),
-        target[:HEADER] + b"\1" * 48,
+        target[:HEADER_BYTES] + b"\1" * 48,
         b"GET / HTTP/1.1\r\n" * 9,
     ):
         with socket.create_connection(("127.0.0.1", running.port)) as bad:
@@ -177,7 +177,7 @@ def _exactly(plain: socket.socket, count: int) -> bytes:
 
 
 def _message(plain: socket.socket) -> tuple[str, str, float, bytes]:
-    head = MessageBase.parse_header(_exactly(plain, HEADER))
+    head = MessageBase.parse_header(_exactly(plain, HEADER_BYTES))
     return head["message_type"], head["device_name"], head["timestamp"], _exactly(plain, head["body_size"])
 
 
@@ -186,7 +186,7 @@ def _read(plain: socket.socket, count: int) -> list[tuple[str, str, bytes]]:
 
 
 def _until(plain: socket.socket, kind: str) -> bytes:
-    """The body of the next message of that kind."""
+    """Return the body of the next message of that kind."""
     for _ in range(1000):
         found, _, _, body = _message(plain)
         if found == kind:
@@ -212,10 +212,10 @@ def _query(kind: str, name: str, body: bytes = b"") -> bytes:
 
 
 def _all_there(plain: socket.socket) -> bytes:
-    """What has piled up: until something newer than now comes."""
+    """Read queued messages until one is newer than now."""
     now, data = time.time(), b""
     while True:
-        head = _exactly(plain, HEADER)
+        head = _exactly(plain, HEADER_BYTES)
         fields = MessageBase.parse_header(head)
         data += head + _exactly(plain, fields["body_size"])
         if fields["timestamp"] > now:

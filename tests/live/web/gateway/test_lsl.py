@@ -1,4 +1,4 @@
-"""LSL's own library (liblsl, C++) on the other side, by pylsl's inlet; the sender stands on the same library."""
+"""Reception by LSL's library (liblsl, C++) through pylsl's inlet; the sender uses the same library."""
 
 import time
 
@@ -8,12 +8,12 @@ import pytest
 
 from station.control.states import State
 from tests.harness.gateway import MEASURED, gateway
-from web.gateway.seen import Told
-from web.gateway.wanted import Wanted
+from web.gateway.options import GatewayOptions
+from web.gateway.snapshot import StationInfo
 
 
-def test_rows_and_events_arrive_with_names_units_and_times() -> None:
-    with gateway(Wanted(lsl=True)) as running:
+def test_lsl_rows_and_events_arrive_with_names_units_and_times() -> None:
+    with gateway(GatewayOptions(lsl=True)) as running:
         rows, events = (_inlet(name) for name in ("ctr-station", "ctr-station events"))
         info, channels = rows.info(30.0), running.feed.channels
         assert info.get_channel_labels() == [channel.name for channel in channels.all]
@@ -27,16 +27,19 @@ def test_rows_and_events_arrive_with_names_units_and_times() -> None:
             more, when = rows.pull_chunk(timeout=1.0, max_samples=1000)
             samples += list(more)
             times += list(when)
-        # Every row, to the bit, in its order: the feed numbers them.
+        # Every row arrives unchanged and in order, because the writer numbers the rows.
         first = round(samples[0][0] / 0.002)
         for number, sample in enumerate(samples[:50]):
             assert np.array_equal(sample, running.feed.row(first + number))
         assert list(channels.of(np.array(samples[-1]), "tip_measured")) == list(MEASURED)
         assert np.diff([sample[0] for sample in samples]) == pytest.approx(0.002)
-        # By LSL's clock, which is not the wall's.
+        # The times are those of LSL's clock, which differs from the wall clock.
         assert abs(pylsl.local_clock() - times[-1]) < 5.0
         assert np.all(np.diff(times) > 0.0)
-        for told, text in ((Told(State.HOLD, "der Taster löst aus"), "HOLD: der Taster löst aus"), (Told(), "OFF")):
+        for told, text in (
+            (StationInfo(State.HOLD, "der Taster löst aus"), "HOLD: der Taster löst aus"),
+            (StationInfo(), "OFF"),
+        ):
             running.tell(told)
             marker, when = events.pull_sample(timeout=30.0)
             while marker[0] != text:

@@ -1,9 +1,10 @@
-"""A Zenoh subscriber of its own, with rosbags to decode, on a gateway process that really runs."""
+"""A Zenoh subscriber, with rosbags as the decoder, on a live gateway process."""
 
 import queue
 import re
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -13,17 +14,17 @@ from zenoh.ext import Int64, z_serialize
 from tests.harness.gateway import MEASURED, Running, gateway
 from tests.harness.gateway_clients import zenoh_session
 from tests.harness.serving import free_port
-from web.gateway.wanted import Address, Wanted
+from web.gateway.options import GatewayOptions, ListenAddress
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-#: As `rmw_zenoh_cpp` spells them: domain, topic, type, hash.
+#: Pattern of the Zenoh keys of `rmw_zenoh_cpp`: domain, topic, type and hash.
 KEY = re.compile(r"0(?P<topic>/.+)/(?P<package>\w+)::msg::dds_::(?P<name>\w+)_/(?P<hash>RIHS01_[0-9a-f]{64})")
 TOPICS = {"/joint_states", "/tip/measured", "/tip/estimated", "/tip/desired", "/tip/force", "/tf"}
 
 
 @pytest.fixture(scope="module")
 def running() -> Iterator[Running]:
-    with gateway(Wanted(ros2=Address("127.0.0.1", free_port()))) as running:
+    with gateway(GatewayOptions(ros2=ListenAddress("127.0.0.1", free_port()))) as running:
         yield running
 
 
@@ -33,7 +34,7 @@ def port_of(running: Running) -> int:
 
 
 def samples(session: zenoh.Session, topics: set[str]) -> dict[str, zenoh.Sample]:
-    """One of each topic."""
+    """Return one message of each topic."""
     heard: queue.Queue[zenoh.Sample] = queue.Queue()
     found: dict[str, zenoh.Sample] = {}
     subscriber = session.declare_subscriber("0/**", heard.put)
@@ -46,7 +47,7 @@ def samples(session: zenoh.Session, topics: set[str]) -> dict[str, zenoh.Sample]
     return found
 
 
-def test_every_topic_arrives_and_is_what_its_key_says(running: Running) -> None:
+def test_every_ros2_topic_arrives_with_the_type_of_its_key(running: Running) -> None:
     with closing(zenoh_session(port_of(running))) as other:
         for sample in samples(other, TOPICS).values():
             match = KEY.fullmatch(str(sample.key_expr))
@@ -61,7 +62,7 @@ def test_every_topic_arrives_and_is_what_its_key_says(running: Running) -> None:
                 assert [position.x, position.y, position.z] == list(MEASURED)
 
 
-def test_messages_are_numbered_and_signed_as_rmw_zenoh_wants_them(running: Running) -> None:
+def test_ros2_messages_have_the_attachments_that_rmw_zenoh_requires(running: Running) -> None:
     with closing(zenoh_session(port_of(running))) as other:
         told = samples(other, {*TOPICS})
     numbers = set()
@@ -82,7 +83,7 @@ def test_messages_are_numbered_and_signed_as_rmw_zenoh_wants_them(running: Runni
     assert len(numbers) == len(told)
 
 
-def test_the_graph_has_a_node_and_its_publishers(running: Running) -> None:
+def test_the_ros2_graph_has_the_stations_node_and_its_publishers(running: Running) -> None:
     with closing(zenoh_session(port_of(running))) as other:
         tokens = [str(reply.ok.key_expr).split("/") for reply in other.liveliness().get("@ros2_lv/**") if reply.ok]
     assert [token[5] for token in tokens].count("NN") == 1
@@ -92,13 +93,19 @@ def test_the_graph_has_a_node_and_its_publishers(running: Running) -> None:
     assert {token[12] for token in publishers} == {"::,10:,:,:,,"}
 
 
-def test_a_router_that_is_there_is_joined() -> None:
+def test_an_existing_zenoh_router_is_joined() -> None:
     port = free_port()
     router = zenoh_session(port, "router", "listen")
     with (
         closing(router),
-        gateway(Wanted(ros2=Address("127.0.0.1", port))) as running,
+        gateway(GatewayOptions(ros2=ListenAddress("127.0.0.1", port))) as running,
         closing(zenoh_session(port)) as other,
     ):
         assert running.lines == (f"ROS 2 is with the Zenoh router at 127.0.0.1:{port}",)
         assert set(samples(other, TOPICS)) == TOPICS
+
+
+def test_the_ros2_publisher_leaves_no_file_in_shared_memory(running: Running) -> None:
+    with closing(zenoh_session(port_of(running))) as other:
+        samples(other, TOPICS)
+        assert ".zenoh" not in Path(f"/proc/{running.process.pid}/maps").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The gateway of a station that really runs: targets move the tip in a run started for them, and only there."""
+"""The gateway of a live station: targets move the tip only in a run started for them."""
 
 import json
 import time
@@ -33,7 +33,9 @@ def client(served: Served) -> Iterator[OpenIGTLinkClient]:
         yield client
 
 
-def test_a_target_moves_nothing_without_a_run_for_it(served: Served, client: OpenIGTLinkClient) -> None:
+def test_an_openigtlink_target_moves_nothing_without_a_run_for_targets(
+    served: Served, client: OpenIGTLinkClient
+) -> None:
     before, goal = served.status()["joints"], _desired(client) + UP * 3.0
     for _ in range(20):
         _aim(client, goal)
@@ -42,7 +44,9 @@ def test_a_target_moves_nothing_without_a_run_for_it(served: Served, client: Ope
     assert status["joints"] == pytest.approx(before, abs=1e-6)
 
 
-def test_a_target_leads_a_run_that_an_operator_has_started(served: Served, client: OpenIGTLinkClient) -> None:
+def test_the_tip_follows_an_openigtlink_target_in_a_run_started_by_an_operator(
+    served: Served, client: OpenIGTLinkClient
+) -> None:
     assert served.child("ctr-gateway").status() != psutil.STATUS_ZOMBIE
     assert served.post("/api/gateway/target", WIDE).status_code == 202
     served.wait_for(lambda status: status["phase"] == "moving")
@@ -50,24 +54,24 @@ def test_a_target_leads_a_run_that_an_operator_has_started(served: Served, clien
     goal = start + UP * 2.0
     while np.abs(_desired(client) - goal).max() > 0.02:
         _aim(client, goal)
-        served.status()  # the operator is there
-        _aim(client, start + UP * 500.0)  # beyond the reach: as if it had not been said
-    # The operator loses the lease: nothing that comes now counts, and the run ends.
+        served.status()  # a request of the operator, which renews the lease
+        _aim(client, start + UP * 500.0)  # a target beyond the reach has no effect
+    # The operator loses the lease, so later targets have no effect and the run ends.
     other = {"x-ctr-client": "other-0123456789", "x-ctr-name": "other"}
     served.rest.post("/api/operator", json={"take_over": True}, headers=other)
     try:
         while served.status()["state"] == "RUNNING":
             _aim(client, start)
-        # It stays, where the tracker sees it: at rest that is what is desired.
+        # The tip stays where it is: at rest the desired position is the measured one.
         assert np.abs(_desired(client) - goal).max() < 0.5
     finally:
         served.rest.delete("/api/operator", headers=other)
     log = [(entry["what"], entry["outcome"]) for entry in served.rest.get("/api/log").json()]
-    for outcome in ("begun", "ended"):
+    for outcome in ("started", "ended"):
         assert any(what.startswith("targets of run") and came == outcome for what, came in log)
 
 
-def test_beyond_loopback_foxglove_wants_the_viewers_token_and_is_told_the_gains(served: Served) -> None:
+def test_foxglove_beyond_loopback_requires_a_token_and_receives_the_gains(served: Served) -> None:
     (line,) = [line for line in served.said.read_text().splitlines() if line.startswith("Foxglove is at ws://0.0.0.0:")]
     address, _, token = line.removeprefix("Foxglove is at ").replace("0.0.0.0", "127.0.0.1").partition("?token=")
     spoken = ["foxglove.websocket.v1"]
@@ -83,9 +87,14 @@ def test_beyond_loopback_foxglove_wants_the_viewers_token_and_is_told_the_gains(
     assert told == {f"controller.{key}": controller[key] for key in ("k1", "strategy")}
 
 
-def test_the_loop_goes_on_when_the_gateway_is_killed(served: Served) -> None:
+def test_the_loop_and_the_page_continue_when_the_gateway_is_killed(served: Served) -> None:
     served.ready()
+    assert served.status()["devices"]["gateway"] == {"severity": 0, "condition": "connected", "text": ""}
     served.child("ctr-gateway").kill()
+    status = served.wait_for(lambda status: status["devices"]["gateway"]["severity"] == 1)
+    text = "the gateway ended by signal 9: its clients receive no more data; restart the station"
+    assert status["devices"]["gateway"] == {"severity": 1, "condition": "closed", "text": text}
+    assert status["warnings"][-1] == text
     assert served.post("/api/start", {"experiment": "fig7"}).status_code == 202
     served.wait_for(lambda status: status["phase"] == "settling")
     served.post("/api/stop")
@@ -95,7 +104,7 @@ def test_the_loop_goes_on_when_the_gateway_is_killed(served: Served) -> None:
 
 
 def _desired(client: OpenIGTLinkClient) -> Array:
-    """Newer than all that was there."""
+    """Return the desired tip from a message that is newer than all queued ones."""
     client.get_latest_messages()
     message = client.wait_for_message("TipDesired", timeout=30)
     return message.matrix[:3, 3]

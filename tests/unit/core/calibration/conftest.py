@@ -1,4 +1,4 @@
-"""What the tests of the calibrations share: the travel of the paper's stages."""
+"""Fixtures of the calibration tests: the travel of the paper's stages."""
 
 import math
 

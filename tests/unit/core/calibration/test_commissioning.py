@@ -1,4 +1,4 @@
-"""Axis signs and the tracker's latency, from motions whose truth is known."""
+"""Axis signs and the tracker's latency, from simulated motions with known values."""
 
 import itertools
 import math
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from core.calibration.commissioning import find_latency, find_signs
-from core.calibration.fit import Unobservable
+from core.calibration.fit import UnobservableCombination
 from core.model.statics import Statics
 from tests.harness.visited import TRACKER, altered, seen
 
@@ -16,8 +16,8 @@ MOVES = np.vstack([sign * np.diag([0.3, 0.3, 0.012])[k] for k in range(3) for si
 
 
 @pytest.mark.parametrize("truth", list(itertools.product((1.0, -1.0), repeat=3)))
-def test_every_combination_of_signs_is_told_from_every_other_without_a_registration(paper_robot, truth):
-    """The tubes are not those of the description either."""
+def test_the_signs_of_all_axes_are_found_without_a_registration(paper_robot, truth):
+    """In this test the simulated real tubes also differ from the robot file's values."""
     measurements = [
         measurement._replace(joints=START + move)
         for measurement, move in zip(seen(altered(paper_robot), START + truth * MOVES), MOVES, strict=True)
@@ -29,13 +29,13 @@ def test_every_combination_of_signs_is_told_from_every_other_without_a_registrat
     assert found.next_rms > 3.0 * found.rms
 
 
-def test_moves_that_are_too_small_are_refused(paper_robot):
+def test_moves_too_small_for_finding_signs_are_refused(paper_robot):
     measurements = [
         measurement._replace(joints=START + 0.002 * move)
         for measurement, move in zip(seen(paper_robot, START + 0.002 * MOVES), MOVES, strict=True)
     ]
 
-    with pytest.raises(Unobservable, match="make larger moves"):
+    with pytest.raises(UnobservableCombination, match="make larger moves"):
         find_signs(paper_robot, START, measurements)
 
 
@@ -52,24 +52,24 @@ def motion(model: Statics, speed: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.024, 0.080])
-def test_the_latency_is_found_from_a_known_motion(paper_robot, latency):
+def test_the_tracker_latency_is_found_from_a_known_motion(paper_robot, latency):
     times, tips = motion(Statics(paper_robot), 1.0)
     arrivals = np.arange(0.5, 9.5, 0.025)
-    place = np.stack([np.interp(arrivals - latency, times, column) for column in tips.T], axis=1)
-    noise = 0.1e-3 * np.random.default_rng(5).standard_normal(place.shape)
+    position = np.stack([np.interp(arrivals - latency, times, column) for column in tips.T], axis=1)
+    noise = 0.1e-3 * np.random.default_rng(5).standard_normal(position.shape)
 
-    found = find_latency(times, tips, arrivals, TRACKER.inverse().apply(place + noise))
+    found = find_latency(times, tips, arrivals, TRACKER.inverse().apply(position + noise))
 
     assert found.latency == pytest.approx(latency, abs=1e-3)
     assert abs(found.latency - latency) < 4.0 * found.error
     assert found.rms == pytest.approx(math.sqrt(3.0) * 0.1e-3, rel=0.1)
 
 
-def test_a_robot_that_hardly_moves_does_not_tell(paper_robot):
+def test_a_motion_too_slow_for_finding_the_latency_is_refused(paper_robot):
     times, tips = motion(Statics(paper_robot), 0.002)
     arrivals = np.arange(0.5, 9.5, 0.025)
-    place = np.stack([np.interp(arrivals, times, column) for column in tips.T], axis=1)
-    noise = 0.1e-3 * np.random.default_rng(6).standard_normal(place.shape)
+    position = np.stack([np.interp(arrivals, times, column) for column in tips.T], axis=1)
+    noise = 0.1e-3 * np.random.default_rng(6).standard_normal(position.shape)
 
-    with pytest.raises(Unobservable, match="move faster"):
-        find_latency(times, tips, arrivals, place + noise)
+    with pytest.raises(UnobservableCombination, match="move faster"):
+        find_latency(times, tips, arrivals, position + noise)

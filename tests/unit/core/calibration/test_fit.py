@@ -1,4 +1,4 @@
-"""Least squares against closed forms: values, intervals, and what the data cannot tell."""
+"""Least squares against closed forms: values, intervals, and undetermined combinations."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class Line:
         return self.matrix
 
 
-def test_a_linear_problem_is_solved_as_by_the_normal_equations():
+def test_a_linear_fit_has_the_solution_of_the_normal_equations():
     random = np.random.default_rng(0)
     matrix, truth = 100.0 * random.normal(size=(40, 3)), np.array([0.5, -1.0, 2.0])
     measured = matrix @ truth + random.normal(size=40)
@@ -39,7 +39,7 @@ def test_a_linear_problem_is_solved_as_by_the_normal_equations():
     assert found.weak == ()
 
 
-def test_ninety_five_of_a_hundred_intervals_hold_the_truth():
+def test_95_percent_of_the_fits_confidence_intervals_contain_the_true_value():
     random, inside = np.random.default_rng(1), 0
     matrix, truth = 30.0 * random.normal(size=(25, 2)), np.array([0.1, -0.3])
     for _ in range(400):
@@ -48,7 +48,7 @@ def test_ninety_five_of_a_hundred_intervals_hold_the_truth():
     assert 0.93 < inside / 400 < 1.0
 
 
-def test_a_sum_is_told_and_its_parts_are_not():
+def test_a_sum_of_fit_parameters_is_determined_although_its_parts_are_not():
     matrix = np.tile([10.0, 10.0, 0.0], (5, 1)) + np.outer(np.arange(5), [0.0, 0.0, 10.0])
 
     found = fit(
@@ -58,12 +58,12 @@ def test_a_sum_is_told_and_its_parts_are_not():
 
     (weak,) = found.weak
     assert dict(weak.parts) == {"a": pytest.approx(math.sqrt(0.5)), "b": pytest.approx(-math.sqrt(0.5))}
-    assert weak.held
+    assert weak.fixed_by_prior
     assert found.value("a") + found.value("b") == pytest.approx(3.0, abs=1e-2)
     assert found.value("c") == pytest.approx(3.0, abs=1e-2)
 
 
-def test_fewer_data_than_parameters_leave_the_rest_open():
+def test_fewer_data_than_parameters_leave_combinations_undetermined():
     found = fit(Line(np.array([[5.0, 0.0]]), np.array([5.0])), [Parameter("a", "", 1.0), Parameter("b", "", 1.0)])
 
     (weak,) = found.weak
@@ -82,7 +82,7 @@ def test_residuals_larger_than_the_noise_widen_the_intervals():
     assert 5.0 < loud.interval("a") / quiet.interval("a") < 10.0
 
 
-def test_bounds_are_kept():
+def test_a_fit_stays_inside_the_bounds_of_its_parameters():
     found = fit(Line(np.eye(1), np.array([2.0])), [Parameter("a", "", 1.0, bounds=(-0.5, 0.5))])
 
     assert found.value("a") == pytest.approx(0.5)
@@ -90,7 +90,7 @@ def test_bounds_are_kept():
 
 @dataclass
 class Cliff:
-    """Residuals of log(1 - x) = b, with no shape from x = 1 on: the first Gauss-Newton step leads there."""
+    """Residuals of log(1 - x) = b, without a shape for x >= 1: the first Gauss-Newton step ends there."""
 
     target: float
 
@@ -103,11 +103,11 @@ class Cliff:
         return np.array([[-1.0 / (1.0 - values[0])]])
 
 
-def test_a_step_to_where_there_is_no_shape_is_shortened():
+def test_a_fit_step_to_parameters_without_a_shape_is_shortened():
     found = fit(Cliff(-3.0), [Parameter("a", "", 1.0)])
     assert found.value("a") == pytest.approx(1.0 - math.exp(-3.0), abs=1e-6)
 
 
-def test_a_start_without_a_shape_is_said():
+def test_a_fit_that_starts_without_a_shape_raises_no_solution():
     with pytest.raises(NoSolution, match="no shape"):
         fit(Cliff(-3.0), [Parameter("a", "", 1.0)], np.array([2.0]))

@@ -1,10 +1,10 @@
-"""Sensors found again from readings that are made up with rotation matrices of their own."""
+"""The sensor calibration recovers the parameters of simulated sensors (independent implementation)."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.calibration.fit import Unobservable
+from core.calibration.fit import UnobservableCombination
 from core.calibration.force import calibrate_sensors, check_weight
 from core.calibration.measurements import Measurement, Noise
 from core.model.statics import Statics
@@ -16,7 +16,7 @@ WEIGHT, PLACE = [0.10, 0.05], [np.array([1e-3, 2e-3, 15e-3]), np.array([-2e-3, 1
 
 
 def readings(joints, load, internal, time, offset, drift, random):
-    """What two sensors say: shares of a load about the plate's origin (6,) and what the tubes do to each other."""
+    """Return readings of two sensors: shares of a load about the plate's origin (6,) and wrenches between the tubes."""
     rows = []
     for i, (share, alpha, beta) in enumerate(
         zip((0.3 * load + internal, 0.7 * load - internal), joints[1::-1], (joints[2], 0.0), strict=True)
@@ -36,7 +36,7 @@ def readings(joints, load, internal, time, offset, drift, random):
 
 @pytest.fixture(scope="module")
 def bench(paper_robot):
-    """Measurements, tips and the errors that were put in; blocks without and with weight take turns."""
+    """Return measurements, tips and the simulated errors; blocks without and with weight alternate."""
     random, model = np.random.default_rng(1), Statics(paper_robot)
     offset = random.uniform(-1.0, 1.0, (2, 6)) * np.repeat([1.0, 0.01], 3)
     drift = random.choice([-1.0, 1.0], (2, 6)) * np.repeat([5e-3 / 60.0, 0.0], 3)
@@ -58,7 +58,7 @@ def found(paper_robot, bench):
     return calibrate_sensors(paper_robot, bench[0], bench[1], NOISE, 0.05e-3)
 
 
-def test_mounting_and_weights_are_found(found):
+def test_mounting_angles_and_weights_of_sensors_are_found(found):
     for i in range(2):
         away = Rotation.from_matrix(found.sensors.mounting[i]) * MOUNTING[i].inv()
         assert np.degrees(away.magnitude()) < 0.15
@@ -66,7 +66,7 @@ def test_mounting_and_weights_are_found(found):
     assert 0.5 < found.fit.variance_factor < 1.5
 
 
-def test_loads_are_measured_although_the_tubes_do_much_more_to_each_other(paper_robot, bench, found):
+def test_calibrated_sensors_measure_loads_below_the_forces_between_tubes(paper_robot, bench, found):
     errors = np.array(
         [found.load(paper_robot, measurement).force - measurement.weight * DOWN for measurement in bench[0]]
     )
@@ -74,16 +74,16 @@ def test_loads_are_measured_although_the_tubes_do_much_more_to_each_other(paper_
     assert np.sqrt(np.mean(errors**2, axis=0)).max() < 2.5e-3
 
 
-def test_drift_is_found_where_it_shows(bench, found):
+def test_observable_sensor_drift_is_found(bench, found):
     drift = bench[2]
 
     np.testing.assert_allclose(found.drift[:, :2], drift[:, :2], rtol=0, atol=0.5e-3 / 60.0)
-    # Along the axis only the sum of both matters, and only it is told.
+    # Along the axis only the sum of both affects the load, and only the sum is determined.
     assert found.drift[:, 2].sum() == pytest.approx(drift[:, 2].sum(), abs=0.5e-3 / 60.0)
     assert any({"inner force drift z", "outer force drift z"} <= dict(weak.parts).keys() for weak in found.fit.weak)
 
 
-def test_an_unknown_load_helps_by_its_moment_equation(paper_robot, bench):
+def test_unknown_loads_improve_the_sensor_calibration(paper_robot, bench):
     measurements = [v._replace(weight=None) if v.weight else v for v in bench[0]]
 
     found = calibrate_sensors(paper_robot, measurements, bench[1], NOISE, 0.05e-3)
@@ -92,7 +92,7 @@ def test_an_unknown_load_helps_by_its_moment_equation(paper_robot, bench):
     assert np.sqrt(np.mean(np.array(errors) ** 2)) < 6e-3
 
 
-def test_a_known_weight_is_checked(paper_robot, bench, found):
+def test_the_error_of_a_known_weight_is_measured(paper_robot, bench, found):
     loads = np.array([found.load(paper_robot, v).force for v in bench[0] if v.weight == 0.5])
 
     check = check_weight(loads, 0.5, DOWN)
@@ -101,13 +101,15 @@ def test_a_known_weight_is_checked(paper_robot, bench, found):
     assert np.degrees(check.angle) < 0.3
 
 
-def test_sensors_that_never_turned_are_refused_and_the_joint_is_named(paper_robot, bench):
+def test_a_sensor_calibration_without_rotation_is_refused_and_the_joint_is_named(paper_robot, bench):
     measurements = [v._replace(joints=v.joints * [1.0, 0.1, 1.0]) for v in bench[0]]
 
-    with pytest.raises(Unobservable, match=r"tube 'inner' .* turn inner_rotation by more than 60 deg without load"):
+    with pytest.raises(
+        UnobservableCombination, match=r"tube 'inner' .* turn inner_rotation by more than 60 deg without load"
+    ):
         calibrate_sensors(paper_robot, measurements, bench[1], NOISE, 0.05e-3)
 
 
-def test_too_few_visits_without_load_are_refused(paper_robot, bench):
-    with pytest.raises(Unobservable, match="5 measurements without load"):
+def test_a_sensor_calibration_with_too_few_unloaded_poses_is_refused(paper_robot, bench):
+    with pytest.raises(UnobservableCombination, match="5 measurements without load"):
         calibrate_sensors(paper_robot, bench[0][:5], bench[1][:5], NOISE, 0.05e-3)

@@ -1,4 +1,4 @@
-"""Residuals that vanish at the truth, and their derivatives against central differences."""
+"""Residuals at the true parameters are noise, and their derivatives match central differences."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def problem(paper_robot):
 
 
 @pytest.mark.parametrize("directions", [0, 1, 3])
-def test_at_the_truth_only_noise_is_left(problem, directions):
+def test_prediction_residuals_at_the_true_parameters_are_noise(problem, directions):
     found = problem(directions)
     residuals = found.residuals(np.zeros(len(found.parameters)))
 
@@ -31,7 +31,7 @@ def test_at_the_truth_only_noise_is_left(problem, directions):
 
 
 @pytest.mark.parametrize("directions", [0, 1, 3])
-def test_the_jacobian_is_the_derivative(problem, directions):
+def test_the_prediction_jacobian_matches_central_differences(problem, directions):
     found = problem(directions)
     sizes = np.array([parameter.size for parameter in found.parameters])
     at = 0.05 * sizes * np.random.default_rng(1).standard_normal(sizes.size)
@@ -45,10 +45,10 @@ def test_the_jacobian_is_the_derivative(problem, directions):
         np.testing.assert_allclose(jacobian[:, k], expected, rtol=0, atol=3e-5 * np.abs(expected).max())
 
 
-def test_a_force_that_is_not_well_known_counts_less_where_the_robot_is_soft(paper_robot):
+def test_an_uncertain_force_has_less_weight_where_the_robot_is_compliant(paper_robot):
     measurements = seen(paper_robot, np.array([[0.0, 1.5, -0.12], [0.0, 1.5, -0.02]]), FORCE)
     frames = Frames(TRACKER, COIL, np.zeros(3))
     found = Prediction(paper_robot, (), measurements, np.tile(FORCE, (2, 1)), NOISE._replace(force=0.02), frames)
-    rows = found.jacobian(np.zeros(9))[:, 3:6].reshape(2, 3, 3)  # by the frame's position: the weights themselves
+    rows = found.jacobian(np.zeros(9))[:, 3:6].reshape(2, 3, 3)  # by the frame's position: these are the weights
 
     assert np.linalg.det(rows[0]) > 10.0 * np.linalg.det(rows[1])

@@ -1,16 +1,16 @@
-"""Which numbers of a robot may be wrong, and the robot with them changed."""
+"""Calibrated parameters of a robot, and the robot with changed parameters."""
 
 import math
 
 import numpy as np
 import pytest
 
-from core.calibration.quantities import Quantity, changed, quantities
+from core.calibration.quantities import Quantity, quantities, with_changes
 from core.errors import DescriptionError
 from core.model.statics import Statics
 
 
-def test_what_can_be_wrong_about_the_papers_robot(paper_robot):
+def test_quantities_of_the_paper_s_robot_are_listed(paper_robot):
     names = [quantity.parameter(paper_robot).name for quantity in quantities(paper_robot)]
 
     assert names == [
@@ -20,9 +20,9 @@ def test_what_can_be_wrong_about_the_papers_robot(paper_robot):
     ]  # fmt: skip
 
 
-def test_each_change_is_the_one_that_was_asked_for(paper_robot):
+def test_each_calibrated_quantity_changes_only_its_own_tube_parameter(paper_robot):
     what = quantities(paper_robot)
-    inner, outer = changed(paper_robot, what, np.array([0.1, -0.2, 0.05, 1e-3, 0.3, -0.1, 0.2, -0.1, -5e-3])).tubes
+    inner, outer = with_changes(paper_robot, what, np.array([0.1, -0.2, 0.05, 1e-3, 0.3, -0.1, 0.2, -0.1, -5e-3])).tubes
 
     assert inner.bending_stiffness == pytest.approx(1.1 * 0.0413)
     assert inner.poisson_ratio == pytest.approx(0.35)
@@ -34,10 +34,10 @@ def test_each_change_is_the_one_that_was_asked_for(paper_robot):
     assert [section.length for section in outer.sections] == pytest.approx([0.012, 0.148])
 
 
-def test_a_zero_angle_is_a_turn_of_the_stage(paper_robot):
-    """The tube that is curved another way stands like the described one at another reading."""
+def test_a_zero_angle_is_equivalent_to_a_rotation_of_the_stage(paper_robot):
+    """A tube curved in another direction has the described pose at another reading of the stage."""
     joints, wrench = np.array([0.4, 1.1, -0.08]), np.array([0.2, 0.1, -0.1, 0.0, 0.0, 0.0])
-    turned = changed(paper_robot, [Quantity(0, "zero_angle")], np.array([0.25]))
+    turned = with_changes(paper_robot, [Quantity(0, "zero_angle")], np.array([0.25]))
 
     found = Statics(turned).solve(joints, wrench).tip
 
@@ -46,21 +46,23 @@ def test_a_zero_angle_is_a_turn_of_the_stage(paper_robot):
     )
 
 
-def test_straight_parts_of_all_tubes_and_a_shift_along_z_are_one_and_the_same(paper_robot):
-    """Why the outermost tube's straight length stays as it is."""
+def test_longer_straight_parts_of_all_tubes_are_equivalent_to_a_shift_along_z(paper_robot):
+    """This equivalence is the reason why calibration keeps the outermost tube's straight length fixed."""
     joints = np.array([0.4, 1.1, -0.08])
-    longer = changed(paper_robot, [Quantity(0, "straight_length"), Quantity(1, "straight_length")], np.full(2, 1e-3))
+    longer = with_changes(
+        paper_robot, [Quantity(0, "straight_length"), Quantity(1, "straight_length")], np.full(2, 1e-3)
+    )
 
     shift = Statics(longer).solve(joints, np.zeros(6)).tip - Statics(paper_robot).solve(joints, np.zeros(6)).tip
 
     np.testing.assert_allclose(shift, [0.0, 0.0, 1e-3], rtol=0, atol=0.03e-3)
 
 
-def test_a_straight_part_that_is_not_there_cannot_be_longer(one_tube):
+def test_a_straight_length_of_a_tube_without_straight_part_is_refused(one_tube):
     from core.robot.robot import Section
 
     with pytest.raises(DescriptionError, match="no straight part"):
-        changed(one_tube(Section(0.1, (3.0, 0.0))), [Quantity(0, "straight_length")], np.array([1e-3]))
+        with_changes(one_tube(Section(0.1, (3.0, 0.0))), [Quantity(0, "straight_length")], np.array([1e-3]))
 
 
 def test_three_tubes_have_two_zero_angles_and_two_straight_lengths_to_find(three_tubes):

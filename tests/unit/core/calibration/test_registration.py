@@ -1,23 +1,23 @@
-"""Frames found again from what a tracker would have seen on the exact rod."""
+"""The registration recovers frames from simulated tracker data of the exact rod."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.calibration.fit import Unobservable
+from core.calibration.fit import UnobservableCombination
 from core.calibration.registration import register
-from core.calibration.rigid import Rigid
+from core.calibration.rigid_transform import RigidTransform
 from tests.harness.visited import COIL, NOISE, TRACKER, altered, poses, seen
 
 
-def far(found: Rigid) -> float:
+def far(found: RigidTransform) -> float:
     """Mean distance [m] at the corners of the workspace."""
     corners = np.array([[x, y, z] for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (0.1, 0.25)])
     return float(np.linalg.norm(found.apply(TRACKER.inverse().apply(corners)) - corners, axis=1).mean())
 
 
 @pytest.mark.parametrize("directions", [0, 1, 3])
-def test_frames_are_found_again_with_a_coil_of_three_five_and_six_degrees_of_freedom(paper_robot, directions):
+def test_frames_are_recovered_with_a_coil_of_three_five_and_six_degrees_of_freedom(paper_robot, directions):
     measurements = seen(paper_robot, poses(0, 24), directions=directions)
 
     found = register(paper_robot, measurements, np.zeros((24, 3)), NOISE)
@@ -29,7 +29,7 @@ def test_frames_are_found_again_with_a_coil_of_three_five_and_six_degrees_of_fre
     assert found.held_out.mean() < 0.08e-3
 
 
-def test_errors_stay_inside_what_the_covariance_says(paper_robot):
+def test_registration_errors_match_the_covariance(paper_robot):
     inside = 0
     for seed in range(8):
         measurements = seen(paper_robot, poses(seed, 16), seed=seed)
@@ -40,7 +40,7 @@ def test_errors_stay_inside_what_the_covariance_says(paper_robot):
     assert inside >= 7
 
 
-def test_a_load_is_taken_into_account(paper_robot):
+def test_the_registration_accounts_for_a_load(paper_robot):
     force = np.array([0.4, 0.1, 0.0])
     measurements = seen(paper_robot, poses(1, 20), force)
 
@@ -52,7 +52,7 @@ def test_a_load_is_taken_into_account(paper_robot):
     )
 
 
-def test_other_tubes_than_described_show_in_the_residuals_and_in_the_covariance(paper_robot):
+def test_wrong_tube_parameters_increase_residuals_and_covariance(paper_robot):
     measurements = seen(altered(paper_robot), poses(2, 24))
 
     found = register(paper_robot, measurements, np.zeros((24, 3)), NOISE)
@@ -67,16 +67,16 @@ def test_a_robot_that_only_slides_cannot_be_registered_and_the_missing_turn_is_n
     joints[:, 2] = np.linspace(-0.12, -0.02, 12)
 
     with pytest.raises(
-        Unobservable,
-        match=r"cannot tell .*: turn (outer|inner)_rotation by \d+ deg either way \(it turned 0\.0 deg so far",
+        UnobservableCombination,
+        match=r"not determine .*: turn (outer|inner)_rotation by \d+ deg in both directions \(it turned 0\.0 deg",
     ):
         register(paper_robot, seen(paper_robot, joints), np.zeros((12, 3)), NOISE, paper_limits)
 
 
-def test_the_named_motion_is_enough(paper_robot, paper_limits):
+def test_the_motion_suggested_for_a_registration_is_sufficient(paper_robot, paper_limits):
     joints = np.tile([0.0, 1.5, -0.1], (12, 1))
     joints[:, 2] = np.linspace(-0.12, -0.02, 12)
-    with pytest.raises(Unobservable) as refusal:
+    with pytest.raises(UnobservableCombination) as refusal:
         register(paper_robot, seen(paper_robot, joints), np.zeros((12, 3)), NOISE, paper_limits)
     name, amount = str(refusal.value).split(": turn ")[1].split(" by ")
     turn = np.radians(float(amount.split()[0]))
@@ -89,13 +89,13 @@ def test_the_named_motion_is_enough(paper_robot, paper_limits):
     assert far(found.frames.registration) < 0.5e-3
 
 
-def test_too_few_visits_are_refused(paper_robot):
-    with pytest.raises(Unobservable, match="5 measurements"):
+def test_a_registration_with_too_few_poses_is_refused(paper_robot):
+    with pytest.raises(UnobservableCombination, match="5 measurements"):
         register(paper_robot, seen(paper_robot, poses(0, 5)), np.zeros((5, 3)), NOISE)
 
 
-def test_a_turn_about_z_is_shared_with_the_zero_of_the_outermost_tube(paper_robot):
-    """All tubes turned by an angle are the same to the tracker as the tracker turned about z."""
+def test_a_tracker_rotation_about_z_is_equivalent_to_a_zero_error_of_all_tubes(paper_robot):
+    """Rotating all tubes by an angle has the same effect on the measurements as rotating the tracker about z."""
     turned = poses(3, 20) + np.array([0.2, 0.2, 0.0])
     measurements = [
         v._replace(joints=joints) for v, joints in zip(seen(paper_robot, turned), poses(3, 20), strict=True)
@@ -108,8 +108,8 @@ def test_a_turn_about_z_is_shared_with_the_zero_of_the_outermost_tube(paper_robo
     np.testing.assert_allclose(found.frames.registration.rotation, expected, rtol=0, atol=1e-3)
 
 
-def test_where_no_single_joint_is_enough_the_best_is_named_first(paper_robot, paper_limits):
+def test_the_registration_names_the_best_joint_first_when_no_single_joint_is_sufficient(paper_robot, paper_limits):
     joints = np.tile([0.0, 1.5, -0.1], (12, 1))
 
-    with pytest.raises(Unobservable, match=r"\w+ by \d+ deg either way .*, and then the other joints"):
+    with pytest.raises(UnobservableCombination, match=r"\w+ by \d+ deg in both directions .*, then the other joints"):
         register(paper_robot, seen(paper_robot, joints), np.zeros((12, 3)), NOISE, paper_limits)

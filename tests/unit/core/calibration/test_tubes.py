@@ -1,12 +1,12 @@
-"""The tubes found again from measurements of a robot that differs from its description."""
+"""The tube calibration recovers a robot that differs from its description."""
 
 import math
 
 import numpy as np
 import pytest
 
-from core.calibration.fit import Unobservable
-from core.calibration.tubes import calibrate_tubes, held_out
+from core.calibration.fit import UnobservableCombination
+from core.calibration.tubes import calibrate_tubes, held_out_errors
 from tests.harness.visited import NOISE, TRACKER, altered, poses, seen
 
 PULLS = [np.zeros(3), np.array([0.25, 0.0, 0.0]), np.array([0.5, 0.0, 0.0])]
@@ -14,7 +14,7 @@ PULLS = [np.zeros(3), np.array([0.25, 0.0, 0.0]), np.array([0.5, 0.0, 0.0])]
 
 @pytest.fixture(scope="module")
 def recorded(paper_robot):
-    """Measurements and forces of the altered robot, to fit and to check with."""
+    """Return measurements and forces of the altered robot, to fit and to validate."""
     true, fits, checks = altered(paper_robot), ([], []), ([], [])
     for number, pull in enumerate(PULLS):
         for seed, count, into in ((number, 20, fits), (10 + number, 6, checks)):
@@ -31,7 +31,7 @@ def found(paper_robot, recorded):
     return calibrate_tubes(paper_robot, measurements, forces, NOISE)
 
 
-def test_stiffness_curvature_nu_and_zero_angle_are_found(paper_robot, found):
+def test_the_tube_calibration_finds_stiffness_curvature_nu_and_zero_angle(paper_robot, found):
     for new, true in zip(found.robot.tubes, altered(paper_robot).tubes, strict=True):
         assert new.bending_stiffness == pytest.approx(true.bending_stiffness, rel=0.01)
         assert math.hypot(*new.sections[1].curvature) == pytest.approx(
@@ -42,7 +42,7 @@ def test_stiffness_curvature_nu_and_zero_angle_are_found(paper_robot, found):
         assert angles[0] == pytest.approx(angles[1], abs=math.radians(0.1))
 
 
-def test_the_truth_is_inside_three_standard_deviations(paper_robot, found):
+def test_true_tube_parameters_are_within_three_standard_deviations(paper_robot, found):
     true, fit = altered(paper_robot), found.fit
     expected = {
         "inner bending_stiffness": true.tubes[0].bending_stiffness / 0.0413 - 1.0,
@@ -60,45 +60,45 @@ def test_the_truth_is_inside_three_standard_deviations(paper_robot, found):
     assert 0.6 < fit.variance_factor < 1.5
 
 
-def test_the_frames_come_out_with_the_tubes(found):
+def test_the_tube_calibration_also_finds_the_frames(found):
     corners = np.array([[x, y, 0.2] for x in (-0.05, 0.05) for y in (-0.05, 0.05)])
     there = found.frames.registration.apply(TRACKER.inverse().apply(corners))
 
     assert np.linalg.norm(there - corners, axis=1).mean() < 0.08e-3
 
 
-def test_held_out_loaded_poses_are_predicted_many_times_better(paper_robot, recorded, found):
-    result = held_out(paper_robot, found, recorded[0], recorded[1], NOISE)
+def test_calibrated_tubes_predict_held_out_loaded_poses_many_times_better(paper_robot, recorded, found):
+    result = held_out_errors(paper_robot, found, recorded[0], recorded[1], NOISE)
 
     assert result.after.mean() < 0.1e-3
     assert result.before.mean() > 4.0 * result.after.mean()
 
 
-def test_without_load_the_scale_of_stiffness_is_refused(paper_robot, recorded):
+def test_a_stiffness_fit_without_loaded_measurements_is_refused(paper_robot, recorded):
     measurements, forces = recorded[0]
     free = [k for k, force in enumerate(forces) if not force.any()]
 
-    with pytest.raises(Unobservable, match=r"0 measurements under more than 0\.05 N; .* hang a weight"):
+    with pytest.raises(UnobservableCombination, match=r"0 measurements under more than 0\.05 N; .* hang a weight"):
         calibrate_tubes(paper_robot, [measurements[k] for k in free], forces[free], NOISE)
 
 
-def test_too_few_visits_are_refused(paper_robot, recorded):
+def test_a_tube_calibration_with_too_few_poses_is_refused(paper_robot, recorded):
     measurements, forces = recorded[0]
 
-    with pytest.raises(Unobservable, match="5 measurements for 18 unknowns"):
+    with pytest.raises(UnobservableCombination, match="5 measurements for 18 unknowns"):
         calibrate_tubes(paper_robot, measurements[-5:], forces[-5:], NOISE)
 
 
-def test_the_play_of_a_drive_is_found_from_the_way_each_pose_was_come_to(paper_robot):
+def test_the_tube_calibration_finds_a_drives_play_from_arrival_directions(paper_robot):
     play, joints = np.array([0.0, 4e-3, 0.0]), poses(21, 40)
     came = np.sign(np.diff(np.vstack((np.zeros(3), joints)), axis=0))
     pull = np.array([0.4, 0.0, 0.0])
     forces = np.where(np.arange(40)[:, None] < 20, 0.0, pull)
     measurements = []
     for part, force in ((slice(0, 20), (0.0, 0.0, 0.0)), (slice(20, 40), pull)):
-        stood = joints[part] - 0.5 * play * came[part]
-        for measurement, stage, way in zip(seen(paper_robot, stood, force), joints[part], came[part], strict=True):
-            measurements.append(measurement._replace(joints=stage, came=way))
+        true = joints[part] - 0.5 * play * came[part]
+        for measurement, stage, direction in zip(seen(paper_robot, true, force), joints[part], came[part], strict=True):
+            measurements.append(measurement._replace(joints=stage, came=direction))
 
     found = calibrate_tubes(paper_robot, measurements, forces, NOISE._replace(force=1e-6)).fit
 

@@ -1,11 +1,11 @@
-"""Section III: what each loop asks of the joints, checked against the loaded model itself."""
+"""Section III: the equations of each loop for the joints, compared with the loaded model."""
 
 import math
 
 import numpy as np
 import pytest
 
-from core.control.controllers import INNER_LOOPS, STRATEGIES, PositionMode, VelocityMode, View, strategy
+from core.control.controllers import INNER_LOOPS, STRATEGIES, LoopInputs, PositionMode, VelocityMode, strategy
 from core.control.trajectories import Setpoint
 from core.errors import DescriptionError
 from core.model.statics import Statics
@@ -21,8 +21,8 @@ def model(paper_robot):
 
 
 @pytest.fixture(scope="module")
-def view(model) -> View:
-    """Joints and load in steady motion; the rates are those of the model's own tips, by differences."""
+def view(model) -> LoopInputs:
+    """Inputs of an inner loop in steady motion of joints and load; rates are difference quotients of model tips."""
     h = 1e-4
 
     def solved(time: float, load: float):
@@ -32,7 +32,7 @@ def view(model) -> View:
         return solved(time, 1.0).tip - solved(time, 0.0).tip
 
     loaded = solved(0.0, 1.0)
-    return View(
+    return LoopInputs(
         loaded,
         solved(0.0, 0.0),
         (deflection(h) - deflection(-h)) / (2 * h),
@@ -43,7 +43,7 @@ def view(model) -> View:
 
 @pytest.fixture(scope="module")
 def tip_rate(model) -> np.ndarray:
-    """Tip velocity (3,) of that motion, by differences of the solved tip."""
+    """Tip velocity (3,) of the steady motion of joints and load, from differences of the solved tip."""
     h = 1e-4
     ahead, behind = (
         model.solve(POSE + s * h * JOINT_RATE, np.r_[FORCE + s * h * FORCE_RATE, np.zeros(3)]).tip for s in (1, -1)
@@ -52,32 +52,32 @@ def tip_rate(model) -> np.ndarray:
 
 
 @pytest.mark.parametrize("inner", ["type_1", "type_1_exact"])
-def test_joints_that_solve_a_type_1_loop_give_the_tip_the_velocity_asked_for(inner, view, tip_rate):
-    """Asked for the tip velocity of a known motion under a known load rate, the answer is that motion."""
+def test_joint_velocity_from_a_type_1_loop_gives_the_requested_tip_velocity(inner, view, tip_rate):
+    """For the tip velocity of a known motion under a known load rate, the solution is that motion."""
     jacobian, velocity = INNER_LOOPS[inner](tip_rate, view)
 
     np.testing.assert_allclose(np.linalg.solve(jacobian, velocity), JOINT_RATE, rtol=0, atol=2e-6)
 
 
-def test_without_the_loads_own_motion_they_do_not(view, tip_rate):
+def test_loaded_jacobian_strategy_misses_the_tip_motion_that_the_load_causes(view, tip_rate):
     jacobian, velocity = strategy("loaded_jacobian").inner(tip_rate, view)
 
     assert np.abs(np.linalg.solve(jacobian, velocity) - JOINT_RATE).max() > 1e-3
 
 
-def test_type_2_takes_out_whatever_moves_the_tip_besides_the_joints(view):
+def test_type_2_compensates_every_tip_motion_not_caused_by_the_joints(view):
     u_int = np.array([1e-3, 0.0, -2e-3])
     measured = view.loaded.jacobian[:3] @ JOINT_RATE + view.load_rate + view.drift  # X' as the observer has it
 
     jacobian, velocity = INNER_LOOPS["type_2"](u_int, view)
 
-    # eq. (29), literally
+    # eq. (29) verbatim
     expected = np.linalg.solve(view.loaded.jacobian[:3], u_int - (measured - view.loaded.jacobian[:3] @ JOINT_RATE))
     np.testing.assert_allclose(np.linalg.solve(jacobian, velocity), expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "loaded"), [("unloaded_jacobian", False), ("loaded_jacobian", True)])
-def test_the_plain_strategies_use_their_jacobian_and_nothing_else(name, loaded, view):
+def test_jacobian_strategies_use_only_their_jacobian_and_no_load_rate(name, loaded, view):
     u_int = np.array([1e-3, 2e-3, 3e-3])
 
     jacobian, velocity = strategy(name).inner(u_int, view)
@@ -87,16 +87,16 @@ def test_the_plain_strategies_use_their_jacobian_and_nothing_else(name, loaded, 
 
 
 @pytest.mark.parametrize("name", ["unloaded_jacobian", "loaded_jacobian", "inner_loop"])
-def test_velocity_strategies_follow_the_trajectorys_velocity_whatever_the_tracker_says(name):
+def test_velocity_strategies_ignore_the_measured_tip(name):
     setpoint = Setpoint(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]))
 
-    asked = strategy(name, 2.0, 3.0, True).outer.tip_velocity(setpoint, np.full(3, 9.0))
+    requested = strategy(name, 2.0, 3.0, True).outer.tip_velocity(setpoint, np.full(3, 9.0))
 
     assert isinstance(strategy(name).outer, VelocityMode)
-    assert asked.tolist() == [0.1, 0.2, 0.3]
+    assert requested.tolist() == [0.1, 0.2, 0.3]
 
 
-def test_dual_layer_is_equation_30_with_its_own_gain_for_each_term():
+def test_dual_layer_is_equation_30_with_a_separate_gain_per_term():
     setpoint, tip = Setpoint(np.array([1.0, 0.0, 2.0]), np.array([0.5, 0.0, 0.0])), np.array([0.25, 1.0, 0.0])
 
     assert strategy("dual_layer", 2.0, 3.0).outer.tip_velocity(setpoint, tip).tolist() == [2.5, -2.0, 6.0]
@@ -104,14 +104,14 @@ def test_dual_layer_is_equation_30_with_its_own_gain_for_each_term():
 
 
 @pytest.mark.parametrize("k", [1.0, 2.5])
-def test_with_equal_gains_the_tip_is_a_first_order_lag_behind_the_setpoint(k):
+def test_tip_with_equal_gains_follows_the_setpoint_with_a_first_order_lag(k):
     """Eq. (31): a step is approached as 1 - exp(-k t), a sinusoid at w arrives as k / (k + jw)."""
     outer, dt = PositionMode(k, k), 1e-4
     tip, frequency = np.zeros(3), 2.0 * math.pi * 0.05
     for number in range(round(60.0 / dt)):
         time = number * dt
-        wanted = np.array([1.0, math.sin(frequency * time), 0.0])
-        tip = tip + dt * outer.tip_velocity(Setpoint(wanted, np.zeros(3)), tip)
+        desired = np.array([1.0, math.sin(frequency * time), 0.0])
+        tip = tip + dt * outer.tip_velocity(Setpoint(desired, np.zeros(3)), tip)
         if number == round(1.0 / k / dt):
             assert tip[0] == pytest.approx(1.0 - math.exp(-1.0), abs=1e-3)
     gain = k / complex(k, frequency)
@@ -120,11 +120,11 @@ def test_with_equal_gains_the_tip_is_a_first_order_lag_behind_the_setpoint(k):
 
 @pytest.mark.parametrize("inner", INNER_LOOPS)
 @pytest.mark.parametrize("name", ["inner_loop", "dual_layer"])
-def test_strategies_with_an_inner_loop_take_the_one_named(name, inner):
+def test_strategy_uses_the_inner_loop_of_the_given_name(name, inner):
     assert strategy(name, inner=inner).inner is INNER_LOOPS[inner]
 
 
-def test_every_strategy_of_the_paper_is_there():
+def test_every_strategy_of_the_paper_is_available():
     assert list(STRATEGIES) == ["unloaded_jacobian", "loaded_jacobian", "inner_loop", "dual_layer"]
 
 
@@ -138,7 +138,7 @@ def test_every_strategy_of_the_paper_is_there():
         (lambda: strategy("inner_loop", 51.0), "K1 = 51 1/s"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name_value_and_bound(make, words):
+def test_invalid_strategy_is_refused_with_name_value_and_bound(make, words):
     with pytest.raises(DescriptionError) as refused:
         make()
 

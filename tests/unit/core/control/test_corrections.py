@@ -1,4 +1,4 @@
-"""Corrections in the tick: a coil that is off and askew and askew sensors lead to the estimates of ideal ones."""
+"""Corrections in the tick: displaced, misaligned coil and sensors give the estimates of ideal ones."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from core.control.deflection import RateFilter
 from core.control.estimation import Estimator
 from core.control.observer import Observer
 from core.control.sensors import Sensors
-from core.control.step import Controller, Sample, begin, step
+from core.control.step import Controller, Sample, start_controller, step
 from core.model.statics import Statics
 from core.robot.limits import JointLimit, Limits
 
@@ -29,15 +29,15 @@ def controller(paper_robot) -> Controller:
 
 
 def at_bases(tip: np.ndarray) -> np.ndarray:
-    """Wrenches that add up to FORCE at the tip: all of it at the outer tube (2, 6)."""
+    """Wrenches (2, 6) with the sum FORCE at the tip, all at the outer tube."""
     turn = Rotation.from_euler("z", JOINTS[0]).inv()
     return np.array([np.zeros(6), np.r_[turn.apply(FORCE), turn.apply(np.cross(tip, FORCE))]])
 
 
-def test_the_tick_sees_what_ideal_devices_would_have_said(controller):
+def test_corrected_sample_gives_the_estimates_of_ideal_devices(controller):
     pose = controller.statics.solve(JOINTS, np.r_[FORCE, np.zeros(3)])
     true = at_bases(pose.tip)
-    askew = np.array([
+    misaligned = np.array([
         np.r_[m.inv().apply(row[:3]), m.inv().apply(row[3:])] for m, row in zip(MOUNTING, true, strict=True)
     ])  # fmt: skip
     coil = pose.tip + pose.rotation @ COIL
@@ -45,18 +45,18 @@ def test_the_tick_sees_what_ideal_devices_would_have_said(controller):
     corrected = replace(controller, corrections=Corrections(sensors, COIL))
 
     ideal = Sample(JOINTS, np.zeros(3), true, pose.tip)
-    real = Sample(JOINTS, np.zeros(3), askew, coil)
-    expected = step(controller, begin(controller, ideal), ideal, None)
-    found = step(corrected, begin(corrected, real), real, None)
+    real = Sample(JOINTS, np.zeros(3), misaligned, coil)
+    expected = step(controller, start_controller(controller, ideal), ideal, None)
+    found = step(corrected, start_controller(corrected, real), real, None)
 
     np.testing.assert_allclose(found.load.force, FORCE, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.memory.tip, expected.memory.tip, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.memory.estimate.loaded.tip, pose.tip, rtol=0, atol=1e-9)
-    assert np.linalg.norm(step(controller, begin(controller, real), real, None).memory.tip - pose.tip) > 1e-3
+    assert np.linalg.norm(step(controller, start_controller(controller, real), real, None).memory.tip - pose.tip) > 1e-3
 
 
-def test_a_tare_leaves_in_what_hangs_on_the_sensors(controller, paper_robot):
-    """Tared at one rotation, right at another: the weight turns in the sensor, the load does not."""
+def test_tare_does_not_remove_the_hanging_weight(controller, paper_robot):
+    """A tare at one rotation is valid at another: the weight rotates in the sensor's axes, the load does not."""
     sensors = replace(Sensors.ideal(2), weight=np.array([0.1, 0.2]), first_moment=np.full((2, 3), 1e-3))
     corrected = replace(controller, corrections=Corrections(sensors))
     offset = np.random.default_rng(0).normal(size=(2, 6))
@@ -74,7 +74,7 @@ AXIS = Rotation.from_euler("zy", [50.0, 3.0], degrees=True).apply([0.0, 0.0, 1.0
 TIP = Rotation.from_euler("xyz", [140.0, 35.0, -75.0], degrees=True)
 
 
-def test_the_axis_of_a_coil_askew_is_led_to_the_tips():
+def test_axis_of_a_misaligned_coil_is_rotated_to_the_tips_axis():
     corrections = Corrections(Sensors.ideal(2), axis=AXIS)
 
     direction = corrections.direction(TIP.apply(AXIS), TIP.as_matrix())
@@ -83,8 +83,8 @@ def test_the_axis_of_a_coil_askew_is_led_to_the_tips():
     np.testing.assert_allclose(corrections.coil_axis(direction, TIP.as_matrix()), TIP.apply(AXIS), rtol=0, atol=1e-12)
 
 
-def test_of_an_error_of_the_models_frame_only_the_coils_lean_is_left():
-    """Six degrees of error about any axis, three of lean: at most their product gets into the direction."""
+def test_error_of_the_models_tip_frame_enters_the_direction_only_times_the_coils_misalignment():
+    """With a frame error of six degrees and a misalignment of three, at most their product enters the direction."""
     corrections, errors = Corrections(Sensors.ideal(2), axis=AXIS), np.random.default_rng(5).standard_normal((20, 3))
     for error in errors:
         wrong = Rotation.from_rotvec(np.radians(6.0) * error / np.linalg.norm(error)) * TIP
@@ -93,25 +93,25 @@ def test_of_an_error_of_the_models_frame_only_the_coils_lean_is_left():
         assert angle < 1.05 * np.radians(6.0) * np.radians(3.0)
 
 
-def test_without_a_known_axis_the_measured_one_is_the_tips():
+def test_measured_coil_axis_is_the_tips_direction_without_a_calibrated_axis():
     measured = TIP.apply(AXIS)
     assert Corrections(Sensors.ideal(2)).direction(measured, TIP.as_matrix()) is measured
 
 
-def test_the_tick_looks_at_the_direction_only_where_somebody_asks_and_corrected(controller):
+def test_controller_tick_estimates_the_direction_only_on_request_and_with_corrections(controller):
     pose = controller.statics.solve(JOINTS, np.r_[FORCE, np.zeros(3)])
     corrected = replace(controller, corrections=Corrections(Sensors.ideal(2), axis=AXIS))
     sample = Sample(JOINTS, np.zeros(3), at_bases(pose.tip), pose.tip, direction=pose.rotation @ AXIS)
 
-    plain = step(corrected, begin(corrected, sample), sample, None)
+    plain = step(corrected, start_controller(corrected, sample), sample, None)
     watching = replace(corrected, watches=True)
-    watched = step(watching, begin(watching, sample), sample, None)
+    watched = step(watching, start_controller(watching, sample), sample, None)
 
-    assert plain.memory.pointed is None
-    assert watched.memory.pointed is not None
-    assert watched.memory.pointed.seen
-    np.testing.assert_allclose(watched.memory.pointed.measured, pose.rotation[:, 2], rtol=0, atol=1e-9)
+    assert plain.memory.direction is None
+    assert watched.memory.direction is not None
+    assert watched.memory.direction.measured_once
+    np.testing.assert_allclose(watched.memory.direction.measured, pose.rotation[:, 2], rtol=0, atol=1e-9)
     np.testing.assert_array_equal(watched.command, plain.command)
-    untold = step(watching, begin(watching, sample), sample._replace(direction=None), None)
-    assert untold.memory.pointed is not None
-    assert not untold.memory.pointed.seen
+    untold = step(watching, start_controller(watching, sample), sample._replace(direction=None), None)
+    assert untold.memory.direction is not None
+    assert not untold.memory.direction.measured_once

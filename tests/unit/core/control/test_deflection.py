@@ -12,13 +12,13 @@ PERIOD = 0.002
 
 
 def noise(period: float, bandwidth: float) -> tuple[np.ndarray, np.ndarray]:
-    """Transition and process noise of a constant velocity shaken by white acceleration; measurement noise is 1."""
+    """Transition matrix and process noise of a constant-velocity model; its measurement noise is 1."""
     density = (2.0 * math.pi * bandwidth) ** 4 * period
     shaken = np.array([[period**3 / 3.0, period**2 / 2.0], [period**2 / 2.0, period]])
     return np.array([[1.0, period], [0.0, 1.0]]), density * shaken
 
 
-def test_settled_it_is_the_full_kalman_recursion():
+def test_steady_rate_filter_equals_the_full_kalman_recursion_once_settled():
     random, axes, start = np.random.default_rng(31), 3, np.array([1e-3, -2e-3, 0.0])
     recursions = []
     for axis in range(axes):
@@ -44,7 +44,7 @@ def test_settled_it_is_the_full_kalman_recursion():
 
 
 @pytest.mark.parametrize(("period", "bandwidth"), [(0.002, 0.1), (0.002, 1.0), (0.002, 100.0), (0.025, 1.0)])
-def test_the_gain_solves_the_riccati_equation(period, bandwidth):
+def test_the_rate_filters_gain_solves_the_riccati_equation(period, bandwidth):
     transition, process = noise(period, bandwidth)
     observe = np.array([[1.0, 0.0]])
     covariance = solve_discrete_are(transition.T, observe.T, process, np.eye(1))
@@ -54,15 +54,15 @@ def test_the_gain_solves_the_riccati_equation(period, bandwidth):
 
 
 @pytest.mark.parametrize("bandwidth", [0.5, 1.0, 5.0])
-def test_the_bandwidth_is_the_filters_natural_frequency(bandwidth):
-    """The error's poles, from the estimate's own response to a unit surprise: w^2 = rate gain / period."""
+def test_the_rate_filters_bandwidth_is_its_natural_frequency(bandwidth):
+    """Poles of the error, from the response of the estimate to a unit innovation: w^2 = rate gain / period."""
     steady = RateFilter(PERIOD, bandwidth)
     rate = steady.update(steady.start(np.zeros(3)), np.ones(3)).rate[0]
 
     assert math.sqrt(rate / PERIOD) == pytest.approx(2.0 * math.pi * bandwidth, rel=0.03)
 
 
-def test_a_ramp_is_followed_without_error_once_settled():
+def test_rate_filter_follows_a_ramp_without_error_once_settled():
     slope, steady = np.array([0.01, -0.02, 0.0]), RateFilter(PERIOD)
     estimate = steady.start(np.zeros(3))
 
@@ -73,7 +73,7 @@ def test_a_ramp_is_followed_without_error_once_settled():
     np.testing.assert_allclose(estimate.value, slope * 10.0, rtol=0, atol=1e-10)
 
 
-def test_it_starts_at_rest_and_stays_while_nothing_moves():
+def test_rate_filter_starts_at_rest_and_stays_at_rest_for_a_constant_input():
     steady, here = RateFilter(PERIOD), np.array([1.0, 2.0, 3.0])
 
     estimate = steady.update(steady.start(here), here)
@@ -82,7 +82,7 @@ def test_it_starts_at_rest_and_stays_while_nothing_moves():
     assert estimate.rate.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_without_a_measurement_it_coasts_at_the_last_rate():
+def test_rate_filter_extrapolates_at_the_last_rate_without_a_measurement():
     steady = RateFilter(PERIOD)
     moving = steady.update(steady.start(np.zeros(3)), np.array([1e-3, 0.0, -1e-3]))
 
@@ -95,7 +95,7 @@ def test_without_a_measurement_it_coasts_at_the_last_rate():
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_measurement_that_is_not_finite_is_refused(bad):
+def test_rate_filter_refuses_a_measurement_that_is_not_finite(bad):
     steady = RateFilter(PERIOD)
 
     with pytest.raises(NotFinite, match=rf"deflection .*{bad}.* m is not finite"):
@@ -105,12 +105,12 @@ def test_a_measurement_that_is_not_finite_is_refused(bad):
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, -1.0, 250.0, math.nan, math.inf])
-def test_a_bandwidth_outside_zero_to_nyquist_is_refused(bandwidth):
+def test_rate_filter_refuses_a_bandwidth_outside_zero_to_nyquist(bandwidth):
     with pytest.raises(DescriptionError, match=rf"bandwidth {bandwidth:g} Hz is outside 0 \.\.\. 250 Hz"):
         RateFilter(PERIOD, bandwidth)
 
 
 @pytest.mark.parametrize("period", [0.0, -0.002, math.nan, math.inf])
-def test_a_period_that_is_no_time_is_refused(period):
+def test_rate_filter_refuses_an_invalid_period(period):
     with pytest.raises(DescriptionError, match=rf"period {period:g} s must be finite and greater than 0"):
         RateFilter(period)

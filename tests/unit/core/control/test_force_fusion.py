@@ -1,14 +1,14 @@
-"""Base sensors simulated with rigid transforms of their own, then added up."""
+"""Sum of base sensors that are simulated with separate rigid transforms."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.control.force_fusion import Fused, closure, fuse
+from core.control.force_fusion import FusedLoad, closure, fuse
 
 
 def at_sensor(world: np.ndarray, alpha: float, beta: float) -> np.ndarray:
-    """A wrench about the plate's origin as a sensor at (0, 0, beta), turned by alpha, reads it."""
+    """Reading of a wrench about the plate's origin by a sensor at (0, 0, beta), rotated by alpha."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_rotvec([0.0, 0.0, alpha]).as_matrix()
     pose[:3, 3] = [0.0, 0.0, beta]
@@ -21,7 +21,7 @@ def at_sensor(world: np.ndarray, alpha: float, beta: float) -> np.ndarray:
 
 @pytest.mark.parametrize("tubes", [1, 2, 3])
 @pytest.mark.parametrize("seed", range(5))
-def test_the_load_is_recovered_and_what_the_tubes_do_to_each_other_cancels(tubes, seed):
+def test_total_load_is_recovered_from_base_sensors_and_forces_between_tubes_cancel(tubes, seed):
     random = np.random.default_rng([tubes, seed])
     alpha, beta = random.uniform(-np.pi, np.pi, tubes), random.uniform(-0.13, 0.0, tubes)
     tip, force = random.uniform(-0.2, 0.2, 3), random.uniform(-0.5, 0.5, 3)
@@ -38,16 +38,16 @@ def test_the_load_is_recovered_and_what_the_tubes_do_to_each_other_cancels(tubes
     assert closure(fused, tip) < 1e-12
 
 
-def test_closure_is_the_force_times_its_distance_from_the_tip():
+def test_moment_mismatch_is_the_force_times_its_distance_from_the_tip():
     tip, force = np.array([0.0, 0.0, 0.2]), np.array([0.3, 0.0, 0.0])
     places = np.linspace(1.0, 0.0, 6)[:, None] * tip
 
-    found = [closure(Fused(force, np.cross(place, force)), tip) for place in places]
+    found = [closure(FusedLoad(force, np.cross(place, force)), tip) for place in places]
 
     np.testing.assert_allclose(found, 0.3 * np.array([0.0, 0.04, 0.08, 0.12, 0.16, 0.2]), rtol=0, atol=1e-12)
 
 
-def test_a_load_along_the_line_to_the_tip_cannot_be_told_from_one_at_the_tip():
+def test_load_along_the_line_to_the_tip_is_indistinguishable_from_a_tip_load():
     tip = np.array([0.1, 0.0, 0.2])
 
-    assert closure(Fused(0.3 * tip, np.zeros(3)), tip) < 1e-12
+    assert closure(FusedLoad(0.3 * tip, np.zeros(3)), tip) < 1e-12

@@ -1,4 +1,4 @@
-"""The tip between tracker frames: unbiased, in time, honest about what it does not know."""
+"""The tip observer is unbiased, has no delay and reports a correct uncertainty."""
 
 import math
 
@@ -13,7 +13,7 @@ PERIOD, FRAME, LATENCY = 0.002, 0.025, 0.024
 
 
 class Bench:
-    """A moving tip, a model with a bias, and a tracker."""
+    """Simulation of a moving tip, a model with a bias, and a tracker."""
 
     def __init__(self, observer: Observer, bias, noise: float = 0.0, speed: float = 0.02) -> None:
         self.observer, self.bias, self.noise, self.speed = observer, bias, noise, speed
@@ -51,10 +51,10 @@ class Bench:
 CONSTANT = np.array([1e-3, -2e-3, 0.5e-3])
 
 
-def test_a_constant_bias_is_found_however_the_robot_moves():
-    """At 20 mm/s a latency of 24 ms is half a millimetre: compared with the wrong moment it would stay."""
+def test_observer_finds_a_constant_model_bias_during_any_motion_of_the_robot():
+    """A frame compared at the wrong time would cause an error: 24 ms of latency at 20 mm/s are half a millimetre."""
     bench = Bench(Observer(PERIOD), lambda _: CONSTANT)
-    bench.seen = bench.observer.start(bench.model(0.0), bench.model(0.0))  # told nothing of the bias
+    bench.seen = bench.observer.start(bench.model(0.0), bench.model(0.0))  # without the bias
 
     bench.run(5.0)
 
@@ -63,7 +63,7 @@ def test_a_constant_bias_is_found_however_the_robot_moves():
     np.testing.assert_allclose(bench.seen.drift, 0.0, atol=1e-5)
 
 
-def test_a_bias_that_grows_steadily_is_followed_without_lag_and_its_rate_is_the_drift():
+def test_observer_follows_a_steadily_growing_bias_without_lag_and_drift_is_its_rate():
     slope = np.array([3e-4, 0.0, -1e-4])
     bench = Bench(Observer(PERIOD), lambda time: slope * time)
 
@@ -73,22 +73,22 @@ def test_a_bias_that_grows_steadily_is_followed_without_lag_and_its_rate_is_the_
     np.testing.assert_allclose(bench.seen.drift, slope, rtol=0, atol=5e-6)
 
 
-def test_the_uncertainty_is_the_spread_of_the_error():
-    errors, said = [], []
+def test_the_observers_uncertainty_matches_the_spread_of_its_error():
+    errors, uncertainties = [], []
     bench = Bench(Observer(PERIOD), lambda _: CONSTANT, noise=1e-4)
     bench.run(4.0)
     for _ in range(600):
         bench.run(0.05)
         errors.append(bench.error)
-        said.append(bench.seen.uncertainty)
+        uncertainties.append(bench.seen.uncertainty)
 
     spread = np.sqrt(np.mean(np.square(errors)))
-    # The filter also allows for a bias that wanders, which this one does not.
-    assert 0.3 * np.mean(said) < spread < np.mean(said)
-    assert np.mean(said) < 0.9e-4  # better than a frame
+    # The filter assumes a random walk of the bias, which the simulated bias does not have: the uncertainty is larger.
+    assert 0.3 * np.mean(uncertainties) < spread < np.mean(uncertainties)
+    assert np.mean(uncertainties) < 0.9e-4  # better than a frame
 
 
-def test_the_covariance_settles_at_the_riccati_equations_solution():
+def test_the_observers_covariance_settles_at_the_solution_of_the_riccati_equation():
     observer = Observer(PERIOD)
     step, noise = FRAME, observer.noise**2
     transition = np.array([[1.0, step], [0.0, 1.0]])
@@ -107,7 +107,7 @@ def test_the_covariance_settles_at_the_riccati_equations_solution():
     assert seen.covariance[2] == pytest.approx(after[1, 1], rel=0.05)
 
 
-def test_in_a_drop_out_the_model_carries_on_and_the_uncertainty_grows():
+def test_observed_tip_follows_the_model_in_a_tracker_drop_out_and_its_uncertainty_grows():
     bench = Bench(Observer(PERIOD), lambda _: CONSTANT)
     before = bench.run(5.0).uncertainty
     grown = [before, *(bench.run(0.25, blind=True).uncertainty for _ in range(8))]
@@ -119,7 +119,7 @@ def test_in_a_drop_out_the_model_carries_on_and_the_uncertainty_grows():
     assert bench.seen.uncertainty < 2.0 * before
 
 
-def test_a_jump_is_left_out_and_believed_when_it_stays():
+def test_observer_rejects_a_jump_of_the_tip_and_accepts_it_when_it_lasts():
     bench = Bench(Observer(PERIOD), lambda _: CONSTANT, noise=1e-4)
     bench.run(5.0)
     bench.jump = np.array([5e-3, 0.0, 0.0])
@@ -135,7 +135,7 @@ def test_a_jump_is_left_out_and_believed_when_it_stays():
     assert bench.error[0] == pytest.approx(5e-3, abs=5e-4)
 
 
-def test_frames_that_jump_each_elsewhere_are_never_believed():
+def test_observer_never_accepts_outlier_frames_that_disagree_with_each_other():
     bench = Bench(Observer(PERIOD), lambda _: CONSTANT, noise=1e-4)
     bench.run(5.0)
     for place in range(10):
@@ -145,7 +145,7 @@ def test_frames_that_jump_each_elsewhere_are_never_believed():
     assert abs(bench.error[0]) < 1e-3
 
 
-def test_a_frame_older_than_the_history_is_left_out():
+def test_observer_rejects_a_frame_older_than_its_history():
     observer = Observer(PERIOD, longest_age=0.1)
     seen = observer.start(np.zeros(3), np.zeros(3))
 
@@ -155,7 +155,7 @@ def test_a_frame_older_than_the_history_is_left_out():
     assert after.bias.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_it_does_not_change_what_it_is_given():
+def test_observer_does_not_change_its_arguments():
     observer = Observer(PERIOD)
     seen = observer.start(np.zeros(3), CONSTANT)
     kept = [part.copy() for part in seen[:2]]
@@ -167,7 +167,7 @@ def test_it_does_not_change_what_it_is_given():
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_frame_that_is_not_finite_is_refused(bad):
+def test_observer_refuses_a_frame_that_is_not_finite(bad):
     observer = Observer(PERIOD)
     with pytest.raises(NotFinite, match=rf"measured tip .*{bad}.* m is not finite"):
         observer.update(observer.start(np.zeros(3), np.zeros(3)), np.zeros(3), np.array([0.0, bad, 0.0]), 0.0)
@@ -185,7 +185,7 @@ def test_a_frame_that_is_not_finite_is_refused(bad):
         ({"longest_age": math.inf}, "longest_age inf s"),
     ],
 )
-def test_an_impossible_observer_is_refused_by_name_value_and_unit(change, words):
+def test_invalid_observer_settings_are_refused_by_name_value_and_unit(change, words):
     with pytest.raises(DescriptionError) as refused:
         Observer(**{"period": PERIOD, **change})
 

@@ -9,7 +9,7 @@ from core.errors import DescriptionError, NotFinite
 
 FRAME = 0.025
 NOISE = 1e-4
-#: From a frame to the moment when a command that follows it takes effect.
+#: Time from a frame until a command that follows it takes effect [s].
 LEAD = 0.06
 
 
@@ -19,7 +19,7 @@ def direction(random) -> np.ndarray:
 
 
 def target(rate: float, seed: int, heart: float = 0.5e-3, second: float = 0.15, drift: float = 0.05):
-    """Breathing of 5 mm with a second harmonic, a heartbeat of 1.2 Hz; rate and size of both swing slowly."""
+    """Return target positions: breathing of 5 mm with a harmonic and a heartbeat of 1.2 Hz, both slowly varying."""
     random = np.random.default_rng(seed)
     breath, beat, phases = direction(random), direction(random), random.uniform(0.0, 2.0 * np.pi, 4)
 
@@ -36,11 +36,11 @@ def target(rate: float, seed: int, heart: float = 0.5e-3, second: float = 0.15, 
 
 
 def predicted(predictor, at, duration=40.0, seed=0, lost=()):
-    """Errors (frames,) [m] of what is predicted `LEAD` after each frame, the frames' times, and what is known last."""
+    """Errors (frames,) [m] of the prediction `LEAD` after each frame, the frames' times, and the last state."""
     random, times = np.random.default_rng(seed), FRAME * np.arange(round(duration / FRAME))
     known, errors = predictor.start(at(0.0), 0.0), []
     for time in times[1:]:
-        if not any(begin < time < end for begin, end in lost):
+        if not any(start < time < end for start, end in lost):
             known = predictor.update(known, at(time) + NOISE * random.standard_normal(3), time)
         errors.append(np.linalg.norm(predictor.at(known, time + LEAD).position - at(time + LEAD)))
     return times[1:], np.array(errors), known
@@ -48,7 +48,7 @@ def predicted(predictor, at, duration=40.0, seed=0, lost=()):
 
 @pytest.mark.parametrize("rate", [0.15, 0.2, 0.25, 0.33, 0.42])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_it_finds_the_rates_and_predicts_within_the_frames_noise(rate, seed):
+def test_predictor_finds_the_rates_and_predicts_within_the_frames_noise(rate, seed):
     waves = Waves()
 
     times, errors, known = predicted(waves, target(rate, seed), seed=seed)
@@ -61,7 +61,7 @@ def test_it_finds_the_rates_and_predicts_within_the_frames_noise(rate, seed):
     assert settled.max() < 0.5e-3
 
 
-def test_a_pure_sinusoid_is_not_taken_for_a_multiple_of_half_its_rate():
+def test_predictor_does_not_mistake_a_sinusoid_for_a_harmonic_of_half_its_rate():
     waves = Waves()
 
     _, _, known = predicted(waves, target(0.25, 5, heart=0.0, second=0.0, drift=0.0))
@@ -69,16 +69,16 @@ def test_a_pure_sinusoid_is_not_taken_for_a_multiple_of_half_its_rate():
     assert waves.rates(known)[0] == pytest.approx(0.25, rel=0.02)
 
 
-def test_it_is_better_than_the_newest_frame_from_the_first_seconds_on():
+def test_target_prediction_is_more_accurate_than_the_newest_frame_after_a_few_seconds():
     times, waves, _ = predicted(Waves(), target(0.25, 3))
     _, newest, _ = predicted(NewestFrame(), target(0.25, 3))
 
-    for begin, end, part in ((2.0, 6.0, 1.0), (15.0, 40.0, 0.5)):
-        within = (times > begin) & (times < end)
+    for start, end, part in ((2.0, 6.0, 1.0), (15.0, 40.0, 0.5)):
+        within = (times > start) & (times < end)
         assert waves[within].max() < part * newest[within].max()
 
 
-def test_velocity_is_the_rate_of_the_position():
+def test_predicted_velocity_is_the_derivative_of_the_predicted_position():
     waves = Waves()
     _, _, known = predicted(waves, target(0.25, 4), duration=20.0)
     now, step = known.time + 0.03, 1e-5
@@ -88,8 +88,8 @@ def test_velocity_is_the_rate_of_the_position():
     np.testing.assert_allclose(waves.at(known, now).velocity, difference, rtol=1e-5, atol=1e-9)
 
 
-def test_it_carries_over_frames_that_are_missing():
-    """A second without frames costs little, where the newest frame alone is off by millimetres."""
+def test_target_prediction_bridges_a_second_without_frames():
+    """During a second without frames the prediction stays accurate; the newest frame alone is off by millimetres."""
     gap = (25.0, 26.0)
     times, waves, _ = predicted(Waves(), target(0.25, 6), lost=[gap])
     _, newest, _ = predicted(NewestFrame(), target(0.25, 6), lost=[gap])
@@ -99,7 +99,7 @@ def test_it_carries_over_frames_that_are_missing():
     assert newest[blind].max() > 2e-3
 
 
-def test_a_target_that_is_put_elsewhere_is_found_again():
+def test_predictor_finds_a_moved_target_again():
     before = target(0.25, 7)
 
     def at(time):
@@ -107,12 +107,12 @@ def test_a_target_that_is_put_elsewhere_is_found_again():
 
     times, errors, _ = predicted(Waves(), at)
 
-    assert errors[(times > 20.0) & (times < 20.1)].max() > 5e-3  # one frame is not believed
+    assert errors[(times > 20.0) & (times < 20.1)].max() > 5e-3  # a single frame does not move the prediction
     assert errors[(times > 22.0) & (times < 25.0)].max() < 2e-3
     assert errors[times > 35.0].max() < 0.6e-3
 
 
-def test_one_jump_is_left_out():
+def test_predictor_rejects_a_single_outlier_frame():
     calm = target(0.25, 8)
 
     def at(time):
@@ -125,7 +125,7 @@ def test_one_jump_is_left_out():
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 @pytest.mark.parametrize("predictor", [Waves(), NewestFrame()])
-def test_what_is_not_finite_is_refused(predictor, bad):
+def test_predictor_refuses_a_target_frame_that_is_not_finite(predictor, bad):
     known = predictor.start(np.zeros(3), 0.0)
 
     with pytest.raises(NotFinite):
@@ -135,21 +135,21 @@ def test_what_is_not_finite_is_refused(predictor, bad):
 
 
 @pytest.mark.parametrize("predictor", [Waves(), NewestFrame()])
-def test_a_frame_that_is_not_later_is_refused(predictor):
+def test_predictor_refuses_a_frame_that_is_not_later_than_the_last(predictor):
     known = predictor.start(np.zeros(3), 1.0)
 
     with pytest.raises(DescriptionError, match="not later"):
         predictor.update(known, np.zeros(3), 1.0)
 
 
-def test_rates_outside_their_bounds_are_refused():
-    with pytest.raises(DescriptionError, match="inside of bounds"):
+def test_predictor_refuses_rhythm_rates_outside_their_bounds():
+    with pytest.raises(DescriptionError, match="within bounds"):
         Waves(rhythms=(BREATHING._replace(rates=(0.01,)),))
     with pytest.raises(DescriptionError, match="noise 0"):
         Waves(noise=0.0)
 
 
-def test_one_filter_is_filterpys_extended_filter():
+def test_single_predictor_filter_equals_filterpys_extended_kalman_filter():
     rhythms = (BREATHING._replace(rates=(0.25,)), HEARTBEAT._replace(rates=(1.2,)))
     waves, at = Waves(rhythms=rhythms), target(0.25, 9)
     listed, n = [(0, 1.0), (0, 2.0), (1, 1.0)], 3 + 6 * 3 + 2
@@ -169,7 +169,7 @@ def test_one_filter_is_filterpys_extended_filter():
 
 
 def _predict(theirs: ExtendedKalmanFilter, listed, waves: Waves) -> None:
-    """The model written out as matrices."""
+    """Matrices of the predictor's model, as filterpy needs them."""
     turn = 2.0 * math.pi
     drifts = [waves.centre_drift**2] * 3 + [waves.floor**2] * 18 + [(turn * waves.rate_drift) ** 2] * 2
     theirs.P = theirs.P + FRAME * np.diag(drifts)

@@ -1,4 +1,4 @@
-"""Motions that the robot cannot follow are refused before they begin, with the time and the limit."""
+"""Motions that the robot cannot follow are refused in advance, with the time and the limit."""
 
 import math
 from dataclasses import replace
@@ -41,11 +41,11 @@ def model(paper_robot):
     ],
     ids=repr,
 )
-def test_motions_within_reach_pass(model, motion):
+def test_motions_within_reach_pass_the_reachability_check(model, motion):
     check_reach(model, LIMITS, POSE, motion, 60.0)
 
 
-def test_the_papers_tracking_passes_under_its_load(model):
+def test_the_papers_tracking_experiment_passes_the_reachability_check_under_its_load(model):
     check_reach(
         model, LIMITS, POSE, Sinusoid((0.0, 0.0, 1.0), 0.010, 0.05), 40.0,
         lambda time: np.array([0.25 * (1.0 - math.cos(2.0 * math.pi * time / 20.0)), 0.0, 0.0]),
@@ -58,33 +58,33 @@ def refusal(model, motion, duration=60.0, limits=LIMITS, joints=POSE, force=None
     return str(refused.value)
 
 
-def test_too_fast_is_refused_with_the_first_time_and_the_joint(model):
-    """15 mm in 12 s asks a rotation for more than 20 deg/s, 15 mm in 40 s does not."""
-    said = refusal(model, Circle(0.015, 12.0))
+def test_motion_that_is_too_fast_is_refused_with_the_first_time_and_the_joint(model):
+    """A motion of 15 mm in 12 s needs a rotation faster than 20 deg/s; the same motion in 40 s does not."""
+    text = refusal(model, Circle(0.015, 12.0))
 
-    assert "cannot be followed: at 7.8" in said
-    assert "mm off (more than 0.5 mm) because of speed of" in said
+    assert "cannot be followed: at 7.8" in text
+    assert "mm off (more than 0.5 mm) because of speed of" in text
     check_reach(model, LIMITS, POSE, Circle(0.015, 40.0), 60.0)
 
 
-def test_a_path_out_of_reach_is_refused_however_slow_with_the_singular_pose(model):
+def test_path_out_of_reach_is_refused_at_any_speed_with_the_singular_pose(model):
     assert "singular pose (sigma" in refusal(model, Circle(0.015, 400.0, (0.0, 0.0, -1.0)), 400.0)
 
 
-def test_the_end_of_the_travel_is_named_with_the_time_it_is_met(model):
-    said = refusal(model, Sinusoid((0.0, 0.0, 1.0), 0.050, 0.01), 100.0)
+def test_motion_beyond_a_joints_travel_is_refused_with_the_travel_and_the_time(model):
+    text = refusal(model, Sinusoid((0.0, 0.0, 1.0), 0.050, 0.01), 100.0)
 
     # z goes with the translation, which has 30 mm left inward and 95 mm outward
-    assert "travel of inner_translation (-0.13 m)" in said
-    time = float(said.split(" at ")[1].split(" s ")[0])
+    assert "travel of inner_translation (-0.13 m)" in text
+    time = float(text.split(" at ")[1].split(" s ")[0])
     assert 50.0 < time < 75.0  # the half wave down
 
 
-def test_nothing_after_the_end_of_the_motion_is_held_against_it(model):
+def test_reachability_check_ignores_the_path_after_the_end_of_the_motion(model):
     check_reach(model, LIMITS, POSE, Sinusoid((0.0, 0.0, 1.0), 0.050, 0.01), 40.0)
 
 
-def test_a_workspace_is_named(model):
+def test_motion_out_of_the_workspace_is_refused_with_the_workspace_bound(model):
     tip = model.solve(POSE, np.zeros(6)).tip
     box = Workspace((-1.0, -1.0, 0.0), (1.0, 1.0, float(tip[2]) + 5e-3))
 
@@ -93,36 +93,36 @@ def test_a_workspace_is_named(model):
     )
 
 
-def test_a_load_that_cannot_be_held_is_refused(model):
+def test_load_that_the_joints_cannot_compensate_is_refused(model):
     """Stretched tubes cannot bend back against a pull that bends them further."""
     straight = np.array([0.0, 0.0, -0.05])
 
     def pull(time: float) -> np.ndarray:
         return np.array([0.0, 0.05 * time, 0.0])
 
-    said = refusal(model, Hold(), 10.0, joints=straight, force=pull)
-    assert "singular pose" in said
-    assert 0.0 < float(said.split(" at ")[1].split(" s ")[0]) < 10.0
+    text = refusal(model, Hold(), 10.0, joints=straight, force=pull)
+    assert "singular pose" in text
+    assert 0.0 < float(text.split(" at ")[1].split(" s ")[0]) < 10.0
 
 
-def test_a_load_that_is_there_from_the_first_moment_on_is_a_load_too(model):
-    """Half a newton at once moves the tip by some 15 mm; what hung there before moves nothing."""
-    said = refusal(model, Hold(), 10.0, force=lambda time: np.array([0.5 * (time >= 0.0), 0.0, 0.0]))
+def test_load_that_starts_with_the_motion_is_checked_for_reachability(model):
+    """A sudden load of half a newton moves the tip by about 15 mm; a load present before the start does not move it."""
+    text = refusal(model, Hold(), 10.0, force=lambda time: np.array([0.5 * (time >= 0.0), 0.0, 0.0]))
 
-    assert "at 0 s the tip would be 1" in said
+    assert "at 0 s the tip would be 1" in text
     check_reach(model, LIMITS, POSE, Hold(), 10.0, lambda _: np.array([0.5, 0.0, 0.0]))
 
 
-def test_a_step_is_judged_by_its_end_not_by_its_jump(model):
+def test_step_trajectory_is_checked_at_its_end_and_not_at_its_jump(model):
     assert "at 0 s" in refusal(model, Step((0.05, 0.0, 0.0)))
 
 
-def test_a_start_outside_the_travel_is_refused(model):
+def test_motion_from_a_start_pose_outside_the_travel_is_refused(model):
     with pytest.raises(CtrError, match="inner_translation"):
         check_reach(model, LIMITS, np.array([0.0, 0.0, -0.2]), Hold(), 1.0)
 
 
-def test_a_long_motion_is_walked_no_longer_than_it_needs(model, monkeypatch):
+def test_reachability_check_of_a_long_periodic_motion_ends_after_one_period(model, monkeypatch):
     solves = []
     solve = Statics.solve
     monkeypatch.setattr(Statics, "solve", lambda *arguments: solves.append(1) or solve(*arguments))

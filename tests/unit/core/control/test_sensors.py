@@ -1,4 +1,4 @@
-"""Mounting and hanging weight of the base sensors against rotations of scipy's."""
+"""Mounting and hanging weight of the base sensors, compared with scipy's rotations."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def sensors() -> Sensors:
 
 
 def reading(exerted: np.ndarray) -> np.ndarray:
-    """What the sensors say (2, 6) when their tubes exert this (2, 6)."""
+    """Readings (2, 6) of the sensors for wrenches (2, 6) of their tubes."""
     rows = []
     for i in range(2):
         down = Rotation.from_euler("z", ALPHA[i]).inv().apply(DOWN)
@@ -27,17 +27,17 @@ def reading(exerted: np.ndarray) -> np.ndarray:
     return np.array(rows)
 
 
-def test_what_the_tubes_exert_is_recovered(sensors):
+def test_wrenches_of_the_tubes_are_recovered_from_sensor_readings(sensors):
     exerted = np.random.default_rng(0).normal(size=(2, 6))
 
     np.testing.assert_allclose(sensors.exerted(reading(exerted), ALPHA), exerted, rtol=0, atol=1e-12)
 
 
-def test_what_hangs_on_them_is_what_they_read_when_nothing_else_does(sensors):
+def test_sensor_reading_without_a_load_is_the_hanging_weight(sensors):
     np.testing.assert_allclose(sensors.hanging(ALPHA), reading(np.zeros((2, 6))), rtol=0, atol=1e-12)
 
 
-def test_ideal_sensors_change_nothing():
+def test_ideal_sensors_return_the_readings_unchanged():
     wrenches = np.random.default_rng(1).normal(size=(3, 6))
 
     ideal = Sensors.ideal(3)

@@ -1,4 +1,4 @@
-"""One tick: what goes in comes out as an estimate and a command, purely, and never as a NaN."""
+"""One tick: a pure function from a sample to an estimate and a command that are always finite."""
 
 import math
 from dataclasses import replace
@@ -11,7 +11,7 @@ from core.control.controllers import INNER_LOOPS, Strategy, strategy
 from core.control.deflection import RateFilter
 from core.control.estimation import Estimator
 from core.control.observer import Observer
-from core.control.step import Controller, Sample, begin, set_origin, step
+from core.control.step import Controller, Sample, set_origin, start_controller, step
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError, NotFinite
 from core.model.cosserat import ExactRod
@@ -37,7 +37,7 @@ def controller(robot, name="dual_layer", inner="type_2", observes=True, others=(
 
 
 class Plant:
-    """Exact rods that do at once what they are told, and sensors without flaw."""
+    """Simulated robot with ideal sensors: an exact rod whose joints follow commands at once."""
 
     def __init__(self, robot, joints=POSE) -> None:
         self.rod, self.robot, self.joints = ExactRod(robot), robot, joints.copy()
@@ -48,7 +48,7 @@ class Plant:
         return self.rod.solve(self.joints, np.r_[self.force, np.zeros(3)]).tip
 
     def sample(self, frame: bool = True) -> Sample:
-        """The whole load at the outer tube's base, turned into its axes."""
+        """Wrenches of the base sensors when the outer tube carries the whole load, in its axes."""
         tip, angle = self.tip(), self.joints[0]
         self.seen = tip
         turn = np.array([[math.cos(angle), math.sin(angle), 0], [-math.sin(angle), math.cos(angle), 0], [0, 0, 1.0]])
@@ -62,8 +62,8 @@ class Plant:
 
 
 def run(controller, plant, seconds, order=lambda _: HERE, force=lambda _: np.zeros(3)):
-    """Closed loop at 500 Hz with a frame every 26 ms; ticks and the true tips, from the start tip."""
-    memory = begin(controller, plant.sample())
+    """Run a closed loop at 500 Hz with a frame every 26 ms; return ticks, and simulated tips from the start tip."""
+    memory = start_controller(controller, plant.sample())
     memory = set_origin(controller, memory, plant.tip())
     start, ticks, tips = plant.tip(), [], []
     for number in range(round(seconds / PERIOD)):
@@ -82,12 +82,12 @@ def pull(time: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def pulled(paper_robot):
-    """Ticks and tips of the usual controller under the varying load."""
+    """Ticks and tips of the default controller under a varying load."""
     return run(controller(paper_robot), Plant(paper_robot), 4.0, force=pull)
 
 
-def test_the_tip_stays_under_a_varying_load(pulled):
-    """9 mm of deflection; what is left is what the rate filter lags behind."""
+def test_dual_layer_control_keeps_the_tip_in_place_under_a_varying_load(pulled):
+    """The load deflects the uncontrolled tip by 9 mm; the error that remains is the lag of the rate filter."""
     assert np.abs(pulled[1]).max() < 2.5e-4
 
 
@@ -95,28 +95,28 @@ def test_the_tip_stays_under_a_varying_load(pulled):
     ("inner", "observes"),
     [("type_1", False), ("type_1", True), ("type_1_exact", False), ("type_1_exact", True), ("type_2", False)],
 )
-def test_so_it_does_with_every_other_inner_loop(paper_robot, inner, observes):
-    """The load rises fastest after 2 s; these are the 5 mm until half a second later."""
+def test_every_inner_loop_keeps_the_tip_in_place_under_a_varying_load(paper_robot, inner, observes):
+    """The load rises fastest after 2 s, and the run ends half a second later."""
     _, tips = run(controller(paper_robot, inner=inner, observes=observes), Plant(paper_robot), 2.5, force=pull)
 
     assert np.abs(tips).max() < 2.5e-4
 
 
-def test_so_it_does_with_the_trackers_own_velocity(paper_robot):
-    """Frames without noise; what is left is what the tip does within a frame and a half."""
+def test_differentiated_tracker_frames_keep_the_tip_in_place_under_a_varying_load(paper_robot):
+    """Tracker frames have no noise here; the error that remains is the tip's motion within one and a half frames."""
     unit = replace(controller(paper_robot, observes=False), differentiates=True)
     _, tips = run(unit, Plant(paper_robot), 2.5, force=pull)
 
     assert np.abs(tips).max() < 5e-4
 
 
-def test_without_compensation_it_does_not(paper_robot):
+def test_uncompensated_tip_moves_under_a_varying_load(paper_robot):
     _, tips = run(controller(paper_robot, "unloaded_jacobian"), Plant(paper_robot), 4.0, force=pull)
 
     assert np.abs(tips).max() > 5e-3
 
 
-def test_a_step_is_approached_at_the_rate_of_equation_31(paper_robot):
+def test_tip_approaches_a_step_setpoint_at_the_rate_of_equation_31(paper_robot):
     k = 2.5
     unit = controller(paper_robot, k=k)
     _, tips = run(unit, Plant(paper_robot), 2.0, lambda _: Setpoint(np.array([0.0, 0.0, 1e-3]), np.zeros(3)))
@@ -126,10 +126,10 @@ def test_a_step_is_approached_at_the_rate_of_equation_31(paper_robot):
     np.testing.assert_allclose(tips[:, :2], 0.0, atol=2e-5)
 
 
-def test_a_ramp_fed_forward_is_followed_without_lag_even_through_a_late_line(paper_robot):
+def test_tip_follows_a_ramp_with_feedforward_without_lag_despite_delayed_commands(paper_robot):
     late = 10
     unit, plant = controller(paper_robot, lag=late * PERIOD), Plant(paper_robot)
-    memory = set_origin(unit, begin(unit, plant.sample()), plant.tip())
+    memory = set_origin(unit, start_controller(unit, plant.sample()), plant.tip())
     start, waiting, slope, error = plant.tip(), [np.zeros(3)] * late, np.array([0.0, 1e-3, 3e-3]), np.zeros(3)
     for number in range(1000):
         time = number * PERIOD
@@ -140,7 +140,7 @@ def test_a_ramp_fed_forward_is_followed_without_lag_even_through_a_late_line(pap
         plant.joints = plant.joints + PERIOD * waiting.pop(0)
         plant.sent = tick.command
 
-    np.testing.assert_allclose(error, 0.0, atol=1e-5)  # 20 ms late would be 60 um behind
+    np.testing.assert_allclose(error, 0.0, atol=1e-5)  # a tip that lags by 20 ms would be 60 um behind
 
 
 def test_delta_1_and_delta_2_add_up_to_the_whole_deflection(paper_robot):
@@ -155,18 +155,18 @@ def test_delta_1_and_delta_2_add_up_to_the_whole_deflection(paper_robot):
     np.testing.assert_array_equal(now.known.deflection, now.loaded.tip - now.unloaded.tip)
 
 
-def test_both_rates_of_the_deflection_are_its_derivative(pulled):
+def test_exact_and_filtered_deflection_rates_match_the_derivative_of_the_deflection(pulled):
     known = [tick.memory.estimate.known for tick in pulled[0]]
     middle = 1470
     true = (known[middle + 20].deflection - known[middle - 20].deflection) / (40 * PERIOD)
 
     np.testing.assert_allclose(known[middle].deflection_rate_raw, true, rtol=0, atol=2e-5)
-    # both come through the 5 Hz filter, 45 ms late
+    # Both rates pass through the 5 Hz filter, which delays them by 45 ms.
     np.testing.assert_allclose(known[middle].deflection_rate, true, rtol=0, atol=2e-4)
     np.testing.assert_allclose(known[middle].deflection_rate_exact, true, rtol=0, atol=2e-4)
 
 
-def test_the_observed_velocity_is_that_of_the_tip_and_delta_is_what_u_int_did_not_ask_for(pulled):
+def test_observed_velocity_matches_the_tip_and_delta_is_its_difference_from_u_int(pulled):
     ticks, tips = (part[:1500] for part in pulled)
     true = (tips[-1] - tips[-41]) / (40 * PERIOD)
 
@@ -174,9 +174,9 @@ def test_the_observed_velocity_is_that_of_the_tip_and_delta_is_what_u_int_did_no
     np.testing.assert_array_equal(ticks[-1].delta, ticks[-1].memory.estimate.known.velocity_observed - ticks[-1].u_int)
 
 
-def test_between_frames_the_measured_tip_is_held_and_the_observed_one_goes_on(paper_robot):
+def test_measured_tip_is_constant_between_tracker_frames_while_the_observed_tip_moves(paper_robot):
     unit, plant = controller(paper_robot), Plant(paper_robot)
-    memory = begin(unit, plant.sample())
+    memory = start_controller(unit, plant.sample())
     first = plant.tip()
     for _ in range(10):
         plant.obey(np.array([0.0, 0.0, 0.01]))
@@ -187,9 +187,9 @@ def test_between_frames_the_measured_tip_is_held_and_the_observed_one_goes_on(pa
     assert np.linalg.norm(plant.tip() - first) > 1e-4
 
 
-def test_a_tick_is_pure(paper_robot):
+def test_controller_tick_gives_equal_results_for_equal_inputs(paper_robot):
     unit, plant = controller(paper_robot), Plant(paper_robot)
-    memory = begin(unit, plant.sample())
+    memory = start_controller(unit, plant.sample())
     plant.force = np.array([0.1, 0.0, 0.0])
     sample = plant.sample()
 
@@ -200,9 +200,9 @@ def test_a_tick_is_pure(paper_robot):
     assert first.command.any()
 
 
-def test_standing_still_sends_zero_and_goes_on_estimating(paper_robot):
+def test_controller_tick_without_an_order_sends_zero_velocity_and_updates_the_estimates(paper_robot):
     unit, plant = controller(paper_robot), Plant(paper_robot)
-    memory = begin(unit, plant.sample())
+    memory = start_controller(unit, plant.sample())
     plant.force = np.array([0.2, 0.0, 0.0])
 
     tick = step(unit, memory, plant.sample(), None)
@@ -212,9 +212,9 @@ def test_standing_still_sends_zero_and_goes_on_estimating(paper_robot):
     assert (tick.memory.origin + tick.setpoint.position).tolist() == tick.memory.tip.tolist()
 
 
-def test_a_joint_motion_is_done_as_told_up_to_what_the_limits_allow(paper_robot):
+def test_commanded_joint_motion_is_executed_within_the_joint_limits(paper_robot):
     unit, plant = controller(paper_robot), Plant(paper_robot, np.array([0.0, math.pi / 2, -0.0051]))
-    memory = begin(unit, plant.sample())
+    memory = start_controller(unit, plant.sample())
 
     tick = step(unit, memory, plant.sample(), JointMotion(np.array([0.1, -9.0, 0.01])))
 
@@ -227,7 +227,7 @@ def test_a_joint_motion_is_done_as_told_up_to_what_the_limits_allow(paper_robot)
     )
 
 
-def test_a_workspace_stops_the_tip_at_its_face_and_says_so(paper_robot):
+def test_workspace_stops_the_tip_at_its_face_and_reports_the_active_row(paper_robot):
     plant = Plant(paper_robot)
     tip = plant.tip()
     face = float(tip[2]) + 2e-3
@@ -242,9 +242,9 @@ def test_a_workspace_stops_the_tip_at_its_face_and_says_so(paper_robot):
 
 @pytest.mark.parametrize("what", ["joints", "sent", "wrenches", "tip"])
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_measurement_that_is_not_finite_gives_no_tick(paper_robot, what, bad):
+def test_controller_tick_with_a_measurement_that_is_not_finite_is_refused(paper_robot, what, bad):
     unit, plant = controller(paper_robot), Plant(paper_robot)
-    memory = begin(unit, plant.sample())
+    memory = start_controller(unit, plant.sample())
     sample = plant.sample()
     getattr(sample, what)[...] = bad
 
@@ -252,30 +252,30 @@ def test_a_measurement_that_is_not_finite_gives_no_tick(paper_robot, what, bad):
         step(unit, memory, sample, HERE)
 
 
-def test_a_setpoint_that_is_not_finite_gives_no_tick(paper_robot):
+def test_controller_tick_with_a_setpoint_that_is_not_finite_is_refused(paper_robot):
     unit, plant = controller(paper_robot), Plant(paper_robot)
-    memory = begin(unit, plant.sample())
+    memory = start_controller(unit, plant.sample())
 
     with pytest.raises(NotFinite):
         step(unit, memory, plant.sample(), Setpoint(np.array([math.nan, 0.0, 0.0]), np.zeros(3)))
 
 
 @pytest.mark.parametrize("tip", [None, np.array([0.0, math.nan, 0.3])])
-def test_nothing_begins_without_a_finite_frame(paper_robot, tip):
+def test_controller_does_not_start_without_a_finite_tracker_frame(paper_robot, tip):
     with pytest.raises(NotFinite, match="tracker frame is needed"):
-        begin(controller(paper_robot), Plant(paper_robot).sample()._replace(tip=tip))
+        start_controller(controller(paper_robot), Plant(paper_robot).sample()._replace(tip=tip))
 
 
 @pytest.mark.parametrize("observes", [False, True])
 @pytest.mark.parametrize("exact", [False, True])
 @pytest.mark.parametrize("inner", INNER_LOOPS)
-def test_loops_of_one_s_own_are_told_what_the_project_s_own_are(paper_robot, inner, exact, observes):
+def test_custom_loops_receive_the_same_inputs_as_built_in_loops(paper_robot, inner, exact, observes):
     usual = controller(paper_robot, "dual_layer", inner, observes, lag=0.012, exact=exact)
     own = replace(usual, strategy=Strategy(usual.strategy.outer, lambda u, view: usual.strategy.inner(u, view)))
     assert own.strategy.laws is None
     plant = Plant(paper_robot)
     plant.force = np.array([0.1, 0.05, 0.0])
-    memory = begin(usual, plant.sample())
+    memory = start_controller(usual, plant.sample())
     for _ in range(5):
         plant.force += np.array([0.01, 0.0, 0.0])
         memory = step(usual, memory, plant.sample(), HERE).memory

@@ -19,7 +19,7 @@ TIMES = np.linspace(0.0, 25.0, 60)
 
 
 @pytest.mark.parametrize("motion", MOTIONS, ids=repr)
-def test_the_velocity_is_the_derivative_of_the_position(motion):
+def test_the_velocity_of_every_trajectory_is_the_derivative_of_its_position(motion):
     step = 1e-5
     for time in TIMES:
         expected = (motion.setpoint(time + step).position - motion.setpoint(time - step).position) / (2 * step)
@@ -27,11 +27,11 @@ def test_the_velocity_is_the_derivative_of_the_position(motion):
 
 
 @pytest.mark.parametrize("motion", MOTIONS, ids=repr)
-def test_a_motion_starts_where_the_tip_is(motion):
+def test_every_trajectory_starts_at_the_tip(motion):
     assert motion.setpoint(0.0).position.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_a_helix_is_a_circle_that_advances_a_pitch_a_turn_and_stands_at_its_end():
+def test_helix_is_a_circle_that_advances_one_pitch_per_turn_and_rests_at_its_end():
     helix, circle = Helix(0.005, -0.003, 4.0, 2.5, (0.0, 0.0, 2.0)), Circle(0.005, 4.0, (0.0, 0.0, 1.0))
 
     assert helix.period == 10.0
@@ -47,7 +47,7 @@ def test_a_helix_is_a_circle_that_advances_a_pitch_a_turn_and_stands_at_its_end(
     assert not end.velocity.any()
 
 
-def test_a_step_goes_there_at_once_and_back_when_it_may_not_stay():
+def test_step_trajectory_jumps_at_once_and_jumps_back_after_a_finite_stay():
     offset = (1e-3, 0.0, -2e-3)
     for time in (0.0, 1.0, 1e4):
         assert Step(offset).setpoint(time).position.tolist() == list(offset)
@@ -69,7 +69,7 @@ def test_waypoints_are_passed_at_their_times_from_rest_to_rest():
     assert WAY.period == 15.0
 
 
-def test_waypoints_have_a_continuous_acceleration():
+def test_path_through_waypoints_has_a_continuous_acceleration():
     h = 1e-4
     for time in (5.0, 10.0):
         before = (WAY.setpoint(time).velocity - WAY.setpoint(time - h).velocity) / h
@@ -77,7 +77,7 @@ def test_waypoints_have_a_continuous_acceleration():
         np.testing.assert_allclose(after, before, rtol=0, atol=1e-6)
 
 
-def test_waypoints_keep_the_speed_and_acceleration_they_are_checked_for():
+def test_path_through_accepted_waypoints_keeps_its_speed_and_acceleration_limits():
     times = np.linspace(0.0, 15.0, 3001)
     velocities = np.array([WAY.setpoint(time).velocity for time in times])
     fastest = np.linalg.norm(velocities, axis=1).max()
@@ -90,7 +90,7 @@ def test_waypoints_keep_the_speed_and_acceleration_they_are_checked_for():
         Waypoints(WAY.times, WAY.places, 1.0, 0.98 * hardest)
 
 
-def test_waypoints_may_begin_at_the_start_tip_or_be_a_single_place():
+def test_waypoints_may_start_at_the_start_tip_or_consist_of_one_point():
     from_here = Waypoints((0.0, 5.0), ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0)))
     np.testing.assert_allclose(from_here.setpoint(2.5).position, [0.005, 0.0, 0.0], rtol=0, atol=1e-12)
     alone = Waypoints((0.0,), ((0.0, 0.0, 0.0),))
@@ -102,7 +102,7 @@ def test_waypoints_may_begin_at_the_start_tip_or_be_a_single_place():
     [(Hold(), 0.0), (Step((1e-3, 0.0, 0.0)), 0.0), (MOTIONS[1], 20.0), (Circle(0.01, 12.0), 12.0), (WAY, 15.0)],
     ids=repr,
 )
-def test_after_its_period_a_motion_repeats_itself_or_stands(motion, period):
+def test_every_trajectory_repeats_itself_or_rests_after_its_period(motion, period):
     assert motion.period == pytest.approx(period)
     later = motion.setpoint(period + 3.0).position
     if isinstance(motion, Circle | Sinusoid):
@@ -111,13 +111,13 @@ def test_after_its_period_a_motion_repeats_itself_or_stands(motion, period):
         np.testing.assert_array_equal(later, motion.setpoint(period).position)
 
 
-def test_hold_never_moves():
+def test_hold_trajectory_never_moves():
     for time in TIMES:
         assert not np.any(Hold().setpoint(time)[:2])
 
 
 @pytest.mark.parametrize("length", [1e-3, 1.0, 50.0])
-def test_a_sinusoid_goes_its_amplitude_along_its_direction_whatever_the_directions_length(length):
+def test_sinusoid_has_its_amplitude_along_a_direction_vector_of_any_length(length):
     direction = np.array([2.0, -1.0, 2.0]) / 3.0
     motion = Sinusoid(tuple((length * direction).tolist()), amplitude=0.015, frequency=0.05)
 
@@ -169,32 +169,32 @@ def test_a_circle_keeps_its_radius_its_plane_and_its_speed_and_turns_once_about_
         (lambda: Waypoints((1e-308,), ((0.0, 0.01, 0.0),)), "waypoints: 1e-308 s is less than 1 ms after 0 s"),
         (lambda: Waypoints((1.0, 1.0000001), ((0.0, 0.01, 0.0),) * 2), "waypoints: 1 s is less than 1 ms after 1 s"),
         (lambda: Waypoints((1.0, 1.0), ((0.0, 0.0, 0.0),) * 2), "waypoints: time 1 s does not come after 1 s"),
-        (lambda: Waypoints((0.0,), ((0.01, 0.0, 0.0),)), "give it a time above 0 s for the way there"),
+        (lambda: Waypoints((0.0,), ((0.01, 0.0, 0.0),)), "give it a time above 0 s to get there"),
         (lambda: Waypoints((1.0,), ((math.nan, 0.0, 0.0),)), "waypoints: number 1 at 1.0 s, (nan, 0.0, 0.0) m"),
         (lambda: Waypoints((math.inf,), ((0.0, 0.0, 0.0),)), "waypoints: number 1 at inf s"),
         (lambda: Waypoints((0.1,), ((0.01, 0.0, 0.0),)), "give the points around it more time"),
     ],
 )
-def test_an_impossible_motion_is_refused_by_name_value_and_bound(make, words):
+def test_an_invalid_trajectory_is_refused_by_name_value_and_bound(make, words):
     with pytest.raises(DescriptionError) as refused:
         make()
 
     assert words in str(refused.value)
 
 
-def test_directions_turn_about_one_axis_from_rest_to_rest():
-    way = Directions((1.0, 3.0), ((0.0, 0.0, 2.0), (1.0, 0.0, 0.0)))
+def test_tip_direction_trajectory_turns_about_one_axis_from_rest_to_rest():
+    turning_path = Directions((1.0, 3.0), ((0.0, 0.0, 2.0), (1.0, 0.0, 0.0)))
     for time, expected in ((0.0, (0, 0, 1)), (1.0, (0, 0, 1)), (2.0, (0.5**0.5, 0, 0.5**0.5)), (9.0, (1, 0, 0))):
-        np.testing.assert_allclose(way.at(time)[0], expected, atol=1e-12)
+        np.testing.assert_allclose(turning_path.at(time)[0], expected, atol=1e-12)
     for time in (1.2, 1.9, 2.7):
-        direction, turning = way.at(time)
-        rate = (way.at(time + 1e-6)[0] - way.at(time - 1e-6)[0]) / 2e-6
+        direction, turning = turning_path.at(time)
+        rate = (turning_path.at(time + 1e-6)[0] - turning_path.at(time - 1e-6)[0]) / 2e-6
         np.testing.assert_allclose(np.cross(turning, direction), rate, atol=1e-8)
-    assert not way.at(3.5)[1].any()
+    assert not turning_path.at(3.5)[1].any()
 
 
 @pytest.mark.parametrize(
-    ("times", "directions", "said"),
+    ("times", "directions", "message"),
     [
         ((), (), "give one each"),
         ((0.0, 0.0), ((0, 0, 1), (1, 0, 0)), "does not come"),
@@ -202,6 +202,6 @@ def test_directions_turn_about_one_axis_from_rest_to_rest():
         ((0.0,), ((0, 0, 0),), "no length"),
     ],
 )
-def test_directions_that_cannot_be_are_refused(times, directions, said):
-    with pytest.raises(DescriptionError, match=said):
+def test_invalid_tip_directions_are_refused(times, directions, message):
+    with pytest.raises(DescriptionError, match=message):
         Directions(times, directions)

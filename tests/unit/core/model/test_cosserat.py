@@ -1,4 +1,4 @@
-"""The reference itself, against published values, closed forms and reciprocity."""
+"""The exact rod matches published values, closed forms and reciprocity."""
 
 import math
 
@@ -10,12 +10,12 @@ from core.model.cosserat import ExactRod
 from core.robot.robot import Section
 
 
-def test_tips_agree_with_the_values_of_three_solvers_to_a_micrometre(paper_robot, exact_tips):
+def test_tips_of_the_exact_rod_match_three_solvers_to_a_micrometre(paper_robot, exact_tips):
     for joints, wrench, tip in exact_tips:
         assert np.linalg.norm(ExactRod(paper_robot).solve(joints, wrench).tip - tip) < 1e-6
 
 
-def test_a_finer_step_changes_less_than_a_nanometre(paper_robot, poses):
+def test_a_finer_step_changes_the_exact_rod_s_tip_by_less_than_a_nanometre(paper_robot, poses):
     for joints, wrench in poses(seed=21, count=10, force=0.5, moment=0.02):
         coarse, fine = (ExactRod(paper_robot, step).solve(joints, wrench) for step in (0.002, 0.0005))
         np.testing.assert_allclose(coarse.tip, fine.tip, rtol=0, atol=1e-9)
@@ -41,7 +41,7 @@ def test_a_tip_moment_bends_a_straight_tube_into_a_circle(one_tube):
     )
 
 
-def test_an_axial_tip_moment_twists_the_hidden_part_too(one_tube):
+def test_an_axial_tip_moment_also_twists_the_part_behind_the_plate(one_tube):
     rod = ExactRod(one_tube(Section(0.2))).solve(np.array([0.4, -0.05]), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.01]))
 
     assert math.atan2(rod.rotation[1, 0], rod.rotation[0, 0]) == pytest.approx(0.4 + 0.01 * 0.2 * 1.30 / 0.04, abs=1e-9)
@@ -64,12 +64,12 @@ def test_a_large_tip_force_bends_a_straight_tube_into_the_elastica(one_tube):
 
     rod = ExactRod(one_tube(Section(0.2))).solve(np.array([0.0, -0.05]), np.array([force, 0.0, 0.0, 0.0, 0.0, 0.0]))
 
-    assert x > 0.4 * length  # large indeed
+    assert x > 0.4 * length  # a large deflection
     np.testing.assert_allclose(rod.tip, [x, 0.0, z], rtol=0, atol=1e-8)
 
 
 def test_the_compliance_to_a_tip_force_is_symmetric(paper_robot, poses, differences):
-    """Maxwell and Betti: an elastic body under a conservative load cannot be otherwise."""
+    """Maxwell and Betti: the compliance of an elastic body under a conservative load is symmetric."""
     for joints, wrench in poses(seed=22, count=5, force=0.5):
         _, compliance = differences(ExactRod(paper_robot, tolerance=1e-11), joints, wrench)
         np.testing.assert_allclose(compliance, compliance.T, rtol=0, atol=2e-5 * np.abs(compliance).max())
@@ -77,7 +77,7 @@ def test_the_compliance_to_a_tip_force_is_symmetric(paper_robot, poses, differen
         np.testing.assert_allclose(force_block, force_block.T, rtol=0, atol=2e-5 * np.abs(force_block).max())
 
 
-def test_a_warm_start_finds_what_a_cold_start_finds(paper_robot):
+def test_a_warm_start_finds_the_solution_of_a_cold_start(paper_robot):
     exact, near = ExactRod(paper_robot), None
     for tick in range(100):
         joints = np.array([0.010 * tick, 1.5 - 0.007 * tick, -0.1 + 3e-4 * tick])
@@ -86,7 +86,7 @@ def test_a_warm_start_finds_what_a_cold_start_finds(paper_robot):
         np.testing.assert_allclose(near.tip, cold.tip, rtol=0, atol=1e-9)
 
 
-def test_a_cut_in_a_section_changes_nothing(one_tube):
+def test_splitting_a_section_does_not_change_the_shape(one_tube):
     whole, cut = Section(0.10, (4.0, 1.0)), Section(0.05, (4.0, 1.0))
     joints, wrench = np.array([0.3, -0.02]), np.array([0.3, -0.2, 0.1, 0.01, 0.0, 0.005])
 

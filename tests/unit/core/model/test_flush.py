@@ -17,7 +17,7 @@ WRENCH = np.array([0.2, -0.1, 0.15, 0.01, -0.005, 0.004])
 
 @pytest.fixture
 def drawn_in(paper_robot):
-    """The inner tube drawn in until both tubes end at 165 mm; the sum of its lengths rounds to less than that."""
+    """The inner tube is retracted until both tubes end at 165 mm; the sum of its lengths rounds to less than that."""
     joints = np.array([0.4, 1.9, 0.165 - 0.303])
     _, beta = paper_robot.tube_poses(joints)
     assert abs(beta[0] + paper_robot.tubes[0].length - paper_robot.tubes[1].length) < 1e-15
@@ -26,7 +26,7 @@ def drawn_in(paper_robot):
 
 @pytest.mark.parametrize(("integrator", "sublink", "tolerance"), INTEGRATORS)
 @pytest.mark.parametrize("rounding", [-1e-16, 0.0, 1e-16])
-def test_the_tip_is_the_exact_rod_s(paper_robot, drawn_in, integrator, sublink, tolerance, rounding):
+def test_the_tip_of_flush_tubes_matches_the_exact_rod(paper_robot, drawn_in, integrator, sublink, tolerance, rounding):
     joints = drawn_in + rounding * SLIDE
     tip = ExactRod(paper_robot).solve(joints, WRENCH).tip
     np.testing.assert_allclose(
@@ -36,7 +36,9 @@ def test_the_tip_is_the_exact_rod_s(paper_robot, drawn_in, integrator, sublink, 
 
 @pytest.mark.parametrize(("integrator", "sublink", "tolerance"), INTEGRATORS)
 @pytest.mark.parametrize("rounding", [-1e-16, 0.0, 1e-16])
-def test_its_jacobian_is_that_of_coming_out(paper_robot, drawn_in, integrator, sublink, tolerance, rounding):
+def test_the_jacobian_of_flush_tubes_matches_extending_the_inner_tube(
+    paper_robot, drawn_in, integrator, sublink, tolerance, rounding
+):
     found = Statics(paper_robot, sublink, integrator).solve(drawn_in + rounding * SLIDE, WRENCH)
     exact, step = ExactRod(paper_robot, tolerance=1e-12), 1e-4
     at = [exact.solve(drawn_in + k * step * SLIDE, WRENCH).tip for k in range(3)]
@@ -48,8 +50,8 @@ def test_its_jacobian_is_that_of_coming_out(paper_robot, drawn_in, integrator, s
         np.testing.assert_allclose(found.jacobian[:3, k], turned, rtol=0, atol=2e-4)
 
 
-def test_fixed_tubes_that_end_together_act_as_one_of_their_mean_curvature():
-    """Two equal tubes, turned apart by 0.6 rad without torsion: each bends as the mean of both precurvatures.
+def test_fixed_flush_tubes_act_like_one_tube_of_their_mean_curvature():
+    """Two equal tubes at a relative angle of 0.6 rad without torsion: each bends as the mean of both precurvatures.
 
     Curved all along, so that nothing twists where GJ is far above EI.
     """
@@ -59,14 +61,14 @@ def test_fixed_tubes_that_end_together_act_as_one_of_their_mean_curvature():
     robot = Robot("two", (inner, outer), (Joint("outer_rotation", 1, "rotation"),))
     kappa = 8.0 * math.cos(0.3)
     radius, angle = 1.0 / kappa, 0.1 * kappa
-    # A precurvature (1/r, 0) bends toward -y; turned by 0.3 rad.
+    # A precurvature (1/r, 0) bends toward -y; rotated by 0.3 rad.
     aside = radius * (1.0 - math.cos(angle))
     tip = [aside * math.sin(0.3), -aside * math.cos(0.3), radius * math.sin(angle)]
     solved = Statics(robot, integrator="fourth_order").solve(np.zeros(1), np.zeros(6))
     np.testing.assert_allclose(solved.tip, tip, rtol=0, atol=3e-6)
 
 
-def test_three_tubes_that_end_together_are_the_exact_rod_s(three_tubes):
+def test_three_flush_tubes_match_the_exact_rod(three_tubes):
     lengths = np.array([tube.length for tube in three_tubes.tubes])
     joints = np.array([0.3, 0.08 - lengths[0], 1.0, 0.08 - lengths[1], -0.5, 0.08 - lengths[2]])
     for k in range(1, 4):
@@ -77,8 +79,10 @@ def test_three_tubes_that_end_together_are_the_exact_rod_s(three_tubes):
         assert found.residual < 1e-9
 
 
-def test_a_tube_that_ends_inside_is_still_refused(paper_robot):
+def test_a_tube_that_ends_inside_its_outer_tube_is_refused(paper_robot):
     short = replace(paper_robot.tubes[0], sections=(Section(0.1649999),), translation=0.0)
     joints = tuple(joint for joint in paper_robot.joints if joint.motion == "rotation")
-    with pytest.raises(Exception, match=r"'inner' ends at 165 mm, not beyond the end of tube 'outer' at 165 mm"):
+    with pytest.raises(
+        Exception, match=r"'inner' ends at 165 mm, but must end beyond the end of tube 'outer' at 165 mm"
+    ):
         replace(paper_robot, tubes=(short, paper_robot.tubes[1]), joints=joints)

@@ -1,4 +1,4 @@
-"""The scheme against closed forms, and the shape that it leaves along the tubes."""
+"""Integration along the tubes matches closed forms, and the recorded shape is consistent."""
 
 import math
 
@@ -45,7 +45,7 @@ def test_a_small_transverse_force_bends_a_straight_tube_by_f_l3_over_3_ei(one_tu
 
     assert solution.tip[axis] == pytest.approx(force * length**3 / (3 * 0.04), rel=3e-4)
     assert solution.compliance[axis, axis] == pytest.approx(length**3 / (3 * 0.04), rel=3e-4)
-    # The end turns about the other axis: y for a force along x, -x for one along y.
+    # The end rotates about the other axis: y for a force along x, -x for one along y.
     turn = solution.compliance[3 + 1 - axis, axis] * (1 if axis == 0 else -1)
     assert turn == pytest.approx(length**2 / (2 * 0.04), rel=3e-4)
 
@@ -62,7 +62,7 @@ def test_a_tip_moment_bends_a_straight_tube_into_a_circle(one_tube):
     np.testing.assert_allclose(tip, expected, rtol=0, atol=1e-5)
 
 
-def test_an_axial_tip_moment_twists_the_hidden_part_too(one_tube):
+def test_an_axial_tip_moment_also_twists_the_part_behind_the_plate(one_tube):
     moment, whole = 1e-2, 0.2
     robot = one_tube(Section(whole), poisson_ratio=0.30)
 
@@ -73,7 +73,7 @@ def test_an_axial_tip_moment_twists_the_hidden_part_too(one_tube):
     np.testing.assert_allclose(solution.tip, [0.0, 0.0, 0.15], rtol=0, atol=1e-12)
 
 
-def test_two_equal_tubes_opposed_hold_each_other_straight():
+def test_two_equal_opposed_tubes_are_straight():
     curved = Section(0.1, (4.0, 0.0))
     inner = Tube("inner", (Section(0.05), curved, Section(0.02)), 0.04, outer_diameter=1e-3, inner_diameter=0.5e-3)
     outer = Tube("outer", (Section(0.05), curved), 0.04, outer_diameter=2e-3, inner_diameter=1.5e-3)
@@ -84,7 +84,7 @@ def test_two_equal_tubes_opposed_hold_each_other_straight():
     np.testing.assert_allclose(tip, [0.0, 0.0, 0.17], rtol=0, atol=1e-9)
 
 
-def test_the_error_falls_four_times_with_every_halving_of_the_sublink(paper_robot, exact_tips):
+def test_the_second_order_error_falls_four_times_per_halving_of_the_sublink(paper_robot, exact_tips):
     errors = []
     for sublink in (0.010, 0.005, 0.0025, 0.00125):
         model = Statics(paper_robot, sublink)
@@ -110,7 +110,7 @@ class TestShape:
     def shape(self, model, solution):
         return model.shape(solution)
 
-    def test_starts_at_the_plate_along_z(self, shape):
+    def test_the_shape_starts_at_the_plate_along_z(self, shape):
         assert shape[0, 0] == 0.0
         np.testing.assert_array_equal(shape[0, 1:10].reshape(3, 3), np.eye(3))
         np.testing.assert_array_equal(shape[0, 10:13], np.zeros(3))
@@ -118,11 +118,11 @@ class TestShape:
     def test_the_part_behind_the_plate_has_twisted_each_tube(self, shape):
         twist_inner, twist_outer = shape[0, 15:17]
 
-        assert abs(twist_inner) > 0.1  # there is something to see
+        assert abs(twist_inner) > 0.1  # large enough to be significant
         np.testing.assert_allclose(shape[0, 13:15], [2.0 + 0.075 * twist_inner, 0.6], rtol=0, atol=1e-12)
         assert twist_outer != 0.0
 
-    def test_ends_at_the_tip_with_the_whole_length(self, shape, solution):
+    def test_the_shape_ends_at_the_tip_with_the_total_length(self, shape, solution):
         frame, turn = shape[-1, 1:10].reshape(3, 3), shape[-1, 13]
         about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
 
@@ -130,21 +130,21 @@ class TestShape:
         np.testing.assert_allclose(shape[-1, 10:13], solution.tip, rtol=0, atol=1e-12)
         np.testing.assert_allclose(frame @ about_z, solution.rotation, rtol=0, atol=1e-12)
 
-    def test_frames_are_rotations(self, shape):
+    def test_the_frames_of_a_shape_are_rotations(self, shape):
         frames = shape[:, 1:10].reshape(-1, 3, 3)
 
         squares = frames @ frames.transpose(0, 2, 1)
         np.testing.assert_allclose(squares, np.broadcast_to(np.eye(3), squares.shape), rtol=0, atol=1e-12)
         np.testing.assert_allclose(np.linalg.det(frames), 1.0, atol=1e-12)
 
-    def test_no_step_is_longer_than_a_sublink_and_its_chord_is_as_long(self, shape, model):
+    def test_no_step_of_a_shape_is_longer_than_a_sublink_and_its_chord_is_as_long(self, shape, model):
         steps, chords = np.diff(shape[:, 0]), np.linalg.norm(np.diff(shape[:, 10:13], axis=0), axis=1)
 
         assert (steps >= 0.0).all()
         assert steps.max() <= model.sublink + 1e-12
         np.testing.assert_allclose(chords, steps, rtol=2e-3, atol=1e-12)
 
-    def test_the_tip_is_the_sum_of_the_frames_z_axes(self, shape):
+    def test_the_tip_of_a_shape_is_the_sum_of_the_frames_z_axes(self, shape):
         tip = cumulative_trapezoid(shape[:, [3, 6, 9]], shape[:, 0], axis=0)[-1]
 
         np.testing.assert_allclose(tip, shape[-1, 10:13], rtol=0, atol=2e-4)

@@ -1,4 +1,4 @@
-"""A cold solve finds a shape wherever there is one, a stable one, and the one that the robot comes to from rest."""
+"""A cold solve always finds a shape; it is stable, and it is the one that the robot reaches from rest."""
 
 import itertools
 import math
@@ -12,14 +12,14 @@ from core.model.relaxation import base_unknowns, cut, relax
 from core.model.solution import at_rest
 from core.model.statics import Statics
 from core.robot.robot import Joint, Robot, Section, Tube
-from station.bench.elastic_energy import NOTHING, lowest
-from station.bench.solver import FORCE, OTHER, draw, led_from_rest
+from station.benchmarks.elastic_energy import ZERO_EIGENVALUE, lowest
+from station.benchmarks.solver import MAX_FORCE_N, OTHER_SHAPE_M, continued_from_rest, draw
 
 UNLOADED = np.zeros(6)
 TURN = (Joint("inner", 0, "rotation"), Joint("outer", 1, "rotation"))
 
-#: Poses of published three-tube robots (by their number in `draw(0)`) at which a solver that starts from nothing finds
-#: no shape, or one that is balanced but not stable; 761, 816 have two negative directions and so a positive margin.
+#: Poses of published three-tube robots (by their number in `draw(0)`) at which a solver that starts from
+#: zero finds no shape or an unstable equilibrium; 761 and 816 have two negative directions, hence a positive margin.
 UNLOADED_POSES = (281, 381, 495, 516, 585, 634, 761, 1244)
 LOADED_POSES = (19, 381, 585, 684, 703, 761, 816, 1074, 1264)
 
@@ -32,14 +32,14 @@ def pair(steepness: float) -> Robot:
 
 
 def poses(force: float, numbers: tuple[int, ...]):
-    wanted = itertools.islice(draw(0, force), max(numbers) + 1)
-    return [pose for number, pose in enumerate(wanted) if number in numbers]
+    drawn = itertools.islice(draw(0, force), max(numbers) + 1)
+    return [pose for number, pose in enumerate(drawn) if number in numbers]
 
 
 class TestNegativeDirections:
     @pytest.mark.parametrize(("part", "count"), [(0.0, 0), (0.9, 0), (1.1, 2), (8.0, 2), (10.0, 4)])
-    def test_of_a_pressed_straight_tube_are_two_for_each_of_eulers_loads(self, one_tube, part, count):
-        """It gives way in x and y at once, which the sign of the margin cannot tell."""
+    def test_a_compressed_straight_tube_has_two_negative_directions_per_euler_load(self, one_tube, part, count):
+        """The tube buckles in x and y at once, which does not change the sign of the margin."""
         length = 0.15
         wrench = np.array([0.0, 0.0, -part * math.pi**2 * 0.04 / (4.0 * length**2), 0.0, 0.0, 0.0])
         model, joints = Statics(one_tube(Section(0.2)), 0.0025), np.array([0.0, -0.05])
@@ -50,16 +50,16 @@ class TestNegativeDirections:
         assert model.negative_directions(straight) == count
 
     @pytest.mark.parametrize(("steepness", "count"), [(2.3, 0), (2.6, 1), (21.0, 1), (23.5, 2)])
-    def test_of_opposed_tubes_are_one_for_each_odd_quarter_wave(self, steepness, count):
-        """Untwisted, theta'' = -(k^2) theta with k L = sqrt(steepness): one more at pi / 2, 3 pi / 2, ..."""
+    def test_opposed_tubes_have_one_negative_direction_per_odd_quarter_wave(self, steepness, count):
+        """Without twist, theta'' = -(k^2) theta with k L = sqrt(steepness): one more at pi / 2, 3 pi / 2, ..."""
         model, joints = Statics(pair(steepness), 0.0025), np.array([math.pi, 0.0])
         untwisted = model.solve(joints, UNLOADED, at_rest(joints, math.inf, 2))
 
         assert np.abs(untwisted.unknowns[:2]).max() < 1e-9
         assert model.negative_directions(untwisted) == count
 
-    @pytest.mark.parametrize("force", [0.0, FORCE])
-    def test_are_those_of_the_energy_by_differences(self, three_tubes, force):
+    @pytest.mark.parametrize("force", [0.0, MAX_FORCE_N])
+    def test_negative_directions_of_a_shape_match_differences_of_the_energy(self, three_tubes, force):
         random, seen = np.random.default_rng(3), set()
         model = Statics(three_tubes, FINE, "fourth_order")
         for _ in range(40):
@@ -71,7 +71,7 @@ class TestNegativeDirections:
             except NoSolution:
                 continue
             least = lowest(three_tubes, found, FINE)
-            if abs(least) > NOTHING:
+            if abs(least) > ZERO_EIGENVALUE:
                 seen.add(model.negative_directions(found) == 0)
                 assert (model.negative_directions(found) == 0) == (least > 0.0)
         assert True in seen
@@ -82,38 +82,41 @@ FINE = 0.0025
 
 class TestColdStarts:
     @pytest.mark.parametrize(
-        "pose", [*poses(0.0, UNLOADED_POSES), *poses(FORCE, LOADED_POSES)], ids=lambda pose: pose.kind
+        "pose", [*poses(0.0, UNLOADED_POSES), *poses(MAX_FORCE_N, LOADED_POSES)], ids=lambda pose: pose.kind
     )
-    def test_end_on_a_stable_shape(self, pose):
+    def test_cold_starts_end_at_a_stable_shape(self, pose):
         model = Statics(pose.robot)
         found = model.solve(pose.joints, pose.wrench)
 
         assert model.residual(found) < 1e-9
         assert found.stability > 0.0
-        assert lowest(pose.robot, found) > -NOTHING
+        assert lowest(pose.robot, found) > -ZERO_EIGENVALUE
 
-    @pytest.mark.parametrize("force", [0.0, FORCE])
-    def test_end_where_the_exact_rod_is_led_to_from_rest(self, force):
+    @pytest.mark.parametrize("force", [0.0, MAX_FORCE_N])
+    def test_cold_starts_find_the_shape_that_the_exact_rod_reaches_from_rest(self, force):
         compared = 0
         for pose in itertools.islice(draw(5, force), 60):
             if len(pose.robot.tubes) == 3:
-                rod, calm = led_from_rest(pose)
+                rod, calm = continued_from_rest(pose)
                 if rod is not None and calm:
                     compared += 1
-                    assert np.linalg.norm(Statics(pose.robot).solve(pose.joints, pose.wrench).tip - rod.tip) < OTHER
+                    assert (
+                        np.linalg.norm(Statics(pose.robot).solve(pose.joints, pose.wrench).tip - rod.tip)
+                        < OTHER_SHAPE_M
+                    )
         assert compared > 15
 
-    def test_under_eulers_load_bend_to_a_side(self, one_tube):
-        """Straight on would be a balance, too."""
+    def test_a_cold_start_beyond_euler_s_load_finds_the_buckled_shape(self, one_tube):
+        """The straight shape is also an equilibrium, but an unstable one."""
         wrench = np.array([0.0, 0.0, -1.3 * math.pi**2 * 0.04 / (4.0 * 0.15**2), 0.0, 0.0, 0.0])
         found = Statics(one_tube(Section(0.2)), FINE).solve(np.array([0.0, -0.05]), wrench)
 
         assert np.hypot(*found.tip[:2]) > 0.05
-        assert found.stability == pytest.approx(0.0, abs=1e-6)  # to every side alike
+        assert found.stability == pytest.approx(0.0, abs=1e-6)  # neutral: it may bend to any side
 
 
 class TestRelaxation:
-    def test_comes_to_the_exact_rods_tip_with_the_square_of_the_element(self, paper_robot):
+    def test_the_relaxation_error_falls_with_the_square_of_the_element_length(self, paper_robot):
         joints, force = np.array([0.4, 2.0, -0.08]), np.array([0.2, -0.1, 0.1])
         exact = ExactRod(paper_robot).solve(joints, np.r_[force, 0.0, 0.0, 0.0])
         errors = []

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from core.errors import DescriptionError, NoSolution, NotFinite, PoseError
 from core.model.cosserat import ExactRod
-from core.model.statics import TOLERANCE, Statics
+from core.model.statics import RESIDUAL_TOLERANCE, Statics
 from core.robot.robot import Robot, Section, Tube
 
 FINE = 0.0025
@@ -19,12 +19,12 @@ BLOCKS = {"position": slice(0, 3), "rotation": slice(3, 6)}
 
 
 def largest_error(found, expected) -> float:
-    """Largest difference over the largest entry expected."""
+    """Return the largest difference between two arrays, divided by the largest expected entry."""
     return np.abs(found - expected).max() / np.abs(expected).max()
 
 
 class TestExactTips:
-    def test_the_papers_sublink_is_within_a_tenth_of_a_millimetre(self, paper_robot, exact_tips):
+    def test_tip_errors_with_the_papers_sublink_are_below_a_tenth_of_a_millimetre(self, paper_robot, exact_tips):
         for joints, wrench, tip in exact_tips:
             assert np.linalg.norm(Statics(paper_robot, 0.010).solve(joints, wrench).tip - tip) < 0.08e-3
 
@@ -32,7 +32,7 @@ class TestExactTips:
         ("sublink", "mean", "worst"),
         [(0.020, 0.20e-3, 0.27e-3), (0.010, 0.05e-3, 0.07e-3), (0.005, 0.013e-3, 0.018e-3), (FINE, 3.3e-6, 4.5e-6)],
     )
-    def test_errors_are_those_of_a_second_order_scheme(self, paper_robot, exact_tips, sublink, mean, worst):
+    def test_tip_errors_match_a_second_order_scheme(self, paper_robot, exact_tips, sublink, mean, worst):
         model = Statics(paper_robot, sublink)
         errors = [np.linalg.norm(model.solve(joints, wrench).tip - tip) for joints, wrench, tip in exact_tips]
 
@@ -46,13 +46,13 @@ class TestExactTips:
     )
     @settings(max_examples=100, deadline=None)
     def test_a_cold_start_anywhere_is_within_the_papers_accuracy(self, paper_robot, turns, translation, force):
-        """Keeps hunting: not derandomised on purpose; up to 0.6 N."""
+        """Forces are up to 0.6 N. The test is intentionally random in every run."""
         joints, wrench = np.array([*turns, translation]), np.array([*force, 0.0, 0.0, 0.0])
         solution = Statics(paper_robot).solve(joints, wrench)
         assert np.linalg.norm(solution.tip - ExactRod(paper_robot).solve(joints, wrench).tip) < 0.15e-3
         assert solution.stability > 0.0
 
-    def test_a_cold_start_is_right_or_refused_but_never_wrong(self, paper_robot, poses):
+    def test_a_cold_solve_returns_the_correct_shape_or_raises(self, paper_robot, poses):
         model, exact = Statics(paper_robot, 0.005), ExactRod(paper_robot)
         solved = 0
         for joints, wrench in poses(seed=11, count=200, force=0.6):
@@ -85,7 +85,7 @@ class TestExactTips:
 
 
 class TestDerivatives:
-    def test_jacobian_and_compliance_at_the_checked_pose(self, paper_robot):
+    def test_jacobian_and_compliance_match_an_independent_prototype(self, paper_robot):
         """Numbers of an independent prototype, by re-solved central differences."""
         joints, wrench = np.array([0.0, np.pi / 2, -0.075]), np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
         jacobian = [
@@ -101,7 +101,9 @@ class TestDerivatives:
         np.testing.assert_allclose(solution.compliance[:3, :3][np.triu_indices(3)], upper, rtol=0, atol=1e-5)
 
     @pytest.mark.parametrize("case", range(50))
-    def test_they_are_the_derivatives_of_the_resolved_tip(self, paper_robot, poses, differences, case):
+    def test_jacobian_and_compliance_are_the_derivatives_of_the_resolved_tip(
+        self, paper_robot, poses, differences, case
+    ):
         model = Statics(paper_robot)
         joints, wrench = poses(seed=14, count=50, force=0.5, moment=0.02)[case]
 
@@ -114,7 +116,9 @@ class TestDerivatives:
             for columns in BLOCKS.values():
                 assert largest_error(solution.compliance[rows, columns], compliance[rows, columns]) < 1e-6
 
-    def test_they_are_the_derivatives_of_the_resolved_tip_of_three_tubes(self, three_tubes, differences):
+    def test_jacobian_and_compliance_of_three_tubes_are_the_derivatives_of_the_resolved_tip(
+        self, three_tubes, differences
+    ):
         joints = np.array([0.5, -0.0613, 2.0, -0.0207, -1.0, -0.005])
         wrench = np.array([0.2, -0.1, 0.15, 0.01, -0.005, 0.004])
         model = Statics(three_tubes)
@@ -127,7 +131,9 @@ class TestDerivatives:
             assert largest_error(solution.compliance[rows], compliance[rows]) < 1e-6
 
     @pytest.mark.parametrize("case", range(6))
-    def test_they_approach_the_derivatives_of_the_exact_rod(self, paper_robot, poses, differences, case):
+    def test_jacobian_and_compliance_approach_the_derivatives_of_the_exact_rod(
+        self, paper_robot, poses, differences, case
+    ):
         joints, wrench = poses(seed=15, count=6, force=0.5, moment=0.02)[case]
 
         solution = Statics(paper_robot, FINE).solve(joints, wrench)
@@ -149,9 +155,9 @@ class TestDerivatives:
             medians.append(np.median(asymmetry))
             assert max(asymmetry) < 2e-3 * (sublink / 0.010) ** 2
         np.testing.assert_allclose(np.divide(medians[:-1], medians[1:]), 4.0, rtol=0.1)
-        assert medians[0] > 1e-4  # a block made symmetric on purpose would hide the scheme's error
+        assert medians[0] > 1e-4  # an artificially symmetric block would hide the scheme's error
 
-    def test_the_sensitivity_is_how_the_base_unknowns_move(self, paper_robot):
+    def test_the_sensitivity_is_the_derivative_of_the_base_unknowns(self, paper_robot):
         model = Statics(paper_robot)
         at, wrench = np.array([0.6, 2.0, -0.0763]), np.array([0.3, -0.2, 0.1, 0.004, -0.003, 0.005])
         solution, step = model.solve(at, wrench), 1e-6
@@ -167,7 +173,7 @@ class TestDerivatives:
 
 
 class TestSymmetry:
-    """Turning everything about z turns the answer: an identity of the world, not of the scheme."""
+    """Rotating robot and load about z rotates the result: an identity of the physics, not of the integrator."""
 
     @pytest.mark.parametrize("angle", [0.7, -2.9, 2 * math.pi])
     def test_turning_both_tubes_and_the_load_turns_tip_and_derivatives(self, paper_robot, poses, angle):
@@ -188,17 +194,17 @@ class TestSymmetry:
         moment=st.tuples(*3 * [st.floats(-0.01, 0.01)]),
     )
     @settings(max_examples=60, derandomize=True, deadline=None, database=None)
-    def test_its_derivative_holds_and_the_tip_is_exact_at_any_pose(
+    def test_the_derivative_of_a_rotation_about_z_is_exact_at_any_pose(
         self, paper_robot, turns, translation, force, moment
     ):
         joints, wrench = np.array([*turns, translation]), np.array([*force, *moment])
 
         solution = Statics(paper_robot, 0.005).solve(joints, wrench)
 
-        assert solution.residual <= TOLERANCE
+        assert solution.residual <= RESIDUAL_TOLERANCE
         np.testing.assert_allclose(solution.tip, ExactRod(paper_robot).solve(joints, wrench).tip, rtol=0, atol=0.05e-3)
         np.testing.assert_allclose(solution.rotation @ solution.rotation.T, np.eye(3), rtol=0, atol=1e-12)
-        # d(turned tip) = J (1, 1, 0) + C d(turned load) = e_z x tip, and the frame turns by e_z.
+        # d(rotated tip) = J (1, 1, 0) + C d(rotated load) = e_z x tip, and the frame rotates by e_z.
         z = np.array([0.0, 0.0, 1.0])
         turned_load = np.r_[np.cross(z, force), np.cross(z, moment)]
         expected = np.r_[np.cross(z, solution.tip), z]
@@ -207,40 +213,40 @@ class TestSymmetry:
 
 
 class TestSolve:
-    def test_a_warm_start_finds_what_a_cold_start_finds(self, paper_robot):
+    def test_a_warm_start_finds_the_solution_of_a_cold_start(self, paper_robot):
         model, near = Statics(paper_robot), None
         for tick in range(200):
             joints = np.array([0.010 * tick, 1.5 - 0.007 * tick, -0.1 + 3e-4 * tick])
             wrench = np.array([0.4 * np.sin(0.05 * tick), 0.2, -0.1, 0.005, 0.01 * np.cos(0.1 * tick), 0.0])
             near, cold = model.solve(joints, wrench, near), model.solve(joints, wrench)
             np.testing.assert_allclose(near.tip, cold.tip, rtol=0, atol=1e-9)
-            # a warm start spares the pass that would move J and C the last step, too
+            # a warm start omits the pass that would also update J and C by the last step
             assert largest_error(near.jacobian, cold.jacobian) < 3e-5
             assert largest_error(near.compliance, cold.compliance) < 3e-5
             assert near.iterations <= cold.iterations or tick == 0
 
     @pytest.mark.parametrize("integrator", ["paper", "fourth_order"])
-    def test_a_steady_motion_costs_one_pass_a_tick_and_keeps_the_tolerance(self, paper_robot, integrator):
-        """No pass is spent on seeing that the end conditions hold: evaluated anew they do."""
+    def test_a_steady_motion_takes_one_pass_per_tick_within_the_tolerance(self, paper_robot, integrator):
+        """The solve does not verify the end conditions with another pass; recomputed, they are satisfied."""
         model = Statics(paper_robot, integrator=integrator)
         move, wrench = np.array([0.010, -0.010, 3e-4]), np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
         at, near, passes = np.array([-0.3, 1.8, -0.112]), None, []
         for tick in range(60):
             near = model.solve(at + tick * move, wrench, near)
             passes.append(near.iterations)
-            assert model.residual(near) <= min(TOLERANCE, near.residual + 1e-12)
+            assert model.residual(near) <= min(RESIDUAL_TOLERANCE, near.residual + 1e-12)
             again = model.solve(at + tick * move, wrench, near)
             assert np.linalg.norm(again.tip - near.tip) < 1e-12
         assert passes[3:].count(1) > 50
 
-    def test_the_residual_it_states_bounds_the_one_that_is_left(self, paper_robot, poses):
+    def test_the_reported_residual_bounds_the_actual_one(self, paper_robot, poses):
         model = Statics(paper_robot)
         for scale in (1e-5, 1e-4, 1e-3, 1e-2):
             for joints, wrench in poses(seed=20, count=20, force=0.5, moment=0.02):
                 near = model.solve(joints, wrench)
                 moved = model.solve(joints + scale * np.array([1.0, -1.0, -0.01]), (1.0 - scale) * wrench, near)
                 assert model.residual(moved) <= moved.residual + 1e-13
-                assert moved.residual <= TOLERANCE
+                assert moved.residual <= RESIDUAL_TOLERANCE
 
     def test_singular_values_are_those_of_the_position_rows(self, paper_robot):
         solution = Statics(paper_robot).solve(np.array([0.0, 1.0, -0.1]), UNLOADED)
@@ -255,7 +261,7 @@ class TestSolve:
         assert found.rotation[2, 2] < 0.0
         assert Statics(paper_robot, 0.005, "fourth_order").residual(found) < 1e-9
 
-    def test_a_start_from_far_away_still_solves(self, paper_robot, poses):
+    def test_a_solve_from_a_distant_solution_succeeds(self, paper_robot, poses):
         model = Statics(paper_robot, FINE)
         far = model.solve(np.array([0.0, 0.0, -0.02]), np.array([-0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
         exact = ExactRod(paper_robot)
@@ -275,7 +281,7 @@ class TestSolve:
             balance = np.cross(solution.tip, wrench[:3]) + wrench[3:]
             np.testing.assert_allclose(solution.unknowns[2:], balance, rtol=0, atol=2e-9)
 
-    def test_a_solution_keeps_its_pose_when_the_callers_arrays_are_used_again(self, paper_robot):
+    def test_a_solution_keeps_its_pose_when_the_caller_changes_the_arrays(self, paper_robot):
         model = Statics(paper_robot)
         joints, wrench = np.array([0.0, 1.0, -0.1]), np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
         solution = model.solve(joints, wrench)
@@ -285,13 +291,13 @@ class TestSolve:
 
 
 class TestPlacesWhereSectionsMeet:
-    """Ends that coincide with each other or with the plate make links of no length."""
+    """Section ends that coincide with each other or with the plate create links of zero length."""
 
     WRENCH = np.array([0.1, 0.2, 0.1, 0.01, 0.0, 0.005])
 
     @pytest.fixture
     def robot(self, paper_robot) -> Robot:
-        """The paper's with a short outer tube: its sections end at 50 and 100 mm."""
+        """Return the paper's robot with a short outer tube: its sections end at 50 and 100 mm."""
         outer = Tube("short", (Section(0.05), Section(0.05, (4.0, 0.0))), 0.048, 0.30, 2.45e-3, 2.1e-3)
         return Robot("short", (paper_robot.tubes[0], outer), paper_robot.joints)
 
@@ -311,7 +317,7 @@ class TestPlacesWhereSectionsMeet:
             "only the tip looks out of the outer tube",
         ],
     )
-    def test_nothing_breaks_there(self, robot, translation):
+    def test_poses_with_coincident_section_ends_are_solved(self, robot, translation):
         joints = np.array([0.4, 1.9, translation])
 
         solution = Statics(robot, FINE).solve(joints, self.WRENCH)
@@ -320,11 +326,11 @@ class TestPlacesWhereSectionsMeet:
         assert np.isfinite(solution.jacobian).all()
 
     @pytest.mark.parametrize("first", [-0.005, -0.008], ids=["link in the middle", "first and last link"])
-    def test_the_tip_moves_without_a_jump_where_the_number_of_sublinks_changes(self, paper_robot, first):
+    def test_the_tip_is_continuous_where_the_number_of_sublinks_changes(self, paper_robot, first):
         model, step = Statics(paper_robot, 0.010), 1e-7
         for count in range(13):  # the link is a whole number of sub-links long
-            places = first - 0.010 * count + step * np.array([-1.0, 0.0, 1.0])
-            below, at, above = (model.solve(np.array([0.4, 1.9, place]), self.WRENCH).tip for place in places)
+            translations = first - 0.010 * count + step * np.array([-1.0, 0.0, 1.0])
+            below, at, above = (model.solve(np.array([0.4, 1.9, z]), self.WRENCH).tip for z in translations)
             assert np.abs(above - 2 * at + below).max() < 1e-9
 
     def test_a_curve_wholly_retracted_into_the_guide_agrees_with_the_exact_rod(self, one_tube):
@@ -336,7 +342,7 @@ class TestPlacesWhereSectionsMeet:
 
 
 class TestRefusals:
-    """Cold and warm: a good neighbour must not let a bad pose or load through."""
+    """Cold and warm solves refuse invalid input; a valid nearby solution must not change that."""
 
     JOINTS = np.array([0.0, 1.0, -0.1])
 
@@ -349,10 +355,10 @@ class TestRefusals:
         return solver.solve(self.JOINTS, UNLOADED) if request.param == "warm" else None
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-    @pytest.mark.parametrize("place", [0, 5])
-    def test_a_wrench_that_is_not_finite_is_refused(self, solver, near, bad, place):
+    @pytest.mark.parametrize("index", [0, 5])
+    def test_a_wrench_that_is_not_finite_is_refused(self, solver, near, bad, index):
         wrench = np.zeros(6)
-        wrench[place] = bad
+        wrench[index] = bad
 
         with pytest.raises(NotFinite, match=rf"tip wrench .*{bad}.*six finite numbers"):
             solver.solve(self.JOINTS, wrench, near)
@@ -368,28 +374,28 @@ class TestRefusals:
             solver.solve(np.full(count, -0.1), UNLOADED, near)
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf])
-    @pytest.mark.parametrize("place", [1, 2])
-    def test_a_pose_that_is_not_finite_is_refused_by_joint(self, solver, near, bad, place):
+    @pytest.mark.parametrize("index", [1, 2])
+    def test_a_pose_that_is_not_finite_is_refused_by_joint(self, solver, near, bad, index):
         joints = self.JOINTS.copy()
-        joints[place] = bad
+        joints[index] = bad
 
-        with pytest.raises(PoseError, match=f"{solver.robot.joint_names[place]} is {bad}"):
+        with pytest.raises(PoseError, match=f"{solver.robot.joint_names[index]} is {bad}"):
             solver.solve(joints, UNLOADED, near)
 
     @pytest.mark.parametrize(
         ("translation", "words"),
         [(0.005, "'inner' starts at 5 mm"), (-0.1381, "'inner' ends at 164.9 mm"), (-0.4, "'inner' ends at -97 mm")],
     )
-    def test_a_pose_in_which_the_tubes_cannot_stand_is_refused(self, solver, near, translation, words):
+    def test_an_invalid_pose_is_refused(self, solver, near, translation, words):
         with pytest.raises(PoseError, match=words):
             solver.solve(np.array([0.0, 0.0, translation]), UNLOADED, near)
 
     @pytest.mark.parametrize("step", [0.0, -0.010, math.nan, math.inf])
     @pytest.mark.parametrize(("kind", "name"), [(Statics, "sublink"), (ExactRod, "step")])
-    def test_a_step_that_is_no_length_is_refused_by_name_and_value(self, paper_robot, kind, name, step):
+    def test_an_invalid_step_length_is_refused_by_name_and_value(self, paper_robot, kind, name, step):
         with pytest.raises(DescriptionError, match=f"{name} {step:g} m must be finite and greater than 0"):
             kind(paper_robot, step)
 
-    def test_a_load_out_of_reach_is_no_solution_and_says_so(self, solver, near):
+    def test_a_load_out_of_reach_raises_no_solution_with_the_load(self, solver, near):
         with pytest.raises(NoSolution, match=r"1000000000\.0"):
             solver.solve(self.JOINTS, np.array([0.0, 0.0, 0.0, 1e9, 0.0, 0.0]), near)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from core.errors import DescriptionError, PoseError
-from core.robot.limits import At, ForceLimit, JointLimit, Limits, TubeOrder, Workspace
+from core.robot.limits import Configuration, ForceLimit, JointLimit, Limits, TubeOrder, Workspace
 
 DEGREE = math.pi / 180.0
 SLIDE = JointLimit("inner_translation", "m", -0.130, -0.005, speed=0.020, acceleration=0.100)
@@ -16,7 +16,7 @@ INSIDE = [share * (limit.upper - limit.lower) + limit.lower for limit, share in 
 
 
 def stop(position: float, velocity: float, acceleration: float, reaction: float) -> float:
-    """Where a joint comes to rest that goes on for the reaction time and then brakes; by small steps."""
+    """Return the stopping position of a joint that continues for the reaction time and then brakes (small steps)."""
     dt = 1e-5
     position += velocity * reaction
     while velocity != 0.0:
@@ -29,37 +29,37 @@ def stop(position: float, velocity: float, acceleration: float, reaction: float)
 @pytest.mark.parametrize("limit", [TURN, SLIDE], ids=lambda limit: limit.name)
 @pytest.mark.parametrize("reaction", [0.0, 0.050, 0.200])
 @pytest.mark.parametrize("room", [0.0, 1e-3, 0.01, 0.05, 0.2])
-def test_from_the_highest_velocity_allowed_a_joint_stops_inside_its_travel(limit, reaction, room):
-    away = room * (limit.upper - limit.lower)
+def test_a_joint_at_its_highest_allowed_velocity_stops_inside_its_travel(limit, reaction, room):
+    distance = room * (limit.upper - limit.lower)
     limits = Limits((limit,), reaction)
-    for place, side in ((limit.upper - away, 1), (limit.lower + away, 0)):
-        velocity = limits.velocity_bounds(np.array([place]))[side][0]
-        rest = stop(place, velocity, limit.acceleration, reaction)
+    for position, side in ((limit.upper - distance, 1), (limit.lower + distance, 0)):
+        velocity = limits.velocity_bounds(np.array([position]))[side][0]
+        rest = stop(position, velocity, limit.acceleration, reaction)
         bound = limit.upper if side else limit.lower
         overshoot = (rest - bound) if side else (bound - rest)
 
         assert overshoot <= 1e-9
-        # ... and nothing is given away: slower than top speed only when it must be.
+        # The velocity bound is not conservative: it is below top speed only where necessary.
         assert overshoot == pytest.approx(0.0, abs=1e-6) or abs(velocity) == limit.speed
 
 
 @pytest.mark.parametrize("limit", [TURN, SLIDE], ids=lambda limit: limit.name)
-def test_driven_at_the_bound_a_joint_that_answers_in_a_third_of_the_reaction_time_stays_inside(limit):
+def test_a_joint_commanded_at_its_velocity_bound_with_a_third_of_the_reaction_time_stays_in_its_travel(limit):
     limits, dt = Limits((limit,), reaction=0.060), 1e-3
-    under_way = [0.0] * 20
+    pending = [0.0] * 20
     position, velocity, furthest = limit.upper - 0.5 * limit.speed, 0.0, -math.inf
 
     for _ in range(4000):
-        under_way.append(limits.velocity_bounds(np.array([position]))[1][0])
-        most = limit.acceleration * dt
-        velocity += min(max(under_way.pop(0) - velocity, -most), most)
+        pending.append(limits.velocity_bounds(np.array([position]))[1][0])
+        largest = limit.acceleration * dt
+        velocity += min(max(pending.pop(0) - velocity, -largest), largest)
         position += velocity * dt
         furthest = max(furthest, position)
 
     assert limit.upper - 1e-3 * limit.speed < furthest <= limit.upper + 1e-12
 
 
-def test_in_the_middle_of_its_travel_a_joint_may_go_at_top_speed_both_ways():
+def test_a_joint_in_the_middle_of_its_travel_may_move_at_top_speed_in_both_directions():
     lower, upper = LIMITS.velocity_bounds(np.array(INSIDE))
 
     np.testing.assert_allclose(upper, [20 * DEGREE, 0.020])
@@ -67,7 +67,7 @@ def test_in_the_middle_of_its_travel_a_joint_may_go_at_top_speed_both_ways():
     np.testing.assert_allclose(LIMITS.speed, [20 * DEGREE, 0.020])
 
 
-def test_outside_its_travel_a_joint_may_only_come_back():
+def test_a_joint_outside_its_travel_may_only_move_inward():
     lower, upper = LIMITS.velocity_bounds(np.array([-7.0, 0.010]))
 
     assert lower[0] == 0.0
@@ -76,7 +76,7 @@ def test_outside_its_travel_a_joint_may_only_come_back():
     assert lower[1] == -0.020
 
 
-def test_a_position_that_is_not_a_number_gives_no_leave_to_move():
+def test_a_joint_at_a_nan_position_must_not_move():
     lower, upper = LIMITS.velocity_bounds(np.array([math.nan, math.nan]))
 
     assert not (lower < 0.0).any()
@@ -93,7 +93,7 @@ def test_a_position_that_is_not_a_number_gives_no_leave_to_move():
         ([0.0, math.inf], ["inner_translation", "inf m"]),
     ],
 )
-def test_a_position_outside_its_travel_is_refused_by_name_value_and_bound(joints, words):
+def test_a_joint_position_outside_its_travel_is_refused_by_name_value_and_bound(joints, words):
     with pytest.raises(PoseError) as refused:
         LIMITS.check(np.array(joints))
 
@@ -102,7 +102,7 @@ def test_a_position_outside_its_travel_is_refused_by_name_value_and_bound(joints
 
 
 @pytest.mark.parametrize("joints", [[0.0, -0.130], [2 * math.pi, -0.005], INSIDE])
-def test_the_travel_includes_its_ends(joints):
+def test_the_travel_of_a_joint_includes_its_ends(joints):
     LIMITS.check(np.array(joints))
 
 
@@ -119,7 +119,7 @@ def test_the_travel_includes_its_ends(joints):
         ({"acceleration": math.inf}, "acceleration limit inf m/s^2"),
     ],
 )
-def test_an_impossible_limit_is_refused_by_name_value_and_unit(change, words):
+def test_an_invalid_joint_limit_is_refused_by_name_value_and_unit(change, words):
     with pytest.raises(DescriptionError) as refused:
         replace(SLIDE, **change)
 
@@ -127,23 +127,23 @@ def test_an_impossible_limit_is_refused_by_name_value_and_unit(change, words):
 
 
 @pytest.mark.parametrize("reaction", [-0.010, math.nan, math.inf])
-def test_a_reaction_time_that_is_none_is_refused(reaction):
+def test_an_invalid_reaction_time_is_refused(reaction):
     with pytest.raises(DescriptionError, match=rf"reaction {reaction:g} s"):
         Limits((SLIDE,), reaction)
 
 
-def situation(joints=(0.0, 0.0), jacobian=None, tip=(0.0, 0.0, 0.3), force=(0.0, 0.0, 0.0)) -> At:
+def situation(joints=(0.0, 0.0), jacobian=None, tip=(0.0, 0.0, 0.3), force=(0.0, 0.0, 0.0)) -> Configuration:
     jacobian = np.zeros((3, len(joints))) if jacobian is None else jacobian
-    return At(np.array(joints, dtype=float), jacobian, np.array(tip), np.array(force))
+    return Configuration(np.array(joints, dtype=float), jacobian, np.array(tip), np.array(force))
 
 
-def test_the_papers_tubes_stay_in_order_by_their_travel_alone(paper_robot):
+def test_the_papers_tubes_need_no_order_limit_because_of_their_travel(paper_robot):
     travel = (replace(TURN, name="a"), replace(TURN, name="b"), SLIDE)
 
     assert TubeOrder.of(paper_robot, travel) is None
 
 
-def test_tubes_that_could_pass_each_other_get_a_row_each(three_tubes):
+def test_tubes_that_could_pass_each_other_have_one_order_row_each(three_tubes):
     travel = tuple(
         JointLimit(j.name, j.unit, -0.2, 0.0, 0.02, 0.1) if j.motion == "translation" else replace(TURN, name=j.name)
         for j in three_tubes.joints
@@ -152,24 +152,24 @@ def test_tubes_that_could_pass_each_other_get_a_row_each(three_tubes):
     assert order is not None
     slides = [k for k, joint in enumerate(three_tubes.joints) if joint.motion == "translation"]
 
-    def at(*beta: float) -> At:
+    def at(*beta: float) -> Configuration:
         joints = np.zeros(6)
         joints[slides] = beta
         return situation(joints)
 
-    # a in b in c: each starts behind the next and ends beyond it
+    # Tube a is inside b, and b is inside c: each tube starts behind the next outer tube and ends beyond it.
     order.check(at(-0.05, -0.03, -0.01))
     rows, room = order.rows(at(-0.05, -0.03, -0.01))
     assert (room > 0.0).all()
-    # two stages are told one after the other: half a millimetre before the edge nothing more is allowed
+    # stages receive commands one at a time: half a millimetre before the edge no approach is allowed
     assert order.rows(at(-0.0304, -0.03, -0.01))[1].min() == 0.0 < order.rows(at(-0.0306, -0.03, -0.01))[1].min()
     with pytest.raises(
-        PoseError, match=r"tube order: start of tube 'a' behind that of tube 'b' does not hold, by 10 mm"
+        PoseError, match=r"tube order is violated by 10 mm; required: start of tube 'a' behind that of tube 'b'"
     ):
         order.check(at(-0.02, -0.03, -0.01))
-    with pytest.raises(PoseError, match=r"tube order: end of tube 'a' beyond that of tube 'b' does not hold, by 20 mm"):
+    with pytest.raises(PoseError, match=r"violated by 20 mm; required: end of tube 'a' beyond that of tube 'b'"):
         order.check(at(-0.15, -0.03, -0.01))
-    # where a has caught up with b it may not go on alone, but with b
+    # Where tube a has reached tube b, a may not move further alone, but together with b.
     rows, room = order.rows(at(-0.03, -0.03, -0.01))
     alone, together = np.zeros(6), np.zeros(6)
     alone[slides[0]] = together[slides[0]] = together[slides[1]] = 0.001
@@ -177,7 +177,7 @@ def test_tubes_that_could_pass_each_other_get_a_row_each(three_tubes):
     assert (rows @ together <= room).all()
 
 
-def test_what_the_tube_order_allows_is_what_the_robot_can_stand_in(three_tubes, paper_robot):
+def test_the_tube_order_allows_exactly_the_valid_poses(three_tubes, paper_robot):
     travel = tuple(
         JointLimit(j.name, j.unit, -0.25, 0.05, 0.02, 0.1) if j.motion == "translation" else replace(TURN, name=j.name)
         for j in three_tubes.joints
@@ -189,18 +189,18 @@ def test_what_the_tube_order_allows_is_what_the_robot_can_stand_in(three_tubes, 
         joints = np.zeros(6)
         slides = [k for k, joint in enumerate(three_tubes.joints) if joint.motion == "translation"]
         joints[slides] = random.uniform(-0.25, 0.05, 3)
-        stands = True
+        valid = True
         try:
             three_tubes.check_pose(joints)
         except PoseError:
-            stands = False
+            valid = False
         allowed = bool((order.matrix @ joints <= order.bound).all())
-        assert allowed == stands
-        fits += stands
+        assert allowed == valid
+        fits += valid
     assert 20 < fits < 480
 
 
-def test_a_workspace_slows_the_tip_down_toward_its_faces_only():
+def test_a_workspace_slows_the_tip_only_toward_its_faces():
     box = Workspace((-0.1, -0.1, 0.1), (0.1, 0.1, 0.3))
     rows, room = box.rows(situation((0.0, 0.0, 0.0), np.eye(3), tip=(0.0, 0.0, 0.299)))
 
@@ -208,14 +208,14 @@ def test_a_workspace_slows_the_tip_down_toward_its_faces_only():
     assert (rows @ np.array([0.0, 0.0, 0.003]) <= room).all()
     assert (rows @ np.array([0.0, 0.0, -0.02]) <= room).all()
     outside = box.rows(situation((0.0, 0.0, 0.0), np.eye(3), tip=(0.0, 0.0, 0.31)))[1]
-    assert (outside >= 0.0).all()  # standing still is always allowed
+    assert (outside >= 0.0).all()  # zero velocity is always allowed
     with pytest.raises(PoseError, match=r"tip z 0.31 m is outside 0.1 \.\.\. 0.3 m \(the workspace\)"):
         box.check(situation(tip=(0.0, 0.0, 0.31)))
     assert box.names[2] == "workspace z <= 0.3 m"
     assert box.names[5] == "workspace z >= 0.1 m"
 
 
-def test_a_force_limit_lets_the_tip_give_way_but_not_push_on():
+def test_a_force_limit_lets_the_tip_yield_but_not_push_against_the_load():
     limit = ForceLimit(0.5)
     push, give = np.array([-0.01, 0.0, 0.0]), np.array([0.01, 0.0, 0.0])
     for force, may_push in ((0.0, True), (0.5, False), (0.7, False)):
@@ -237,7 +237,7 @@ def test_the_active_limits_are_named_with_value_and_unit():
         "force on the tip (0.5 N)",
     )
     assert limits.active(joints, np.zeros(2), np.zeros(1)) == ()
-    # without any, a command that had none to ask
+    # a command without limits of several joints
     assert Limits((TURN, SLIDE)).active(joints, np.zeros(2), np.zeros(0)) == ()
 
 
@@ -256,11 +256,11 @@ def test_a_joint_at_top_speed_is_not_blocked_but_one_at_the_end_of_its_travel_is
     [
         (lambda: Workspace((0.0, 0.0, 0.3), (0.1, 0.1, 0.1)), "workspace: z 0.3 ... 0.1 m is empty"),
         (lambda: Workspace((0.0, math.nan, 0.0), (0.1, 0.1, 0.1)), "workspace: y nan ... 0.1 m"),
-        (lambda: ForceLimit(0.0), "force limit: most 0 N must be finite and greater than 0"),
+        (lambda: ForceLimit(0.0), "force limit: max_force 0 N must be finite and greater than 0"),
         (lambda: ForceLimit(0.5, math.inf), "force limit: speed inf m/s"),
     ],
 )
-def test_an_impossible_limit_beyond_joints_is_refused(make, words):
+def test_an_invalid_workspace_or_force_limit_is_refused(make, words):
     with pytest.raises(DescriptionError) as refused:
         make()
 

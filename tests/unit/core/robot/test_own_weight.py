@@ -1,4 +1,4 @@
-"""The force at the tip in place of the tubes' own weight, against a book's beam and the exact rod."""
+"""The tip force that represents the tubes' own weight matches a textbook beam and the exact rod."""
 
 from dataclasses import replace
 
@@ -10,10 +10,10 @@ from core.robot.own_weight import own_weight
 from core.robot.robot import Section
 from station.config.robots import load_robot
 from station.lab.config import PlantConfig, load_lab
-from station.lab.rough_plant import RoughPlant
+from station.lab.frictional_plant import FrictionalPlant
 
 
-def test_a_single_tube_counts_with_three_eighths_of_what_it_weighs(one_tube):
+def test_the_equivalent_tip_force_of_a_single_tube_is_three_eighths_of_its_weight(one_tube):
     robot = one_tube(Section(0.2))
     heavy = replace(robot, tubes=(replace(robot.tubes[0], weight=0.3),))
 
@@ -22,8 +22,8 @@ def test_a_single_tube_counts_with_three_eighths_of_what_it_weighs(one_tube):
 
 
 @pytest.mark.parametrize("joints", [(0.0, 1.57, -0.1), (1.0, -0.5, -0.02), (2.5, 3.0, -0.06), (-1.5, -1.2, -0.12)])
-def test_it_bends_the_papers_robot_as_far_as_its_weight_bends_the_exact_rod(joints):
-    """To a tenth, which is 0.05 mm at most; left out, 0.2 to 0.6 mm."""
+def test_the_equivalent_tip_force_bends_the_papers_robot_like_its_weight(joints):
+    """The tip error is a tenth of the sag, at most 0.05 mm; without the equivalent force it is 0.2 to 0.6 mm."""
     file, pose = load_robot("paper"), np.array(joints)
     robot = file.robot()
     rough: PlantConfig = load_lab("realistic", file).plant.model_copy(
@@ -31,7 +31,7 @@ def test_it_bends_the_papers_robot_as_far_as_its_weight_bends_the_exact_rod(join
     )
     tips = []
     for plant in (rough, rough.model_copy(update={"density": 0.0})):
-        rod = RoughPlant(robot, plant, np.random.default_rng(0), pose)
+        rod = FrictionalPlant(robot, plant, np.random.default_rng(0), pose)
         tips.append(rod.advance(pose, np.zeros(3)).truth.tip)
     sag, model = tips[0] - tips[1], Statics(robot)
 

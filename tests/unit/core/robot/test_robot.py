@@ -28,11 +28,11 @@ def test_each_joint_moves_its_own_tube_and_a_tube_without_joint_stays_at_the_pla
     assert beta.tolist() == [-0.3, 0.0]
 
 
-def test_length_is_the_sum_of_the_sections(paper_robot):
+def test_the_length_of_a_tube_is_the_sum_of_its_sections(paper_robot):
     assert [tube.length for tube in paper_robot.tubes] == pytest.approx([0.303, 0.165])
 
 
-def test_the_layout_is_the_description_in_numbers(paper_robot):
+def test_robot_layout_contains_the_numbers_of_the_description(paper_robot):
     layout = paper_robot.layout
 
     np.testing.assert_allclose(layout.ends, [[0.150, 0.303], [0.012, 0.165]])
@@ -66,7 +66,7 @@ def test_the_layout_is_the_description_in_numbers(paper_robot):
         ({"inner_diameter": math.nan}, ["inner_diameter", "nan mm", "0 ... 1.8 mm"]),
     ],
 )
-def test_an_impossible_tube_is_refused_by_name_value_and_bound(change, words):
+def test_an_invalid_tube_is_refused_by_name_value_and_bound(change, words):
     with pytest.raises(DescriptionError) as refused:
         replace(TUBE, **change)
 
@@ -97,7 +97,7 @@ def test_an_impossible_tube_is_refused_by_name_value_and_bound(change, words):
         "too many tubes",
     ],
 )
-def test_an_impossible_robot_is_refused_by_name_value_and_bound(tubes, joints, words):
+def test_an_invalid_robot_is_refused_by_name_value_and_bound(tubes, joints, words):
     with pytest.raises(DescriptionError) as refused:
         Robot("bad", tubes, joints)
 
@@ -119,7 +119,7 @@ def test_an_impossible_robot_is_refused_by_name_value_and_bound(tubes, joints, w
         ([[0.0, 0.0, -0.1]], ["(1, 3)", "'paper'", "(3,)"]),
     ],
 )
-def test_a_pose_in_which_the_tubes_cannot_stand_is_refused_by_name_value_and_bound(paper_robot, joints, words):
+def test_an_invalid_pose_is_refused_by_name_value_and_bound(paper_robot, joints, words):
     with pytest.raises(PoseError) as refused:
         paper_robot.check_pose(np.array(joints))
 
@@ -139,11 +139,11 @@ def test_a_proximal_end_in_front_of_the_plate_or_of_the_next_outer_tube_is_refus
 
 
 @pytest.mark.parametrize("translation", [0.0, -0.05, -0.1379, -0.138])
-def test_a_pose_within_reach_is_accepted(paper_robot, translation):
+def test_a_valid_pose_of_the_robot_is_accepted(paper_robot, translation):
     paper_robot.check_pose(np.array([0.0, 0.0, translation]))
 
 
-def test_the_packed_layout_is_the_layout(paper_robot, three_tubes):
+def test_packed_robot_array_unpacks_to_the_robots_layout(paper_robot, three_tubes):
     for robot in (paper_robot, three_tubes, replace(paper_robot, base=Base((1.0, 2.0, 3.0), (0.1, 0.2, 0.3)))):
         for packed, part in zip(unpack(robot.packed), robot.layout, strict=True):
             np.testing.assert_array_equal(packed, part)
@@ -155,15 +155,15 @@ def test_torsional_stiffness_replaces_poissons_ratio():
     assert replace(TUBE, torsional_stiffness=0.01).stiffness_ratio == pytest.approx(4.0)
 
 
-def test_a_tube_without_joints_stands_where_its_description_says():
+def test_a_tube_without_joints_has_the_pose_of_the_robot_file():
     inner = replace(TUBE, rotation=0.7, translation=-0.02)
-    robot = Robot("held", (inner, replace(WIDE, rotation=-0.4)), (Joint("slide", 1, "translation"),))
+    robot = Robot("fixed", (inner, replace(WIDE, rotation=-0.4)), (Joint("slide", 1, "translation"),))
 
     alpha, beta = robot.tube_poses(np.array([-0.01]))
 
     assert alpha.tolist() == [0.7, -0.4]
     assert beta.tolist() == [-0.02, -0.01]
-    assert not robot.stands(np.array([-0.03]))  # in front of the outer tube
+    assert not robot.is_valid_pose(np.array([-0.03]))  # in front of the outer tube
 
 
 @pytest.mark.parametrize(
@@ -182,42 +182,42 @@ def test_a_tube_without_joints_stands_where_its_description_says():
     ],
     ids=["in front", "nan", "infinite turn", "no torsion", "inside the guide", "out of order", "hidden"],
 )
-def test_fixed_tubes_that_cannot_stand_are_refused_with_the_description(tubes, words):
+def test_invalid_fixed_tubes_are_refused_in_the_description(tubes, words):
     with pytest.raises(DescriptionError) as refused:
-        Robot("held", tubes(), ())
+        Robot("fixed", tubes(), ())
 
     for word in words:
         assert word in str(refused.value)
 
 
 class TestBase:
-    def test_its_rotation_is_that_of_its_vector(self):
+    def test_the_rotation_of_a_base_matches_its_vector(self):
         vector = np.array([0.4, -1.2, 0.7])
         expected = Rotation.from_rotvec(vector).as_matrix()
         np.testing.assert_allclose(Base((0.0, 0.0, 0.0), tuple(vector)).rotation, expected, rtol=0, atol=1e-15)
         np.testing.assert_array_equal(Base().rotation, np.eye(3))
 
     @pytest.mark.parametrize("bad", [(0.0, math.nan, 0.0), (0.0, 0.0)])
-    def test_what_is_no_pose_is_refused(self, bad):
+    def test_an_invalid_base_is_refused(self, bad):
         with pytest.raises(DescriptionError, match=r"base: position .* three finite numbers"):
             Base(position=bad)
         with pytest.raises(DescriptionError, match=r"base: rotation_vector .* three finite numbers"):
             Base(rotation_vector=bad)
 
     @pytest.mark.parametrize("solver", [Statics, ExactRod])
-    def test_moving_base_and_load_moves_tip_and_derivatives(self, paper_robot, poses, solver):
-        vector, place = (0.4, -1.2, 0.7), np.array([0.1, -0.2, 0.3])
+    def test_moving_the_robots_base_and_load_together_moves_tip_and_derivatives(self, paper_robot, poses, solver):
+        vector, position = (0.4, -1.2, 0.7), np.array([0.1, -0.2, 0.3])
         turn = Rotation.from_rotvec(vector).as_matrix()
         both = np.kron(np.eye(2), turn)
-        moved = solver(replace(paper_robot, base=Base(tuple(place), vector)))
+        moved = solver(replace(paper_robot, base=Base(tuple(position), vector)))
         for joints, wrench in poses(seed=51, count=5, force=0.5, moment=0.02):
             here, there = solver(paper_robot).solve(joints, wrench), moved.solve(joints, both @ wrench)
-            np.testing.assert_allclose(there.tip, turn @ here.tip + place, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(there.tip, turn @ here.tip + position, rtol=0, atol=1e-9)
             np.testing.assert_allclose(there.rotation, turn @ here.rotation, rtol=0, atol=1e-8)
             if solver is Statics:
                 np.testing.assert_allclose(there.jacobian, both @ here.jacobian, rtol=0, atol=1e-6)
                 np.testing.assert_allclose(there.compliance, both @ here.compliance @ both.T, rtol=0, atol=1e-6)
                 assert there.stability == pytest.approx(here.stability, abs=1e-9)
                 shape = moved.shape(there)
-                np.testing.assert_allclose(shape[0, 10:13], place, rtol=0, atol=1e-15)
+                np.testing.assert_allclose(shape[0, 10:13], position, rtol=0, atol=1e-15)
                 np.testing.assert_allclose(shape[-1, 10:13], there.tip, rtol=0, atol=1e-9)

@@ -25,8 +25,8 @@ def pair(steepness: float, straight: float = 0.0, length: float = 0.1) -> Robot:
 
 
 class TestSnapNumber:
-    def test_of_the_papers_tubes_with_their_curves_side_by_side(self, paper_robot):
-        """l k tan(k L) with l the straight lengths weighted by the other tube's stiffness: about 0.33."""
+    def test_the_snap_number_of_the_papers_tubes_with_adjacent_curves_is_the_closed_form(self, paper_robot):
+        """l k tan(k L) with the straight lengths l weighted by the other tube's stiffness: about 0.33."""
         weighted = (0.012 * 0.0413 + 0.150 * 0.048) / (0.0413 + 0.048)
         k = math.sqrt(1.3) * 4.0
         expected = weighted * k * math.tan(k * 0.153)
@@ -37,39 +37,39 @@ class TestSnapNumber:
         assert found == pytest.approx(0.33, abs=0.005)
 
     @pytest.mark.parametrize(("steepness", "straight"), [(0.3, 0.02), (1.0, 0.05), (1.0, 0.2), (2.4, 0.001)])
-    def test_of_a_pair_is_the_published_formula(self, steepness, straight):
+    def test_the_snap_number_of_two_tubes_matches_the_published_formula(self, steepness, straight):
         root = math.sqrt(steepness)
         expected = straight * (root / 0.1) * math.tan(root)
         assert snap_number(pair(steepness, straight), np.zeros(2)) == pytest.approx(expected, rel=1e-9)
 
-    def test_is_infinite_where_the_curves_alone_snap(self):
+    def test_the_snap_number_is_infinite_where_the_curves_alone_snap(self):
         below, beyond = (snap_number(pair(f * math.pi**2 / 4), np.zeros(2)) for f in (0.999, 1.001))
         assert (below, beyond) == (0.0, math.inf)
 
-    def test_is_zero_for_tubes_of_which_one_is_straight(self, one_tube):
+    def test_the_snap_number_is_zero_if_one_of_two_tubes_is_straight(self, one_tube):
         straight = Tube("straight", (Section(0.12),), 0.02, outer_diameter=1e-3, inner_diameter=0.5e-3)
         curved = Tube("curved", (Section(0.1, (20.0, 0.0)),), 0.02, outer_diameter=2e-3, inner_diameter=1.5e-3)
         assert snap_number(Robot("one curve", (straight, curved), TURN), np.zeros(2)) == pytest.approx(0.0, abs=1e-12)
         assert snap_number(one_tube(Section(0.1, (9.0, 1.0))), np.zeros(2)) == 0.0
 
     @pytest.mark.parametrize("steepness", [0.6, 0.9, 1.05, 1.4])
-    def test_beyond_one_is_where_the_model_loses_its_margin(self, steepness):
+    def test_the_snap_number_exceeds_one_where_the_model_loses_its_margin(self, steepness):
         robot = pair(steepness, 0.06)
         opposed = Statics(robot, 0.0025).solve(np.array([math.pi, 0.0]), UNLOADED)
         snaps = snap_number(robot, np.zeros(2)) > 1.0
-        # A cold start does not stay on the shape between: it finds one that twists.
+        # A cold start does not stay on the untwisted equilibrium: it finds a twisted shape.
         twisted = np.abs(opposed.unknowns[:2]).max() > 1e-3
         assert opposed.stability > 0.0
         assert twisted == snaps
 
-    def test_of_a_design_is_the_largest_in_its_travel(self, paper_robot):
+    def test_the_snap_number_of_a_design_is_the_largest_in_its_travel(self, paper_robot):
         lower, upper = np.array([-6.0, -6.0, -0.130]), np.array([6.0, 6.0, -0.005])
-        places = np.linspace(-0.130, -0.005, 30)
-        largest = max(snap_number(paper_robot, np.array([0.0, 0.0, place])) for place in places)
+        translations = np.linspace(-0.130, -0.005, 30)
+        largest = max(snap_number(paper_robot, np.array([0.0, 0.0, z])) for z in translations)
         assert design_snap_number(paper_robot, lower, upper) == pytest.approx(largest, rel=1e-2)
         assert largest < 0.33
 
-    def test_needs_tubes_curved_in_one_plane_and_a_pose_that_stands(self, three_tubes, paper_robot):
+    def test_a_snap_number_requires_planar_tubes_and_a_valid_pose(self, three_tubes, paper_robot):
         twisted = Tube("b", (Section(0.1, (3.0, 0.0)), Section(0.1, (0.0, 3.0))), 0.04)
         with pytest.raises(DescriptionError, match="'b' is not curved in one plane"):
             snap_number(Robot("twisted", (twisted,), ()), np.zeros(0))
@@ -80,26 +80,28 @@ class TestSnapNumber:
 
 
 class TestMargin:
-    def test_of_straight_tubes_without_load_is_one(self, one_tube):
+    def test_the_stability_margin_of_straight_tubes_without_load_is_one(self, one_tube):
         solution = Statics(one_tube(Section(0.2))).solve(np.array([0.4, -0.05]), UNLOADED)
         assert solution.stability == pytest.approx(1.0, abs=1e-12)
 
-    def test_of_opposed_tubes_is_the_closed_form(self):
+    def test_the_stability_margin_of_opposed_tubes_matches_the_closed_form(self):
         for steepness in (0.5, 1.0, 2.0, 2.4):
             solution = Statics(pair(steepness), 0.001).solve(np.array([math.pi, 0.0]), UNLOADED)
             assert solution.stability == pytest.approx(math.cos(math.sqrt(steepness)), abs=1e-4)
 
-    def test_of_a_pressed_straight_tube_vanishes_at_eulers_load(self, one_tube):
+    def test_the_stability_margin_of_a_compressed_straight_tube_vanishes_at_eulers_load(self, one_tube):
         robot, length = one_tube(Section(0.2)), 0.15
         critical = math.pi**2 * 0.04 / (4.0 * length**2)
         for part in (0.25, 0.5, 0.81, 0.98):
             wrench = np.array([0.0, 0.0, -part * critical, 0.0, 0.0, 0.0])
             found = Statics(robot, 0.001).solve(np.array([0.0, -0.05]), wrench).stability
-            # bending in x and in y: one factor each
+            # The margin has one factor for bending in x and one for bending in y.
             assert found == pytest.approx(math.cos(0.5 * math.pi * math.sqrt(part)) ** 2, abs=2e-3)
 
     @pytest.mark.parametrize("integrator", ["paper", "fourth_order"])
-    def test_is_the_determinant_of_the_exact_rod(self, paper_robot, three_tubes, poses, integrator):
+    def test_the_stability_margin_equals_the_determinant_of_the_exact_rod(
+        self, paper_robot, three_tubes, poses, integrator
+    ):
         model, exact = Statics(paper_robot, 0.0025, integrator), ExactRod(paper_robot, tolerance=1e-11)
         for joints, wrench in poses(seed=31, count=25, force=0.5, moment=0.02):
             expected = exact.stability(joints, wrench, exact.solve(joints, wrench))
@@ -112,8 +114,8 @@ class TestMargin:
             expected, rel=3e-4
         )
 
-    def test_falls_to_zero_where_the_s_curve_folds_and_the_tubes_snap(self):
-        """Turned on and on, the tubes keep their branch to its fold, then land on the other one."""
+    def test_the_stability_margin_falls_to_zero_where_rotated_tubes_snap(self):
+        """With continued rotation the tubes keep their shape until it becomes unstable, then snap to another shape."""
         model = Statics(pair(3.5), 0.005)
         near, margins, twists = None, [], []
         for angle in np.arange(0.0, 1.2 * math.pi, 0.01):
@@ -124,7 +126,7 @@ class TestMargin:
 
         assert math.pi < 0.01 * snap < 1.2 * math.pi
         assert np.sign(twists[snap]) != np.sign(twists[snap + 1])
-        # The margin goes as the root of what is left to the fold: its square is a line that ends there.
+        # The margin falls with the square root of the distance to the fold: its square is linear and ends there.
         squares = np.array(margins[snap - 6 : snap + 1]) ** 2
         line = np.polyfit(0.01 * np.arange(snap - 6, snap + 1), squares, 1)
         fold = -line[1] / line[0]
@@ -133,7 +135,7 @@ class TestMargin:
         assert margins[snap] < 0.25 * margins[0]
         assert margins[snap + 1] > 2.0 * margins[snap]
 
-    def test_a_pair_below_the_limit_turns_round_without_a_snap(self):
+    def test_two_tubes_below_snap_number_one_rotate_without_a_snap(self):
         model, near, twists = Statics(pair(2.0), 0.005), None, []
         for angle in np.arange(0.0, 2.0 * math.pi, 0.02):
             near = model.solve(np.array([angle, 0.0]), UNLOADED, near)

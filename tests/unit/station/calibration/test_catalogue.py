@@ -1,27 +1,27 @@
-"""How long a procedure is said to take, against the measurements that it really makes."""
+"""The expected duration of a calibration procedure matches the number of measurements that it makes."""
 
 import pytest
 
-from station.calibration.catalogue import OFFERS, WEIGHTS
+from station.calibration.catalogue import DEFAULT_WEIGHTS_N, PROCEDURES
 from station.calibration.procedures import Effort
 
 
-def test_more_weights_and_more_effort_take_longer():
-    tubes, usual = OFFERS["tubes"], len(WEIGHTS)
+def test_expected_duration_of_a_procedure_increases_with_weights_and_effort():
+    tubes, usual = PROCEDURES["tubes"], len(DEFAULT_WEIGHTS_N)
     assert tubes.expected(1.0, usual) == pytest.approx(1150.0)
     assert tubes.expected(0.5, usual) == pytest.approx(575.0)
-    # By the poses that it measurements: a weight has its share of them.
+    # The expected duration is proportional to the number of poses; each weight adds its share of poses.
     poses = [Effort(weights=(0.1,) * count).steps() for count in (1, 2, 3)]
     for count, steps in zip((1, 2, 3), poses, strict=True):
         assert tubes.expected(1.0, count) == pytest.approx(1150.0 * steps / poses[1], rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["axes", "latency", "tracker"])
-def test_weights_are_nothing_to_a_procedure_that_asks_for_none(name):
-    offer = OFFERS[name]
+def test_weights_do_not_change_the_duration_of_a_procedure_without_weights(name):
+    offer = PROCEDURES[name]
     assert not offer.weighs
     assert offer.expected(1.0, 5) == offer.expected(1.0, 1) == offer.seconds
 
 
-def test_a_fixed_procedure_takes_no_effort():
-    assert OFFERS["axes"].expected(2.0, 2) == OFFERS["axes"].seconds
+def test_effort_does_not_change_the_duration_of_a_fixed_procedure():
+    assert PROCEDURES["axes"].expected(2.0, 2) == PROCEDURES["axes"].seconds

@@ -1,4 +1,4 @@
-"""Files of measured poses: what is taken, what is left out with its line, what is refused with a word of help."""
+"""Files of measured poses: usable rows are read, unusable rows are reported with their lines, wrong files refused."""
 
 import math
 from pathlib import Path
@@ -23,7 +23,7 @@ def read(tmp_path):
     return read
 
 
-def test_columns_go_by_name_in_any_order_with_comments_and_spaces(read):
+def test_columns_of_a_poses_file_are_found_by_name_in_any_order_with_comments_and_spaces(read):
     found = read(
         "# made by hand", "tip_z, tip_x, tip_y, inner_translation, outer_rotation, inner_rotation",
         "0.2, 0.01, 0.02, -0.1, 0.1, 1.5", "", encoding="utf-8-sig",
@@ -34,7 +34,7 @@ def test_columns_go_by_name_in_any_order_with_comments_and_spaces(read):
     assert (found.lines, found.timed, measurement.came, found.forces.tolist()) == ((3,), False, None, [[0.0, 0.0, 0.0]])
 
 
-def test_forces_and_times_are_read_and_times_give_the_order(read):
+def test_forces_and_times_of_a_poses_file_are_read_and_times_give_the_order(read):
     found = read(
         f"time,{HEADER},force_x,force_y,force_z",
         "3.0,0.3,1.5,-0.10,0,0,0.2,0.1,0.2,0.3",
@@ -57,7 +57,7 @@ def test_forces_and_times_are_read_and_times_give_the_order(read):
         ("7.1,1.5,-0.1,0,0,0.2", ["outer_rotation 7.1 rad", "6.283 rad", "travel"]),
     ],
 )
-def test_a_row_of_no_use_is_left_out_with_its_line(read, row, words):
+def test_unusable_row_of_a_poses_file_is_left_out_and_reported_with_its_line(read, row, words):
     found = read(HEADER, *GOOD, *GOOD, row)
     assert len(found.measurements) == 6
     (left,) = found.left_out
@@ -66,15 +66,15 @@ def test_a_row_of_no_use_is_left_out_with_its_line(read, row, words):
         assert word in left.reason
 
 
-def test_a_pose_in_which_the_tubes_cannot_stand_is_left_out(read):
+def test_pose_with_an_impossible_order_of_the_tubes_is_left_out(read):
     rows = ["0,-0.09121,0.1,-0.161,0,0.05,0.1", "0,-0.05,0.1,-0.161,0,0.05,0.1"]
     found = read("outer_rotation,outer_translation,inner_rotation,inner_translation,tip_x,tip_y,tip_z", *rows,
                  robot="nylon")  # fmt: skip
-    assert len(found.measurements) == 1  # flush with the outer tube
-    assert "'inner' ends at 50 mm, not beyond the end of tube 'outer' at 91.21 mm" in found.left_out[0].reason
+    assert len(found.measurements) == 1  # the remaining pose ends flush with the outer tube
+    assert "'inner' ends at 50 mm, but must end beyond the end of tube 'outer' at 91.21 mm" in found.left_out[0].reason
 
 
-def test_a_load_that_no_shape_carries_is_left_out(read):
+def test_pose_without_a_shape_under_its_load_is_left_out(read):
     header = f"{HEADER},force_x,force_y,force_z"
     found = read(header, f"{GOOD[0]},0,0,0", f"{GOOD[1]},0,0,1e9")
     assert len(found.measurements) == 1
@@ -92,7 +92,7 @@ def test_a_load_that_no_shape_carries_is_left_out(read):
         ([HEADER.replace(",tip_z", ""), "0,0,-0.1,0,0"], ["no column 'tip_z'", "force_x"]),
         ([HEADER.replace("inner_rotation,", ""), "0,-0.1,0,0,0.2"], ["no column 'inner_rotation'"]),
         ([HEADER + ",force_x", "0,0,-0.1,0,0,0.2,0"], ["no column 'force_y', 'force_z'"]),
-        ([HEADER + ",tip_x", GOOD[0] + ",0"], ["'tip_x' is there 2 times"]),
+        ([HEADER + ",tip_x", GOOD[0] + ",0"], ["'tip_x' occurs 2 times"]),
         ([HEADER, GOOD[0] + ",0"], ["line 2 has 7 columns", "the header 6"]),
         ([HEADER, GOOD[0], "0,zero,-0.1,0,0,0.2"], ["line 3", "inner_rotation is 'zero'"]),
         ([HEADER, "nan,nan,nan,nan,nan,nan"], ["no row with a number in every column", "line 2"]),
@@ -102,14 +102,14 @@ def test_a_load_that_no_shape_carries_is_left_out(read):
         ([HEADER, "0,1,0.1,0,0,0.2"], ["inner_translation is 0.1 m", "outside"]),
     ],
 )  # fmt: skip
-def test_what_is_no_file_of_poses_is_refused_with_what_was_expected(read, lines, words):
+def test_invalid_file_of_poses_is_refused_with_the_expected_content(read, lines, words):
     with pytest.raises(PosesError) as refused:
         read(*lines)
     for word in words:
         assert word in str(refused.value)
 
 
-def test_other_files_are_refused_by_name(tmp_path):
+def test_unreadable_file_of_poses_is_refused_by_name(tmp_path):
     robot, picture = load_robot("paper"), tmp_path / "picture.csv"
     picture.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
     with pytest.raises(PosesError, match="not UTF-8 text"):
@@ -118,7 +118,7 @@ def test_other_files_are_refused_by_name(tmp_path):
         read_poses(tmp_path / "gone.csv", robot)
 
 
-def test_the_measured_nylon_robot_is_read_whole():
+def test_all_poses_of_the_measured_nylon_robot_are_read():
     found = read_poses(Path(__file__).parents[3] / "measured_nylon.csv", load_robot("nylon"))
     assert len(found.measurements) == 25
     assert found.left_out == ()

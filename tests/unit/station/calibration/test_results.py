@@ -1,4 +1,4 @@
-"""Calibrations that are kept, and how each is put to use."""
+"""Stored calibrations are listed and read, with the instructions for using them."""
 
 import json
 import math
@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.calibration.catalogue import begin
+from station.calibration.catalogue import start_procedure
 from station.calibration.files import carry_over
 from station.calibration.outcome import Provenance, write_all
-from station.calibration.plan import Subject
+from station.calibration.plan import PlanSubject
 from station.calibration.results import NoResultError, Results
-from station.calibration.static_lab import StaticLab, carry_out
-from station.control.known_calibration import Calibration
+from station.calibration.static_lab import StaticLab, run_static
+from station.control.bench_calibration import BenchCalibration
 from station.lab.config import load_lab
 
 START = np.array([0.0, math.pi / 2, -0.100])
@@ -33,7 +33,7 @@ def keep(folder: Path, name: str, **numbers: object) -> Path:
     return path
 
 
-def test_the_newest_comes_first_and_what_is_damaged_not_at_all(tmp_path):
+def test_calibrations_are_listed_newest_first_without_damaged_ones(tmp_path):
     keep(tmp_path, "old", made="2026-01-01T00:00:00+00:00")
     keep(tmp_path, "new", made="2026-02-01T00:00:00+00:00")
     (keep(tmp_path, "cut") / "report.json").write_text('{"procedure": "ax')
@@ -52,7 +52,7 @@ def test_the_newest_comes_first_and_what_is_damaged_not_at_all(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["nope", "..", "../secret", "/etc", ""])
-def test_a_name_leads_nowhere_else(tmp_path, name):
+def test_calibration_name_cannot_select_a_path_outside_the_folder(tmp_path, name):
     keep(tmp_path, "secret")
     results = tmp_path / "results"
     results.mkdir()
@@ -64,7 +64,7 @@ def test_a_name_leads_nowhere_else(tmp_path, name):
         Results(results).file("one", "../../secret/report.json")
 
 
-def test_signs_and_latency_are_told_as_keys_of_the_station_file(tmp_path):
+def test_instructions_name_the_station_file_keys_of_signs_and_latency(tmp_path):
     signs = {"outer_rotation": 1.0, "inner_rotation": -1.0}
     keep(tmp_path, "mirrored", signs=signs)
     keep(tmp_path, "right", signs=dict.fromkeys(signs, 1.0))
@@ -79,7 +79,7 @@ def test_signs_and_latency_are_told_as_keys_of_the_station_file(tmp_path):
     assert all(each.line == "" for each in use.values())
 
 
-def test_files_are_used_by_a_line_that_a_station_file_takes(tmp_path):
+def test_instructions_of_a_calibration_give_a_valid_line_for_the_station_file(tmp_path):
     folder = tmp_path / 'a "new" one'
     folder.mkdir()
     (keep(folder, "tracker") / "registration.toml").write_text("")
@@ -90,35 +90,39 @@ def test_files_are_used_by_a_line_that_a_station_file_takes(tmp_path):
     assert shlex.split(use.options) == ["--calibration", str(folder / "tracker")]
 
 
-def test_what_was_not_found_anew_is_carried_over(tmp_path, paper):
-    """So that the newest folder says everything that is known."""
-    subject = Subject.of(paper, START)
+def test_missing_files_of_a_new_calibration_are_copied_from_the_one_in_use(tmp_path, paper):
+    """The folder of the newest calibration is then complete."""
+    subject = PlanSubject.of(paper, START)
     bench = StaticLab(subject, load_lab("uncalibrated", paper), 3)
     first, second = tmp_path / "first", tmp_path / "second"
-    write_all(first, carry_out(begin("tracker", subject, 0.5), bench), subject, told("tracker"))
+    write_all(first, run_static(start_procedure("tracker", subject, 0.5), bench), subject, provenance("tracker"))
 
-    numbers = write_all(second, carry_out(begin("force", subject, 0.5), bench), subject, told("force"), known=first)
+    numbers = write_all(
+        second, run_static(start_procedure("force", subject, 0.5), bench), subject, provenance("force"), known=first
+    )
 
     assert numbers["files"] == ["sensors.toml", "registration.toml"]
-    known = Calibration.load(second, paper)
+    known = BenchCalibration.load(second, paper)
     assert known.folder == second
     assert known.corrections.sensors.mounting.shape == (2, 3, 3)
-    earlier = Calibration.load(first, paper).registration
+    earlier = BenchCalibration.load(first, paper).registration
     assert known.registration is not None
     assert earlier is not None
     np.testing.assert_array_equal(known.registration.position, earlier.position)
     assert carry_over(first, second) == []
 
 
-def told(what: str) -> Provenance:
-    return Provenance(what, "2026-01-01T00:00:00+00:00", "bench of 'paper': zaber, aurora, netft", None, 100.0)
+def provenance(what: str) -> Provenance:
+    return Provenance(what, "2026-01-01T00:00:00+00:00", "bench of 'paper': zaber, aurora, netft", None, 100.0, False)
 
 
-def test_a_real_bench_is_not_called_simulated(tmp_path, paper):
-    subject = Subject.of(paper, START)
+def test_results_of_a_real_bench_are_not_marked_simulated(tmp_path, paper):
+    subject = PlanSubject.of(paper, START)
     bench = StaticLab(subject, load_lab("uncalibrated", paper), 3)
 
-    write_all(tmp_path / "one", carry_out(begin("tracker", subject, 0.5), bench), subject, told("tracker"))
+    write_all(
+        tmp_path / "one", run_static(start_procedure("tracker", subject, 0.5), bench), subject, provenance("tracker")
+    )
 
     kept = Results(tmp_path).one("one")
     assert kept.numbers.simulated is False

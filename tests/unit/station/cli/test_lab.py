@@ -1,4 +1,4 @@
-"""What `ctr-station lab` refuses."""
+"""Refusals of `ctr-station lab`."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from station.cli.main import main
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "expected"),
     [
         (("--load", "heavy"), "'heavy' is not a weight"),
         (("--load", "3"), "3 N is outside 0 ... 2 N"),
@@ -14,7 +14,7 @@ from station.cli.main import main
         (("--config", "none.toml"), "none.toml"),
     ],
 )
-def test_bad_options_are_refused_in_one_line(capsys, monkeypatch, tmp_path, arguments, told):
+def test_lab_command_refuses_invalid_options_in_one_line(capsys, monkeypatch, tmp_path, arguments, expected):
     monkeypatch.chdir(tmp_path)
     try:
         status = main(("lab", *arguments))
@@ -23,5 +23,5 @@ def test_bad_options_are_refused_in_one_line(capsys, monkeypatch, tmp_path, argu
     out, err = capsys.readouterr()
 
     assert (status, out) == (2, "")
-    assert told in err
+    assert expected in err
     assert len(err.splitlines()) == 1

@@ -1,4 +1,4 @@
-"""Motions as files have them become the orders that the controller follows."""
+"""Motions in files are converted to the orders that the controller tracks."""
 
 import math
 
@@ -7,6 +7,7 @@ import pytest
 
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError, Unreachable
+from core.model.statics import Statics
 from station.config.controllers import ControllerFile
 from station.config.motions import JointSweepMotion, Motion, Orders
 from station.config.strict import ConfigError, Strict, check
@@ -18,7 +19,7 @@ class Holder(Strict):
 
 @pytest.fixture
 def orders(paper_robot):
-    """Orders of a motion given as a file's table."""
+    """Return a function that converts a file's table to the orders of its motion."""
 
     def make(**table: object) -> Orders:
         return Orders(check(Holder, {"motion": table}, "file").motion, paper_robot)
@@ -32,17 +33,18 @@ def setpoint(orders: Orders, time: float) -> Setpoint:
     return order
 
 
-def test_hold_asks_for_the_start_tip_at_any_time(orders):
+def test_hold_keeps_the_start_tip_as_setpoint(orders):
     for time in (0.0, 1.0, 1e4):
         position, velocity = setpoint(orders(kind="hold"), time)[:2]
         assert not position.any()
         assert not velocity.any()
 
 
-def test_a_sinusoid_is_its_closed_form_along_a_direction_of_any_length(orders):
+def test_sinusoid_motion_equals_its_closed_form_along_a_direction_of_any_length(orders):
     motion = orders(kind="sinusoid", direction=[0, -3, 4], amplitude=0.010, frequency=0.05)
 
-    # A quarter of the 20 s period: 10 mm along (0, -0.6, 0.8), at rest. The start: 2 pi 0.05 * 10 mm = pi mm/s.
+    # After a quarter of the 20 s period the tip is at rest, 10 mm along (0, -0.6, 0.8). At the start its speed is
+    # 2 pi 0.05 * 10 mm = pi mm/s.
     assert setpoint(motion, 5.0).position == pytest.approx([0.0, -0.006, 0.008], abs=1e-15)
     assert setpoint(motion, 5.0).velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
     assert setpoint(motion, 0.0).position == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
@@ -50,13 +52,13 @@ def test_a_sinusoid_is_its_closed_form_along_a_direction_of_any_length(orders):
     assert setpoint(motion, 5.0 / 3.0).position == pytest.approx([0.0, -0.003, 0.004], abs=1e-15)
 
 
-def test_a_sinusoid_goes_along_z_unless_told_otherwise(orders):
+def test_sinusoid_motion_is_along_z_by_default(orders):
     assert setpoint(orders(kind="sinusoid", amplitude=0.015, frequency=0.05), 15.0).position == pytest.approx(
         [0.0, 0.0, -0.015]
     )
 
 
-def test_a_circle_starts_at_the_tip_keeps_its_radius_and_plane_and_comes_back(orders):
+def test_circle_motion_starts_at_the_tip_keeps_radius_and_plane_and_closes(orders):
     motion = orders(kind="circle", radius=0.010, period=8.0, normal=[1, 2, 2])
     points = np.array([setpoint(motion, time).position for time in np.linspace(0.0, 8.0, 81)])
     centre = points[:-1].mean(axis=0)
@@ -65,11 +67,11 @@ def test_a_circle_starts_at_the_tip_keeps_its_radius_and_plane_and_comes_back(or
     assert points[-1] == pytest.approx(np.zeros(3), abs=1e-15)
     assert np.linalg.norm(points - centre, axis=1) == pytest.approx(np.full(81, 0.010))
     assert points @ [1.0, 2.0, 2.0] == pytest.approx(np.zeros(81), abs=1e-15)
-    # circumference over period: 2 pi 10 mm / 8 s
+    # The speed is the circumference divided by the period.
     assert np.linalg.norm(setpoint(motion, 3.0).velocity) == pytest.approx(0.02 * math.pi / 8.0)
 
 
-def test_a_sweep_moves_one_joint_until_its_distance_is_covered(orders):
+def test_joint_sweep_moves_one_joint_until_its_distance_is_covered(orders):
     sweep = orders(kind="joint_sweep", joint="inner_translation", speed=-0.004, distance=0.010)
 
     for time in (0.0, 1.0, 2.499):
@@ -83,7 +85,7 @@ def test_a_sweep_moves_one_joint_until_its_distance_is_covered(orders):
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ({"kind": "sinusoid", "frequency": 0.05}, "'motion.amplitude' is missing"),
         ({"kind": "sinusoid", "amplitude": 0.0, "frequency": 0.05}, "motion.amplitude = 0.0: "),
@@ -104,20 +106,20 @@ def test_a_sweep_moves_one_joint_until_its_distance_is_covered(orders):
         ({"amplitude": 0.01}, "motion = {'amplitude': 0.01}: "),
     ],
 )
-def test_a_motion_that_cannot_be_is_refused_by_key_and_value(table, said):
+def test_invalid_motion_is_refused_by_key_and_value(table, message):
     with pytest.raises(ConfigError) as refused:
         check(Holder, {"motion": table}, "file")
 
-    assert str(refused.value).startswith(f"file: {said}")
+    assert str(refused.value).startswith(f"file: {message}")
 
 
-def test_a_sweep_of_a_joint_that_the_robot_does_not_have_is_refused_with_those_it_has(orders):
+def test_sweep_of_an_unknown_joint_is_refused_with_the_names_of_the_robots_joints(orders):
     with pytest.raises(CtrError, match="'elbow' is not one of outer_rotation, inner_rotation, inner_translation"):
         orders(kind="joint_sweep", joint="elbow", speed=0.1, distance=1.0)
 
 
 @pytest.mark.parametrize(
-    ("joint", "speed", "distance", "said"),
+    ("joint", "speed", "distance", "message"),
     [
         ("inner_translation", 0.01, 0.096, "inner_translation -0.004 m is outside -0.13 ... -0.005 m"),
         ("inner_translation", -0.01, 0.031, "inner_translation -0.131 m is outside -0.13 ... -0.005 m"),
@@ -125,30 +127,30 @@ def test_a_sweep_of_a_joint_that_the_robot_does_not_have_is_refused_with_those_i
         ("outer_rotation", -0.05, 6.3, "outer_rotation -6.3 rad is outside -6.283 ... 6.283 rad"),
     ],
 )
-def test_a_sweep_faster_than_the_stage_or_past_its_end_is_refused(paper, joint, speed, distance, said):
+def test_joint_sweep_faster_than_the_stage_or_beyond_its_travel_is_refused(paper, joint, speed, distance, message):
     sweep = JointSweepMotion(joint=joint, speed=speed, distance=distance)
 
     with pytest.raises(CtrError) as refused:
-        sweep.check(np.array([0.0, math.pi / 2, -0.1]), paper.limits())
-    assert said in str(refused.value)
+        sweep.check(np.array([0.0, math.pi / 2, -0.1]), Statics(paper.robot()), paper.limits())
+    assert message in str(refused.value)
 
 
-def test_a_whole_turn_up_to_the_end_of_the_travel_is_allowed(paper):
+def test_joint_sweep_of_a_whole_turn_up_to_the_end_of_the_travel_is_allowed(paper):
     sweep = JointSweepMotion(joint="outer_rotation", speed=math.radians(3.0), distance=2.0 * math.pi)
 
-    sweep.check(np.array([0.0, 0.0, -0.1]), paper.limits())
+    sweep.check(np.array([0.0, 0.0, -0.1]), Statics(paper.robot()), paper.limits())
 
 
-def test_a_helix_and_waypoints_are_what_they_say(orders):
+def test_helix_and_waypoints_motions_follow_their_definitions(orders):
     helix = orders(kind="helix", radius=0.005, pitch=0.003, turn=4.0, turns=2.0)
     assert setpoint(helix, 4.0).position == pytest.approx([0.0, 0.0, 0.003], abs=1e-12)
     assert setpoint(helix, 100.0).position == pytest.approx([0.0, 0.0, 0.006], abs=1e-12)
-    way = orders(kind="waypoints", points=[[5, 0.01, 0, 0], [10.0, 0.01, 0.01, 0.0]])
-    assert setpoint(way, 5.0).position == pytest.approx([0.01, 0.0, 0.0], abs=1e-12)
-    assert setpoint(way, 50.0).position == pytest.approx([0.01, 0.01, 0.0], abs=1e-12)
+    path_orders = orders(kind="waypoints", points=[[5, 0.01, 0, 0], [10.0, 0.01, 0.01, 0.0]])
+    assert setpoint(path_orders, 5.0).position == pytest.approx([0.01, 0.0, 0.0], abs=1e-12)
+    assert setpoint(path_orders, 50.0).position == pytest.approx([0.01, 0.01, 0.0], abs=1e-12)
 
 
-def test_a_step_stays_or_goes_there_and_back(orders):
+def test_step_motion_stays_or_alternates_between_its_two_positions(orders):
     once, again = orders(kind="step", offset=[1e-3, 0, 0]), orders(kind="step", offset=[1e-3, 0, 0], stay=2.0)
 
     assert setpoint(once, 3.0).position.tolist() == [1e-3, 0.0, 0.0]
@@ -156,10 +158,10 @@ def test_a_step_stays_or_goes_there_and_back(orders):
     assert setpoint(again, 3.0).position.tolist() == [0.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])  # with a mark before it, as some programs write it
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])  # some programs write a byte order mark before the text
 @pytest.mark.parametrize("head", ["time [s], x [m], y, z\n", ""])
-def test_a_csv_file_is_waypoints(orders, tmp_path, head, encoding):
-    path = tmp_path / "way.csv"
+def test_csv_motion_reads_its_file_as_waypoints(orders, tmp_path, head, encoding):
+    path = tmp_path / "path.csv"
     path.write_text(f"{head}5, 0.01, 0, 0\n\n10.0,0.01,0.01,0.0\n", encoding=encoding)
 
     from_file, written = (
@@ -172,48 +174,48 @@ def test_a_csv_file_is_waypoints(orders, tmp_path, head, encoding):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
-        ("1,2,3\n", "way.csv: line 1: 3 numbers; expected time, x, y, z"),
-        ("time,x,y,z\n5,0,0,zero\n", "way.csv: line 2: '5,0,0,zero' is not time, x, y, z in numbers"),
-        ("5,nan,0,0\n", "way.csv: points.0.1 = nan"),
+        ("1,2,3\n", "path.csv: line 1: 3 numbers; expected time, x, y, z"),
+        ("time,x,y,z\n5,0,0,zero\n", "path.csv: line 2: '5,0,0,zero' is not time, x, y, z in numbers"),
+        ("5,nan,0,0\n", "path.csv: points.0.1 = nan"),
         ("5,0,0,0\n4,0,0,0\n", "waypoints: time 4 s does not come after 5 s"),
         ("0.1,0.05,0,0\n", "give the points around it more time"),
-        ("time,x,y,z\n", "way.csv: points = []"),
+        ("time,x,y,z\n", "path.csv: points = []"),
     ],
 )
-def test_a_csv_file_that_says_something_else_is_refused_with_its_line(orders, tmp_path, text, said):
-    path = tmp_path / "way.csv"
+def test_invalid_csv_file_of_waypoints_is_refused_with_its_line(orders, tmp_path, text, message):
+    path = tmp_path / "path.csv"
     path.write_text(text, encoding="utf-8")
 
     with pytest.raises(CtrError) as refused:
         orders(kind="csv", file=str(path))
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
-def test_a_csv_file_that_is_not_there_is_refused(orders, tmp_path):
+def test_missing_csv_file_of_waypoints_is_refused(orders, tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
         orders(kind="csv", file=str(tmp_path / "none.csv"))
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ({"kind": "waypoints", "points": []}, "motion.points = []: "),
         ({"kind": "waypoints", "points": [[1.0, 0.0, 0.0]]}, "motion.points.0.3"),
-        ({"kind": "waypoints", "points": [[0.0, 0.01, 0.0, 0.0]]}, "give it a time above 0 s for the way there"),
+        ({"kind": "waypoints", "points": [[0.0, 0.01, 0.0, 0.0]]}, "give it a time above 0 s to get there"),
         ({"kind": "helix", "radius": 0.01, "pitch": 0.003, "turn": 0.0, "turns": 1.0}, "motion.turn = 0.0: "),
         ({"kind": "step", "offset": [0.0, math.inf, 0.0]}, "motion.offset.1 = inf: "),
     ],
 )
-def test_a_new_motion_that_cannot_be_is_refused_by_key(table, said):
+def test_invalid_helix_waypoints_or_step_is_refused_by_key(table, message):
     with pytest.raises(ConfigError) as refused:
         check(Holder, {"motion": table}, "file")
 
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
-def test_orders_that_cannot_be_followed_are_refused_by_kind_time_and_limit(orders, paper):
+def test_infeasible_motion_is_refused_with_kind_time_and_limit(orders, paper):
     controller, start = ControllerFile().controller(paper), np.array([0.0, math.pi / 2, -0.1])
     orders(kind="circle", radius=0.010, period=12.0).check(controller, start, 60.0)
     orders(kind="joint_sweep", joint="outer_rotation", speed=0.1, distance=1.0).check(controller, start, 60.0)

@@ -1,4 +1,4 @@
-"""The paper's robot is Table I on its stages; a robot file that cannot be is refused by name."""
+"""The preset robots have the documented parameters, and an invalid robot file is refused by key."""
 
 import math
 import re
@@ -13,7 +13,7 @@ from station.config.robots import load_robot
 from station.config.strict import PRESETS, ConfigError
 
 
-def test_the_paper_preset_is_table_1(paper):
+def test_paper_preset_has_the_tubes_of_the_papers_table_1(paper):
     inner, outer = paper.robot().tubes
 
     assert (inner.name, inner.bending_stiffness) == ("inner", 0.0413)
@@ -27,17 +27,17 @@ def test_the_paper_preset_is_table_1(paper):
         assert tube.poisson_ratio == 0.30
 
 
-def test_the_paper_presets_description_is_the_one_the_model_is_tested_with(paper, paper_robot):
+def test_paper_preset_equals_the_robot_with_which_the_model_is_tested(paper, paper_robot):
     assert replace(paper.robot(), tubes=tuple(replace(tube, weight=0.0) for tube in paper.robot().tubes)) == paper_robot
 
 
-def test_a_tubes_weight_is_that_of_its_materials_ring(paper):
+def test_weight_of_a_tube_follows_from_density_and_cross_section(paper):
     inner, outer = (tube.weight for tube in paper.robot().tubes)
-    assert inner == pytest.approx(0.1272, abs=1e-4)  # nitinol of 6450 kg/m^3, 2.011 mm^2 of it [N/m]
-    assert outer == pytest.approx(0.0791, abs=1e-4)  # 1.251 mm^2
+    assert inner == pytest.approx(0.1272, abs=1e-4)  # nitinol of 6450 kg/m^3 with a cross-section of 2.011 mm^2 [N/m]
+    assert outer == pytest.approx(0.0791, abs=1e-4)  # nitinol with a cross-section of 1.251 mm^2 [N/m]
 
 
-def test_the_paper_presets_stages_have_the_benchs_limits(paper):
+def test_stages_of_the_paper_preset_have_the_limits_of_the_papers_bench(paper):
     names = [limit.name for limit in paper.limits().joints]
     turn, turn_too, slide = paper.limits().joints
 
@@ -49,7 +49,7 @@ def test_the_paper_presets_stages_have_the_benchs_limits(paper):
     assert (slide.unit, slide.lower, slide.upper, slide.speed, slide.acceleration) == ("m", -0.130, -0.005, 0.020, 0.1)
 
 
-def test_the_paper_presets_microsteps_are_those_of_the_stages_data_sheets(paper):
+def test_microsteps_of_the_paper_preset_are_those_of_the_stages_data_sheets(paper):
     turn, turn_too, slide = (joint.microstep for joint in paper.joints)
 
     # 3,072,000 microsteps span two turns of the T-RS60; the T-LSR300B steps 0.49609375 um.
@@ -59,7 +59,7 @@ def test_the_paper_presets_microsteps_are_those_of_the_stages_data_sheets(paper)
 
 
 @pytest.mark.parametrize(
-    ("spoil", "by", "said"),
+    ("spoil", "by", "message"),
     [
         ("bending_stiffness = 0.0413", "bending_stiffness = -0.0413", "tube 'inner': bending_stiffness -0.0413 N m^2"),
         ("bending_stiffness = 0.0413", "bending_stiffness = 0.0", "tube 'inner': bending_stiffness 0 N m^2"),
@@ -87,7 +87,7 @@ def test_the_paper_presets_microsteps_are_those_of_the_stages_data_sheets(paper)
         ("microstep = 0.49609375e-6", "", "'joints.2.microstep' is missing"),
     ],
 )  # fmt: skip
-def test_a_robot_that_cannot_be_is_refused_by_name(write, robot_text, spoil, by, said):
+def test_invalid_robot_file_is_refused_by_key(write, robot_text, spoil, by, message):
     assert robot_text.count(spoil) >= 1
     path = write(robot_text.replace(spoil, by, 1))
 
@@ -95,24 +95,24 @@ def test_a_robot_that_cannot_be_is_refused_by_name(write, robot_text, spoil, by,
         load_robot(str(path))
 
     assert str(refused.value).startswith(f"{path}: ")
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [("tubes = []\njoints = []", "joints = []"), ("joints = []", "'tubes' is missing"), ("", "'name' is missing")],
 )
-def test_a_robot_without_tubes_or_joints_is_refused(write, table, said):
+def test_robot_without_tubes_or_joints_is_refused(write, table, message):
     head = "" if not table else 'name = "empty"\n'
 
     with pytest.raises(ConfigError) as refused:
         load_robot(str(write(head + table)))
 
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
-def test_a_robot_of_ones_own_may_have_any_number_of_tubes(write):
+def test_custom_robot_may_have_any_number_of_tubes(write):
     path = write("""
         name = "one"
         [[tubes]]
@@ -138,7 +138,7 @@ def test_a_robot_of_ones_own_may_have_any_number_of_tubes(write):
     assert robot.tubes[0].sections[0].curvature == (1.0, 2.0)
 
 
-def test_the_three_tube_presets_stiffness_follows_from_its_sources_modulus_and_radii():
+def test_stiffness_of_the_three_tubes_preset_follows_from_modulus_and_radii_of_its_source():
     file = load_robot("three_tubes")
     robot = file.robot()
 
@@ -155,7 +155,7 @@ def test_the_three_tube_presets_stiffness_follows_from_its_sources_modulus_and_r
     robot.check_pose(np.array([0.0, 0.0, 0.0, -0.1, -0.2, -0.3]))
 
 
-def test_base_fixed_tubes_and_torsional_stiffness_can_be_given(write, robot_text):
+def test_robot_file_may_have_a_base_pose_fixed_tubes_and_torsional_stiffness(write, robot_text):
     text = robot_text.replace(
         "poisson_ratio = 0.30", "torsional_stiffness = 0.03\nrotation = 0.4\ntranslation = -0.01", 1
     )
@@ -169,16 +169,16 @@ def test_base_fixed_tubes_and_torsional_stiffness_can_be_given(write, robot_text
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("torsional_stiffness = -1.0", "torsional_stiffness -1 N m^2"),
         ("translation = 0.01", "translation 10 mm"),
         ("rotation = inf", "rotation"),
     ],
 )
-def test_a_tube_that_cannot_be_is_refused_by_name(write, robot_text, line, said):
+def test_invalid_tube_of_a_robot_file_is_refused_by_key(write, robot_text, line, message):
     text = robot_text.replace("poisson_ratio = 0.30", line, 1)
-    with pytest.raises(ConfigError, match=re.escape(said)):
+    with pytest.raises(ConfigError, match=re.escape(message)):
         load_robot(str(write(text)))
 
 
@@ -192,7 +192,7 @@ def test_workspace_and_force_limit_become_limits_of_the_controller(robot_text, w
     assert load_robot("paper").limits().others == ()
 
 
-def test_the_balanced_pair_has_three_tubes_and_six_motors_and_does_not_snap_anywhere_in_its_travel():
+def test_balanced_pair_has_three_tubes_and_six_motors_and_does_not_snap_anywhere_in_its_travel():
     file = load_robot("balanced_pair")
     robot, (lower, upper) = file.robot(), file.limits().packed[:2]
     assert (len(robot.tubes), len(robot.joints)) == (3, 6)

@@ -1,4 +1,4 @@
-"""A configuration is right in every key or refused in one line with file, key, value and what was expected."""
+"""An invalid configuration is refused in one line with file, key, value and what was expected."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal
@@ -7,7 +7,7 @@ import pytest
 from pydantic import Field
 
 from station.config.strict import (
-    OWN_EXPERIMENTS,
+    EXPERIMENTS_VARIABLE,
     PRESETS,
     ConfigError,
     Direction,
@@ -59,13 +59,13 @@ GOOD = {"wheel": {"radius": 0.3}}
 def refusal(table: Mapping[str, object]) -> str:
     with pytest.raises(ConfigError) as refused:
         check(Cart, table, "cart.toml")
-    said = str(refused.value)
-    assert "\n" not in said
-    assert said.startswith("cart.toml: ")
-    return said.removeprefix("cart.toml: ")
+    message = str(refused.value)
+    assert "\n" not in message
+    assert message.startswith("cart.toml: ")
+    return message.removeprefix("cart.toml: ")
 
 
-def test_arrays_and_whole_numbers_of_a_file_become_what_the_model_has():
+def test_arrays_and_integers_of_a_configuration_file_become_tuples_and_floats():
     cart = check(
         Cart,
         {
@@ -84,7 +84,7 @@ def test_arrays_and_whole_numbers_of_a_file_become_what_the_model_has():
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ({**GOOD, "wheels": 4}, "unknown key 'wheels'"),
         ({"wheel": {"radius": 0.3, "colour": "red"}}, "unknown key 'wheel.colour'"),
@@ -112,54 +112,54 @@ def test_arrays_and_whole_numbers_of_a_file_become_what_the_model_has():
         ({**GOOD, "driver": 7}, "driver = 7: Input should be a valid string"),
     ],
 )
-def test_a_wrong_key_is_refused_by_name_with_its_value(table, said):
-    assert refusal(table).startswith(said)
+def test_wrong_key_of_a_configuration_is_refused_by_name_with_its_value(table, message):
+    assert refusal(table).startswith(message)
 
 
 @pytest.mark.parametrize("axis", [[0, 0, 0], [0.0, 1e-12, 0.0], [1e300, 1e300, 0.0]])
-def test_a_direction_without_a_usable_length_is_refused(axis):
+def test_direction_without_a_usable_length_is_refused(axis):
     assert "a direction needs a length, 1e-9 ... 1e9" in refusal({"wheel": {"radius": 1.0, "axis": axis}})
 
 
-def test_all_of_several_mistakes_are_told():
-    said = refusal({"wheel": {"radius": -1.0, "mass": -1.0}, "braked": 3})
+def test_all_errors_of_a_configuration_are_reported_together():
+    message = refusal({"wheel": {"radius": -1.0, "mass": -1.0}, "braked": 3})
 
-    assert said == (
+    assert message == (
         "wheel.radius = -1.0: Input should be greater than 0;"
         " wheel.mass = -1.0: Input should be greater than or equal to 0; braked = 3: Input should be a valid boolean"
     )
 
 
-def test_of_very_many_mistakes_the_rest_is_counted():
-    said = refusal({**GOOD, "spare": [{"radius": -1.0}] * 20})
+def test_configuration_errors_beyond_the_limit_are_only_counted():
+    message = refusal({**GOOD, "spare": [{"radius": -1.0}] * 20})
 
-    assert said.count("Input should be greater than 0") == 6
-    assert said.endswith("; and 14 more")
+    assert message.count("Input should be greater than 0") == 6
+    assert message.endswith("; and 14 more")
 
 
-def test_each_mistake_has_its_line(write):
+def test_each_configuration_error_has_its_line_number(write):
     path = write("braked = 3\n[wheel]\nradius = -1.0\n")
     with pytest.raises(ConfigError, match=r"braked = 3: .* \(line 1\)$") as refused:
         check(Cart, read_toml(path), str(path))
     assert "wheel.radius = -1.0: Input should be greater than 0 (line 3); braked" in str(refused.value)
 
 
-def test_a_misspelt_key_is_named_as_the_file_has_it():
+def test_misspelt_key_is_named_as_the_file_has_it():
     assert refusal({"wheel": {"radios": 0.3}}) == "unknown key 'wheel.radios'; 'wheel.radius' is missing"
 
 
-def test_a_long_value_is_cut_so_that_the_line_can_be_read():
+def test_long_value_is_truncated_in_the_configuration_error():
     assert len(refusal({"wheel": {"radius": "9" * 5000}})) < 200
 
 
-def test_a_checked_configuration_cannot_be_changed_any_more():
+def test_checked_configuration_is_frozen():
     cart = check(Cart, GOOD, "cart.toml")
 
     with pytest.raises(ValueError, match="frozen"):
-        cart.driver = "somebody else"
+        cart.driver = "another driver"
 
 
-def test_a_file_that_is_not_toml_is_refused_with_the_line(write):
+def test_file_that_is_not_toml_is_refused_with_the_line(write):
     path = write("a = 1\nb = = 2\n")
 
     with pytest.raises(ConfigError, match=r"own\.toml: not valid TOML: .*line 2") as refused:
@@ -168,12 +168,12 @@ def test_a_file_that_is_not_toml_is_refused_with_the_line(write):
 
 
 @pytest.mark.parametrize("text", ["a = " + "1" * 5000, "a = " + "[" * 100_000], ids=["digits", "brackets"])
-def test_toml_that_overwhelms_the_parser_is_refused_too(write, text):
+def test_toml_that_breaks_the_parser_is_refused(write, text):
     with pytest.raises(ConfigError, match=r"own\.toml: not valid TOML: "):
         read_toml(write(text))
 
 
-def test_a_file_that_is_not_text_or_not_a_file_is_refused(tmp_path):
+def test_configuration_that_is_not_text_or_not_a_file_is_refused(tmp_path):
     (tmp_path / "bytes.toml").write_bytes(b"b = 1\na = '\xff'")
 
     with pytest.raises(ConfigError, match=r"bytes\.toml: not UTF-8 text: byte 0xff \(line 2\); save it as UTF-8"):
@@ -183,13 +183,13 @@ def test_a_file_that_is_not_text_or_not_a_file_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["robots", "labs", "experiments"])
-def test_a_preset_is_found_by_the_name_it_is_listed_with(kind):
+def test_preset_is_found_by_the_name_it_is_listed_with(kind):
     assert preset_names(kind)
     assert all(preset(kind, name).is_file() for name in preset_names(kind))
 
 
 @pytest.mark.parametrize("name", ["fig99", "", "fig10.tml", "../experiments/fig10"])
-def test_a_name_that_is_no_preset_is_refused_with_the_list(name):
+def test_unknown_preset_is_refused_with_the_list(name):
     with pytest.raises(ConfigError) as refused:
         preset("experiments", name)
 
@@ -197,7 +197,7 @@ def test_a_name_that_is_no_preset_is_refused_with_the_list(name):
     assert "fig10, fig3" in str(refused.value)
 
 
-def test_a_file_of_ones_own_is_taken_as_it_is_and_missed_by_its_path(write, tmp_path):
+def test_path_of_a_custom_file_is_used_unchanged_and_named_if_missing(write, tmp_path):
     assert preset("experiments", str(write(""))) == tmp_path / "own.toml"
     with pytest.raises(ConfigError, match=r"nowhere\.toml: no such file"):
         preset("experiments", str(tmp_path / "nowhere.toml"))
@@ -205,8 +205,8 @@ def test_a_file_of_ones_own_is_taken_as_it_is_and_missed_by_its_path(write, tmp_
 
 @pytest.fixture
 def own_experiments(monkeypatch, tmp_path):
-    """A folder of one's own with two experiments, in use."""
-    monkeypatch.setenv(OWN_EXPERIMENTS, "")  # put back after the test
+    """Create a folder with two custom experiments and use it."""
+    monkeypatch.setenv(EXPERIMENTS_VARIABLE, "")  # monkeypatch restores the variable after the test
     folder = tmp_path / "mine"
     folder.mkdir()
     for name in ("hold_still", "fig10"):
@@ -215,7 +215,7 @@ def own_experiments(monkeypatch, tmp_path):
     return folder
 
 
-def test_experiments_of_ones_own_are_found_by_name_and_go_before_the_stations(own_experiments):
+def test_custom_experiments_are_found_by_name_and_replace_those_of_the_station(own_experiments):
     assert {"hold_still", "fig10", "fig7"} <= set(preset_names("experiments"))
     assert preset("experiments", "hold_still") == own_experiments / "hold_still.toml"
     assert preset("experiments", "fig10") == own_experiments / "fig10.toml"
@@ -225,19 +225,19 @@ def test_experiments_of_ones_own_are_found_by_name_and_go_before_the_stations(ow
         preset("experiments", "fig99")
 
 
-def test_a_missing_folder_of_experiments_is_refused(tmp_path):
+def test_missing_folder_of_experiments_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="nowhere: no such folder of experiments"):
         use_experiments(tmp_path / "nowhere")
 
 
-def test_merging_lays_a_table_over_another_key_by_key():
+def test_merged_tables_are_combined_key_by_key_without_changing_the_base():
     base = {"a": 1, "deep": {"b": 2, "c": {"d": 3, "e": 4}}}
 
     assert merged(base, {"deep": {"c": {"e": 5}, "f": 6}}) == {"a": 1, "deep": {"b": 2, "c": {"d": 3, "e": 5}, "f": 6}}
     assert base == {"a": 1, "deep": {"b": 2, "c": {"d": 3, "e": 4}}}
 
 
-def test_merging_replaces_a_table_of_another_kind_whole():
+def test_merging_replaces_a_whole_table_if_its_kind_differs():
     base = {"load": {"kind": "constant", "magnitude": 0.5, "direction": [0, 0, 1]}}
 
     assert merged(base, {"load": {"kind": "sine", "amplitude": 0.2}}) == {"load": {"kind": "sine", "amplitude": 0.2}}

@@ -1,4 +1,4 @@
-"""Lines of keys in a file of all kinds of tables."""
+"""Line numbers of keys in a file with all kinds of tables."""
 
 import pytest
 
@@ -46,10 +46,10 @@ deep = { x = 1 }
         ("nothing.at.all", None),
     ],
 )
-def test_a_key_is_found_where_it_stands(key: str, line: int | None) -> None:
+def test_line_number_of_a_toml_key_is_found(key: str, line: int | None) -> None:
     assert line_of(TEXT, key) == line
 
 
 @pytest.mark.parametrize("text", ["", "[", "[[", "=", "a = ", '"""', "[a]]\n= 3", "x = '''\n", "\x00\n[[]]\n"])
-def test_any_text_is_borne(text: str) -> None:
+def test_line_numbers_of_any_text_are_determined_without_error(text: str) -> None:
     assert line_of(text, "a.b") is None or text.startswith(("a", "[a"))

@@ -1,4 +1,4 @@
-"""What is written as TOML is read back as it was."""
+"""Values written as TOML are read back unchanged."""
 
 import tomllib
 
@@ -17,9 +17,9 @@ TABLE = {
 }
 
 
-def test_every_kind_of_value_is_read_back() -> None:
+def test_every_kind_of_value_written_as_toml_is_read_back() -> None:
     assert tomllib.loads("\n".join(toml_lines(TABLE))) == TABLE
 
 
-def test_what_is_not_there_is_left_out() -> None:
+def test_keys_with_the_value_none_are_not_written_as_toml() -> None:
     assert toml_lines({"stay": None, "offset": 1.0}) == ["offset = 1.0"]

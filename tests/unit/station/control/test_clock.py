@@ -1,14 +1,14 @@
-"""Virtual time never waits; real time keeps absolute deadlines; a station's time may be slower."""
+"""Clocks: virtual time never waits, real time keeps absolute deadlines, and a station's clock may be slower."""
 
 import time
 
 import pytest
 
-from station.control.clock import REAL_TIME, RealClock, StationClock, VirtualClock
+from station.control.clock import REAL_TIME_CLOCK, RealClock, StationClock, VirtualClock
 
 
 class WallTime:
-    """A wall clock that only goes on when somebody sleeps or works."""
+    """A wall clock that advances only by sleep or work."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -39,7 +39,7 @@ def test_virtual_time_never_sleeps(wall):
     assert wall.slept == []
 
 
-def test_real_time_sleeps_up_to_each_deadline(wall):
+def test_real_time_sleeps_until_each_deadline(wall):
     clock = RealClock()
     for tick in range(4):
         clock.wait_until(0.002 * tick)
@@ -47,12 +47,12 @@ def test_real_time_sleeps_up_to_each_deadline(wall):
     assert wall.slept == pytest.approx([0.002] * 3)
 
 
-def test_work_in_a_tick_shortens_the_sleep_and_lateness_does_not_add_up(wall):
+def test_real_clock_sleeps_less_after_work_and_its_lateness_does_not_add_up(wall):
     clock = RealClock()
     clock.wait_until(0.0)
     wall.now += 0.0015
     clock.wait_until(0.002)
-    wall.now += 0.005  # past the deadlines at 4 and 6 ms
+    wall.now += 0.005  # this work lasts beyond the deadlines at 4 and 6 ms
     clock.wait_until(0.004)
     clock.wait_until(0.006)
     clock.wait_until(0.008)
@@ -61,7 +61,7 @@ def test_work_in_a_tick_shortens_the_sleep_and_lateness_does_not_add_up(wall):
     assert wall.now == pytest.approx(1000.008)
 
 
-def test_the_first_wait_sets_the_start_whatever_time_it_is_for(wall):
+def test_first_wait_of_a_real_clock_sets_its_start_for_any_deadline(wall):
     clock = RealClock()
     clock.wait_until(5.0)
     clock.wait_until(5.002)
@@ -69,18 +69,18 @@ def test_the_first_wait_sets_the_start_whatever_time_it_is_for(wall):
     assert wall.slept == pytest.approx([0.002])
 
 
-def test_a_slow_stations_seconds_are_longer(wall):
+def test_second_of_a_slow_station_clock_lasts_longer_than_a_real_second(wall):
     clock = StationClock(0.2)
-    begin = clock.now()
+    start = clock.now()
     clock.sleep(1.0)
 
     assert wall.slept == [5.0]
-    assert clock.now() - begin == pytest.approx(1.0)
+    assert clock.now() - start == pytest.approx(1.0)
     assert clock.real(1.0) == 5.0
 
 
 @pytest.mark.parametrize("reading", [0.1, 12345.678901234567, 9.87654321e8])
-def test_a_station_in_real_time_has_the_computers_own_clock_to_the_last_bit(wall, reading):
+def test_station_clock_with_rate_one_equals_the_computers_clock(wall, reading):
     wall.now = reading
-    assert REAL_TIME.now() == reading
-    assert REAL_TIME.real(reading) == reading
+    assert REAL_TIME_CLOCK.now() == reading
+    assert REAL_TIME_CLOCK.real(reading) == reading

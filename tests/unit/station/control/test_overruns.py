@@ -1,4 +1,4 @@
-"""When lateness ends a motion."""
+"""Late ticks of the control loop (overruns) that end a motion."""
 
 import pytest
 
@@ -8,12 +8,12 @@ from station.devices.interfaces import Severity
 PERIOD = 0.002
 
 
-def late(overruns: Overruns, skips: list[int], begin: float = 0.0) -> list[Severity | None]:
-    """What each tick leads to; a tick takes its period and the skipped ones."""
-    found, now = [], begin
+def late(overruns: Overruns, skips: list[int], start: float = 0.0) -> list[Severity | None]:
+    """Return the severity of the fault after each tick; a tick lasts its period and the skipped periods."""
+    found, now = [], start
     for skipped in skips:
         now += skipped * PERIOD
-        trouble = overruns.look(now, skipped)
+        trouble = overruns.check(now, skipped)
         found.append(None if trouble is None else trouble.severity)
         now += PERIOD
     return found
@@ -24,11 +24,11 @@ def overruns():
     return Overruns(OverrunLimits(), PERIOD)
 
 
-def test_a_punctual_loop_is_left_alone(overruns):
+def test_punctual_loop_causes_no_fault(overruns):
     assert late(overruns, [0] * 10_000) == [None] * 10_000
 
 
-def test_five_in_a_row_hold_and_twenty_are_a_fault(overruns):
+def test_five_overruns_in_a_row_cause_hold_and_twenty_cause_fault(overruns):
     found = late(overruns, [1] * 20)
 
     assert found[:4] == [None] * 4
@@ -36,39 +36,39 @@ def test_five_in_a_row_hold_and_twenty_are_a_fault(overruns):
     assert found[19] is Severity.FAULT
 
 
-def test_a_punctual_tick_between_begins_the_row_anew(overruns):
+def test_punctual_tick_resets_the_number_of_consecutive_overruns(overruns):
     assert late(overruns, [1, 1, 1, 1, 0] * 5) == [None] * 25
 
 
-def test_more_than_one_percent_of_ten_seconds_holds(overruns):
-    # 50 of 5000 periods are one percent
+def test_more_than_one_percent_of_skipped_periods_in_ten_seconds_causes_hold(overruns):
+    # In 10 s there are 5000 periods, so 50 skipped periods are one percent.
     assert late(overruns, [0, 25] * 2) == [None] * 4
-    assert late(overruns, [0, 1], begin=1.0) == [None, Severity.HOLD]
+    assert late(overruns, [0, 1], start=1.0) == [None, Severity.HOLD]
 
 
-def test_what_was_missed_ten_seconds_ago_is_forgotten(overruns):
+def test_overruns_older_than_ten_seconds_do_not_count(overruns):
     late(overruns, [25, 0, 25, 0])
 
-    assert late(overruns, [1, 0], begin=10.2) == [None, None]
+    assert late(overruns, [1, 0], start=10.2) == [None, None]
 
 
-def test_what_was_late_before_a_motion_does_not_count(overruns):
+def test_overruns_before_a_motion_do_not_count(overruns):
     late(overruns, [25, 0, 25, 0, 1])
     overruns.forget()
 
-    assert late(overruns, [1, 0], begin=1.0) == [None, None]
+    assert late(overruns, [1, 0], start=1.0) == [None, None]
 
 
-def test_the_thresholds_are_the_station_s():
+def test_overrun_thresholds_are_those_of_the_station_file():
     overruns = Overruns(OverrunLimits(hold_in_a_row=2, fault_in_a_row=3), PERIOD)
 
     assert late(overruns, [1, 1, 1]) == [None, Severity.HOLD, Severity.FAULT]
 
 
-def test_what_is_said_names_the_number_and_what_to_do(overruns):
+def test_overrun_fault_has_the_number_of_late_ticks_and_an_instruction(overruns):
     for _ in range(4):
-        overruns.look(0.0, 1)
-    trouble = overruns.look(0.0, 1)
+        overruns.check(0.0, 1)
+    trouble = overruns.check(0.0, 1)
 
     assert trouble is not None
     assert "late 5 times in a row" in trouble.text

@@ -1,4 +1,4 @@
-"""Shared memory between the processes: rows in order, and a truth that is never half of one and half of another."""
+"""Shared memory between the processes: rows in order, and a ground truth that is never read during a write."""
 
 import subprocess
 import sys
@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from core.control.leading import Wish
-from station.control.led import Asked
-from station.control.ring import PREFIX, ROWS, SEGMENTS, STUCK, Ring, clear_left_behind
-from station.devices.interfaces import Truth
+from core.control.setpoint_request import SetpointRequest
+from station.control.ring import RING_ROWS, SEGMENT_FOLDER, SEGMENT_PREFIX, STUCK, Ring, clear_left_behind
+from station.control.streamed_motion import StreamRequest
+from station.devices.interfaces import GroundTruth
 
 
 @pytest.fixture
@@ -20,15 +20,15 @@ def ring() -> Iterator[Ring]:
     ring.close(remove=True)
 
 
-def a_truth(number: float) -> Truth:
-    return Truth(np.full(3, number), np.full(3, -number))
+def a_truth(number: float) -> GroundTruth:
+    return GroundTruth(np.full(3, number), np.full(3, -number))
 
 
-def test_without_a_lab_there_is_no_truth(ring: Ring) -> None:
+def test_ring_without_a_lab_has_no_ground_truth(ring: Ring) -> None:
     assert ring.truth() is None
 
 
-def test_the_truth_is_what_the_lab_told_last(ring: Ring) -> None:
+def test_ring_returns_the_latest_ground_truth_of_the_lab(ring: Ring) -> None:
     for number in (1.0, 2.0):
         ring.publish_ground_truth(a_truth(number))
         truth = ring.truth()
@@ -37,7 +37,7 @@ def test_the_truth_is_what_the_lab_told_last(ring: Ring) -> None:
         assert truth.force.tolist() == [-number] * 3
 
 
-def test_the_direction_is_told_with_the_truth(ring: Ring) -> None:
+def test_ground_truth_in_the_ring_contains_the_tip_direction(ring: Ring) -> None:
     ring.publish_ground_truth(a_truth(1.0)._replace(direction=np.array([0.0, 0.6, 0.8])))
     truth = ring.truth()
     assert truth is not None
@@ -45,22 +45,22 @@ def test_the_direction_is_told_with_the_truth(ring: Ring) -> None:
     assert truth.direction.tolist() == [0.0, 0.6, 0.8]
 
 
-def test_a_target_is_told_where_there_is_one(ring: Ring) -> None:
+def test_ground_truth_in_the_ring_contains_a_target_if_there_is_one(ring: Ring) -> None:
     ring.publish_ground_truth(a_truth(1.0))
     alone = ring.truth()
     ring.publish_ground_truth(a_truth(1.0)._replace(target=np.full(3, 7.0)))
-    beside = ring.truth()
+    following = ring.truth()
     assert alone is not None
     assert alone.target is None
-    assert beside is not None
-    assert beside.target is not None
-    assert beside.target.tolist() == [7.0] * 3
+    assert following is not None
+    assert following.target is not None
+    assert following.target.tolist() == [7.0] * 3
 
 
-def test_while_the_lab_is_telling_what_it_told_before_holds(ring: Ring) -> None:
+def test_previous_ground_truth_is_read_during_a_write(ring: Ring) -> None:
     ring.publish_ground_truth(a_truth(1.0))
     ring.truth()
-    # The lab's process is interrupted in the middle of telling.
+    # The odd count simulates that the lab's process is interrupted during a write.
     ring._truth[0] += 1.0
     ring._truth[1] = 99.0
     truth = ring.truth()
@@ -68,75 +68,79 @@ def test_while_the_lab_is_telling_what_it_told_before_holds(ring: Ring) -> None:
     assert truth.tip.tolist() == [1.0] * 3
 
 
-def a_wish(number: float) -> Wish:
-    return Wish(np.full(3, number), np.full(3, -number), number, 0.1, np.array([0.0, 0.6, -0.8]))
+def a_setpoint(number: float) -> SetpointRequest:
+    return SetpointRequest(np.full(3, number), np.full(3, -number), number, 0.1, np.array([0.0, 0.6, -0.8]))
 
 
-def test_of_all_that_was_asked_since_the_last_tick_the_newest_counts_and_of_that_run_alone(ring: Ring) -> None:
-    assert ring.asked(1) is None
+def test_ring_returns_the_newest_setpoint_request_of_the_present_run(ring: Ring) -> None:
+    assert ring.request(1) is None
     for number in range(10_000):
-        ring.ask(Asked(1, a_wish(float(number))))
-    asked = ring.asked(1)
-    assert asked is not None
-    assert asked.wish is not None
-    assert asked.wish.place is not None
-    assert asked.wish.place.tolist() == [9999.0] * 3
-    assert asked.wish.velocity.tolist() == [-9999.0] * 3
-    assert (asked.wish.asked, asked.wish.goes_on) == (9999.0, 0.1)
-    assert asked.wish.direction is not None
-    assert asked.wish.direction.tolist() == [0.0, 0.6, -0.8]
-    ring.ask(Asked(1, a_wish(1.0)._replace(direction=None)))
-    asked = ring.asked(1)
-    assert asked is not None
-    assert asked.wish is not None
-    assert asked.wish.direction is None
-    assert ring.asked(2) is None
-    ring.ask(Asked(1, None))
-    assert ring.asked(1) == Asked(1, None)
+        ring.write_request(StreamRequest(1, a_setpoint(float(number))))
+    request = ring.request(1)
+    assert request is not None
+    assert request.setpoint is not None
+    assert request.setpoint.position is not None
+    assert request.setpoint.position.tolist() == [9999.0] * 3
+    assert request.setpoint.velocity.tolist() == [-9999.0] * 3
+    assert (request.setpoint.time, request.setpoint.extrapolation) == (9999.0, 0.1)
+    assert request.setpoint.direction is not None
+    assert request.setpoint.direction.tolist() == [0.0, 0.6, -0.8]
+    ring.write_request(StreamRequest(1, a_setpoint(1.0)._replace(direction=None)))
+    request = ring.request(1)
+    assert request is not None
+    assert request.setpoint is not None
+    assert request.setpoint.direction is None
+    assert ring.request(2) is None
+    ring.write_request(StreamRequest(1, None))
+    assert ring.request(1) == StreamRequest(1, None)
 
 
-def test_while_something_is_being_asked_what_was_asked_before_holds(ring: Ring) -> None:
-    ring.ask(Asked(1, a_wish(1.0)))
-    ring.asked(1)
-    # The station's process is interrupted in the middle of asking.
-    ring._wish[0] += 1.0
-    ring._wish[3] = 99.0
-    asked = ring.asked(1)
-    assert asked is not None
-    assert asked.wish is not None
-    assert asked.wish.place is not None
-    assert asked.wish.place.tolist() == [1.0] * 3
+def test_previous_setpoint_request_is_read_during_a_write(ring: Ring) -> None:
+    ring.write_request(StreamRequest(1, a_setpoint(1.0)))
+    ring.request(1)
+    # The odd count simulates that the station process is interrupted during a write.
+    ring._request_cells[0] += 1.0
+    ring._request_cells[3] = 99.0
+    request = ring.request(1)
+    assert request is not None
+    assert request.setpoint is not None
+    assert request.setpoint.position is not None
+    assert request.setpoint.position.tolist() == [1.0] * 3
 
 
-def test_a_robot_that_cannot_follow_is_told(ring: Ring) -> None:
+def test_stuck_robot_is_reported_in_the_ring(ring: Ring) -> None:
     ring.publish_ground_truth(a_truth(1.0), stuck=True)
     assert ring.counters[STUCK]
     ring.publish_ground_truth(a_truth(1.0))
     assert not ring.counters[STUCK]
 
 
-def test_rows_come_in_order_and_those_that_were_overwritten_are_counted(ring: Ring) -> None:
-    for number in range(ROWS + 10):
+def test_ring_returns_rows_in_order_and_counts_overwritten_rows_as_missed(ring: Ring) -> None:
+    for number in range(RING_ROWS + 10):
         ring.write(np.full(4, float(number)))
     rows, since, missed = ring.read(0)
-    assert since == ROWS + 10
+    assert since == RING_ROWS + 10
     assert missed == since - len(rows)
     assert rows[:, 0].tolist() == [float(number) for number in range(missed, since)]
     assert ring.read(since)[0].shape == (0, 4)
 
 
-def test_what_a_killed_station_left_is_removed_and_nobody_elses(ring: Ring) -> None:
+def test_only_shared_memory_segments_of_killed_stations_are_removed(ring: Ring) -> None:
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
-    left = SEGMENTS / f"{PREFIX}{gone.pid}_0123abcd"
-    others = [SEGMENTS / f"{PREFIX}1_0123abcd", SEGMENTS / f"{PREFIX}nobody_{gone.pid}", SEGMENTS / f"psm_{gone.pid}"]
+    left = SEGMENT_FOLDER / f"{SEGMENT_PREFIX}{gone.pid}_0123abcd"
+    others = [
+        SEGMENT_FOLDER / f"{SEGMENT_PREFIX}1_0123abcd",
+        SEGMENT_FOLDER / f"{SEGMENT_PREFIX}nobody_{gone.pid}",
+        SEGMENT_FOLDER / f"psm_{gone.pid}",
+    ]
     try:
         for path in (left, *others):
             path.touch()
         clear_left_behind()
         assert not left.exists()
         assert all(path.exists() for path in others)
-        assert (SEGMENTS / ring.name).exists()
+        assert (SEGMENT_FOLDER / ring.name).exists()
     finally:
         for path in (left, *others):
             path.unlink(missing_ok=True)

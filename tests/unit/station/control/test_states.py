@@ -1,10 +1,10 @@
-"""The whole state table, drawn here once more by hand."""
+"""The transition table of the station's states, compared with a drawing of the whole table."""
 
 import pytest
 
-from station.control.states import Event, RefusedError, State, after
+from station.control.states import RefusedError, State, Transition, next_state
 
-#: What follows from each state (rows) at each event (columns); - is refused.
+#: Next state for each state (rows) and each event (columns); an event marked - is refused.
 DRAWN = """
            connect    connected home   homed prepare start   finish hold stop      fault reset      reconnect
 OFF        CONNECTING -         -      -     -       -       -      -    OFF       -     -          -
@@ -24,36 +24,36 @@ CELLS = {(row[0], event): follows for row in ROWS for event, follows in zip(HEAD
 REFUSED = [cell for cell, follows in CELLS.items() if follows == "-"]
 
 
-def test_the_drawing_has_every_state_and_every_event():
-    assert set(CELLS) == {(state.name, event.value) for state in State for event in Event}
+def test_drawing_of_the_state_table_has_every_state_and_every_event():
+    assert set(CELLS) == {(state.name, event.value) for state in State for event in Transition}
 
 
 @pytest.mark.parametrize(("state", "event"), [cell for cell in CELLS if cell not in REFUSED])
-def test_an_event_leads_where_the_drawing_says(state, event):
-    assert after(State[state], Event(event)).name == CELLS[state, event]
+def test_event_leads_to_the_state_in_the_drawing_of_the_state_table(state, event):
+    assert next_state(State[state], Transition(event)).name == CELLS[state, event]
 
 
 @pytest.mark.parametrize(("state", "event"), REFUSED)
-def test_any_other_event_is_refused_with_the_states_that_allow_it(state, event):
+def test_event_without_a_transition_is_refused_with_the_states_that_allow_it(state, event):
     with pytest.raises(RefusedError) as refusal:
-        after(State[state], Event(event))
+        next_state(State[state], Transition(event))
 
-    said = str(refusal.value)
-    assert said.startswith(f"'{event}' is not possible while {state}; it needs ")
+    text = str(refusal.value)
+    assert text.startswith(f"'{event}' is not possible while {state}; it needs ")
     allowed = {origin for (origin, column), follows in CELLS.items() if column == event and follows != "-"}
-    assert set(said.partition(" needs ")[2].split(" or ")) == allowed
+    assert set(text.partition(" needs ")[2].split(" or ")) == allowed
 
 
-def test_stop_is_accepted_everywhere_and_never_leaves_anything_running():
-    assert all(after(state, Event.STOP) is not State.RUNNING for state in State)
+def test_stop_is_accepted_in_every_state_and_ends_every_motion():
+    assert all(next_state(state, Transition.STOP) is not State.RUNNING for state in State)
 
 
-def test_a_fault_stays_until_somebody_resets_it_and_then_devices_must_be_found_again():
-    accepted = {event for event in Event if CELLS["FAULT", event.value] not in ("-", "FAULT")}
+def test_fault_lasts_until_a_reset_after_which_devices_must_be_connected_again():
+    accepted = {event for event in Transition if CELLS["FAULT", event.value] not in ("-", "FAULT")}
 
-    assert accepted == {Event.RESET}
-    assert after(State.FAULT, Event.RESET) is State.CONNECTING
+    assert accepted == {Transition.RESET}
+    assert next_state(State.FAULT, Transition.RESET) is State.CONNECTING
 
 
-def test_only_ready_may_start():
+def test_motion_may_start_only_in_ready():
     assert [state for state, event in CELLS if event == "start" and CELLS[state, event] != "-"] == ["READY"]

@@ -1,4 +1,4 @@
-"""Study files: refused by key and line, and what they change of a robot."""
+"""Study files: errors with key and line, and the robots that they describe."""
 
 import pytest
 
@@ -32,13 +32,13 @@ def study(tmp_path):
     return load
 
 
-def test_those_that_come_with_the_station_can_be_loaded():
+def test_the_preset_design_studies_can_be_loaded():
     assert preset_names("studies") == ["fig10_load"]
     for name in preset_names("studies"):
-        assert load_study(name).begun.tolist() == [0.15, 0.153, 4.0, 0.153, 4.0]
+        assert load_study(name).start_parameters.tolist() == [0.15, 0.153, 4.0, 0.153, 4.0]
 
 
-def test_a_changed_robot_differs_in_what_was_changed_alone(study):
+def test_a_candidate_robot_differs_from_the_start_robot_only_in_the_parameters(study):
     before, after = load_robot("paper"), study().changed([7.5])
     assert after.tubes[0].sections[1].curvature == (7.5, 0.0)
     assert after.tubes[0].sections[1].length == before.tubes[0].sections[1].length
@@ -46,13 +46,13 @@ def test_a_changed_robot_differs_in_what_was_changed_alone(study):
 
 
 @pytest.mark.parametrize("name", ["paper", "three_tubes", "nylon"])
-def test_a_robot_that_is_written_is_read_as_it_was(name):
+def test_a_written_robot_file_is_read_back_unchanged(name):
     file = load_robot(name)
     assert robot_of(robot_text(file), "it") == file
 
 
 @pytest.mark.parametrize(
-    ("what", "instead", "told"),
+    ("what", "instead", "message"),
     [
         ('"inner.sections.2.curvature"', '"middle.bending_stiffness"', "has no tube 'middle'; it has inner, outer"),
         ('"inner.sections.2.curvature"', '"inner.sections.3.length"', "tube 'inner' has the sections 1 ... 2"),
@@ -66,14 +66,14 @@ def test_a_robot_that_is_written_is_read_as_it_was(name):
         ("points = [[0.02459", "points = [[nan", "points"),
     ],
 )
-def test_a_mistake_is_told_with_file_and_key(study, what, instead, told):
+def test_an_error_in_a_design_study_names_file_and_key(study, what, instead, message):
     with pytest.raises(ConfigError) as refused:
         study(TEXT.replace(what, instead))
-    assert told in str(refused.value)
+    assert message in str(refused.value)
     assert "one.toml" in str(refused.value)
 
 
-def test_a_robot_beside_the_study_is_found(study, tmp_path):
+def test_a_robot_file_in_the_folder_of_the_study_is_found(study, tmp_path):
     file = load_robot("paper").model_copy(update={"name": "mine", "working_pose": None})
     (tmp_path / "mine.toml").write_text(robot_text(file))
     assert study(TEXT.replace('"paper"', '"mine.toml"')).robot == file

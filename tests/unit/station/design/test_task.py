@@ -1,4 +1,4 @@
-"""Whether a robot holds its tip at points under loads: what is said to be held is, and by the exact rod, too."""
+"""Evaluation of a task: the held loads are confirmed by the model and by the exact rod."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from core.model.statics import Statics
 from station.config.robots import load_robot
 from station.design.exact import exact
 from station.design.study import load_study
-from station.design.task import cost, done
+from station.design.task import cost, evaluate
 
 PAPER = load_robot("paper")
 TASK = load_study("fig10_load").file.task
@@ -15,12 +15,12 @@ TASK = load_study("fig10_load").file.task
 
 @pytest.fixture(scope="module")
 def outcome():
-    return done(PAPER, TASK, "load")
+    return evaluate(PAPER, TASK, "load")
 
 
-def test_joints_that_hold_bring_the_tip_to_the_points_within_their_travel(outcome):
+def test_joints_that_hold_a_load_are_within_their_travel_and_bring_the_tip_to_the_points(outcome):
     model, limits = Statics(PAPER.robot()), PAPER.limits()
-    for held in (outcome.held, outcome.most):
+    for held in (outcome.nominal, outcome.largest):
         for force, row in zip(TASK.forces, held.joints, strict=True):
             for point, joints in zip(TASK.points, row, strict=True):
                 limits.check(joints)
@@ -29,39 +29,39 @@ def test_joints_that_hold_bring_the_tip_to_the_points_within_their_travel(outcom
                 assert found.stability >= TASK.margin
 
 
-def test_the_exact_rod_agrees(outcome):
-    for held in (outcome.held, outcome.most):
+def test_the_exact_rod_agrees_with_the_poses_that_hold_the_task_loads(outcome):
+    for held in (outcome.nominal, outcome.largest):
         rod = exact(PAPER, TASK, held)
-        assert rod.away < TASK.tolerance + 1.1e-4  # as far as the paper's sub-links may be from it
+        assert rod.distance < TASK.tolerance + 1.1e-4  # largest error of the paper's sub-links
         assert rod.margin == pytest.approx(float(held.margins.min()), abs=2e-3)
 
 
-def test_the_largest_load_ends_where_something_becomes_too_little(outcome):
-    assert outcome.held.load == 1.0 < outcome.load == outcome.most.load
+def test_the_largest_held_load_is_where_a_required_minimum_is_reached(outcome):
+    assert outcome.nominal.load == 1.0 < outcome.load == outcome.largest.load
     assert "mm/s is below 4 mm/s" in outcome.why
-    assert 4.0e-3 <= outcome.most.dexterities.min() < 4.1e-3
+    assert 4.0e-3 <= outcome.largest.dexterities.min() < 4.1e-3
 
 
-def test_stiffer_tubes_hold_more():
+def test_stiffer_tubes_hold_a_proportionally_larger_load():
     stiffer = tuple(tube.model_copy(update={"bending_stiffness": 1.5 * tube.bending_stiffness}) for tube in PAPER.tubes)
-    more = done(PAPER.model_copy(update={"tubes": stiffer}), TASK, "load")
-    # All of them by as much: the same shapes under as much more load.
-    assert more.load == pytest.approx(1.5 * done(PAPER, TASK, "load").load, rel=0.01)
+    more = evaluate(PAPER.model_copy(update={"tubes": stiffer}), TASK, "load")
+    # All tubes are stiffer by the same factor: they have the same shapes under a load larger by this factor.
+    assert more.load == pytest.approx(1.5 * evaluate(PAPER, TASK, "load").load, rel=0.01)
 
 
-def test_a_point_out_of_reach_is_told_and_the_farther_costs_the_more():
+def test_a_task_point_out_of_reach_is_reported_and_costs_more_when_farther():
     def far(z):
-        return done(PAPER, TASK.model_copy(update={"points": ((0.0, 0.0, z),)}), "load")
+        return evaluate(PAPER, TASK.model_copy(update={"points": ((0.0, 0.0, z),)}), "load")
 
     near, far_off = far(0.32), far(0.42)
-    assert (near.load, near.held) == (0.0, None)
+    assert (near.load, near.nominal) == (0.0, None)
     assert "at point 1 without load: the tip stays" in near.why
-    # Straight out it is 298 mm long, but bent.
-    assert 0.022 < near.away < far_off.away
+    # The straight robot is 298 mm long, and it is bent.
+    assert 0.022 < near.distance < far_off.distance
     assert 0.0 < cost(near, "load") < cost(far_off, "load")
 
 
-def test_what_is_too_soft_is_not_held():
-    outcome = done(PAPER, TASK.model_copy(update={"stiffness": 30.0}), "load")
+def test_a_robot_below_the_required_stiffness_holds_no_load():
+    outcome = evaluate(PAPER, TASK.model_copy(update={"stiffness": 30.0}), "load")
     assert outcome.load == 0.0
     assert "N/m is below 30 N/m" in outcome.why

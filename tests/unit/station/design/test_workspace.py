@@ -1,4 +1,4 @@
-"""What given tubes can do all over their joint space."""
+"""Workspace of given tubes over their joint space."""
 
 import csv
 import json
@@ -18,7 +18,7 @@ FORCE = np.array([0.3, 0.0, 0.1, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("name", ["paper", "three_tubes"])
-def test_poses_lie_in_the_travel_and_the_tubes_stand(name):
+def test_spread_poses_are_valid_and_within_the_travel(name):
     file = load_robot(name)
     poses = spread_poses(file, 300, 1)
     assert poses.shape == (300, len(file.joints))
@@ -29,30 +29,30 @@ def test_poses_lie_in_the_travel_and_the_tubes_stand(name):
     assert not np.array_equal(poses, spread_poses(file, 300, 2))
 
 
-def test_tubes_that_stand_nowhere_are_refused_by_name():
+def test_a_robot_without_a_valid_pose_is_refused_with_its_name():
     file = load_robot("paper")
     joints = tuple(
         joint.model_copy(update={"lower": -0.9, "upper": -0.8}) if joint.motion == "translation" else joint
         for joint in file.joints
     )
-    with pytest.raises(ConfigError, match="'paper': its tubes stand hardly anywhere"):
+    with pytest.raises(ConfigError, match="'paper': almost no joint position is valid"):
         spread_poses(file.model_copy(update={"joints": joints}), 2, 0)
 
 
-def test_no_direction_is_slower_than_the_dexterity():
+def test_the_dexterity_is_the_speed_in_the_slowest_direction():
     file = load_robot("paper")
     model, speed = Statics(file.robot()), file.limits().speed
     random = np.random.default_rng(0)
     for pose in spread_poses(file, 20, 0):
         now = model.solve(pose, FORCE)
-        told = float(dexterity(now.jacobian[None], speed)[0])
+        slowest = float(dexterity(now.jacobian[None], speed)[0])
         directions = random.normal(size=(20_000, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         speeds = np.linalg.norm(directions @ (now.jacobian[:3] * speed).T, axis=1)
-        assert told <= speeds.min() <= told + 0.03 * speeds.max()
+        assert slowest <= speeds.min() <= slowest + 0.03 * speeds.max()
 
 
-def test_two_joints_leave_a_direction_in_which_the_tip_does_not_move():
+def test_a_robot_with_two_joints_has_a_dexterity_of_zero():
     assert dexterity(np.ones((4, 6, 2)), np.ones(2)).tolist() == [0.0] * 4
 
 
@@ -69,14 +69,14 @@ def test_the_stiffness_is_that_of_the_exact_rod_in_its_softest_direction():
         assert float(stiffness(now.compliance[None])[0]) == pytest.approx(1.0 / softest, rel=2e-3)
 
 
-def test_the_command_leaves_numbers_poses_and_pictures(tmp_path, capsys):
+def test_the_workspace_command_writes_numbers_poses_and_figures(tmp_path, capsys):
     words = "workspace paper --force 0.5 0 -0.1 --poses 200 --json --data"
     assert main([*words.split(), str(tmp_path)]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert (said["poses"], said["without_shape"], said["force_n"]) == (200, 0, [0.5, 0.0, -0.1])
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["poses"], answer["without_shape"], answer["force_n"]) == (200, 0, [0.5, 0.0, -0.1])
     (folder,) = (tmp_path / "workspaces").iterdir()
-    assert said["folder"] == str(folder)
-    assert json.loads((folder / "workspace.json").read_text()).items() <= said.items()
+    assert answer["folder"] == str(folder)
+    assert json.loads((folder / "workspace.json").read_text()).items() <= answer.items()
     with (folder / "poses.csv").open() as file:
         rows = list(csv.DictReader(file))
     model = Statics(load_robot("paper").robot())
@@ -86,13 +86,13 @@ def test_the_command_leaves_numbers_poses_and_pictures(tmp_path, capsys):
     assert len(rows) == 200
     assert model.solve(pose, np.array([0.5, 0, -0.1, 0, 0, 0])).tip == pytest.approx(tip, abs=1e-6)
     tips = 1e3 * np.array([[float(row[f"tip_{axis} [m]"]) for axis in "xyz"] for row in rows])
-    assert [said["reach_mm"][axis]["most"] for axis in "xyz"] == pytest.approx(tips.max(axis=0).tolist(), abs=2e-3)
+    assert [answer["reach_mm"][axis]["most"] for axis in "xyz"] == pytest.approx(tips.max(axis=0).tolist(), abs=2e-3)
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/svg+xml") == 3
     assert "Workspace of &#x27;paper&#x27; under 0.5 / 0 / -0.1 N (x / y / z)" in page
 
 
-def test_a_table_says_the_units(tmp_path, capsys):
+def test_the_workspace_table_has_units(tmp_path, capsys):
     assert main(["workspace", "paper", "--poses", "20", "--out", str(tmp_path)]) == 0
     text = " ".join(capsys.readouterr().out.split())
     for unit in ("[mm/s]", "[N/m]", "[1]", "cm^3", "without load"):
@@ -100,20 +100,20 @@ def test_a_table_says_the_units(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ("workspace nowhere", "'nowhere' is not one of the robots"),
-        ("workspace paper --out /dev/null", "cannot write results there"),
+        ("workspace paper --out /dev/null", "cannot write results"),
     ],
 )
-def test_what_cannot_be_is_said_in_a_line(words, told, capsys):
+def test_an_invalid_workspace_command_is_refused_in_one_line(words, message, capsys):
     assert main([*words.split(), *([] if "nowhere" in words else ["--poses", "5"])]) == 2
-    said = capsys.readouterr().err
-    assert told in said
-    assert said.count("\n") == 1
+    answer = capsys.readouterr().err
+    assert message in answer
+    assert answer.count("\n") == 1
 
 
-def test_a_force_of_tons_is_refused(capsys):
+def test_a_workspace_force_without_a_model_solution_is_refused(capsys):
     with pytest.raises(SystemExit):
         main(["workspace", "paper", "--force", "1e4", "0", "0"])
     assert "1e4 N is outside -100 ... 100 N" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`[devices]` of a station file: what is understood and what is refused, before anything is opened."""
+"""`[devices]` of a station file: accepted and refused values, before anything is opened."""
 
 import math
 import tomllib
@@ -43,18 +43,18 @@ def read(text: str) -> BenchFile | str:
     return check(File, tomllib.loads(text), "bench.toml").devices
 
 
-def test_nothing_means_the_virtual_lab():
+def test_missing_devices_table_selects_the_virtual_lab():
     assert read("") == "virtual"
     assert read('devices = "virtual"') == "virtual"
 
 
-def test_a_whole_bench_is_understood_and_nothing_is_opened(paper):
+def test_whole_bench_is_parsed_without_opening_a_device(paper):
     bench = read(BENCH)
     assert isinstance(bench, BenchFile)
     assert set(plan(bench, paper)) == {"stages", "tracker", "sensors"}
 
 
-def test_stages_on_ports_of_their_own_may_have_the_same_number(paper):
+def test_stages_on_separate_ports_may_have_the_same_number(paper):
     own = "\n".join(
         f'joints.{joint.name} = {{ device = 1, port = "/dev/ttyUSB{k}" }}' for k, joint in enumerate(paper.joints)
     )
@@ -65,14 +65,14 @@ def test_stages_on_ports_of_their_own_may_have_the_same_number(paper):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         (BENCH, 'devices = "real"', "devices = 'real': expected 'virtual', or tables of stages, tracker and sensors"),
         (BENCH, "devices = 5", "devices = 5: expected 'virtual'"),
         ("[devices.tracker]", "[devices.camera]", "unknown key 'devices.camera'"),
         ('driver = "zaber"', "", "devices.stages = .*'driver' is missing"),
         ('driver = "zaber"', 'driver = "newport"', r"devices.stages.driver = 'newport' is not one of zaber"),
-        ('port = "/dev/ttyUSB0"', "", r"devices.stages.port is missing: outer_rotation has neither"),
+        ('port = "/dev/ttyUSB0"', "", r"devices.stages.port is missing: outer_rotation has no port"),
         ('port = "/dev/ttyUSB0"', "port = 5", r"devices.stages: port = 5: .*string"),
         ('port = "/dev/ttyUSB0"', 'prot = "/dev/ttyUSB0"', r"devices.stages: unknown key 'prot'"),
         (
@@ -88,7 +88,7 @@ def test_stages_on_ports_of_their_own_may_have_the_same_number(paper):
         (
             "device = 2",
             "device = 1",
-            r"joints.inner_rotation.device = 1: outer_rotation has that number on /dev/ttyUSB0",
+            r"joints.inner_rotation.device = 1: outer_rotation has the same number on /dev/ttyUSB0",
         ),
         ("device = 2", "device = 255", r"joints.inner_rotation.device = 255: .*254"),
         ("home_at = 0.5", "home_at = 7.0", r"devices.stages.joints.outer_rotation: home count"),
@@ -107,7 +107,7 @@ def test_stages_on_ports_of_their_own_may_have_the_same_number(paper):
         ("ranges = [9.0,", "ranges = [0.0,", r"devices.sensors: ranges.0 = 0.0"),
     ],
 )
-def test_what_cannot_be_is_refused_by_key_value_and_expectation(paper, old, new, told):
+def test_invalid_value_is_refused_with_key_value_and_expectation(paper, old, new, message):
     text = BENCH.replace(old, new)
     assert text != BENCH
 
@@ -116,11 +116,11 @@ def test_what_cannot_be_is_refused_by_key_value_and_expectation(paper, old, new,
         assert isinstance(bench, BenchFile)
         plan(bench, paper)
 
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         use()
 
 
-def test_a_mount_turns_as_its_vector_says():
+def test_mount_rotation_matches_its_rotation_vector():
     quarter = Mount(rotation_vector=(0.0, 0.0, math.pi / 2.0)).rotation
     assert quarter @ np.array([1.0, 0.0, 0.0]) == pytest.approx([0.0, 1.0, 0.0])
     assert Mount().rotation == pytest.approx(np.eye(3))

@@ -1,4 +1,4 @@
-"""Wrenches of sensors that are not mounted along their tubes' axes, against forces put at points of the tube."""
+"""Wrenches of misaligned sensors, compared with forces at points of the tube."""
 
 import math
 
@@ -11,8 +11,8 @@ from station.devices.mounting import mounted, transport
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_force_at_a_point_gives_the_wrench_of_that_point_in_either_frame(seed):
-    """The same force at the same point, as the sensor and as the tube's end feels it."""
+def test_transformed_wrench_matches_the_force_at_the_same_point(seed):
+    """The same force at the same point, measured by the sensor and at the tube's end."""
     random = np.random.default_rng(seed)
     position, vector, point, force = random.uniform(-0.1, 0.1, 3), random.uniform(-2, 2, 3), *random.normal(size=(2, 3))
     mount = Mount(position=tuple(position.tolist()), rotation_vector=tuple(vector.tolist()))
@@ -24,7 +24,7 @@ def test_a_force_at_a_point_gives_the_wrench_of_that_point_in_either_frame(seed)
 
 
 def _by_series(vector: np.ndarray) -> np.ndarray:
-    """exp of the cross product's matrix, term by term."""
+    """Return the exponential of the cross product's matrix, term by term."""
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     term = total = np.eye(3)
@@ -35,7 +35,7 @@ def _by_series(vector: np.ndarray) -> np.ndarray:
 
 
 class Steady:
-    """Sensors that always tell the same."""
+    """Sensors with constant readings."""
 
     def __init__(self, wrenches: np.ndarray, usable: bool = True) -> None:
         self.reading = WrenchReading(1.5, wrenches, usable)
@@ -44,7 +44,7 @@ class Steady:
         return self.reading
 
 
-def test_each_sensor_is_turned_by_its_own_mount_and_the_rest_of_the_reading_stays():
+def test_each_sensor_is_transformed_by_its_mount_only():
     sensors = Steady(np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]] * 2), usable=False)
     reading = mounted(sensors, [Mount(rotation_vector=(0.0, 0.0, math.pi / 2)), Mount(position=(0.0, 0.0, 0.02))]).poll(
         2.0
@@ -55,6 +55,6 @@ def test_each_sensor_is_turned_by_its_own_mount_and_the_rest_of_the_reading_stay
     assert (reading.time, reading.usable) == (1.5, False)
 
 
-def test_sensors_that_stand_as_the_tubes_do_are_left_alone():
+def test_sensors_without_a_mount_are_returned_unchanged():
     sensors = Steady(np.zeros((2, 6)))
     assert mounted(sensors, [Mount(), Mount()]) is sensors

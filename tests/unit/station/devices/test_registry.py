@@ -1,4 +1,4 @@
-"""Drivers by name: the station's own, and an installed one, against a real server."""
+"""Drivers by name: the built-in ones, and an installed one with a real server."""
 
 import socket
 import threading
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from station.config.strict import ConfigError
-from station.control.clock import REAL_TIME
+from station.control.clock import REAL_TIME_CLOCK
 from station.devices import registry
 from station.devices.config import BenchFile
 from station.devices.interfaces import Condition, Severity, TipReading
@@ -36,7 +36,7 @@ def install(tmp_path: Path, monkeypatch) -> Callable[..., None]:
     return install
 
 
-def test_a_tracker_of_ones_own_is_found_and_tracks(install, paper):
+def test_custom_tracker_is_found_and_tracks(install, paper):
     install("line-tracker = tests.harness.example_tracker:open_tracker")
     with socket.create_server(("127.0.0.1", 0)) as server:
         options = {"host": "127.0.0.1", "port": server.getsockname()[1], "latency": 0.024}
@@ -83,7 +83,7 @@ def _wait(reached: Callable[[], bool]) -> bool:
     return False
 
 
-def test_an_unknown_driver_is_refused_with_those_that_there_are(install):
+def test_unknown_driver_is_refused_with_the_known_names(install):
     install("line-tracker = tests.harness.example_tracker:open_tracker")
     with pytest.raises(ConfigError, match=r"devices.tracker.driver = 'polaris' is not one of aurora, line-tracker;.*"):
         find("tracker", "polaris")
@@ -94,25 +94,25 @@ def test_an_unknown_driver_is_refused_with_those_that_there_are(install):
 
 
 @pytest.mark.parametrize(
-    ("target", "told"),
+    ("target", "message"),
     [
         ("no_such_module:open", "cannot be loaded: ModuleNotFoundError"),
         ("tests.harness.example_tracker:close", "cannot be loaded: AttributeError"),
-        ("math:pi", r"is no callable open\(options, robot\)"),
+        ("math:pi", r"is not a callable open\(options, robot\)"),
     ],
 )
-def test_a_driver_that_cannot_be_loaded_is_told_with_its_distribution(install, target, told):
+def test_driver_that_cannot_be_loaded_names_its_distribution(install, target, message):
     install(f"mine = {target}")
-    with pytest.raises(ConfigError, match=rf"devices.tracker.driver = 'mine' \({target} of my-bench\) {told}"):
+    with pytest.raises(ConfigError, match=rf"devices.tracker.driver = 'mine' \({target} of my-bench\) {message}"):
         find("tracker", "mine")
 
 
-def test_a_device_of_another_kind_is_refused_and_closed(install, paper):
+def test_device_of_another_kind_is_refused_and_closed(install, paper):
     install("line-tracker = tests.harness.example_tracker:open_tracker")
     with socket.create_server(("127.0.0.1", 0)) as server:
         options = {"host": "127.0.0.1", "port": server.getsockname()[1]}
         with pytest.raises(
-            ConfigError, match=r"gave a LineTracker without command, home, ready, stop, which stages need"
+            ConfigError, match=r"returned a LineTracker without command, home, ready, stop, which stages need"
         ):
             find("stages", "line-tracker")(options, paper)()
         visitor, _ = server.accept()
@@ -120,32 +120,32 @@ def test_a_device_of_another_kind_is_refused_and_closed(install, paper):
             assert visitor.recv(1) == b""
 
 
-def test_a_name_that_is_installed_twice_means_neither(install):
+def test_driver_name_installed_twice_is_refused(install):
     install("mine = math:sin")
     install("mine = math:cos", "other-bench")
     with pytest.raises(ConfigError, match=r"'mine' is installed more than once: .*math:cos of other-bench"):
         find("tracker", "mine")
 
 
-def test_the_stations_own_driver_comes_first(install, paper):
+def test_built_in_driver_takes_precedence(install, paper):
     install("aurora = no_such_module:open")
     with pytest.raises(ConfigError, match="'port' is missing"):
         find("tracker", "aurora")({}, paper)
 
 
-def test_what_an_installed_driver_is_given(install, paper):
+def test_installed_driver_receives_its_options_and_the_robot(install, paper):
     install("echo = tests.unit.station.devices.test_registry:Given")
     given = find("tracker", "echo")({"gain": 2.0}, paper)()
-    assert given.told == ({"gain": 2.0}, paper)
+    assert given.arguments == ({"gain": 2.0}, paper)
 
 
 class Given:
-    """A tracker that remembers how it was opened."""
+    """A tracker that stores the arguments of its opening."""
 
     condition = Condition.CLOSED
 
-    def __init__(self, *told: object) -> None:
-        self.told = told
+    def __init__(self, *arguments: object) -> None:
+        self.arguments = arguments
 
     def connect(self, now: float) -> None: ...
     def trouble(self, now: float) -> None: ...
@@ -154,28 +154,28 @@ class Given:
     def close(self) -> None: ...
 
 
-def test_stages_of_ones_own_say_how_they_are_stopped_from_another_process(install, paper):
+def test_custom_stages_provide_their_emergency_stop(install, paper):
     install("line-stages = tests.harness.example_stages:open_stages")
     with socket.create_server(("127.0.0.1", 0)) as server:
         stop = emergency_stop({"driver": "line-stages", "host": "127.0.0.1", "port": server.getsockname()[1]}, paper)
         assert stop is not None
-        said: list[str] = []
-        stopping = threading.Thread(target=lambda: said.append(stop(REAL_TIME)))
+        results: list[str] = []
+        stopping = threading.Thread(target=lambda: results.append(stop(REAL_TIME_CLOCK)))
         stopping.start()
         host, _ = server.accept()
         with host:
             assert host.recv(100) == b"stop\n"
             host.sendall(b"0 0 0\nstopped\n")
             stopping.join()
-    assert said[0].startswith("3 stages at socket://127.0.0.1:")
-    assert said[0].endswith("say that they have stopped")
+    assert results[0].startswith("3 stages at socket://127.0.0.1:")
+    assert results[0].endswith("report that they have stopped")
 
 
-def test_stages_that_nobody_can_stop_are_told_at_the_start(install, write):
+def test_stages_without_an_emergency_stop_cause_a_warning_at_the_start(install, write):
     install("mute-stages = tests.harness.example_stages:LineStages")
     path = write(OWN_DEVICES.replace('driver = "zaber"\nport = "/dev/ttyUSB0"', 'driver = "mute-stages"'))
     (warning,) = load_station(path).bench().warnings[:1]
-    assert warning.startswith("stages of driver 'mute-stages' are stopped by nobody when the control process dies")
+    assert warning.startswith("nothing stops the stages of driver 'mute-stages' when the control process dies")
     assert "emergency stop" in warning
 
 
@@ -183,12 +183,12 @@ README = Path(registry.__file__).with_name("README.md").read_text(encoding="utf-
 
 
 @pytest.mark.parametrize("example", [example_tracker, example_stages])
-def test_the_readme_shows_the_driver_that_is_tried_here(example):
+def test_readme_contains_the_tested_driver(example):
     code = Path(example.__file__).read_text(encoding="utf-8").split("\n", 2)[2]
     assert f"```python\n{code}```" in README
 
 
-def test_the_readmes_bench_can_be_had(paper):
+def test_bench_of_the_readme_is_valid(paper):
     text = next(part for part in README.split("```toml\n")[1:] if part.startswith("[devices.stages]")).split("```")[0]
     bench = BenchFile(**tomllib.loads(text)["devices"])
     assert set(plan(bench, paper)) == {"stages", "tracker", "sensors"}

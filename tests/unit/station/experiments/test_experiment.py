@@ -1,15 +1,15 @@
-"""A file that cannot be run is refused before anything runs, in one line; a load that is too fast is warned of."""
+"""An invalid file is refused in one line before anything runs; a load that is too fast gives a warning."""
 
 import re
 
 import pytest
 
-from station.config.strict import OWN_EXPERIMENTS, ConfigError
-from station.experiments.experiment import load_experiment, offered
+from station.config.strict import EXPERIMENTS_VARIABLE, ConfigError
+from station.experiments.experiment import load_experiment, offered_experiment
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("duration = 1.0", "duration = nan", "duration = nan: Input should be a finite number"),
         ("duration = 1.0", "duration = 0.0", "duration = 0.0: Input should be greater than 0"),
@@ -63,20 +63,20 @@ from station.experiments.experiment import load_experiment, offered
         ('title = "short"', 'title = "short', "not valid TOML: "),
     ],
 )
-def test_an_experiment_that_cannot_be_is_refused_in_one_line(write, short, old, new, said):
+def test_an_invalid_experiment_is_refused_with_a_message_of_one_line(write, short, old, new, message):
     assert short.count(old) == 1
     path = write(short.replace(old, new))
 
     with pytest.raises(ConfigError) as refused:
         load_experiment(str(path))
 
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert "\n" not in str(refused.value)
-    if "is not one of the robots" not in said and "labs" not in said and "no such file" not in said:
+    if "is not one of the robots" not in message and "labs" not in message and "no such file" not in message:
         assert str(refused.value).startswith(f"{path}: ")
 
 
-def test_a_mistake_in_the_robot_or_the_lab_is_told_with_that_file(write, short, robot_text):
+def test_an_experiment_with_an_invalid_robot_or_lab_is_refused_naming_the_invalid_file(write, short, robot_text):
     robot = write(robot_text.replace("bending_stiffness = 0.048", "bending_stiffness = -0.048"), "robot")
     lab = write("[tracker]\nrate = 0.0\n", "lab")
 
@@ -87,7 +87,7 @@ def test_a_mistake_in_the_robot_or_the_lab_is_told_with_that_file(write, short, 
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ("[plant.tubes.middle]\nstiffness = 0.1", "plant.tubes.middle: robot 'paper' has no such part; it has inner"),
         ("[plant.play]\nelbow = 0.1", "plant.play.elbow: robot 'paper' has no such part; it has outer_rotation"),
@@ -96,18 +96,18 @@ def test_a_mistake_in_the_robot_or_the_lab_is_told_with_that_file(write, short, 
         ('devices = "perfect"', "devices = 'perfect': "),
     ],
 )
-def test_a_lab_that_does_not_fit_the_robot_is_refused(write, short, table, said):
+def test_an_experiment_whose_lab_does_not_fit_its_robot_is_refused(write, short, table, message):
     lab = write(table, "lab")
 
     with pytest.raises(ConfigError) as refused:
         load_experiment(str(write(f'lab = "{lab}"\n' + short)))
-    assert str(refused.value).startswith(f"{lab}: {said}")
+    assert str(refused.value).startswith(f"{lab}: {message}")
 
 
 FAULT = '\n[[faults]]\nkind = "{}"\ndevice = "{}"\nat = 0.2\nduration = 0.3\n'
 
 
-def test_faults_are_part_of_an_experiment(write, short):
+def test_faults_in_an_experiment_file_are_read_into_the_case(write, short):
     text = short + FAULT.format("mute", "stages") + FAULT.format("lose_tool", "tracker")
     (case,) = load_experiment(str(write(text))).cases
 
@@ -118,20 +118,20 @@ def test_faults_are_part_of_an_experiment(write, short):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (FAULT.format("stall", "elbow"), "faults.0.device = 'elbow': expected one of stages, tracker, sensors"),
-        (FAULT.format("stall", "tracker"), "faults.0.kind = 'stall': to 'tracker' can happen"),
+        (FAULT.format("stall", "tracker"), "faults.0.kind = 'stall': 'tracker' cannot have it"),
         (FAULT.format("explode", "tracker"), "faults.0.kind = 'explode'"),
         (FAULT.format("restart", "tracker"), "'restart' happens at once"),
     ],
 )
-def test_a_fault_that_cannot_happen_is_refused(write, short, text, said):
-    with pytest.raises(ConfigError, match=re.escape(said)):
+def test_an_experiment_with_an_impossible_device_fault_is_refused(write, short, text, message):
+    with pytest.raises(ConfigError, match=re.escape(message)):
         load_experiment(str(write(short + text)))
 
 
-def test_ideal_devices_have_no_faults(write, short):
+def test_faults_are_refused_in_a_lab_with_ideal_devices(write, short):
     with pytest.raises(ConfigError, match="the devices of lab 'ideal' are ideal"):
         load_experiment(str(write('lab = "ideal"\n' + short + FAULT.format("mute", "stages"))))
 
@@ -139,39 +139,39 @@ def test_ideal_devices_have_no_faults(write, short):
 FAST = '[load]\nkind = "trapezoid"\nmagnitude = 0.5\nrise = 0.5\nstart = 0.3\n'
 
 
-def test_a_load_is_warned_of_with_the_time_and_the_limit_and_not_refused(write, short):
+def test_a_too_fast_load_gives_a_warning_with_time_and_limit_and_no_refusal(write, short):
     text = short.replace("duration = 1.0", "duration = 3.0") + '[controller]\nstrategy = "dual_layer"\n' + FAST
     slow = text.replace("rise = 0.5", "rise = 60.0")
     (fast,), (steady,) = (load_experiment(str(write(each))).cases for each in (text, slow))
 
     (warning,) = fast.warnings
-    said = r"load trapezoid is more than the joints can make up for: hold cannot be followed: at 0\.\d+ s .* mm off"
-    assert re.match(said, warning)
+    message = r"the joints cannot compensate load trapezoid: hold cannot be followed: at 0\.\d+ s .* mm off"
+    assert re.match(message, warning)
     assert "speed of " in warning
     assert steady.warnings == ()
 
 
-def test_a_load_on_a_tip_that_is_not_held_is_not_warned_of(write, short):
+def test_a_load_gives_no_warning_when_the_tip_position_is_not_controlled(write, short):
     text = short + '[controller]\nstrategy = "unloaded_jacobian"\n' + FAST
     (case,) = load_experiment(str(write(text))).cases
 
     assert case.warnings == ()
 
 
-def test_a_motion_that_is_too_fast_is_refused_with_and_without_a_load(write, short):
+def test_a_motion_that_is_too_fast_for_the_joints_is_refused_with_and_without_a_load(write, short):
     fast = short.replace('kind = "hold"', 'kind = "circle"\nradius = 0.015\nperiod = 3.0').replace("= 1.0", "= 9.0")
     for load in ("", FAST):
         with pytest.raises(ConfigError, match=r"circle cannot be followed: at .* because of speed of"):
             load_experiment(str(write(fast + load)))
 
 
-def test_errors_count_from_the_loads_onset_or_the_settling_time(write, short):
+def test_errors_count_from_the_earlier_of_load_onset_and_settling_time(write, short):
     for settling, counted in (("0.1", 0.1), ("0.7", 0.3)):
         (case,) = load_experiment(str(write(short.replace("settling = 0.0", f"settling = {settling}") + FAST))).cases
         assert case.file.counted_from == counted
 
 
-def test_files_that_an_experiment_names_are_beside_it(write, short, robot_text, tmp_path, monkeypatch):
+def test_file_names_in_an_experiment_are_relative_to_its_folder(write, short, robot_text, tmp_path, monkeypatch):
     place = tmp_path / "deep"
     place.mkdir()
     (place / "mine.toml").write_text(robot_text.replace('name = "paper"', 'name = "mine"'), encoding="utf-8")
@@ -188,14 +188,14 @@ def test_files_that_an_experiment_names_are_beside_it(write, short, robot_text, 
     assert case.file.trajectory.file == "deep/path.csv"
 
 
-def test_an_own_experiment_that_was_edited_is_offered_as_it_is_now(short, tmp_path, monkeypatch):
-    monkeypatch.setenv(OWN_EXPERIMENTS, str(tmp_path))
+def test_an_edited_user_experiment_is_read_again(short, tmp_path, monkeypatch):
+    monkeypatch.setenv(EXPERIMENTS_VARIABLE, str(tmp_path))
     text = short.replace('"short"', '"first"')
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
-    assert offered("own").title == "first"
+    assert offered_experiment("own").title == "first"
     (tmp_path / "own.toml").write_text(text.replace("first", "second"), encoding="utf-8")
-    assert offered("own").title == "second"
-    assert offered("fig7") is offered("fig7")
-    # One's own goes before the station's, whether that has been asked for or not.
+    assert offered_experiment("own").title == "second"
+    assert offered_experiment("fig7") is offered_experiment("fig7")
+    # A user's experiment takes precedence over a preset, also after the preset was loaded.
     (tmp_path / "fig7.toml").write_text(text.replace("first", "mine"), encoding="utf-8")
-    assert offered("fig7").title == "mine"
+    assert offered_experiment("fig7").title == "mine"

@@ -1,4 +1,4 @@
-"""Ctrl-C as a question."""
+"""Ctrl-C as a flag that a loop polls."""
 
 import os
 import signal
@@ -12,14 +12,14 @@ from station.experiments.interrupt import interrupts
 
 @pytest.fixture
 def ordinary() -> Iterator[None]:
-    """Ctrl-C raises, also where these tests were started in the background and were to be deaf to it."""
+    """Restore the default handler of Ctrl-C, which is ignored when the tests run in the background."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.usefixtures("ordinary")
-def test_the_first_press_is_noted_and_the_second_is_the_ordinary_exception() -> None:
+def test_the_first_ctrl_c_sets_the_interrupt_flag_and_the_second_raises_keyboard_interrupt() -> None:
     before = signal.getsignal(signal.SIGINT)
     with interrupts() as interrupted:
         assert not interrupted()
@@ -30,14 +30,14 @@ def test_the_first_press_is_noted_and_the_second_is_the_ordinary_exception() -> 
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_another_thread_asks_in_vain_but_may_ask() -> None:
-    said: list[bool] = []
+def test_the_interrupt_flag_is_never_set_in_a_thread_other_than_the_main_one() -> None:
+    answers: list[bool] = []
 
-    def ask() -> None:
+    def poll() -> None:
         with interrupts() as interrupted:
-            said.append(interrupted())
+            answers.append(interrupted())
 
-    thread = threading.Thread(target=ask)
+    thread = threading.Thread(target=poll)
     thread.start()
     thread.join()
-    assert said == [False]
+    assert answers == [False]

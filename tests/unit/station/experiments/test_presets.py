@@ -1,4 +1,4 @@
-"""The presets are the agreed experiments."""
+"""The experiment presets have the agreed poses, motions, loads, controllers and durations."""
 
 import math
 
@@ -8,11 +8,11 @@ import pytest
 from core.control.controllers import PositionMode, VelocityMode, loaded, type_1, type_2, unloaded
 from core.control.trajectories import JointMotion, Setpoint
 from station.config.strict import preset_names
-from station.experiments.experiment import Case, offered
-from station.lab.config import LabConfig
+from station.experiments.experiment import Case, offered_experiment
+from station.lab.config import LabConfig, load_lab
 from tests.harness.cases import a_case
 
-#: name: duration [s], settling [s], cases
+#: By name of the preset: duration [s], settling time [s] and names of the cases.
 AGREED = {
     "fig3": (40.0, 0.0, ["a", "b", "c", "d", "d_feedforward"]),
     "fig4": (40.0, 0.0, ["deflection"]),
@@ -29,13 +29,13 @@ def desired(case: Case, time: float) -> np.ndarray:
     return order.position
 
 
-def test_every_agreed_experiment_is_a_preset():
+def test_every_agreed_experiment_has_a_preset_file():
     assert set(AGREED) <= set(preset_names("experiments"))
 
 
 @pytest.mark.parametrize("name", preset_names("experiments"))
-def test_every_preset_can_be_run_from_the_agreed_pose(name):
-    experiment = offered(name)
+def test_every_experiment_preset_passes_all_checks_and_starts_at_the_agreed_pose(name):
+    experiment = offered_experiment(name)
 
     assert experiment.name == name
     assert experiment.title
@@ -48,9 +48,9 @@ def test_every_preset_can_be_run_from_the_agreed_pose(name):
 
 
 @pytest.mark.parametrize("name", AGREED)
-def test_a_preset_has_its_cases_and_lasts_as_long_as_agreed(name):
+def test_an_experiment_preset_has_the_agreed_cases_and_duration(name):
     duration, settling, cases = AGREED[name]
-    experiment = offered(name)
+    experiment = offered_experiment(name)
 
     assert [case.name for case in experiment.cases] == cases
     assert (experiment.cases[0].file.duration, experiment.cases[0].file.settling) == (duration, settling)
@@ -58,21 +58,21 @@ def test_a_preset_has_its_cases_and_lasts_as_long_as_agreed(name):
 
 @pytest.mark.parametrize(
     ("name", "amplitude"), [("fig3", 0.015), ("fig4", 0.015), ("fig10", 0.010)]
-)  # all along z at 0.05 Hz
-def test_the_tracking_experiments_follow_a_sinusoid_along_z(name, amplitude):
-    for case in offered(name).cases:
+)  # all these sinusoids are along z with 0.05 Hz
+def test_in_the_tracking_experiments_the_tip_follows_a_sinusoid_along_z(name, amplitude):
+    for case in offered_experiment(name).cases:
         for time, z in {0.0: 0.0, 5.0: amplitude, 10.0: 0.0, 15.0: -amplitude, 25.0: amplitude}.items():
             assert desired(case, time) == pytest.approx([0.0, 0.0, z], abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["fig7", "fig8"])
-def test_the_regulation_experiments_stay(name):
-    for case in offered(name).cases:
+def test_in_the_regulation_experiments_the_desired_tip_position_is_constant(name):
+    for case in offered_experiment(name).cases:
         assert not desired(case, 0.0).any()
         assert not desired(case, 17.0).any()
 
 
-def test_fig6_turns_the_outer_tube_once_at_3_degrees_a_second():
+def test_the_fig6_preset_rotates_the_outer_tube_once_at_3_degrees_a_second():
     case = a_case("fig6", "turn")
     for time, speed in {0.0: 3.0, 119.9: 3.0, 120.1: 0.0}.items():
         order = case.orders.at(time)
@@ -91,13 +91,13 @@ def test_fig6_turns_the_outer_tube_once_at_3_degrees_a_second():
         ("fig10", "paper", {0.0: 0.0, 5.0: 0.25, 10.0: 0.5, 20.0: 0.0, 190.0: 0.5}),
     ],
 )
-def test_the_load_pulls_along_gravity_as_agreed(experiment, case, by_time):
+def test_the_loads_of_the_experiment_presets_act_along_gravity_as_agreed(experiment, case, by_time):
     load = a_case(experiment, case).file.load
     for time, force in by_time.items():
         assert load.force(time) == pytest.approx([force, 0.0, 0.0], abs=1e-12)
 
 
-def test_lift_and_drop_takes_half_a_newton_up_and_down_within_2_5_seconds_each():
+def test_the_lift_and_drop_case_applies_and_removes_half_a_newton_in_2_5_seconds_each():
     case = a_case("fig8", "lift_and_drop")
     force = np.array([case.file.load.force(time)[0] for time in np.arange(0.0, case.file.duration, 0.1)])
     rising, falling = np.flatnonzero(np.diff(force) > 1e-9), np.flatnonzero(np.diff(force) < -1e-9)
@@ -108,9 +108,9 @@ def test_lift_and_drop_takes_half_a_newton_up_and_down_within_2_5_seconds_each()
     assert rising[-1] < falling[0]
 
 
-def test_the_simulations_of_the_paper_use_the_nominal_rod_and_ideal_devices_and_say_so():
+def test_the_simulations_of_the_paper_use_and_name_the_nominal_rod_and_ideal_devices():
     for name in ("fig3", "fig4"):
-        for case in offered(name).cases:
+        for case in offered_experiment(name).cases:
             plant = case.lab.plant
             assert "ideal" in case.lab.title
             assert (dict(plant.tubes), dict(plant.play), plant.vary) == ({}, {}, 0.0)
@@ -119,11 +119,12 @@ def test_the_simulations_of_the_paper_use_the_nominal_rod_and_ideal_devices_and_
             assert case.lab.devices == "ideal"
 
 
-def test_the_experiments_of_the_paper_use_the_default_lab_but_for_the_tracker_near_metal():
-    default = LabConfig()
+def test_the_experiments_of_the_paper_differ_from_the_default_lab_only_in_the_tracker_near_metal():
+    default = offered_experiment("fig8").cases[0].lab
+    assert default == load_lab("gentle", offered_experiment("fig8").cases[0].robot)
     bent = default.tracker.model_copy(update={"distortion": 0.48e-3})
     for name in ("fig6", "fig7", "fig8", "fig10"):
-        for case in offered(name).cases:
+        for case in offered_experiment(name).cases:
             distorted = case.name.endswith("_distorted")
             assert case.lab.plant == default.plant
             assert case.lab.sensors == default.sensors
@@ -160,25 +161,25 @@ def test_the_default_lab_has_the_agreed_numbers():
         ("fig10", "feedforward", PositionMode(2.5, 2.5, feedforward=True), type_2),
     ],
 )
-def test_a_case_has_the_strategy_it_is_named_for(experiment, case, outer, inner):
+def test_a_case_of_a_preset_uses_the_strategy_in_its_name(experiment, case, outer, inner):
     strategy = a_case(experiment, case).controller.strategy
 
     assert strategy.outer == outer
     assert strategy.inner is inner
 
 
-def test_the_papers_own_numbers_stand_beside():
-    assert offered("fig3").paper["a"].max_abs_error_mm == {"x": 7.9}
-    assert offered("fig7").paper["regulation"].max_abs_error_mm == {"x": 15.5, "y": 2.3, "z": 1.1}
-    assert offered("fig10").paper["paper"].max_abs_error_mm == {"x": 1.0, "z": 1.7}
-    assert offered("fig6").paper["turn"].model_error_mm["loaded"] == 1.4
+def test_presets_have_the_numbers_that_the_paper_reports():
+    assert offered_experiment("fig3").paper["a"].max_abs_error_mm == {"x": 7.9}
+    assert offered_experiment("fig7").paper["regulation"].max_abs_error_mm == {"x": 15.5, "y": 2.3, "z": 1.1}
+    assert offered_experiment("fig10").paper["paper"].max_abs_error_mm == {"x": 1.0, "z": 1.7}
+    assert offered_experiment("fig6").paper["turn"].model_error_mm["loaded"] == 1.4
 
 
 FASTER = ("ramp_1s", "ramp_0_5s", "ramp_0_25s", "ramp_0_1s", "step", "rubber_band", "lift_and_drop", "tap")
 
 
-def test_load_rate_puts_on_and_takes_off_half_a_newton_at_every_rate_under_every_strategy():
-    cases = {case.name: case for case in offered("load_rate").cases}
+def test_load_rate_applies_and_removes_half_a_newton_at_every_rate_with_every_strategy():
+    cases = {case.name: case for case in offered_experiment("load_rate").cases}
     strategies, loads = ("regulation", "type_1", "held"), ("ramp_10s", "ramp_1s", "ramp_0_1s", "step", "tap")
 
     assert len(cases) == 36
@@ -189,6 +190,6 @@ def test_load_rate_puts_on_and_takes_off_half_a_newton_at_every_rate_under_every
         assert max(force) == pytest.approx(0.5, rel=2e-3) or load.kind == "hung_weight"
         assert load.onset == 2.0
         assert load.changes[-1] + 8.0 < duration
-    # What is slower than the joints is not warned of, nor is what nobody tries to make up for.
+    # Only loads that are too fast for the joints give a warning, and only with a controller that compensates loads.
     warned = {name for name, case in cases.items() if case.warnings}
     assert warned == {f"{one}-{load}" for one in strategies[:2] for load in FASTER}

@@ -1,12 +1,12 @@
-"""What was saved is found by name from the folder of data, unless another folder of experiments is in use."""
+"""Saved experiments are found by name in the data folder, unless another folder of experiments is in use."""
 
 import pytest
 
-from station.config.controllers import BEST
+from station.config.controllers import DEFAULT_CONTROLLER
 from station.config.motions import WaypointsMotion
-from station.config.strict import OWN_EXPERIMENTS, preset_names
+from station.config.strict import EXPERIMENTS_VARIABLE, preset_names
 from station.experiments.experiment import load_experiment
-from station.experiments.saved import FOLDER, FreeMotion, SavedAlreadyError, save, saved_motion, use_saved
+from station.experiments.saved import EXPERIMENTS_FOLDER, FreeMotion, SavedAlreadyError, save, saved_motion, use_saved
 from station.lab.loads import TrapezoidLoad
 
 MOTION = FreeMotion(
@@ -14,7 +14,7 @@ MOTION = FreeMotion(
     start={"outer_rotation": 0.0, "inner_rotation": 1.5707963267948966, "inner_translation": -0.1},
     duration=12.0,
     trajectory=WaypointsMotion(points=((5.0, 0.0, 0.004, 0.0), (9.0, 0.0, 0.0, 0.0))),
-    controller=BEST,
+    controller=DEFAULT_CONTROLLER,
     load=TrapezoidLoad(magnitude=0.1, rise=1.0),
 )
 ABOUT = {"robot": "paper", "lab": "gentle"}
@@ -22,24 +22,24 @@ ABOUT = {"robot": "paper", "lab": "gentle"}
 
 @pytest.fixture
 def nothing_in_use(monkeypatch):
-    monkeypatch.setenv(OWN_EXPERIMENTS, "")
+    monkeypatch.setenv(EXPERIMENTS_VARIABLE, "")
 
 
-def test_it_is_found_by_who_has_the_same_folder_of_data(nothing_in_use, monkeypatch, tmp_path):
+def test_another_process_with_the_same_data_folder_finds_a_saved_experiment(nothing_in_use, monkeypatch, tmp_path):
     path = save(MOTION, "there", tmp_path, ABOUT, replace=False)
-    assert path == tmp_path / FOLDER / "there.toml"
-    monkeypatch.setenv(OWN_EXPERIMENTS, "")  # another process
+    assert path == tmp_path / EXPERIMENTS_FOLDER / "there.toml"
+    monkeypatch.setenv(EXPERIMENTS_VARIABLE, "")  # another process
     assert "there" not in preset_names("experiments")
     use_saved(tmp_path)
     assert load_experiment("there").cases[0].lab == load_experiment("fig10").cases[0].lab
     assert saved_motion("there") == MOTION
 
 
-def test_another_folder_that_is_in_use_stays_in_use(nothing_in_use, monkeypatch, tmp_path):
+def test_use_saved_keeps_a_folder_of_experiments_that_the_user_selected(nothing_in_use, monkeypatch, tmp_path):
     save(MOTION, "there", tmp_path, ABOUT, replace=False)
     own = tmp_path / "own"
     own.mkdir()
-    monkeypatch.setenv(OWN_EXPERIMENTS, str(own))
+    monkeypatch.setenv(EXPERIMENTS_VARIABLE, str(own))
     use_saved(tmp_path)
     assert "there" not in preset_names("experiments")
     save(MOTION, "here", tmp_path, ABOUT, replace=False)
@@ -48,7 +48,7 @@ def test_another_folder_that_is_in_use_stays_in_use(nothing_in_use, monkeypatch,
         save(MOTION, "here", tmp_path, ABOUT, replace=False)
 
 
-def test_without_a_folder_nothing_changes(nothing_in_use, tmp_path):
+def test_use_saved_changes_nothing_if_the_data_folder_has_no_saved_experiments(nothing_in_use, tmp_path):
     before = preset_names("experiments")
     use_saved(tmp_path)
     assert preset_names("experiments") == before

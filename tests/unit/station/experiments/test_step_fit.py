@@ -1,4 +1,4 @@
-"""Fits of step responses made up for the purpose."""
+"""Fits of synthetic step responses."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ TIMES = np.arange(0.0, 6.0, 0.002)
 
 @pytest.mark.parametrize("rate", [1.0, 2.5, 5.0])
 @pytest.mark.parametrize("dead_time", [0.0, 0.03, 0.2])
-def test_a_lag_with_dead_time_is_found_again_in_noise(rate, dead_time):
+def test_the_step_fit_recovers_rate_and_dead_time_of_a_noisy_response(rate, dead_time):
     noise = np.random.default_rng(1).normal(scale=0.05, size=TIMES.size)
     response = np.where(dead_time < TIMES, 1.0 - np.exp(-rate * (TIMES - dead_time)), 0.0)
 
@@ -21,10 +21,10 @@ def test_a_lag_with_dead_time_is_found_again_in_noise(rate, dead_time):
     assert noisy.dead_time == pytest.approx(dead_time, abs=0.02)
 
 
-def test_there_and_back_again_folds_into_one_step():
+def test_fold_averages_a_square_wave_into_one_step():
     there = 1.0 - np.exp(-2.0 * TIMES)
     times = np.arange(0.0, 4 * 6.0 + 1.0, 0.002)
-    response = np.r_[there, 1.0 - there, there, 1.0 - there, np.zeros(500)]  # and a second too much
+    response = np.r_[there, 1.0 - there, there, 1.0 - there, np.zeros(500)]  # one incomplete stay at the end
 
     folded_times, folded = fold(times, response, 6.0)
 

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from station.experiments.sweep_output import quantity, setting_words, sweep_table, write_sweep
-from station.recording.label import RecordingError
+from station.experiments.sweep_output import quantity, setting_label, sweep_table, write_sweep
+from station.recording.run_outcome import RecordingError
 
 
 def group(k1: float, name: str, *values: float, completed: int = 3) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def shown(sweep: dict[str, Any]) -> list[str]:
     return text.getvalue().splitlines()
 
 
-def test_a_line_for_each_setting_and_axis():
+def test_the_sweep_table_has_a_line_for_each_setting_and_axis():
     lines = shown(summary(*(group(k1, "true_max_abs_error_mm", 1.0 / k1, 0.2, 0.3) for k1 in (1.0, 4.0))))
 
     assert any("hold [it]" in line for line in lines)
@@ -40,20 +40,20 @@ def test_a_line_for_each_setting_and_axis():
     assert sum(" y " in line for line in lines) == 2
 
 
-def test_models_where_no_tip_was_tracked():
+def test_the_sweep_table_shows_model_errors_if_the_runs_have_no_tip_errors():
     lines = shown(summary(group(1.0, "model_error_mm", 2.5, 13.0)))
 
     assert any("loaded model" in line and "2.500" in line for line in lines)
     assert any("unloaded model" in line and "13.000" in line for line in lines)
 
 
-def test_a_setting_in_which_nothing_completed_is_still_there():
+def test_the_sweep_table_shows_a_setting_in_which_no_run_completed():
     lines = shown(summary({**group(1.0, "rms_error_mm", 1.0, 1.0, 1.0, completed=0), "spreads": {}}))
 
     assert any("k1 = 1.0" in line and "0 of 3" in line for line in lines)
 
 
-def test_the_true_error_goes_before_the_measured_one():
+def test_the_sweep_table_prefers_true_errors_to_measured_ones():
     both = group(1.0, "true_max_abs_error_mm", 1.0, 2.0, 3.0)
     both["spreads"] |= group(1.0, "max_abs_error_mm", 4.0, 5.0, 6.0)["spreads"]
 
@@ -62,12 +62,12 @@ def test_the_true_error_goes_before_the_measured_one():
     assert quantity([])[3] == []
 
 
-def test_settings_in_words():
-    assert setting_words({}) == "as it is"
-    assert setting_words({"controller.k1": 2.5, "lab": "default"}) == "k1 = 2.5, lab = default"
+def test_a_sweep_setting_has_a_readable_label():
+    assert setting_label({}) == "as it is"
+    assert setting_label({"controller.k1": 2.5, "lab": "default"}) == "k1 = 2.5, lab = default"
 
 
-def test_runs_that_did_not_complete_are_told_with_their_reasons():
+def test_the_sweep_table_lists_runs_that_did_not_complete_with_their_reasons():
     runs = [
         {
             "setting": {"controller.k1": 5},
@@ -86,7 +86,7 @@ def test_runs_that_did_not_complete_are_told_with_their_reasons():
     assert any("and 2 more" in line for line in lines)
 
 
-def test_a_sweep_is_written_beside_its_manifest(tmp_path):
+def test_the_results_of_a_sweep_are_written_into_the_folder_of_its_manifest(tmp_path):
     sweep = summary(group(1.0, "max_abs_error_mm", 4.0, 5.0, 6.0))
     write_sweep(tmp_path, sweep, "title = 'x'\n", 12.0)
 
@@ -97,7 +97,7 @@ def test_a_sweep_is_written_beside_its_manifest(tmp_path):
     assert "settings" not in short
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path):
+def test_writing_sweep_results_into_an_unwritable_folder_fails_naming_the_folder(tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(RecordingError, match="file"):
         write_sweep(tmp_path / "file", summary(), "", 0.0)

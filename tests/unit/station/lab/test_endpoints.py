@@ -1,4 +1,4 @@
-"""The live virtual lab as the bench that its endpoints make."""
+"""The endpoints of the live virtual lab are converted to a device configuration."""
 
 import numpy as np
 import pytest
@@ -6,13 +6,13 @@ import pytest
 from station.control.clock import StationClock
 from station.devices.config import Mount
 from station.devices.open_devices import plan
-from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.coil import GENERATOR_POSE
 from station.lab.config import LabConfig, TrackerConfig
 from station.lab.endpoints import devices_at
 from station.lab.lab_server import LabServer
 
 
-def test_a_labs_endpoints_make_a_bench_that_can_be_opened(paper):
+def test_endpoints_of_a_lab_give_a_valid_device_configuration(paper):
     config = LabConfig(tracker=TrackerConfig(rate=20.0, latency=0.030))
     with LabServer(paper, config, 0, np.array([0.2, 1.2, -0.08])) as lab:
         bench = devices_at(lab.endpoints, config)
@@ -21,11 +21,11 @@ def test_a_labs_endpoints_make_a_bench_that_can_be_opened(paper):
         assert list(bench.sensors["tubes"]) == ["inner", "outer"]
     assert (bench.tracker["frame_rate"], bench.tracker["latency"]) == (20.0, 0.030)
     mount = Mount(**bench.tracker["mount"])
-    assert mount.rotation == pytest.approx(MOUNT.rotation, abs=1e-15)
-    assert np.array(mount.position) == pytest.approx(MOUNT.position)
+    assert mount.rotation == pytest.approx(GENERATOR_POSE.rotation, abs=1e-15)
+    assert np.array(mount.position) == pytest.approx(GENERATOR_POSE.position)
 
 
-def test_a_station_with_patience_gives_its_simulated_devices_time(paper):
+def test_slow_clock_extends_the_timeouts_of_simulated_devices(paper):
     with LabServer(paper, LabConfig(), 0, np.array([0.2, 1.2, -0.08])) as lab:
         usual, patient = (
             devices_at(lab.endpoints, LabConfig(), clock) for clock in (StationClock(), StationClock(0.5, 2.0))

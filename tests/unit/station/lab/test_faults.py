@@ -1,11 +1,11 @@
-"""Faults as an experiment file has them: what is refused, and whom a name means."""
+"""Faults in an experiment file: invalid ones are refused, and device names select the affected devices."""
 
 from typing import Annotated
 
 import pytest
 
 from station.config.strict import ConfigError, Row, Strict, check
-from station.lab.faults import KINDS, LabFault, Target, check_faults
+from station.lab.faults import FAULT_KINDS, FaultTarget, LabFault, check_faults
 
 
 class File(Strict):
@@ -16,14 +16,14 @@ def fault(**entries: object) -> LabFault:
     return check(LabFault, entries, "own.toml")
 
 
-def test_a_fault_as_a_file_has_it():
+def test_fault_of_a_simulated_device_is_read_from_a_file():
     one = fault(kind="drop_bytes", device="stages", at=20.0, duration=5.0, value=0.02)
     assert (one.at, one.duration, one.value) == (20.0, 5.0, 0.02)
-    assert fault(kind="mute", device="tracker").duration is None  # for ever
+    assert fault(kind="mute", device="tracker").duration is None  # the fault is permanent
 
 
 @pytest.mark.parametrize(
-    ("entries", "told"),
+    ("entries", "message"),
     [
         ({"kind": "explode", "device": "stages"}, r"kind = 'explode'.*'drop_bytes'"),
         ({"kind": "mute"}, "'device' is missing"),
@@ -39,12 +39,12 @@ def test_a_fault_as_a_file_has_it():
         ({"kind": "restart", "device": "tracker", "duration": 1.0}, "'restart' happens at once"),
     ],
 )
-def test_what_cannot_be_is_refused_by_key_and_bound(entries, told):
-    with pytest.raises(ConfigError, match=told):
+def test_invalid_fault_is_refused_by_key_and_bound(entries, message):
+    with pytest.raises(ConfigError, match=message):
         fault(**entries)
 
 
-def test_a_wrong_one_among_several_is_named_by_its_place():
+def test_invalid_fault_among_several_is_named_by_its_index():
     good = {"kind": "mute", "device": "tracker"}
     with pytest.raises(ConfigError, match=r"own.toml: faults.1 = .*'delay' needs a value"):
         check(File, {"faults": [good, {"kind": "delay", "device": "tracker"}]}, "own.toml")
@@ -53,32 +53,32 @@ def test_a_wrong_one_among_several_is_named_by_its_place():
 @pytest.mark.parametrize(
     ("kind", "device", "target"),
     [
-        ("mute", "stages", Target("stages", (0, 1, 2))),
-        ("stall", "inner_rotation", Target("joint", (1,))),
-        ("lose_tool", "tracker", Target("tracker", ())),
-        ("saturate", "sensors", Target("sensor", (0, 1))),
-        ("saturate", "outer", Target("sensor", (1,))),
+        ("mute", "stages", FaultTarget("stages", (0, 1, 2))),
+        ("stall", "inner_rotation", FaultTarget("joint", (1,))),
+        ("lose_tool", "tracker", FaultTarget("tracker", ())),
+        ("saturate", "sensors", FaultTarget("sensor", (0, 1))),
+        ("saturate", "outer", FaultTarget("sensor", (1,))),
     ],
 )
-def test_whom_a_name_means(paper, kind, device, target):
+def test_device_name_of_a_fault_selects_the_affected_devices(paper, kind, device, target):
     assert fault(kind=kind, device=device).target(paper) == target
 
 
 @pytest.mark.parametrize(
-    ("kind", "device", "told"),
+    ("kind", "device", "message"),
     [
         ("stall", "middle", r"device = 'middle': expected one of stages, tracker, sensors, outer_rotation, .*inner"),
-        ("saturate", "stages", r"kind = 'saturate': to 'stages' can happen drop_bytes, flip_bits, .*restart"),
-        ("stall", "stages", r"kind = 'stall': to 'stages' can happen"),
-        ("lose_tool", "inner", r"kind = 'lose_tool': to 'inner' can happen drop_bytes, .*saturate"),
+        ("saturate", "stages", r"kind = 'saturate': 'stages' cannot have it, but drop_bytes, flip_bits, .*restart"),
+        ("stall", "stages", r"kind = 'stall': 'stages' cannot have it"),
+        ("lose_tool", "inner", r"kind = 'lose_tool': 'inner' cannot have it, but drop_bytes, .*saturate"),
     ],
 )
-def test_what_cannot_happen_to_a_device_is_refused_with_what_can(paper, kind, device, told):
-    with pytest.raises(ConfigError, match=rf"^faults\.0\.{told}"):
+def test_impossible_fault_of_a_device_is_refused_with_the_possible_ones(paper, kind, device, message):
+    with pytest.raises(ConfigError, match=rf"^faults\.0\.{message}"):
         check_faults([fault(kind=kind, device=device)], paper)
 
 
-def test_a_name_of_a_joint_and_of_a_tube_means_the_one_to_which_it_can_happen(paper):
+def test_fault_on_a_name_of_both_joint_and_tube_affects_the_possible_device(paper):
     joints = (paper.joints[0].model_copy(update={"name": "outer"}), *paper.joints[1:])
     robot = paper.model_copy(update={"joints": joints})
 
@@ -88,5 +88,5 @@ def test_a_name_of_a_joint_and_of_a_tube_means_the_one_to_which_it_can_happen(pa
         fault(kind="mute", device="outer").target(robot)
 
 
-def test_every_kind_can_happen_to_something():
-    assert all(kind.parts for kind in KINDS.values())
+def test_every_kind_of_fault_has_a_target():
+    assert all(kind.parts for kind in FAULT_KINDS.values())

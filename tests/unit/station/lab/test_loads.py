@@ -1,4 +1,4 @@
-"""What pulls at the tip, at times worked out by hand."""
+"""The forces of simulated loads equal values computed by hand."""
 
 import math
 
@@ -7,8 +7,9 @@ import pytest
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
+from core.errors import ContractError
 from station.config.strict import ConfigError, Strict, check
-from station.lab.loads import ConstantLoad, HungWeightLoad, Load, RaisedCosineLoad, SineLoad
+from station.lab.loads import ConstantLoad, HungWeightLoad, Load, NoLoad, RaisedCosineLoad, SineLoad, force_of
 
 
 class Holder(Strict):
@@ -47,13 +48,13 @@ TAP = {"kind": "tap", "peak": 0.4, "duration": 0.06, "start": 1.0}
         ({"kind": "ramps", "times": [0.0, 1.0], "magnitudes": [0.4, -0.4]}, {0.0: 0.4, 0.25: 0.2, 0.75: -0.2, 2: -0.4}),
     ],
 )
-def test_a_load_is_its_closed_form_along_gravity(table, by_time):
+def test_load_equals_its_closed_form_along_gravity(table, by_time):
     for time, force in by_time.items():
         assert load(**table).force(time) == pytest.approx([force, 0.0, 0.0], abs=1e-15), f"at {time} s"
 
 
 @pytest.mark.parametrize("table", [{"kind": "none"}, CONSTANT, SINE, RAISED, RAMPS, LIFTED, STEP, TAP])
-def test_nothing_pulls_before_the_start(table):
+def test_load_is_zero_before_the_start(table):
     for time in (-1e-9, -0.5, -13.0):
         assert not load(**table).force(time).any()
 
@@ -70,36 +71,36 @@ def test_nothing_pulls_before_the_start(table):
         (STEP, (0.0,)),
         (TAP, (1.0,)),
         ({"kind": "hung_weight", "weight": 0.2, "start": 3.0}, (3.0,)),
-        # a jump; then still until a ramp begins at 4 s and goes on as another one
+        # the load jumps at 2 s and is constant until 4 s, where a ramp starts that continues into another ramp
         ({"kind": "ramps", "times": [2.0, 4.0, 5.0, 6.0], "magnitudes": [0.3, 0.3, 0.4, 0.1]}, (2.0, 4.0)),
         ({"kind": "ramps", "times": [2.0, 4.0], "magnitudes": [0.0, 0.0]}, ()),
         ({"kind": "ramps", "times": [2.0, 4.0], "magnitudes": [0.1, 0.3]}, (2.0,)),
     ],
 )
-def test_a_load_says_when_it_begins_to_change(table, changes):
+def test_load_reports_the_times_of_its_changes(table, changes):
     found = load(**table)
 
     assert found.changes == changes
     assert found.onset == (changes[0] if changes else math.inf)
-    # It stands still right before, and moves soon after.
+    # The load is constant just before each reported time, and changes soon after it.
     for time in changes:
         assert found.force(time - 1e-6) == pytest.approx(found.force(time - 1e-3), abs=1e-12)
         assert np.abs(found.force(time + 0.02) - found.force(time - 1e-6)).max() > 0.0
 
 
-def test_a_weight_may_be_lowered_later() -> None:
+def test_lowering_of_a_hung_weight_may_start_later() -> None:
     now, later = HungWeightLoad(weight=0.2, lowering=1.0), HungWeightLoad(weight=0.2, lowering=1.0, start=3.0)
     for time in (-1.0, 0.0, 0.5, 1.7):
         assert later.force(time + 3.0) == pytest.approx(now.force(time), abs=1e-12)
 
 
-def test_a_direction_of_any_length_only_points():
+def test_length_of_its_direction_does_not_change_a_load():
     assert load(**CONSTANT, direction=[0, -30, 40]).force(1.0) == pytest.approx([0.0, -0.3, 0.4])
     assert load(**SINE, direction=[0, 0, -1e-6]).force(5.0) == pytest.approx([0.0, 0.0, -0.2])
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ({"kind": "constant", "magnitude": -0.5}, "load.magnitude = -0.5: "),
         ({"kind": "constant", "magnitude": float("nan")}, "load.magnitude = nan: "),
@@ -110,8 +111,8 @@ def test_a_direction_of_any_length_only_points():
         ({**RAISED, "amplitude": 0.2}, "unknown key 'load.amplitude'"),
         ({"kind": "ramps", "times": [1.0, 2.0], "magnitudes": [0.1]}, "2 times but 1 magnitudes"),
         ({"kind": "ramps", "times": [], "magnitudes": []}, "load.times = []: "),
-        ({"kind": "ramps", "times": [2.0, 1.0], "magnitudes": [0.1, 0.2]}, "times must rise"),
-        ({"kind": "ramps", "times": [1.0, 1.0], "magnitudes": [0.1, 0.2]}, "times must rise"),
+        ({"kind": "ramps", "times": [2.0, 1.0], "magnitudes": [0.1, 0.2]}, "times must increase"),
+        ({"kind": "ramps", "times": [1.0, 1.0], "magnitudes": [0.1, 0.2]}, "times must increase"),
         ({"kind": "ramps", "times": [-1.0, 1.0], "magnitudes": [0.1, 0.2]}, "load.times.0 = -1.0: "),
         ({"kind": "ramps", "times": [1.0], "magnitudes": [float("inf")]}, "load.magnitudes.0 = inf: "),
         ({**LIFTED, "rise": -1.0}, "load.rise = -1.0: "),
@@ -120,19 +121,19 @@ def test_a_direction_of_any_length_only_points():
         ({"kind": "wind"}, "load = {'kind': 'wind'}: "),
     ],
 )
-def test_a_load_that_cannot_be_is_refused_by_key_and_value(table, said):
+def test_invalid_load_is_refused_by_key_and_value(table, message):
     with pytest.raises(ConfigError) as refused:
         check(Holder, {"load": table}, "file")
 
     assert str(refused.value).startswith("file: ")
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
-def test_a_weight_on_a_rubber_band_swings_at_its_frequency_and_dies_out() -> None:
+def test_weight_on_a_rubber_band_oscillates_at_its_frequency_and_decays() -> None:
     load = HungWeightLoad(weight=0.2, lowering=1.3)
     rate = 2.0 * math.pi * 2.0
     times = np.linspace(0.0, 3.0, 301)
-    # a 2 Hz, 5 % oscillator driven by the part of the weight that the hand no longer holds
+    # The reference is an oscillator of 2 Hz with 5 % damping, driven by the part of the weight that the hand released.
     answer = solve_ivp(
         lambda t, y: [y[1], rate**2 * (0.2 * min(t / 1.3, 1.0) - y[0]) - 2.0 * 0.05 * rate * y[1]],
         (0.0, 3.0), [0.0, 0.0], t_eval=times, rtol=1e-10, atol=1e-12, max_step=0.01,
@@ -155,13 +156,13 @@ def test_a_weight_on_a_rubber_band_swings_at_its_frequency_and_dies_out() -> Non
         (ConstantLoad, {"magnitude": 20.1}),
     ],
 )
-def test_what_no_formula_bears_is_refused(kind, values):
+def test_load_parameters_outside_the_bounds_of_the_formulas_are_refused(kind, values):
     with pytest.raises(ValidationError):
         kind(**values)
 
 
 @pytest.mark.parametrize("edge", ["lowest", "highest"])
-def test_at_the_bounds_every_load_is_a_number(edge):
+def test_every_load_is_finite_at_the_bounds_of_its_parameters(edge):
     low = edge == "lowest"
     frequency, time, damping = (1e-3, 0.01, 1e-3) if low else (100.0, 1e5, 0.999)
     loads = (
@@ -174,7 +175,7 @@ def test_at_the_bounds_every_load_is_a_number(edge):
             assert np.isfinite(load.force(moment)).all()
 
 
-def test_a_pull_from_all_around_keeps_its_size_and_goes_from_pole_to_pole():
+def test_all_around_load_keeps_its_magnitude_and_moves_from_pole_to_pole():
     around = load(kind="all_around", magnitude=0.3, period=60.0, turns=2.0, ramp=5.0)
     assert not around.force(-1.0).any()
     assert around.force(2.5) @ around.force(2.5) == pytest.approx(0.15**2)
@@ -182,3 +183,17 @@ def test_a_pull_from_all_around_keeps_its_size_and_goes_from_pole_to_pole():
         assert np.linalg.norm(around.force(time)) == pytest.approx(0.3)
     np.testing.assert_allclose(around.force(15.0), 0.3 * np.array([-(0.5**0.5), 0.0, 0.5**0.5]), atol=1e-12)
     np.testing.assert_allclose(around.force(60.0), [0.0, 0.0, -0.3], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "value", [0.5, np.zeros(2), np.zeros((3, 1)), np.array([np.nan, 0.0, 0.0]), None, "1", KeyError("peak")]
+)
+def test_custom_load_that_returns_no_force_is_refused_by_name(value: object) -> None:
+    class Wrong(NoLoad):
+        def force(self, time):
+            if isinstance(value, Exception):
+                raise value
+            return value
+
+    with pytest.raises(ContractError, match="load 'Wrong'"):
+        force_of(Wrong(), 0.0)

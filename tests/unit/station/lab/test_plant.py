@@ -1,4 +1,4 @@
-"""The true robot: the exact rod with parameters of its own, play and friction, and what its bases feel."""
+"""The smooth plant: an exact rod with true parameters, play of the drives, friction and base wrenches."""
 
 import math
 
@@ -22,7 +22,7 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 @pytest.fixture
 def plant(paper_robot):
-    """A plant at the start pose, nominal but for what is given."""
+    """Return a function that creates a plant at the start pose, nominal except for its arguments."""
 
     def make(**changes: object) -> Plant:
         return Plant(paper_robot, NOMINAL.model_copy(update=changes), rng(), START)
@@ -31,12 +31,12 @@ def plant(paper_robot):
 
 
 def moved(*by: float) -> np.ndarray:
-    """The start pose with every joint moved on."""
+    """Return the start pose with every joint moved."""
     return START + np.array(by)
 
 
 def walk(seed: int, steps: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Stage positions and tip forces of up to 0.5 N, going back and forth in every joint."""
+    """Return stage positions and tip forces of up to 0.5 N, with every joint moving back and forth."""
     random = rng(seed)
     phase = random.uniform(0.0, 2.0 * math.pi, 6)
     return [
@@ -49,7 +49,7 @@ def walk(seed: int, steps: int) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def to_world(state: PlantState, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
-    """Each tube's base wrench (q, 6) in world axes about the plate's origin, by rotation matrices."""
+    """Return each tube's base wrench (q, 6) in world axes about the plate's origin, by rotation matrices."""
     rows = []
     for wrench, angle, place in zip(state.wrenches, alpha, beta, strict=True):
         turn = Rotation.from_euler("z", angle)
@@ -58,7 +58,7 @@ def to_world(state: PlantState, alpha: np.ndarray, beta: np.ndarray) -> np.ndarr
     return np.array(rows)
 
 
-def test_the_default_truth_differs_from_the_controllers_belief_as_agreed(paper_robot):
+def test_default_plant_differs_from_the_model_by_the_documented_errors(paper_robot):
     inner, outer = true_robot(paper_robot, PlantConfig(), rng()).tubes
 
     assert inner.bending_stiffness == pytest.approx(0.95 * 0.0413)
@@ -69,7 +69,7 @@ def test_the_default_truth_differs_from_the_controllers_belief_as_agreed(paper_r
     assert [section.length for section in inner.sections] == [0.150, 0.153]
 
 
-def test_a_tube_that_is_not_named_is_as_described(paper_robot):
+def test_tube_without_a_configured_error_equals_the_robot_file(paper_robot):
     config = NOMINAL.model_copy(update={"tubes": {"inner": PlantConfig().tubes["inner"]}})
     inner, outer = true_robot(paper_robot, config, rng()).tubes
 
@@ -77,7 +77,7 @@ def test_a_tube_that_is_not_named_is_as_described(paper_robot):
     assert outer == paper_robot.tubes[1]
 
 
-def test_vary_draws_each_parameter_inside_its_range_and_uses_all_of_it(paper_robot):
+def test_key_vary_draws_tube_errors_uniformly_inside_its_range(paper_robot):
     config = PlantConfig(vary=0.08)
     drawn = np.array([
         [(tube.bending_stiffness / nominal.bending_stiffness - 1.0, tube.sections[1].curvature[0] / 4.0 - 1.0)
@@ -88,30 +88,30 @@ def test_vary_draws_each_parameter_inside_its_range_and_uses_all_of_it(paper_rob
     assert np.abs(drawn).max() <= 0.08
     assert (drawn.max(axis=0) > 0.07).all()
     assert (drawn.min(axis=0) < -0.07).all()
-    # four independent numbers: uniform within +-0.08 has a deviation of 0.08 / sqrt(3), and no correlation
+    # The four errors are uniform within +-0.08, which has a deviation of 0.08 / sqrt(3), and are not correlated.
     assert drawn.std(axis=0) == pytest.approx(np.full(4, 0.08 / math.sqrt(3.0)), rel=0.1)
     assert np.abs(np.corrcoef(drawn.T) - np.eye(4)).max() < 0.2
 
 
-def test_vary_depends_on_the_seed_only(paper_robot):
+def test_tube_errors_drawn_by_key_vary_depend_on_the_seed_only(paper_robot):
     config = PlantConfig(vary=0.08)
 
     assert true_robot(paper_robot, config, rng(5)) == true_robot(paper_robot, config, rng(5))
     assert true_robot(paper_robot, config, rng(5)) != true_robot(paper_robot, config, rng(6))
 
 
-def test_with_nominal_parameters_the_plant_is_the_exact_rod(paper_robot, plant):
+def test_plant_with_nominal_parameters_equals_the_exact_rod(paper_robot, plant):
     nominal, exact = plant(), ExactRod(paper_robot)
 
     for stages, force in walk(1, 60):
         true = nominal.advance(stages, force).truth
-        # coarser steps and end conditions than the reference's: 0.1 um
+        # The plant has coarser steps and tolerances than the reference, so they differ by up to 0.1 um.
         assert true.tip == pytest.approx(exact.solve(stages, np.r_[force, 0.0, 0.0, 0.0]).tip, abs=1e-7)
         assert true.force == pytest.approx(force)
 
 
 @pytest.mark.parametrize("friction", [0.0, 1.0, 10.0])
-def test_the_fused_base_wrenches_are_the_tip_load_exactly_whatever_the_friction(paper_robot, plant, friction):
+def test_base_wrenches_of_the_smooth_plant_add_up_to_the_tip_load(paper_robot, plant, friction):
     rubbing = plant(friction_force=0.05 * friction, friction_moment=0.5e-3 * friction)
 
     for stages, force in walk(2, 60):
@@ -122,21 +122,23 @@ def test_the_fused_base_wrenches_are_the_tip_load_exactly_whatever_the_friction(
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
-@pytest.mark.parametrize(("joint", "way", "component", "most"), [(2, 1e-3, 2, 0.05), (1, 0.1, 5, 0.5e-3)])
-def test_friction_pulls_at_the_two_sensors_with_opposite_signs(paper_robot, plant, joint, way, component, most, sense):
+@pytest.mark.parametrize(("joint", "distance", "component", "most"), [(2, 1e-3, 2, 0.05), (1, 0.1, 5, 0.5e-3)])
+def test_friction_loads_the_two_base_sensors_with_opposite_signs(
+    paper_robot, plant, joint, distance, component, most, sense
+):
     rubbing, smooth = plant(friction_force=0.05, friction_moment=0.5e-3), plant()
     stages, force = START.copy(), np.array([0.2, 0.0, 0.1])
-    stages[joint] += sense * way
+    stages[joint] += sense * distance
 
     felt = [to_world(one.advance(stages, force), *paper_robot.tube_poses(stages)) for one in (rubbing, smooth)]
 
-    # The inner tube moves: the outer one holds it back and is carried along by it.
+    # The inner tube moves: friction at the outer tube brakes it and pulls the outer tube along.
     inner = np.zeros(6)
     inner[component] = -sense * most
     assert felt[0] - felt[1] == pytest.approx(np.array([inner, -inner]), abs=1e-12)
 
 
-def test_of_three_tubes_only_neighbours_rub():
+def test_friction_acts_between_neighbouring_tubes_only():
     tubes = (
         Tube("a", (Section(0.20), Section(0.10, (6.0, 0.0))), 0.02, 0.30, 1.0e-3, 0.5e-3),
         Tube("b", (Section(0.10), Section(0.10, (3.0, 2.0))), 0.04, 0.35, 1.8e-3, 1.2e-3),
@@ -154,13 +156,13 @@ def test_of_three_tubes_only_neighbours_rub():
             felt.append(to_world(state, *robot.tube_poses(stages)))
         return felt[0] - felt[1]
 
-    # The innermost slides forward: its neighbour is carried along, the outermost feels nothing.
+    # The innermost tube slides forward: friction pulls its neighbour along, and no friction acts on the outermost tube.
     assert friction(0.001, 0.0)[:, 2] == pytest.approx([-0.05, 0.05, 0.0], abs=1e-12)
-    # The middle one turns between two that hold it.
+    # The middle tube turns: friction at both neighbours brakes it.
     assert friction(0.0, 0.1)[:, 5] == pytest.approx([0.5e-3, -1.0e-3, 0.5e-3], abs=1e-12)
 
 
-def test_tubes_that_move_together_do_not_rub(paper_robot, plant):
+def test_tubes_that_move_together_have_no_friction(paper_robot, plant):
     rubbing, smooth = plant(friction_force=0.05, friction_moment=0.5e-3), plant()
 
     for angle in np.linspace(0.0, 0.5, 20):
@@ -169,14 +171,14 @@ def test_tubes_that_move_together_do_not_rub(paper_robot, plant):
         assert states[0].wrenches == pytest.approx(states[1].wrenches, abs=1e-14)
 
 
-def test_friction_comes_on_gradually_over_the_stick_zone(plant):
+def test_friction_of_the_smooth_plant_rises_linearly_over_the_stick_zone(plant):
     rubbing, smooth = plant(friction_force=0.05), plant()
     force = np.zeros(3)
 
     def axial(stages: np.ndarray) -> float:
         return float(rubbing.advance(stages, force).wrenches[0, 2] - smooth.advance(stages, force).wrenches[0, 2])
 
-    # 0.05 N after 20 um; half of it after 10 um, and it takes 40 um to turn round
+    # Friction reaches 0.05 N after 20 um and half of it after 10 um; it reverses over 40 um.
     assert axial(moved(0.0, 0.0, 10e-6)) == pytest.approx(-0.025)
     assert axial(moved(0.0, 0.0, 500e-6)) == pytest.approx(-0.050)
     assert axial(moved(0.0, 0.0, 490e-6)) == pytest.approx(-0.025)
@@ -184,7 +186,7 @@ def test_friction_comes_on_gradually_over_the_stick_zone(plant):
     assert axial(moved(0.0, 0.0, 460e-6)) == pytest.approx(0.050)
 
 
-def test_the_inner_tube_stands_still_for_the_play_after_a_reversal(plant):
+def test_inner_tube_does_not_move_within_the_play_of_its_drive_after_a_reversal(plant):
     loose, tight = plant(play={"inner_rotation": math.radians(0.1)}), plant()
 
     def tip(one: Plant, degrees: float) -> np.ndarray:
@@ -192,18 +194,18 @@ def test_the_inner_tube_stands_still_for_the_play_after_a_reversal(plant):
 
     tip(loose, 1.0)
     ahead = tip(loose, 2.0)
-    # pushed from behind, the tube follows half the play late
+    # The drive pushes the tube from behind, so the tube lags by half the play.
     assert ahead == pytest.approx(tip(tight, 1.95), abs=1e-7)
     for degrees in (1.99, 1.95, 1.901):
         assert tip(loose, degrees) == pytest.approx(ahead, abs=1e-7)
     assert tip(loose, 1.5) == pytest.approx(tip(tight, 1.55), abs=1e-7)
     assert tip(loose, 1.599) == pytest.approx(tip(tight, 1.55), abs=1e-7)
     assert tip(loose, 1.7) == pytest.approx(tip(tight, 1.65), abs=1e-7)
-    # and the play is worth seeing: 0.1 deg moves the tip by 40 um
+    # The effect of the play is large enough to be tested: 0.1 deg moves the tip by 40 um.
     assert np.linalg.norm(tip(tight, 2.0) - tip(tight, 1.9)) > 20e-6
 
 
-def test_play_is_in_the_joint_that_has_it_and_in_no_other(plant):
+def test_play_of_a_drive_affects_only_its_joint(plant):
     loose, tight = plant(play={"inner_rotation": math.radians(0.1)}), plant()
 
     for stages in ([0.1, 0.0, 0.0], [0.05, 0.0, 0.001], [0.1, 0.0, -0.001]):

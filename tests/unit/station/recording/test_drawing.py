@@ -1,4 +1,4 @@
-"""What Foxglove draws, held against the model."""
+"""Drawings for Foxglove, compared with the model."""
 
 import json
 
@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 from core.model.statics import Statics
 from core.robot.robot import Base, Robot
 from station.recording.drawing import Drawing
-from station.recording.posed import quaternion_of
+from station.recording.robot_pose import quaternion_of
 
 
 def drawn(robot: Robot, channels, row, stamp: int = 3_000_000_007) -> dict[str, dict]:
     drawing = Drawing(robot, channels.all, 10)
-    said = drawing.messages(row, stamp)
-    assert {message.time for message in said} == {stamp}
-    return {drawing.topics[message.topic - 10].name: json.loads(message.data) for message in said}
+    messages = drawing.messages(row, stamp)
+    assert {message.time for message in messages} == {stamp}
+    return {drawing.topics[message.topic - 10].name: json.loads(message.data) for message in messages}
 
 
 def point(xyz: dict) -> list[float]:
@@ -30,14 +30,14 @@ def rotation(xyzw: dict) -> Rotation:
 
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1))
-def test_quaternions_turn_as_their_matrices_do(four):
+def test_quaternions_of_the_drawing_equal_their_rotation_matrices(four):
     matrix = Rotation.from_quat(four).as_matrix()
 
     assert Rotation.from_quat(quaternion_of(matrix)).as_matrix() == pytest.approx(matrix, abs=1e-12)
 
 
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.4, -0.3, 0.8)])
-def test_the_drawing_is_the_loaded_model(paper, channels, make_rows, turn):
+def test_tubes_in_the_foxglove_drawing_have_the_shape_of_the_loaded_model(paper, channels, make_rows, turn):
     plain = paper.robot()
     robot = Robot(plain.name, plain.tubes, plain.joints, Base((0.1, 0.2, 0.3), turn))
     (row,) = make_rows(1)
@@ -62,7 +62,7 @@ def test_the_drawing_is_the_loaded_model(paper, channels, make_rows, turn):
     assert inner[0] == pytest.approx(behind, abs=2e-6)
     assert inner[-1] == pytest.approx(solution.tip, abs=2e-6)
     for points, tube in zip((inner, outer), robot.tubes, strict=True):
-        # Chords of 10 mm of a curve of 4/m and less are shorter than it by a part in ten thousand.
+        # Chords of 10 mm are shorter than a curve of at most 4/m by 1e-4.
         assert np.linalg.norm(np.diff(points, axis=0), axis=1).sum() == pytest.approx(tube.length, rel=1e-3)
     (arrow,) = entity["arrows"]
     along = rotation(arrow["pose"]["orientation"]).apply([1.0, 0.0, 0.0])
@@ -70,7 +70,7 @@ def test_the_drawing_is_the_loaded_model(paper, channels, make_rows, turn):
     assert arrow["shaft_length"] + arrow["head_length"] == pytest.approx(0.2 * np.hypot(0.2, 0.1), rel=1e-4)
 
 
-def test_the_tips_are_the_channels_and_the_truth_is_there_only_when_known(paper, channels, make_rows):
+def test_tip_positions_in_the_drawing_equal_the_channels_and_include_a_known_true_tip(paper, channels, make_rows):
     (row,) = make_rows(1)
     found = drawn(paper.robot(), channels, row)
     for name in ("measured", "estimated", "desired", "true"):
@@ -82,13 +82,13 @@ def test_the_tips_are_the_channels_and_the_truth_is_there_only_when_known(paper,
     assert "/tip/true" not in drawn(paper.robot(), channels, row)
 
 
-def test_without_a_shape_the_tips_are_still_drawn(paper, channels, make_rows):
+def test_the_drawing_shows_tip_positions_even_without_a_model_solution(paper, channels, make_rows):
     (row,) = make_rows(1)
     channels.of(row, "force_filtered")[:] = 1e6
     assert set(drawn(paper.robot(), channels, row)) == {"/tip/measured", "/tip/estimated", "/tip/desired", "/tip/true"}
 
 
-def test_a_force_against_the_x_axis_points_there_and_a_tiny_one_is_not_drawn(paper, channels, make_rows):
+def test_the_drawing_shows_a_force_along_minus_x_and_no_tiny_force(paper, channels, make_rows):
     (row,) = make_rows(1)
     channels.of(row, "force_filtered")[:] = (-0.1, 0.0, 0.0)
     (entity,) = drawn(paper.robot(), channels, row)["/scene"]["entities"]

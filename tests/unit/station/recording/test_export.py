@@ -1,4 +1,4 @@
-"""Recordings as other programs read them."""
+"""Exported recordings, read by other programs."""
 
 import csv
 import sys
@@ -9,8 +9,8 @@ from pyarrow import parquet
 from scipy.io import loadmat
 
 from station.control.telemetry import Channel
-from station.recording.export import GROUP, export_case, export_run, matlab_names
-from station.recording.label import Label, RecordingError
+from station.recording.export import ROW_GROUP_ROWS, export_case, export_run, matlab_names
+from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.writer import CaseWriter
 
 
@@ -23,7 +23,7 @@ def rows(make_rows):
 
 @pytest.fixture
 def run(recorded, rows, tmp_path):
-    """A folder with one recording."""
+    """Return a folder with one recording."""
     recorded(rows, "one")
     return tmp_path
 
@@ -32,7 +32,7 @@ def same(found, rows) -> bool:
     return bool((np.asarray(found, float) == rows).all())
 
 
-def test_csv_reads_back_to_the_same_numbers_with_units_in_the_header(run, rows, channels):
+def test_an_exported_csv_file_reads_back_to_the_same_numbers_with_units_in_the_header(run, rows, channels):
     (path,) = export_run(run, "csv", None)
     with path.open(encoding="utf-8", newline="") as file:
         header, *lines = csv.reader(file)
@@ -43,7 +43,7 @@ def test_csv_reads_back_to_the_same_numbers_with_units_in_the_header(run, rows, 
     assert same(lines, rows)
 
 
-def test_parquet_has_the_columns_the_units_and_the_label(run, rows, channels):
+def test_an_exported_parquet_file_has_the_columns_the_units_and_the_label(run, rows, channels):
     (path,) = export_run(run, "parquet", None)
     table = parquet.read_table(path)
 
@@ -54,14 +54,14 @@ def test_parquet_has_the_columns_the_units_and_the_label(run, rows, channels):
     assert table.schema.metadata[b"label"] == b"complete"
 
 
-def test_a_long_parquet_comes_in_groups_and_one_without_rows_has_its_columns(tmp_path, paper, channels):
-    for name, count in (("long", GROUP + 2500), ("none", 0)):
+def test_a_long_parquet_file_has_row_groups_and_an_empty_one_has_columns(tmp_path, paper, channels):
+    for name, count in (("long", ROW_GROUP_ROWS + 2500), ("none", 0)):
         writer = CaseWriter(tmp_path / f"{name}.mcap", paper.robot(), channels.all, {}, pictures=1e-6)
         block = np.zeros((2500, len(channels)))
         for first in range(0, count, 2500):
             block[:, 0] = first + np.arange(2500)
             writer.write(block)
-        writer.close(Label.COMPLETE)
+        writer.close(RunOutcome.COMPLETE)
         export_case(writer.path, "parquet", tmp_path / f"{name}.parquet")
         with parquet.ParquetFile(tmp_path / f"{name}.parquet") as found:
             assert found.metadata.num_rows == count
@@ -71,7 +71,7 @@ def test_a_long_parquet_comes_in_groups_and_one_without_rows_has_its_columns(tmp
                 assert same(found.read(columns=["time [s]"]).column(0).to_numpy(), np.arange(count))
 
 
-def test_matlab_has_legal_names_and_says_what_they_were(run, rows, channels):
+def test_a_matlab_file_has_valid_names_and_the_original_ones(run, rows, channels):
     (path,) = export_run(run, "mat", None)
     content = loadmat(path, squeeze_me=True)
 
@@ -83,7 +83,7 @@ def test_matlab_has_legal_names_and_says_what_they_were(run, rows, channels):
     assert sum(not name.startswith("__") for name in content) == len(channels) + 3
 
 
-def test_matlab_names_are_legal_and_all_different():
+def test_matlab_names_are_valid_and_unique():
     odd = [Channel(name, unit) for name, unit in (("a-b", "m"), ("a_b", "m"), ("2nd", ""), ("x" * 80, "m"))]
     odd += [Channel("x" * 80, "N"), Channel("ü", "1/s")]
     names = matlab_names(odd)
@@ -93,7 +93,7 @@ def test_matlab_names_are_legal_and_all_different():
     assert all(name.isidentifier() and name.isascii() and len(name) <= 63 and name[0].isalpha() for name in names)
 
 
-def test_one_case_goes_into_a_file_and_several_into_a_folder(run, recorded, make_rows, tmp_path):
+def test_an_export_of_one_case_is_a_file_and_of_several_a_folder(run, recorded, make_rows, tmp_path):
     assert export_run(run, "csv", tmp_path / "deep" / "x.csv") == [tmp_path / "deep" / "x.csv"]
     recorded(make_rows(5), "two")
     with pytest.raises(RecordingError, match="one file for the cases one, two; give a folder"):
@@ -101,23 +101,23 @@ def test_one_case_goes_into_a_file_and_several_into_a_folder(run, recorded, make
     assert export_run(run, "csv", tmp_path / "out") == [tmp_path / "out" / "one.csv", tmp_path / "out" / "two.csv"]
 
 
-def test_progress_goes_from_block_to_block_to_the_end(run):
-    told: list[tuple[str, float]] = []
-    export_run(run, "csv", None, lambda case, part: told.append((case, part)))
+def test_the_progress_of_an_export_rises_with_every_block(run):
+    reported: list[tuple[str, float]] = []
+    export_run(run, "csv", None, lambda case, part: reported.append((case, part)))
 
-    assert told == [("one", pytest.approx(100 / 230)), ("one", pytest.approx(200 / 230)), ("one", 1.0)]
+    assert reported == [("one", pytest.approx(100 / 230)), ("one", pytest.approx(200 / 230)), ("one", 1.0)]
 
 
-def test_parquet_without_its_extra_says_what_to_install_and_leaves_nothing(run, monkeypatch):
+def test_parquet_without_pyarrow_is_refused_with_the_install_command(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)  # as if it were not installed
     with pytest.raises(RecordingError, match=r"Parquet needs .* pip install 'ctr-station\[parquet\]'"):
         export_run(run, "parquet", None)
     assert [path.name for path in run.iterdir()] == ["one.mcap"]
 
 
-def test_nothing_to_export_and_nowhere_to_put_it_are_said(tmp_path, run):
+def test_an_export_without_a_recording_or_a_writable_target_is_refused(tmp_path, run):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(RecordingError, match="empty: no recording there"):
+    with pytest.raises(RecordingError, match="empty: the folder has no recording"):
         export_run(tmp_path / "empty", "csv", None)
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(RecordingError, match="cannot be written"):
@@ -125,7 +125,7 @@ def test_nothing_to_export_and_nowhere_to_put_it_are_said(tmp_path, run):
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet", "mat"])
-def test_a_damaged_recording_leaves_no_half_file(run, kind):
+def test_the_export_of_a_damaged_recording_leaves_no_file(run, kind):
     content = bytearray((run / "one.mcap").read_bytes())
     content[len(content) // 2] ^= 1
     (run / "one.mcap").write_bytes(content)

@@ -1,16 +1,17 @@
-"""The runs that are kept."""
+"""Stored runs."""
 
 import os
+import time
 
 import pytest
 
-from station.recording.history import LONGEST, History, RunError, resolve_run
+from station.recording.history import MAX_NOTES_CHARS, RunError, RunHistory, resolve_run
 from station.recording.run_folder import RunFolder
 
 
 @pytest.fixture
 def history(tmp_path, recorded, make_rows):
-    """Three runs: `first` with a recording, `second`, and the newest, `third`; and one that is not finished."""
+    """Return three runs, `first` with a recording, `second` and the newest, `third`, and an unfinished one."""
     runs = tmp_path / "runs"
     recording = recorded(make_rows(10), "regulation")
     for number, (name, experiment, label) in enumerate(
@@ -22,21 +23,21 @@ def history(tmp_path, recorded, make_rows):
         started = {"first": 1.0, "second": 2.0, "third": 3.0}[name]
         folder.finish({"experiment": experiment, "label": label, "started": started, "title": f"Title {number}"})
     RunFolder(runs, "unfinished").let_go()
-    return History(runs)
+    return RunHistory(runs)
 
 
 def ids(runs):
     return [run.id for run in runs]
 
 
-def test_runs_are_listed_newest_first(history):
+def test_stored_runs_are_listed_newest_first(history):
     assert ids(history.runs()) == ["third", "second", "first"]
     first = history.runs()[-1]
     assert (first.experiment, first.label, first.cases, first.notes) == ("fig7", "complete", ("regulation",), "")
     assert first.size > 1000
 
 
-def test_runs_are_filtered_by_experiment_label_and_text(history):
+def test_stored_runs_are_filtered_by_experiment_label_and_text(history):
     assert ids(history.runs(experiment="fig7")) == ["second", "first"]
     assert ids(history.runs(experiment="fig7", label="complete")) == ["first"]
     assert ids(history.runs(text="TITLE 1")) == ["third"]
@@ -45,40 +46,47 @@ def test_runs_are_filtered_by_experiment_label_and_text(history):
     assert ids(history.runs(text="fig7 loose")) == []
 
 
-def test_a_folder_of_runs_that_is_not_there_has_none(tmp_path):
-    assert History(tmp_path / "none").runs() == []
-    with pytest.raises(RunError, match="no runs there yet"):
-        History(tmp_path / "none").find("latest")
+def test_a_missing_folder_of_runs_has_no_runs(tmp_path):
+    assert RunHistory(tmp_path / "none").runs() == []
+    with pytest.raises(RunError, match="the folder has no runs yet"):
+        RunHistory(tmp_path / "none").find("latest")
 
 
-def test_latest_is_the_newest_and_other_names_are_looked_up(history, tmp_path):
+def test_latest_is_the_newest_run_and_other_names_are_found(history, tmp_path):
     assert history.find("latest").name == "third"
     assert history.find("second").name == "second"
 
 
+def test_a_run_with_a_start_in_the_future_is_not_the_latest(history, tmp_path):
+    folder = RunFolder(tmp_path / "runs", "future")
+    folder.finish({"experiment": "fig7", "label": "complete", "started": time.time() + 1e6, "title": "Title"})
+    assert ids(history.runs()) == ["third", "second", "first", "future"]
+    assert history.find("latest").name == "third"
+
+
 @pytest.mark.parametrize("name", ["", ".", "..", "../runs/first", "first/", "/etc", "unfinished.partial", "first\0"])
-def test_a_name_never_leads_elsewhere(history, name):
+def test_a_run_name_never_points_outside_the_folder(history, name):
     for ask in (history.find, history.run, history.recording, lambda n: history.delete(n, n)):
         with pytest.raises(RunError, match="not one of the runs"):
             ask(name)
     assert ids(history.runs()) == ["third", "second", "first"]
 
 
-def test_a_link_is_not_a_run(history, tmp_path):
+def test_a_link_in_the_folder_of_runs_is_not_listed_as_a_run(history, tmp_path):
     (tmp_path / "runs" / "link").symlink_to(tmp_path / "runs" / "first")
     assert ids(history.runs()) == ["third", "second", "first"]
 
 
-def test_notes_are_kept_and_replaced(history):
+def test_notes_about_a_run_are_stored_and_replaced(history):
     assert history.set_notes("first", "one").notes == "one"
     assert history.set_notes("first", "zwei äöü\n").notes == "zwei äöü\n"
     assert history.run("first").notes == "zwei äöü\n"
-    with pytest.raises(RunError, match=f"at most {LONGEST}"):
-        history.set_notes("first", "x" * (LONGEST + 1))
+    with pytest.raises(RunError, match=f"at most {MAX_NOTES_CHARS}"):
+        history.set_notes("first", "x" * (MAX_NOTES_CHARS + 1))
     assert history.run("first").notes == "zwei äöü\n"
 
 
-def test_a_run_is_deleted_only_when_its_name_is_said_twice(history):
+def test_a_run_is_deleted_only_when_its_name_is_confirmed(history):
     for confirm in ("", "second", "latest"):
         with pytest.raises(RunError, match="confirm"):
             history.delete("first", confirm)
@@ -112,15 +120,15 @@ SPOILT = {
 
 @pytest.mark.parametrize("file", ["summary.json", "notes.json"])
 @pytest.mark.parametrize("text", SPOILT.values(), ids=SPOILT)
-def test_a_spoilt_file_hides_no_run(history, tmp_path, file, text):
+def test_a_run_with_an_invalid_summary_or_notes_file_is_listed(history, tmp_path, file, text):
     (tmp_path / "runs" / "first" / file).write_text(text, encoding="utf-8")
     assert set(ids(history.runs())) == {"first", "second", "third"}
     assert history.run("first").cases == ("regulation",)
     assert history.run("first").model_dump_json()  # it can be sent
 
 
-def test_a_name_that_is_not_utf_8_hides_no_run(history, tmp_path):
-    """Neither a folder's nor a recording's: nobody can ask for it, and no answer can name it."""
+def test_runs_and_recordings_with_names_that_are_not_utf_8_are_skipped(history, tmp_path):
+    """A REST request cannot contain such a name of a folder or recording, and a reply cannot either."""
     second = tmp_path / "runs" / "second"
     (second / os.fsdecode(b"\xff.mcap")).write_bytes(b"")
     second.with_name("copy").mkdir()
@@ -132,7 +140,7 @@ def test_a_name_that_is_not_utf_8_hides_no_run(history, tmp_path):
         history.recording("second", os.fsdecode(b"\xff"))
 
 
-def test_a_folder_is_taken_as_it_is_and_a_name_is_looked_up(history, tmp_path, monkeypatch):
+def test_resolve_run_accepts_a_folder_or_a_name(history, tmp_path, monkeypatch):
     runs = tmp_path / "runs"
     assert resolve_run(str(runs / "first"), runs) == runs / "first"
     assert resolve_run("second", runs) == runs / "second"

@@ -1,4 +1,4 @@
-"""What a recording says about itself."""
+"""Metadata of a recording."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,11 +13,11 @@ JSON = st.recursive(
 
 
 @given(st.dictionaries(st.text(), JSON, max_size=4))
-def test_every_value_comes_back_as_it_was(values):
+def test_metadata_values_of_a_recording_are_read_back_unchanged(values):
     assert values_of(texts(values)) == values
 
 
-def test_a_plain_text_stays_legible():
+def test_a_metadata_value_that_is_a_text_is_stored_unchanged():
     assert texts({"source": '[cases.one]\ntitle = "x"\n', "number": "12", "seed": 3}) == {
         "source": '[cases.one]\ntitle = "x"\n',
         "number": '"12"',
@@ -25,11 +25,11 @@ def test_a_plain_text_stays_legible():
     }
 
 
-def test_channels_come_back_in_their_order(channels):
+def test_channels_in_the_metadata_are_read_back_in_order(channels):
     assert channels_of(channel_texts(channels.all)) == channels.all
 
 
-def test_versions_are_those_that_run():
+def test_versions_in_the_metadata_are_those_of_the_running_packages():
     import numpy as np
 
     assert versions()["numpy"] == np.__version__

@@ -1,14 +1,14 @@
-"""Recordings come back to the bit; what is none is refused with its name."""
+"""Recordings are read back bit for bit; invalid files are refused by name."""
 
 import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from station.recording.label import Label, RecordingError
 from station.recording.read import open_case, read_case
+from station.recording.run_outcome import RecordingError, RunOutcome
 
 
-def test_rows_come_back_to_the_bit_whole_and_in_blocks(recorded, make_rows, channels):
+def test_recorded_rows_are_read_back_bit_for_bit_whole_and_in_blocks(recorded, make_rows, channels):
     rows = make_rows(330)
     rows[5, 7] = 5e-324
     path = recorded(rows, seed=4, lab={"title": "x"})
@@ -25,7 +25,7 @@ def test_rows_come_back_to_the_bit_whole_and_in_blocks(recorded, make_rows, chan
 
 
 @pytest.mark.parametrize(("most", "stride"), [(330, 1), (329, 2), (165, 2), (164, 3), (7, 48), (1, 330)])
-def test_of_a_long_recording_every_nth_row_is_read_when_asked_to(recorded, make_rows, most, stride):
+def test_a_long_recording_is_decimated_on_request(recorded, make_rows, most, stride):
     rows = make_rows(330)
     read = read_case(recorded(rows), most)
 
@@ -33,7 +33,7 @@ def test_of_a_long_recording_every_nth_row_is_read_when_asked_to(recorded, make_
     assert len(read.rows) <= most
 
 
-def test_groups_are_found_by_name(recorded, make_rows, channels):
+def test_channel_groups_are_found_by_name(recorded, make_rows, channels):
     rows = make_rows(10)
     read = read_case(recorded(rows))
 
@@ -49,10 +49,10 @@ def test_a_recording_that_is_being_written_is_refused(open_writer, make_rows, tm
     writer.write(make_rows(10))
     with pytest.raises(RecordingError, match=r"one\.mcap\.partial: "):
         read_case(tmp_path / "one.mcap.partial")
-    writer.close(Label.COMPLETE)
+    writer.close(RunOutcome.COMPLETE)
 
 
-def test_what_is_no_recording_is_refused_by_name(tmp_path):
+def test_an_invalid_recording_is_refused_by_name(tmp_path):
     (tmp_path / "text.mcap").write_text("rows: 12", encoding="utf-8")
     with (tmp_path / "other.mcap").open("wb") as file:
         other = Writer(file)
@@ -63,16 +63,16 @@ def test_what_is_no_recording_is_refused_by_name(tmp_path):
             read_case(tmp_path / f"{name}.mcap")
 
 
-def test_a_bit_that_fell_over_is_noticed(recorded, make_rows):
+def test_a_flipped_bit_in_a_recording_is_detected(recorded, make_rows):
     path = recorded(make_rows(100))
     content = bytearray(path.read_bytes())
-    # In the middle of the only chunk, which is most of the file.
+    # The flipped bit is in the only chunk, which is most of the file.
     content[len(content) // 2] ^= 0x10
     path.write_bytes(content)
     with pytest.raises(RecordingError, match="damaged"):
         read_case(path)
 
 
-def test_an_error_of_the_reader_is_not_taken_for_a_damaged_file(recorded, make_rows):
+def test_an_exception_of_the_calling_code_is_not_reported_as_a_damaged_recording(recorded, make_rows):
     with pytest.raises(ValueError, match="my own"), open_case(recorded(make_rows(10))):
         raise ValueError("my own")

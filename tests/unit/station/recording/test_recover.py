@@ -1,37 +1,37 @@
-"""Folders that were left half-written."""
+"""Recovery of incomplete folders."""
 
 import json
 
-from station.recording.label import Label
 from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
-from station.recording.writer import FULL, PARTIAL
+from station.recording.run_outcome import RunOutcome
+from station.recording.writer import FULL_SUFFIX, PARTIAL_SUFFIX
 
 
-def test_what_the_disk_had_no_room_to_finish_is_incomplete(tmp_path, open_writer, make_rows):
+def test_a_recording_that_a_full_disk_ended_is_recovered_as_incomplete(tmp_path, open_writer, make_rows):
     writer = open_writer("run")
     writer.write(make_rows(100))
     content = (tmp_path / "run.mcap.partial").read_bytes()
-    writer.close(Label.COMPLETE)
-    folder = tmp_path / "runs" / f"one{PARTIAL}"
+    writer.close(RunOutcome.COMPLETE)
+    folder = tmp_path / "runs" / f"one{PARTIAL_SUFFIX}"
     folder.mkdir(parents=True)
-    (folder / f"run.mcap{FULL}").write_bytes(content)
+    (folder / f"run.mcap{FULL_SUFFIX}").write_bytes(content)
 
     (done,) = recover(tmp_path / "runs")
     assert done == tmp_path / "runs" / "one"
     read = read_case(done / "run.mcap")
-    assert (read.label, len(read.rows)) == (Label.INCOMPLETE, 100)
+    assert (read.label, len(read.rows)) == (RunOutcome.INCOMPLETE, 100)
     summary = json.loads((done / "summary.json").read_text(encoding="utf-8"))
-    assert (summary["label"], summary["cause"]) == ("incomplete", "the disk took no more")
+    assert (summary["label"], summary["cause"]) == ("incomplete", "the disk was full")
 
 
-def test_a_damaged_recording_does_not_keep_the_others_from_their_names(tmp_path, open_writer, make_rows):
+def test_a_damaged_recording_does_not_prevent_the_recovery_of_others(tmp_path, open_writer, make_rows):
     writer = open_writer("good")
     writer.write(make_rows(100))
-    writer.close(Label.COMPLETE)
+    writer.close(RunOutcome.COMPLETE)
     content = (tmp_path / "good.mcap").read_bytes()
-    folder = tmp_path / "runs" / f"one{PARTIAL}"
+    folder = tmp_path / "runs" / f"one{PARTIAL_SUFFIX}"
     folder.mkdir(parents=True)
     (folder / "good.mcap").write_bytes(content)
     (folder / "bad.mcap").write_bytes(content[: len(content) // 2])
@@ -44,7 +44,7 @@ def test_a_damaged_recording_does_not_keep_the_others_from_their_names(tmp_path,
     assert len(read_case(done / "good.mcap").rows) == 100
 
 
-def test_a_recording_that_never_reached_the_disk_leaves_nothing(tmp_path):
+def test_the_recovery_of_an_empty_recording_removes_its_folder(tmp_path):
     folder = RunFolder(tmp_path, "one")
     (folder.partial / "run.mcap.partial").write_bytes(b"")
     folder.let_go()
@@ -53,5 +53,5 @@ def test_a_recording_that_never_reached_the_disk_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_of_runs_that_is_not_there_needs_no_recovery(tmp_path):
+def test_a_missing_folder_of_runs_needs_no_recovery(tmp_path):
     assert recover(tmp_path / "none") == []

@@ -1,11 +1,11 @@
-"""Rows as messages: what others' decoders make of them."""
+"""Rows as messages, decoded by independent decoders."""
 
 import numpy as np
 from mcap.records import Schema
 from mcap_ros1.decoder import DecoderFactory
 
 from station.control.telemetry import Channel
-from station.recording.row_message import PREFIX, SCHEMA, definition, message_records, row_of
+from station.recording.row_message import MESSAGE_HEADER_BYTES, SCHEMA, definition, message_records, row_of
 
 
 def decoded(channels: list[Channel], row: np.ndarray) -> object:
@@ -15,7 +15,7 @@ def decoded(channels: list[Channel], row: np.ndarray) -> object:
     return decoder(row.astype("<f8").tobytes())
 
 
-def test_an_independent_decoder_finds_every_channel_by_group_and_name(channels):
+def test_an_independent_ros_decoder_finds_every_channel_by_group_and_name(channels):
     row = np.arange(len(channels), dtype=float) + 0.125
     message = decoded(list(channels.all), row)
 
@@ -26,7 +26,7 @@ def test_an_independent_decoder_finds_every_channel_by_group_and_name(channels):
         assert found == value
 
 
-def test_names_that_ros_does_not_know_are_changed_and_kept_apart():
+def test_names_that_are_invalid_in_ros_are_converted_and_unique():
     channels = [Channel(name, "") for name in ("time", "joints.a-b", "joints.a_b", "joints.2nd", "x y", "deep.er.one")]
     message = decoded(channels, np.arange(6.0))
 
@@ -34,7 +34,7 @@ def test_names_that_ros_does_not_know_are_changed_and_kept_apart():
     assert (message.x_y, message.deep_er.one) == (4.0, 5.0)
 
 
-def test_the_definition_tells_the_units(channels):
+def test_the_ros_message_definition_of_a_row_has_the_units(channels):
     lines = definition(channels.all).splitlines()
 
     assert "float64 time  # [s]" in lines
@@ -42,10 +42,10 @@ def test_the_definition_tells_the_units(channels):
     assert "float64 inner_mz  # [N m]" in lines
 
 
-def test_records_have_the_layout_of_the_format():
+def test_message_records_have_the_layout_of_mcap():
     rows = np.array([[0.5, -1.0], [np.pi, 1e300]])
     made = message_records(rows, np.array([7, 9], np.uint64), topic=3, first=40)
-    size = PREFIX + 16
+    size = MESSAGE_HEADER_BYTES + 16
 
     assert made.offsets.tolist() == [0, size]
     for number, record in enumerate((made.records[:size], made.records[size:])):

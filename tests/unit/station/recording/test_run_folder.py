@@ -1,15 +1,15 @@
-"""A run's folder is there whole or under a provisional name."""
+"""The folder of a run is complete or has a provisional name."""
 
 import json
 
 import pytest
 
-from station.recording.label import RecordingError
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder, lock_folder, write_json
+from station.recording.run_outcome import RecordingError
 
 
-def test_a_folder_is_locked_until_it_is_finished(tmp_path):
+def test_a_run_folder_is_locked_until_it_is_finished(tmp_path):
     folder = RunFolder(tmp_path, "one")
     folder.case("a").write_bytes(b"")
     assert lock_folder(folder.partial) is None
@@ -21,7 +21,7 @@ def test_a_folder_is_locked_until_it_is_finished(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["one"]
 
 
-def test_names_that_are_taken_get_a_number(tmp_path):
+def test_a_run_folder_whose_name_is_in_use_gets_a_number(tmp_path):
     first = RunFolder(tmp_path, "one")
     second = RunFolder(tmp_path, "one")
     for folder in (second, first):
@@ -31,7 +31,7 @@ def test_names_that_are_taken_get_a_number(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "one-2", "one-3"]
 
 
-def test_a_folder_without_a_recording_goes_with_the_next_recovery(tmp_path):
+def test_the_next_recovery_removes_a_run_folder_without_a_recording(tmp_path):
     folder = RunFolder(tmp_path, "one")
     folder.add_source("title = 1")
     folder.let_go()
@@ -40,23 +40,23 @@ def test_a_folder_without_a_recording_goes_with_the_next_recovery(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_in_the_way_is_named(tmp_path):
+def test_a_file_at_the_path_of_the_runs_folder_is_named(tmp_path):
     (tmp_path / "runs").write_text("a file", encoding="utf-8")
-    with pytest.raises(RecordingError, match="runs: cannot write results there"):
+    with pytest.raises(RecordingError, match="runs: cannot write results"):
         RunFolder(tmp_path / "runs", "one")
 
 
-def test_a_folder_that_cannot_be_finished_is_kept(tmp_path):
+def test_a_run_folder_that_cannot_be_finished_is_kept(tmp_path):
     folder = RunFolder(tmp_path, "one")
     folder.case("a").write_bytes(b"kept")
-    (folder.partial / "summary.json").mkdir()  # in the way of the summary
-    with pytest.raises(RecordingError, match="cannot write results there"):
+    (folder.partial / "summary.json").mkdir()  # prevents the writing of the summary
+    with pytest.raises(RecordingError, match="cannot write results"):
         folder.finish({})
 
     assert (tmp_path / "one.partial" / "a.mcap").read_bytes() == b"kept"
 
 
-def test_json_is_replaced_at_once(tmp_path):
+def test_write_json_replaces_a_file_atomically(tmp_path):
     path = tmp_path / "a.json"
     write_json(path, {"a": 1})
     write_json(path, {"a": 2})

@@ -1,4 +1,4 @@
-"""A run's rows end with its motion, wherever the blocks end that they come in."""
+"""The rows of a run end with its motion, wherever the blocks end."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,8 @@ import pytest
 from station.control.task import Phase
 from station.recording.run_rows import RunRows
 
-#: Ready, the way to the start, at rest, the motion, ready again; then somebody moves it by hand.
+#: Phases of a run row by row: ready, motion to the start pose, rest, motion. AFTER: ready again, then an operator jogs
+#: a joint.
 PHASES = [Phase.NONE] * 3 + [Phase.APPROACHING] * 4 + [Phase.SETTLING] * 2 + [Phase.MOVING] * 5
 AFTER = [Phase.NONE] * 3 + [Phase.JOGGING] * 4 + [Phase.NONE]
 
@@ -19,7 +20,7 @@ def rows(make_rows, channels):
 
 
 @pytest.mark.parametrize("size", [1, 3, 100])
-def test_what_comes_after_the_motion_is_left_out(rows, channels, size):
+def test_rows_after_the_motion_are_not_part_of_the_run(rows, channels, size):
     of_run = RunRows(channels)
     taken = np.concatenate([of_run.take(rows[first : first + size]) for first in range(0, len(rows), size)])
 
@@ -28,7 +29,7 @@ def test_what_comes_after_the_motion_is_left_out(rows, channels, size):
     assert of_run.motion_start == rows[PHASES.index(Phase.MOVING), 0]
 
 
-def test_a_jog_before_the_run_does_not_end_it(rows, channels):
+def test_jogging_before_a_run_does_not_end_its_rows(rows, channels):
     before = rows[len(PHASES) :]
     of_run = RunRows(channels)
 
@@ -36,7 +37,7 @@ def test_a_jog_before_the_run_does_not_end_it(rows, channels):
     assert np.array_equal(of_run.take(rows), rows[: len(PHASES)])
 
 
-def test_a_run_that_was_stopped_on_the_way_to_its_start_has_no_motion(rows, channels):
+def test_a_run_that_was_stopped_before_its_start_pose_has_no_motion_rows(rows, channels):
     channels.of(rows, "phase")[5:] = Phase.NONE
     of_run = RunRows(channels)
 

@@ -1,4 +1,4 @@
-"""Files that end anywhere: everything up to the last whole chunk comes back."""
+"""Files that end anywhere: everything up to the last complete chunk is recovered."""
 
 import random
 import struct
@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
 
-from station.recording.label import Label, RecordingError
 from station.recording.metadata import texts
 from station.recording.read import read_case
+from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import finish_file
 
-GONE = texts({"label": Label.INTERRUPTED, "cause": "gone"})
+GONE = texts({"label": RunOutcome.INTERRUPTED, "cause": "gone"})
 
 
 @pytest.fixture
 def left(open_writer, make_rows, tmp_path):
-    """Bytes of a recording of five chunks that was never closed, and where each of them is whole."""
+    """Return the bytes of an unfinished recording of five chunks, and the offset at which each is complete."""
     writer = open_writer("left")
     partial = tmp_path / "left.mcap.partial"
     ends = [partial.stat().st_size]
@@ -25,7 +25,7 @@ def left(open_writer, make_rows, tmp_path):
         writer.write(make_rows(20, 20 * number))
         ends.append(partial.stat().st_size)
     content = partial.read_bytes()
-    writer.close(Label.COMPLETE)
+    writer.close(RunOutcome.COMPLETE)
     return content, ends
 
 
@@ -35,7 +35,7 @@ def finished(path, content, result=GONE):
     return read_case(path)
 
 
-def test_wherever_a_file_was_cut_the_whole_chunks_are_there(left, make_rows, tmp_path):
+def test_complete_chunks_of_a_recording_are_recovered_wherever_the_file_was_cut(left, make_rows, tmp_path):
     content, ends = left
     rows = make_rows(100)
     cuts = [*ends, *(end + 1 for end in ends[:-1]), *(end - 1 for end in ends[1:])]
@@ -43,16 +43,16 @@ def test_wherever_a_file_was_cut_the_whole_chunks_are_there(left, make_rows, tmp
     for cut in cuts:
         read = finished(tmp_path / "cut.mcap", content[:cut])
         whole = max(number for number, end in enumerate(ends) if end <= cut)
-        # A chunk whose index alone was cut is whole too.
+        # A chunk is also complete if only its index was cut.
         assert len(read.rows) in (20 * whole, 20 * (whole + 1))
         assert (read.rows == np.concatenate([make_rows(20, 20 * n) for n in range(5)])[: len(read.rows)]).all()
-        assert read.label is Label.INTERRUPTED
+        assert read.label is RunOutcome.INTERRUPTED
     assert len(rows) == 100
 
 
-def test_a_chunk_that_lost_only_its_index_is_kept_and_indexed_anew(left, tmp_path):
+def test_the_recovery_keeps_and_indexes_a_chunk_without_its_index(left, tmp_path):
     content, ends = left
-    # The last chunk's record, found from where the one before ends.
+    # The record of the last chunk starts at the end of the previous one.
     length = struct.unpack_from("<Q", content, ends[-2] + 1)[0]
     after_chunk = ends[-2] + 9 + length
     assert after_chunk < ends[-1]
@@ -75,7 +75,7 @@ def test_a_damaged_chunk_ends_the_recording_before_it(left, tmp_path):
     assert len(finished(tmp_path / "spoilt.mcap", spoilt).rows) == 40
 
 
-def test_finishing_again_after_a_kill_in_the_middle_gives_the_same(left, tmp_path):
+def test_finishing_a_recording_again_after_a_kill_gives_the_same_file(left, tmp_path):
     content, _ = left
     path = tmp_path / "again.mcap"
     whole = finished(path, content)
@@ -85,22 +85,22 @@ def test_finishing_again_after_a_kill_in_the_middle_gives_the_same(left, tmp_pat
         assert path.read_bytes() == done
 
 
-def test_a_result_that_was_written_stands(left, tmp_path):
+def test_the_outcome_written_into_a_recording_is_not_replaced(left, tmp_path):
     content, _ = left
     path = tmp_path / "stands.mcap"
-    finished(path, content, texts({"label": Label.COMPLETE, "cause": ""}))
-    assert finished(path, path.read_bytes()[:-20]).label is Label.COMPLETE
+    finished(path, content, texts({"label": RunOutcome.COMPLETE, "cause": ""}))
+    assert finished(path, path.read_bytes()[:-20]).label is RunOutcome.COMPLETE
 
 
-def test_rubbish_after_the_last_chunk_is_dropped(left, tmp_path):
+def test_the_recovery_drops_garbage_after_the_last_chunk(left, tmp_path):
     content, _ = left
     for rubbish in (bytes(5000), b"\x06" + b"\xff" * 200, random.Random(3).randbytes(3000)):
         assert len(finished(tmp_path / "rubbish.mcap", content + rubbish).rows) == 100
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"PNG, say, or anything else"])
-def test_a_file_without_even_a_beginning_is_refused(content, tmp_path):
+def test_the_recovery_refuses_a_file_without_the_first_bytes_of_mcap(content, tmp_path):
     path = tmp_path / "nothing.mcap"
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match="nothing of this recording"):
+    with pytest.raises(RecordingError, match="its first bytes are missing"):
         finish_file(path, GONE, verify=True)

@@ -1,11 +1,12 @@
-"""Errors of a motion, counted by hand."""
+"""Tracking errors of motions with known errors."""
 
 import numpy as np
 import pytest
 
 from station.recording.tracking_errors import counted_from, errors, motion_errors, settling_time, which_count
 
-#: A motion that begins at 10 s: the tip runs along x at 1 mm/s, 2 mm behind in x and 1 mm aside in y.
+#: Times of a motion that starts at 10 s [s]. The setpoint moves along x at 1 mm/s; the tip is 2 mm behind it in x and
+#: 1 mm off in y.
 TIME = np.arange(9.0, 20.0, 0.002)
 
 
@@ -13,7 +14,7 @@ def columns(late: float = 0.0, known: bool = True) -> dict[str, np.ndarray]:
     desired = np.outer(1e-3 * (TIME - 10.0), (1.0, 0.0, 0.0))
     frame = (np.arange(len(TIME)) % 13 == 0).astype(float)
     true = desired - np.array([2e-3, -1e-3, 0.0])
-    # What a frame shows is the tip of when it was taken.
+    # A frame has the tip position at the time of its measurement.
     measured = true - np.outer(np.full(len(TIME), 1e-3 * late), (1.0, 0.0, 0.0))
     return {
         "time": TIME[:, None],
@@ -23,7 +24,7 @@ def columns(late: float = 0.0, known: bool = True) -> dict[str, np.ndarray]:
         "tip_new": frame[:, None],
         "tip_time": (TIME - late)[:, None],
         "truth_known": np.full((len(TIME), 1), float(known)),
-        # 0.5 N, and more before it counts.
+        # The force is 0.5 N from 11 s on; it is larger before, when errors do not count.
         "force_filtered": np.outer(np.where(TIME < 11.0, 2.0, 1.0), (0.3, 0.0, 0.4)),
         "target_followed": np.zeros((len(TIME), 1)),
         "target_measured": np.zeros((len(TIME), 3)),
@@ -32,7 +33,7 @@ def columns(late: float = 0.0, known: bool = True) -> dict[str, np.ndarray]:
     }
 
 
-def test_errors_are_per_axis_in_millimetres():
+def test_tracking_errors_are_per_axis_in_millimetres():
     found = errors("true_", np.array([[1e-3, -2e-3, 0.0], [-3e-3, 2e-3, 0.0]]))
 
     assert found["true_max_abs_error_mm"] == [3.0, 2.0, 0.0]
@@ -40,7 +41,7 @@ def test_errors_are_per_axis_in_millimetres():
     assert found["true_mean_error_mm"] == pytest.approx((np.sqrt(5.0) + np.sqrt(13.0)) / 2, abs=1e-4)
 
 
-def test_a_frame_is_compared_with_the_setpoint_of_the_moment_it_was_taken():
+def test_a_frame_is_compared_with_the_setpoint_at_its_measurement_time():
     found = motion_errors(columns(late=0.5).__getitem__, 10.0, 2.0)
 
     assert found["force_max_N"] == 0.5
@@ -49,8 +50,8 @@ def test_a_frame_is_compared_with_the_setpoint_of_the_moment_it_was_taken():
     assert found["true_max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
 
 
-def test_beside_a_target_the_setpoint_does_not_count():
-    """The tip is 3 mm from where it should be beside the true target, and 4 mm from where the same frame saw it."""
+def test_tracking_errors_of_a_run_that_follows_a_target_use_the_target_and_not_the_setpoint():
+    """The tip is 3 mm from its desired offset to the true target, and 4 mm from that to the measured one."""
     values = columns(late=0.5)
     values["target_followed"][:] = 1.0
     values["target_offset"][:] = (0.0, 0.0, 0.01)
@@ -63,7 +64,7 @@ def test_beside_a_target_the_setpoint_does_not_count():
     assert found["max_abs_error_mm"] == pytest.approx([0.0, 4.0, 0.0], abs=1e-6)
 
 
-def test_errors_count_after_the_settling_time_only():
+def test_tracking_errors_count_only_after_the_settling_time():
     values = columns()
     values["tip_measured"][TIME < 12.0] += 1.0
 
@@ -71,20 +72,20 @@ def test_errors_count_after_the_settling_time_only():
     assert motion_errors(values.__getitem__, 10.0, 1.0)["max_abs_error_mm"][0] > 900.0
 
 
-def test_a_load_counts_from_its_onset_however_long_the_motion_takes_to_settle():
+def test_tracking_errors_count_from_the_onset_of_a_load_during_the_settling_time():
     assert counted_from(20.0, 3.0) == 3.0
     assert counted_from(2.0, 3.0) == 2.0
     assert counted_from(2.0, float("inf")) == 2.0
 
 
-def test_a_table_says_which_moments_count():
+def test_which_count_states_the_time_from_which_errors_count():
     assert which_count({"a": {"counted_from_s": 2.0}, "b": {"counted_from_s": 2.0}}) == (
         "Errors count from 2 s after the motion's start on."
     )
     assert "a 0 s, b 2.5 s" in which_count({"a": {"counted_from_s": 0.0}, "b": {"counted_from_s": 2.5}})
 
 
-def test_nothing_is_said_of_a_motion_that_has_not_settled_nor_of_a_truth_that_nobody_knows():
+def test_a_motion_that_has_not_settled_has_no_tracking_errors():
     assert motion_errors(columns().__getitem__, 10.0, 60.0) == {}
     assert not any(name.startswith("true_") for name in motion_errors(columns(known=False).__getitem__, 10.0, 2.0))
 

@@ -1,4 +1,4 @@
-"""A recording as the format's own reader sees it."""
+"""Recordings read with the reader of the mcap library."""
 
 import json
 
@@ -7,11 +7,11 @@ import pytest
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros1.decoder import DecoderFactory
 
-from station.recording.events import ERROR, Event
-from station.recording.label import Label, RecordingError
+from station.recording.events import ERROR, RecordedEvent
 from station.recording.read import read_case
 from station.recording.recover import recover_file
-from station.recording.writer import FULL
+from station.recording.run_outcome import RecordingError, RunOutcome
+from station.recording.writer import FULL_SUFFIX
 from tests.harness.full_disk import full_disk
 
 
@@ -20,7 +20,7 @@ def messages(path, topic):
         return list(make_reader(file, validate_crcs=True).iter_messages(topics=topic))
 
 
-def test_another_reader_finds_every_row_with_its_time(recorded, make_rows, channels):
+def test_the_mcap_library_reads_every_recorded_row_with_its_time(recorded, make_rows, channels):
     rows = make_rows(250)
     path = recorded(rows)
     with path.open("rb") as file:
@@ -37,7 +37,7 @@ def test_another_reader_finds_every_row_with_its_time(recorded, make_rows, chann
     assert [one.message.sequence for one in found] == list(range(250))
 
 
-def test_the_index_says_what_a_walk_through_the_file_finds(recorded, make_rows):
+def test_the_index_of_a_recording_matches_the_records_of_the_file(recorded, make_rows):
     path = recorded(make_rows(250))
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
@@ -52,7 +52,7 @@ def test_the_index_says_what_a_walk_through_the_file_finds(recorded, make_rows):
     assert summary.statistics.message_count == len(walked)
 
 
-def test_well_known_topics_come_10_times_a_second(recorded, make_rows):
+def test_drawing_topics_of_a_recording_have_10_messages_a_second(recorded, make_rows):
     path = recorded(make_rows(500))
     for topic, schema in (
         ("/tf", "foxglove.FrameTransforms"),
@@ -66,14 +66,17 @@ def test_well_known_topics_come_10_times_a_second(recorded, make_rows):
         }
 
 
-def test_events_come_back_in_time_and_as_log_lines(open_writer, make_rows):
+def test_recorded_events_are_read_back_in_order_and_as_log_messages(open_writer, make_rows):
     writer = open_writer()
-    late, early = Event(0.30, "fault", "coil lost", ERROR, {"device": "tracker"}), Event(0.10, "state", "RUNNING")
+    late, early = (
+        RecordedEvent(0.30, "fault", "coil lost", ERROR, {"device": "tracker"}),
+        RecordedEvent(0.10, "state", "RUNNING"),
+    )
     writer.event(late)
     writer.write(make_rows(100))
     writer.event(early)
     writer.write(make_rows(100, 100))
-    writer.close(Label.STOPPED, "a fault")
+    writer.close(RunOutcome.STOPPED, "a fault")
 
     assert read_case(writer.path).events == (early, late)
     schema, _, message = messages(writer.path, "/events")[1]
@@ -83,42 +86,42 @@ def test_events_come_back_in_time_and_as_log_lines(open_writer, make_rows):
     assert line["timestamp"]["sec"] * 10**9 + line["timestamp"]["nsec"] == message.log_time
 
 
-def test_events_are_kept_without_any_row_and_after_the_last(open_writer, make_rows):
+def test_events_without_rows_and_after_the_last_row_are_recorded(open_writer, make_rows):
     writer = open_writer()
-    writer.event(Event(0.0, "state", "READY"))
+    writer.event(RecordedEvent(0.0, "state", "READY"))
     writer.write(make_rows(0))
     writer.write(make_rows(10))
-    writer.event(Event(1.0, "state", "HOLD"))
-    writer.close(Label.STOPPED)
+    writer.event(RecordedEvent(1.0, "state", "HOLD"))
+    writer.close(RunOutcome.STOPPED)
 
     assert [event.text for event in read_case(writer.path).events] == ["READY", "HOLD"]
 
 
-def test_a_recording_of_nothing_opens(open_writer, channels):
+def test_a_recording_without_rows_can_be_opened(open_writer, channels):
     writer = open_writer()
-    writer.close(Label.STOPPED, "nothing moved")
+    writer.close(RunOutcome.STOPPED, "nothing moved")
     read = read_case(writer.path)
 
     assert read.rows.shape == (0, len(channels))
-    assert (read.label, read.cause) == (Label.STOPPED, "nothing moved")
+    assert (read.label, read.cause) == (RunOutcome.STOPPED, "nothing moved")
 
 
-def test_a_file_that_is_there_already_is_never_overwritten(open_writer):
+def test_an_existing_recording_is_never_overwritten(open_writer):
     writer = open_writer()
     with pytest.raises(RecordingError, match="File exists"):
         open_writer()
-    writer.close(Label.COMPLETE)
+    writer.close(RunOutcome.COMPLETE)
 
 
-def test_after_its_end_nothing_can_be_written(open_writer, make_rows):
+def test_a_finished_recording_refuses_rows(open_writer, make_rows):
     writer = open_writer()
-    writer.close(Label.COMPLETE)
+    writer.close(RunOutcome.COMPLETE)
     with pytest.raises(RecordingError, match="has ended"):
         writer.write(make_rows(1))
 
 
 def fill(writer, make_rows) -> tuple[int, str]:
-    """How many rows the disk took, and what was said then."""
+    """Return the number of written rows and the message of the error."""
     written = 0
     try:
         while True:
@@ -128,20 +131,20 @@ def fill(writer, make_rows) -> tuple[int, str]:
         return written, str(error)
 
 
-def test_a_full_disk_ends_the_recording_as_incomplete_with_every_chunk_before(open_writer, make_rows, tmp_path):
+def test_a_full_disk_ends_the_recording_as_incomplete_and_keeps_every_complete_chunk(open_writer, make_rows, tmp_path):
     limits = range(400_000, 500_000, 7_000)
     finished = 0
     for limit in limits:
         writer = open_writer(str(limit))
         with full_disk(limit):
-            written, said = fill(writer, make_rows)
-        assert "the disk takes no more of the recording: File too large" in said
+            written, message = fill(writer, make_rows)
+        assert "the recording cannot be continued: File too large" in message
         path = tmp_path / f"{limit}.mcap"
         finished += path.exists()
         if not path.exists():
-            # There was no room for the end either.
-            assert recover_file(tmp_path / f"{limit}.mcap{FULL}") == path
+            # The disk had no space for the end of the file either.
+            assert recover_file(tmp_path / f"{limit}.mcap{FULL_SUFFIX}") == path
         read = read_case(path)
-        assert read.label is Label.INCOMPLETE
+        assert read.label is RunOutcome.INCOMPLETE
         assert len(read.rows) == written > 0
     assert 0 < finished < len(limits)

@@ -1,4 +1,4 @@
-"""Recordings of rows that are made up."""
+"""Recordings of synthetic rows."""
 
 from tests.harness.recordings import channels, make_rows, open_writer, recorded
 

@@ -1,4 +1,4 @@
-"""A home folder that takes nothing but a cache is no reason for a word from matplotlib."""
+"""Matplotlib gives no warning in a home folder in which only the cache is writable."""
 
 import os
 import subprocess
@@ -8,8 +8,8 @@ from pathlib import Path
 from tests.harness.root import ROOT
 
 
-def said(home: Path, **more: str) -> str:
-    """What is said when reports are imported by somebody with that home."""
+def config_folder(home: Path, **more: str) -> str:
+    """Import the reports with this home folder, check that there is no warning, and return the folder of matplotlib."""
     known = {key: value for key, value in os.environ.items() if not key.startswith(("MPL", "XDG_", "HOME"))}
     command = [sys.executable, "-c", "import station.report.style, matplotlib; print(matplotlib.get_configdir())"]
     environment = known | {"HOME": str(home)} | more
@@ -18,12 +18,12 @@ def said(home: Path, **more: str) -> str:
     return done.stdout.strip()
 
 
-def test_a_home_that_cannot_be_written_is_not_complained_of_beside_a_cache(tmp_path: Path):
+def test_matplotlib_gives_no_warning_in_an_unwritable_home_with_a_cache_folder(tmp_path: Path):
     nobodys = tmp_path / "a file"
     nobodys.write_text("in the way of any folder, for root, too", encoding="utf-8")
     cache = tmp_path / "cache"
-    assert said(nobodys / "home", XDG_CACHE_HOME=str(cache)) == str(cache / "matplotlib")
+    assert config_folder(nobodys / "home", XDG_CACHE_HOME=str(cache)) == str(cache / "matplotlib")
 
 
-def test_somebody_who_says_where_matplotlib_looks_is_heeded(tmp_path: Path):
-    assert said(tmp_path, MPLCONFIGDIR=str(tmp_path / "mine")) == str(tmp_path / "mine")
+def test_reports_use_the_matplotlib_folder_in_the_users_mplconfigdir(tmp_path: Path):
+    assert config_folder(tmp_path, MPLCONFIGDIR=str(tmp_path / "mine")) == str(tmp_path / "mine")

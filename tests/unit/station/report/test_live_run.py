@@ -1,4 +1,4 @@
-"""Of a live run reports show the motion, from its start on, whatever its summary knows of it."""
+"""Reports of a live run show the motion from its start on, with and without a summary."""
 
 import numpy as np
 import pytest
@@ -9,13 +9,13 @@ from station.report.run import read_run
 
 @pytest.fixture
 def rows(make_rows, channels):
-    """The way to the start, the rest there, and 50 rows of a motion."""
+    """Return rows of the path to the start, the rest there, and 50 rows of a motion."""
     made = make_rows(100, first=500)
     channels.of(made, "phase")[:, 0] = [Phase.APPROACHING] * 30 + [Phase.SETTLING] * 20 + [Phase.MOVING] * 50
     return made
 
 
-def test_a_run_that_was_recovered_and_has_no_summary_begins_with_its_motion(rows, recorded):
+def test_a_report_of_a_recovered_run_has_rows_from_the_start_of_its_motion(rows, recorded):
     (case,) = read_run(recorded(rows, "run").parent).cases
 
     assert case.moved
@@ -24,7 +24,7 @@ def test_a_run_that_was_recovered_and_has_no_summary_begins_with_its_motion(rows
     assert case.of("tip_time")[0, 0] == rows[50, 5] - rows[50, 0]
 
 
-def test_a_run_that_never_began_its_motion_is_shown_and_told_from_one_that_did(rows, recorded):
+def test_a_report_of_a_run_without_a_motion_has_all_rows_and_states_that_it_did_not_move(rows, recorded):
     (case,) = read_run(recorded(rows[:50], "run").parent).cases
 
     assert not case.moved

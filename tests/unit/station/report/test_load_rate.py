@@ -1,4 +1,4 @@
-"""The figure of error against rate, from a summary whose numbers are known."""
+"""Figure of the error over the rate of the load, from a summary with known numbers."""
 
 from pathlib import Path
 
@@ -8,19 +8,19 @@ import pytest
 
 from station.config.strict import PRESETS, read_toml
 from station.report import facts, load_rate, style
-from station.report.run import Run
+from station.report.run import RecordedRun
 
 TABLE = read_toml(PRESETS / "experiments" / "load_rate.toml")
 
 
 @pytest.fixture(autouse=True)
 def settings():
-    with matplotlib.rc_context(style.SETTINGS):
+    with matplotlib.rc_context(style.MATPLOTLIB_SETTINGS):
         yield
 
 
 def summary(value: float) -> dict:
-    """Numbers of every case: the tenth part of `value` is possible; after the second change twice as much."""
+    """Return numbers of a case: best possible is a tenth of `value`; both double after the second change."""
     cases = {}
     for strategy, factor in (("regulation", 1.0), ("type_1", 2.0), ("held", 15.0)):
         for load in TABLE["cross"]["load"]:
@@ -34,12 +34,12 @@ def summary(value: float) -> dict:
     return {"cases": cases}
 
 
-def run(cases: dict) -> Run:
-    return Run(Path("x"), "load_rate", cases, TABLE, ())
+def run(cases: dict) -> RecordedRun:
+    return RecordedRun(Path("x"), "load_rate", cases, TABLE, ())
 
 
-def test_each_load_has_its_rate_and_what_came_of_it():
-    tried = {one.name: one for one in load_rate.tried(run(summary(1.0)))}
+def test_load_results_have_the_rate_and_the_errors_of_each_load():
+    tried = {one.name: one for one in load_rate.load_results(run(summary(1.0)))}
 
     assert tried["ramp_10s"].rate == pytest.approx(0.05)
     assert tried["ramp_0_1s"].rate == pytest.approx(5.0)
@@ -47,11 +47,11 @@ def test_each_load_has_its_rate_and_what_came_of_it():
     assert all(np.isnan(tried[name].rate) for name in ("rubber_band", "lift_and_drop", "tap"))
     assert tried["ramp_1s"].reached["type_1"] == [2.0, 4.0]
     assert tried["ramp_1s"].best == [0.1, 0.2]
-    # what hangs on joints that do not move is the error, and not that it goes
+    # With stationary joints the error under the load counts for both sides, not the error after its removal.
     assert tried["ramp_1s"].reached["held"] == [30.0, 30.0]
 
 
-def test_every_strategy_is_a_curve_beside_the_best_possible_with_units_on_the_axes():
+def test_the_load_rate_figure_has_a_curve_for_every_strategy_and_the_best_possible_error():
     (drawn,) = load_rate.draw(run(summary(1.0)))
     on, off, other = drawn.figure.axes
 
@@ -69,7 +69,7 @@ def test_every_strategy_is_a_curve_beside_the_best_possible_with_units_on_the_ax
     assert "half a newton" not in drawn.caption
 
 
-def test_a_run_that_was_given_up_shows_what_there_is():
+def test_the_load_rate_figure_of_an_aborted_run_shows_its_finished_cases():
     cases = summary(1.0)
     for name in list(cases["cases"]):
         if "step" in name or name.startswith("type_1"):
@@ -78,14 +78,14 @@ def test_a_run_that_was_given_up_shows_what_there_is():
 
     assert len(drawn.figure.axes[0].lines) == 3
     assert list(load_rate.draw(run({}))) == []
-    assert list(load_rate.draw(Run(Path("x"), "load_rate", {}, {}, ()))) == []
+    assert list(load_rate.draw(RecordedRun(Path("x"), "load_rate", {}, {}, ()))) == []
 
 
-def test_the_table_has_each_part_with_its_distance_from_the_possible():
+def test_the_bound_table_has_reached_and_best_possible_errors_of_each_part():
     text = "".join(facts.bound_table(run(summary(3.0))))
 
     assert "regulation-ramp_1s" in text
     assert ">14 s</td>" in text
-    # 6 mm of 0.6 mm
+    # The reached error is 6 mm and the best possible one 0.6 mm, so the ratio is 10.
     assert '<td class="number">6.00</td><td class="number">0.60</td><td class="number">10.00</td>' in text
     assert list(facts.bound_table(run({"cases": {"a": {"by_change": {"0 s": {"true_max_distance_mm": 1.0}}}}}))) == []

@@ -1,4 +1,4 @@
-"""The page of a sweep, from a sweep whose numbers are known."""
+"""Page of a sweep with known numbers."""
 
 import json
 from pathlib import Path
@@ -53,11 +53,11 @@ SWEEP = {
 
 @pytest.fixture(autouse=True)
 def settings():
-    with matplotlib.rc_context(style.SETTINGS):
+    with matplotlib.rc_context(style.MATPLOTLIB_SETTINGS):
         yield
 
 
-def test_every_run_is_a_point_and_every_median_a_bar():
+def test_the_sweep_figure_has_a_point_for_every_run_and_a_bar_at_every_median():
     (drawn,) = spread.draw(SWEEP)
     (axes,) = drawn.figure.axes
     points = sorted(
@@ -72,7 +72,7 @@ def test_every_run_is_a_point_and_every_median_a_bar():
     assert "k1 = 5.0: 0.600 / 0.500 / 0.200" in drawn.caption
 
 
-def test_runs_that_did_not_complete_are_no_points():
+def test_the_sweep_figure_does_not_show_incomplete_runs():
     runs = [{**run, "completed": run["seed"] != 4} for run in SWEEP["runs"]]
     (drawn,) = spread.draw({**SWEEP, "runs": runs})
     points = [line for line in drawn.figure.axes[0].lines if line.get_linestyle() == "None" and len(line.get_ydata())]
@@ -80,7 +80,7 @@ def test_runs_that_did_not_complete_are_no_points():
     assert {len(line.get_ydata()) for line in points} == {4}
 
 
-def test_the_page_has_table_figure_and_seeds(tmp_path: Path):
+def test_the_page_of_a_sweep_has_its_table_figure_and_seeds(tmp_path: Path):
     (tmp_path / "sweep.json").write_text(json.dumps(SWEEP), encoding="utf-8")
     (tmp_path / "experiment.toml").write_text("title = 'hold <it>'\n", encoding="utf-8")
     text = write_report(tmp_path).read_text(encoding="utf-8")
@@ -94,7 +94,7 @@ def test_the_page_has_table_figure_and_seeds(tmp_path: Path):
     assert "Not complete" not in text
 
 
-def test_what_is_missing_is_said(tmp_path: Path):
+def test_the_page_of_an_incomplete_sweep_reports_missing_runs(tmp_path: Path):
     (tmp_path / "sweep.json").write_text(json.dumps({**SWEEP, "completed": False}), encoding="utf-8")
 
     assert "Not complete: 10 runs were planned." in write_report(tmp_path).read_text(encoding="utf-8")
@@ -107,7 +107,7 @@ def test_a_sweep_in_which_nothing_completed_has_no_figure(tmp_path: Path):
     assert "<img" not in write_report(tmp_path).read_text(encoding="utf-8")
 
 
-def test_a_spoilt_sweep_is_refused_by_name(tmp_path: Path):
+def test_a_report_of_an_invalid_sweep_file_is_refused_naming_the_file(tmp_path: Path):
     (tmp_path / "sweep.json").write_text("{", encoding="utf-8")
     with pytest.raises(NoRun, match=r"sweep\.json"):
         write_report(tmp_path)

@@ -1,4 +1,4 @@
-"""What a run brings onto the virtual lab: at a motion's start, gone at its end, and never onto real devices."""
+"""Loads and faults of a run are applied from the start to the end of its motion, and only in the virtual lab."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,16 +26,16 @@ def ring(paper) -> Iterator[Ring]:
     ring.close(remove=True)
 
 
-def test_faults_are_for_simulated_devices_only(paper, ring):
+def test_faults_can_be_injected_into_simulated_devices_only(paper, ring):
     with LabServer(paper, LabConfig(), 0, np.array([0.0, np.pi / 2.0, -0.1])) as lab:
-        told = devices_at(lab.endpoints, LabConfig())
-    side = Backend(replace(load_station(None).bench(), devices=told), ring)
+        devices = devices_at(lab.endpoints, LabConfig())
+    side = Backend(replace(load_station(None).bench(), devices=devices), ring)
     side.open()
 
     assert side.alive
     assert side.pid is None
-    assert side.devices() == told
-    side.inject(())  # nothing to mend
-    for asked in (side.check, side.inject):
+    assert side.devices() == devices
+    side.inject(())  # an empty sequence is allowed with real devices, because it only clears faults
+    for call in (side.check, side.inject):
         with pytest.raises(ConfigError, match="virtual lab only"):
-            asked([MUTE])
+            call([MUTE])

@@ -1,7 +1,8 @@
-"""What the station process does about a control process that ends, played here by a pipe."""
+"""Reaction of the station process to the end of the control process; here a pipe replaces that process."""
 
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -10,17 +11,18 @@ import pytest
 
 from station.config.robots import RobotFile
 from station.control.process import ring_width
-from station.control.ring import HEARTBEAT, Ring
+from station.control.ring import DRIVEN, HEARTBEAT, Ring
 from station.devices.config import BenchFile
 from station.service import control_host
-from station.service.control_host import ControlHost
+from station.service.control_host import ControlHost, ExitReport
+from station.service.fallback_stop import NO_STAGES, StopOutcome
 from station.service.station_file import load_station
 from tests.harness.own_devices import OWN_DEVICES
-from tests.harness.waiting import NET
+from tests.harness.waiting import NET, until
 
 
 class Played:
-    """In the place of a child process: the test has the other end."""
+    """Replacement of a child process; the test owns the other end of its pipe."""
 
     far: Connection
     alive = True
@@ -30,26 +32,36 @@ class Played:
         self.pipe, Played.far = Pipe()
 
     def kill(self) -> None:
-        self.far.close()
+        with suppress(OSError):  # the test may close the pipe at the same time
+            self.far.close()
 
     def end(self, _patience: float) -> None:
         self.far.close()
 
-    def ended(self) -> str:
+    def ended(self, _patience: float) -> str:
         return "by signal 9"
 
 
 @pytest.fixture
-def host(paper: RobotFile, write, monkeypatch: pytest.MonkeyPatch) -> Iterator[ControlHost]:
-    """Of a process that ticks; its stages are nowhere to be found."""
-    monkeypatch.setattr(control_host, "Child", Played)
-    monkeypatch.setattr(control_host, "ANSWER_TIME", NET)
+def reports() -> list[object]:
+    """Return the list that receives the reports of the control host, in their order."""
+    return []
+
+
+@pytest.fixture
+def host(paper: RobotFile, write, monkeypatch: pytest.MonkeyPatch, reports: list[object]) -> Iterator[ControlHost]:
+    """Return the host of a control process whose loop ticks and whose stages do not exist."""
+    monkeypatch.setattr(control_host, "ChildProcess", Played)
+    monkeypatch.setattr(control_host, "REPLY_TIMEOUT_S", NET)
+    monkeypatch.setattr(control_host, "STOP_REPLY_TIMEOUT_S", NET)
     ring = Ring(ring_width(paper))
     devices = load_station(write(OWN_DEVICES)).bench().devices
     assert isinstance(devices, BenchFile)
-    host = ControlHost(replace(load_station(None).bench(), fifo=False), ring, lambda: devices, [].append, [].append)
+    host = ControlHost(
+        replace(load_station(None).bench(), fifo=False), ring, lambda: devices, reports.append, reports.append
+    )
     assert Played.far.recv() == devices
-    ring.numbers[HEARTBEAT] = 1.0
+    ring.numbers[HEARTBEAT], ring.counters[DRIVEN] = 1.0, 1
     try:
         yield host
     finally:
@@ -57,12 +69,31 @@ def host(paper: RobotFile, write, monkeypatch: pytest.MonkeyPatch) -> Iterator[C
         ring.close(remove=True)
 
 
-def test_a_stop_waits_for_no_answer_of_a_process_that_has_just_ended(host: ControlHost) -> None:
-    said: list[str] = []
-    pressed = threading.Thread(target=lambda: said.append(host.stop()))
+def test_stop_does_not_wait_for_an_answer_of_an_ended_control_process(host: ControlHost) -> None:
+    warnings: list[str] = []
+    pressed = threading.Thread(target=lambda: warnings.append(host.stop()))
     pressed.start()
     assert Played.far.recv().cause == "stopped by the operator"
-    Played.far.close()  # it dies with the command unanswered
+    Played.far.close()  # the process ends without an answer to the command
     pressed.join()
 
-    assert said[0].startswith("the stages on /dev/ttyUSB0 cannot be told to stop")
+    assert warnings[0].startswith("the stages on /dev/ttyUSB0 cannot be commanded to stop")
+
+
+def test_exit_report_does_not_mention_stages_that_the_station_has_never_driven(
+    host: ControlHost, paper: RobotFile, reports: list[object]
+) -> None:
+    """The station must not access stages that it has never driven: another station may use their port."""
+    host._ring.counters[DRIVEN] = 0
+    Played.far.close()
+    assert until(lambda: reports) == [ExitReport("the control process ended by signal 9", "")]
+    assert host.stop() == "there is no control process and nothing moves"
+    assert host.close() == NO_STAGES
+
+
+def test_fault_is_reported_before_the_outcome_of_stopping_the_stages(host: ControlHost, reports: list[object]) -> None:
+    Played.far.close()
+    fault, stopped = until(lambda: len(reports) > 1 and reports)
+    assert fault == ExitReport("the control process ended by signal 9", "the stages are being stopped")
+    assert isinstance(stopped, StopOutcome)
+    assert not stopped.confirmed

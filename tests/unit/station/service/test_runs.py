@@ -1,4 +1,4 @@
-"""Runs are numbered, found by their number while they are the newest, and forgotten with the process that knew them."""
+"""Numbering of runs, and their lifetime: a run is known while it is the newest one and its process runs."""
 
 from collections.abc import Iterator
 
@@ -7,13 +7,13 @@ import pytest
 from station.config.controllers import ControllerFile
 from station.config.motions import HoldMotion, Orders
 from station.config.robots import RobotFile
-from station.control.messages import Notice
+from station.control.messages import StateNotice
 from station.control.process import ring_width
 from station.control.ring import Ring
 from station.control.states import State
-from station.control.task import Task
+from station.control.task import MotionTask
+from station.service.run_request import StartRequest
 from station.service.runs import Runs
-from station.service.start import Start
 from station.service.station_file import load_station
 
 
@@ -28,11 +28,13 @@ def runs(paper: RobotFile) -> Iterator[Runs]:
 
 
 @pytest.fixture
-def start(paper: RobotFile) -> Start:
-    return Start(Task(ControllerFile().controller(paper), Orders(HoldMotion(), paper.robot()), 2.0), "hold")
+def start(paper: RobotFile) -> StartRequest:
+    return StartRequest(
+        MotionTask(ControllerFile().controller(paper), Orders(HoldMotion(), paper.robot()), 2.0), "hold"
+    )
 
 
-def test_a_run_is_current_once_it_is_accepted_and_its_first_notice_may_come_before(runs: Runs, start: Start) -> None:
+def test_run_can_be_found_before_it_is_accepted_and_is_current_afterwards(runs: Runs, start: StartRequest) -> None:
     run = runs.prepare(start)
 
     assert runs.find(run.number) is start
@@ -42,11 +44,11 @@ def test_a_run_is_current_once_it_is_accepted_and_its_first_notice_may_come_befo
     assert run.id == f"{runs.session}-{run.number}"
 
 
-def test_a_refused_one_leaves_the_last_one_current(runs: Runs, start: Start) -> None:
+def test_refused_run_leaves_the_previous_run_current(runs: Runs, start: StartRequest) -> None:
     first = runs.prepare(start)
     runs.accepted(first)
     second = runs.prepare(start)
-    assert runs.find(first.number) is start  # the end of one may be told while the next is asked for
+    assert runs.find(first.number) is start  # the end of the first run may be reported while the next run is requested
     runs.refused(second)
 
     assert runs.current is first
@@ -54,7 +56,7 @@ def test_a_refused_one_leaves_the_last_one_current(runs: Runs, start: Start) -> 
     assert runs.prepare(start).number == second.number + 1
 
 
-def test_nothing_is_known_any_more_after_the_control_process_has_gone(runs: Runs, start: Start) -> None:
+def test_run_is_forgotten_after_the_end_of_the_control_process(runs: Runs, start: StartRequest) -> None:
     run = runs.prepare(start)
     runs.accepted(run)
     runs.forget()
@@ -63,13 +65,13 @@ def test_nothing_is_known_any_more_after_the_control_process_has_gone(runs: Runs
     assert runs.find(run.number) is None
 
 
-def test_without_a_folder_nothing_is_recorded_and_nothing_is_wrong(runs: Runs, start: Start) -> None:
+def test_run_without_a_folder_is_not_recorded_and_reports_no_problem(runs: Runs, start: StartRequest) -> None:
     run = runs.prepare(start)
     runs.accepted(run)
     assert not runs.recording
     assert runs.problem() == ""
     assert runs.pid is None
     for state in (State.RUNNING, State.READY):
-        runs.state_changed(Notice(state, "", run.number))
-        runs.heard(Notice(state, "", run.number))
+        runs.state_changed(StateNotice(state, "", run.number))
+        runs.on_state(StateNotice(state, "", run.number))
     runs.interrupted("killed")

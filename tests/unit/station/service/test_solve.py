@@ -1,4 +1,4 @@
-"""The loaded model as a filter: every line gets its answer, and a bad one only an error of its own."""
+"""`ctr-station solve`: every input line gets an answer of the model, and an invalid line gets an error."""
 
 import json
 import math
@@ -11,7 +11,7 @@ import pytest
 from core.model.solution import at_rest
 from core.model.statics import Statics
 from core.robot.robot import Joint, Robot, Section, Tube
-from station.service.solve import as_they_come, solve_lines, stability
+from station.service.solve import batched_lines, solve_lines, stability
 
 EXACT_TIPS = Path(__file__).parents[2] / "exact_tips.csv"
 POSE = {"outer_rotation": 0.0, "inner_rotation": 1.5708, "inner_translation": -0.1}
@@ -19,7 +19,7 @@ POSE = {"outer_rotation": 0.0, "inner_rotation": 1.5708, "inner_translation": -0
 
 @pytest.fixture
 def answers(paper_robot):
-    """Answers to requests, each given as an object or as a line of text."""
+    """Return the answers to requests; each request is an object or a line of text."""
 
     def ask(*requests: object, sublink: float = 0.010, exact: bool = False) -> list[dict]:
         lines = [request if isinstance(request, str) else json.dumps(request) for request in requests]
@@ -28,12 +28,13 @@ def answers(paper_robot):
     return ask
 
 
-def test_an_answer_has_the_documented_keys_and_shapes(answers):
+def test_answer_of_solve_has_the_documented_keys_and_shapes(answers):
     (answer,) = answers({"joints": POSE, "force": [0.2, 0, 0]})
 
-    assert set(answer) == {"tip", "joints", "jacobian", "compliance", "iterations", "stability"}
+    assert set(answer) == {"tip", "direction", "joints", "jacobian", "compliance", "iterations", "stability"}
     assert answer["joints"] == ["outer_rotation", "inner_rotation", "inner_translation"]
     assert np.shape(answer["tip"]) == (3,)
+    assert np.linalg.norm(answer["direction"]) == pytest.approx(1.0)
     assert np.shape(answer["jacobian"]) == (3, 3)
     assert np.shape(answer["compliance"]) == (3, 3)
     assert isinstance(answer["iterations"], int)
@@ -41,24 +42,24 @@ def test_an_answer_has_the_documented_keys_and_shapes(answers):
 
 
 @pytest.mark.parametrize(
-    ("part", "moment", "told"),
+    ("part", "moment", "expected"),
     [(0.9, 0.0, "stable"), (1.1, 0.0, "unstable"), (0.9, 1e-9, "stable"), (1.1, 1e-9, "not known to be stable")],
 )
-def test_a_straight_tube_is_stable_up_to_eulers_load(part, moment, told):
-    """A cold solve would bend it to a side; a moment at the tip has no energy."""
+def test_solve_reports_a_straight_tube_as_stable_up_to_the_euler_load(part, moment, expected):
+    """A straight tube buckles above the Euler load. A tip moment has no potential energy, so it hides the stability."""
     length = 0.15
     wrench = np.array([0.0, 0.0, -part * math.pi**2 * 0.04 / (4.0 * length**2), 0.0, 0.0, moment])
     moved = (Joint("turn", 0, "rotation"), Joint("push", 0, "translation"))
     model = Statics(Robot("one", (Tube("one", (Section(0.2),), 0.04),), moved), 0.0025)
     joints = np.array([0.0, -0.05])
-    assert stability(model, model.solve(joints, wrench, at_rest(joints, math.inf, 1))) == told
+    assert stability(model, model.solve(joints, wrench, at_rest(joints, math.inf, 1))) == expected
 
 
-def test_jacobian_and_compliance_are_the_published_derivatives(answers):
+def test_jacobian_and_compliance_of_solve_equal_published_derivatives(answers):
     pose = {"outer_rotation": 0.0, "inner_rotation": math.pi / 2, "inner_translation": -0.075}
     (answer,) = answers({"joints": pose, "force": [0.2, 0, 0]}, sublink=0.0025)
 
-    # re-solved central differences of an exact solver at this pose and load, printed to 1e-6
+    # published values: central differences of an exact solver at this pose and load, printed to 1e-6
     by_joint = [[0.042281, 0.005541, -0.008890], [0.005308, 0.022191, 0.006513], [0.255580, -0.273378, 0.886618]]
     assert np.array(answer["jacobian"]) == pytest.approx(np.transpose(by_joint), abs=1e-4)
     compliance = np.array(answer["compliance"])
@@ -67,7 +68,7 @@ def test_jacobian_and_compliance_are_the_published_derivatives(answers):
     )
 
 
-def test_model_and_exact_rod_agree_with_three_independent_solvers(answers):
+def test_model_and_exact_rod_of_solve_agree_with_three_independent_solvers(answers):
     table = np.loadtxt(EXACT_TIPS, delimiter=",", skiprows=1)
     names = ("inner_translation", "outer_rotation", "inner_rotation")
     requests = [{"joints": dict(zip(names, row[:3], strict=True)), "force": row[3:6].tolist()} for row in table]
@@ -92,27 +93,27 @@ def test_model_and_exact_rod_agree_within_a_tenth_of_a_millimetre(answers):
     assert np.linalg.norm(tips[0] - tips[1], axis=1).max() < 1e-4
 
 
-def test_the_exact_rod_gives_the_tip_only(answers):
+def test_answer_of_solve_with_the_exact_rod_has_only_the_tip(answers):
     (answer,) = answers({"joints": POSE}, exact=True)
 
     assert set(answer) == {"tip", "joints", "iterations", "stability"}
     assert answer["stability"] == "not known to be stable"
 
 
-def test_joints_may_come_in_any_order_and_force_may_be_left_out(answers):
+def test_request_to_solve_may_have_joints_in_any_order_and_no_force(answers):
     turned = dict(reversed(POSE.items()))
     first, second, third = answers({"joints": POSE, "force": [0, 0, 0]}, {"joints": turned}, {"joints": POSE})
 
     assert first == second == third
 
 
-def test_a_tip_moment_bends_the_tip(answers):
+def test_tip_moment_bends_the_tip(answers):
     free, bent = answers({"joints": POSE}, {"joints": POSE, "moment": [0.01, 0, 0]})
 
     assert np.linalg.norm(np.subtract(free["tip"], bent["tip"])) > 1e-3
 
 
-def test_a_shorter_sub_link_comes_nearer_to_the_exact_rod(answers):
+def test_shorter_sub_link_is_closer_to_the_exact_rod(answers):
     request = {"joints": POSE, "force": [0.2, 0.1, 0]}
     exact = np.array(answers(request, exact=True)[0]["tip"])
     errors = [np.linalg.norm(answers(request, sublink=m)[0]["tip"] - exact) for m in (0.02, 0.01, 0.005)]
@@ -121,7 +122,7 @@ def test_a_shorter_sub_link_comes_nearer_to_the_exact_rod(answers):
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "error"),
     [
         ("good morning", "not JSON: "),
         ("{", "not JSON: "),
@@ -145,27 +146,27 @@ def test_a_shorter_sub_link_comes_nearer_to_the_exact_rod(answers):
         ({"joints": POSE, "moment": [0, "1", 0]}, "moment[1] = '1': expected a finite number"),
         ({"joints": POSE, "froce": [0.2, 0, 0]}, "unknown key 'froce'; known are joints, force, moment"),
         ({"joints": {**POSE, "inner_translation": 0.01}}, "tube 'inner' starts at 10 mm, in front of "),
-        ({"joints": {**POSE, "inner_translation": -0.2}}, "tube 'inner' ends at 103 mm, not beyond "),
+        ({"joints": {**POSE, "inner_translation": -0.2}}, "tube 'inner' ends at 103 mm, but must end beyond "),
         ({"joints": POSE, "force": [1e6, 0, 0]}, "no shape found "),
     ],
 )
 @pytest.mark.parametrize("exact", [False, True])
-def test_a_bad_line_is_answered_with_its_error_and_the_next_one_as_usual(answers, line, said, exact):
+def test_invalid_line_to_solve_gets_an_error_and_does_not_affect_other_lines(answers, line, error, exact):
     good = {"joints": POSE, "force": [0.2, 0, 0]}
     before, bad, after = answers(good, line, good, exact=exact)
 
     assert list(bad) == ["error"]
-    if not (exact and "no shape" in said):
-        assert bad["error"].startswith(said)
+    if not (exact and "no shape" in error):
+        assert bad["error"].startswith(error)
     assert before == after
     assert "tip" in after
 
 
-def test_empty_lines_are_passed_over(answers):
+def test_solve_skips_empty_lines(answers):
     assert len(answers("", "  \n", {"joints": POSE}, "\n")) == 1
 
 
-def test_lines_of_a_batch_are_answered_as_each_alone(paper_robot):
+def test_solve_answers_of_a_batch_equal_the_answers_of_single_lines(paper_robot):
     random = np.random.default_rng(2)
     good = [
         json.dumps({"joints": {**POSE, "inner_rotation": angle}, "force": [0.1, 0.2, 0.0], "moment": [moment, 0, 0]})
@@ -181,15 +182,19 @@ def test_lines_of_a_batch_are_answered_as_each_alone(paper_robot):
     for one, other in zip(together, alone, strict=True):
         assert one.keys() == other.keys()
         assert one.get("error") == other.get("error")
-        for part in {"tip", "jacobian", "compliance"} & one.keys():  # compiled anew, code may round otherwise
+        for part in {
+            "tip",
+            "jacobian",
+            "compliance",
+        } & one.keys():  # with a tolerance, because recompiled code may round differently
             np.testing.assert_allclose(one[part], other[part], rtol=1e-7, atol=1e-11)
 
 
-def test_lines_are_taken_as_they_come():
-    """Whoever writes one line gets its answer before the next one is written."""
+def test_solve_answers_a_line_before_the_next_line_is_written():
+    """A program that uses `solve` may wait for each answer before it writes the next line."""
     reads, writes = os.pipe()
     with os.fdopen(reads, "rb") as source, os.fdopen(writes, "wb", buffering=0) as sink:
-        batches = as_they_come(source)
+        batches = batched_lines(source)
         for sent, come in ((b"one\n", ["one"]), (b"two\nthr", ["two"]), (b"ee\nfo\xffur\n", ["three", "fo\ufffdur"])):
             sink.write(sent)
             assert next(batches) == come

@@ -1,29 +1,29 @@
-"""A station file with devices of its own: checked before anything starts."""
+"""Checks of the configuration file of a station before any process starts."""
 
 import pytest
 
-from station.config.strict import OWN_EXPERIMENTS, ConfigError, preset_names
-from station.control.clock import REAL_TIME, StationClock
+from station.config.strict import EXPERIMENTS_VARIABLE, ConfigError, preset_names
+from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.devices.config import BenchFile
 from station.service.station_file import load_station
 from tests.harness.own_devices import OWN_DEVICES
 
 
-def test_without_devices_it_is_the_virtual_lab(write):
+def test_station_file_without_devices_uses_the_virtual_lab(write):
     for text in ("", 'devices = "virtual"\n'):
         bench = load_station(write(text)).bench()
         assert bench.devices is None
         assert bench.title == bench.lab.title
 
 
-def test_with_devices_it_is_a_bench_and_says_so(write):
+def test_station_file_with_devices_has_the_title_of_a_bench(write):
     bench = load_station(write(OWN_DEVICES)).bench()
     assert isinstance(bench.devices, BenchFile)
     assert bench.title == "bench of 'paper': zaber, aurora, netft"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "error"),
     [
         ('"zaber"', '"newport"', r"own.toml: devices.stages.driver = 'newport' is not one of zaber"),
         ('port = "/dev/ttyUSB1"', "", r"own.toml: devices.tracker: 'port' is missing"),
@@ -31,37 +31,52 @@ def test_with_devices_it_is_a_bench_and_says_so(write):
         ("[devices.tracker]", "[devices.camera]", r"own.toml: unknown key 'devices.camera'"),
     ],
 )
-def test_what_cannot_be_is_refused_with_the_file(write, old, new, told):
-    with pytest.raises(ConfigError, match=told):
+def test_error_for_invalid_devices_names_the_station_file(write, old, new, error):
+    with pytest.raises(ConfigError, match=error):
         load_station(write(OWN_DEVICES.replace(old, new))).bench()
 
 
-def test_a_station_keeps_real_time_unless_its_file_says_otherwise(write):
+def test_station_runs_in_real_time_by_default(write):
     bench = load_station(write("")).bench()
-    assert bench.clock == REAL_TIME
+    assert bench.clock == REAL_TIME_CLOCK
     assert not any("real time" in warning for warning in bench.warnings)
 
 
-def test_a_slow_clock_is_a_warning(write):
+def test_slow_clock_causes_a_warning(write):
     bench = load_station(write("[clock]\nrate = 0.25\n")).bench()
     assert bench.clock == StationClock(0.25)
-    assert "not in real time: this station's clock goes at 0.25 of it (clock.rate)" in bench.warnings
+    assert "not in real time: this station's clock runs at 0.25 times real time (clock.rate)" in bench.warnings
 
 
-def test_real_devices_cannot_be_made_slower(write):
-    with pytest.raises(ConfigError, match=r"own.toml: clock.rate = 0.5: expected 1 with devices of one's own"):
+def test_slow_clock_is_refused_with_real_devices(write):
+    with pytest.raises(ConfigError, match=r"own.toml: clock.rate = 0.5: expected 1 with real devices"):
         load_station(write(OWN_DEVICES + "[clock]\nrate = 0.5\n")).bench()
-    assert load_station(write(OWN_DEVICES + "[clock]\nrate = 1.0\n")).bench().clock == REAL_TIME
+    assert load_station(write(OWN_DEVICES + "[clock]\nrate = 1.0\n")).bench().clock == REAL_TIME_CLOCK
+
+
+def test_patience_sets_missing_deadlines_of_stages_and_sensors(write):
+    without, patient, own = (
+        load_station(write(text)).bench().devices
+        for text in (
+            OWN_DEVICES,
+            OWN_DEVICES + "[clock]\npatience = 0.25\n",
+            OWN_DEVICES.replace('driver = "zaber"', 'driver = "zaber"\ndeadline = 0.06') + "[clock]\npatience = 0.25\n",
+        )
+    )
+    assert "deadline" not in without.stages
+    assert "stale_after" not in without.sensors
+    assert (patient.stages["deadline"], patient.sensors["stale_after"]) == (0.25, 0.25)
+    assert (own.stages["deadline"], own.sensors["stale_after"]) == (0.06, 0.25)
 
 
 @pytest.mark.parametrize("rate", ["0.01", "1.5", "nan", "0"])
-def test_a_clock_that_is_too_slow_or_too_fast_is_refused(write, rate):
+def test_clock_rate_out_of_range_is_refused(write, rate):
     with pytest.raises(ConfigError, match=r"own.toml.*clock.rate"):
         load_station(write(f"[clock]\nrate = {rate}\n"))
 
 
-def test_a_folder_of_experiments_is_beside_the_file(monkeypatch, write, tmp_path):
-    monkeypatch.setenv(OWN_EXPERIMENTS, "")  # put back after the test
+def test_folder_of_experiments_is_relative_to_the_station_file(monkeypatch, write, tmp_path):
+    monkeypatch.setenv(EXPERIMENTS_VARIABLE, "")  # pytest restores this variable after the test
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "hold_still.toml").write_text("", encoding="utf-8")
     load_station(write('[experiments]\nfolder = "mine"\n', "station"))
@@ -71,7 +86,7 @@ def test_a_folder_of_experiments_is_beside_the_file(monkeypatch, write, tmp_path
         load_station(write('[experiments]\nfolder = "elsewhere"\n', "station"))
 
 
-def test_what_the_command_line_says_goes_before_the_file(tmp_path):
+def test_command_line_overrides_the_station_file(tmp_path):
     path = tmp_path / "bench.toml"
     path.write_text('lab = "ideal"\nseed = 4\n', encoding="utf-8")
 
@@ -84,11 +99,11 @@ def test_what_the_command_line_says_goes_before_the_file(tmp_path):
         load_station(path, {"lab": "nowhere"}).bench()
 
 
-@pytest.mark.parametrize(("said", "means"), [("go_on", "continue"), ("hold", "hold")])
-def test_the_word_of_earlier_versions_for_a_lost_operator_is_understood(write, said, means):
-    assert load_station(write(f"alone = '{said}'\n")).bench().on_operator_loss == means
+@pytest.mark.parametrize(("value", "meaning"), [("go_on", "continue"), ("hold", "hold")])
+def test_key_alone_of_earlier_versions_is_read(write, value, meaning):
+    assert load_station(write(f"alone = '{value}'\n")).bench().on_operator_loss == meaning
 
 
-def test_nobody_is_told_two_words_for_a_lost_operator(write):
+def test_old_and_new_key_for_a_lost_operator_are_refused_together(write):
     with pytest.raises(ConfigError, match="alone"):
         load_station(write("alone = 'hold'\non_operator_loss = 'continue'\n"))

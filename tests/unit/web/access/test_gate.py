@@ -1,4 +1,4 @@
-"""Who may talk to the station: the checks themselves, without a station behind them."""
+"""Access checks, without a station behind them."""
 
 import asyncio
 import socket
@@ -15,7 +15,7 @@ OWN = "127.0.0.1:8000"
 
 
 async def _echo(scope: Scope, receive: Receive, send: Send) -> None:
-    """Whoever gets here is told what the checks made of him."""
+    """Application that answers with the sender that the checks determined."""
     if scope["type"] == "websocket":
         await send({"type": "websocket.accept"})
         await send({"type": "websocket.close"})
@@ -33,17 +33,17 @@ def _asked(app: Access, path: str, method: str, host: str, headers: dict[str, st
     return asyncio.run(ask())
 
 
-# ---- on loopback, where everybody is operator
+# ---- on loopback, where every client may be operator
 
 
 def _here(path: str, method: str = "GET", content: bytes = b"", host: str = OWN, **headers: str) -> int:
-    """The status that the checks answer with."""
+    """Return the status code with which the access checks answer a request on loopback."""
     return _asked(
         Access(_echo, "127.0.0.1", 8000, None), path, method, OWN, {"host": host, **headers}, content
     ).status_code
 
 
-def test_the_stations_own_page_and_scripts_are_let_in() -> None:
+def test_the_stations_page_and_scripts_are_accepted() -> None:
     assert _here("/api/status", origin=f"http://{OWN}") == 200
     assert _here("/api/stop", "POST") == 200
     assert _here("/api/stop", "POST", b"{}", **{"content-type": "application/json"}) == 200
@@ -59,13 +59,13 @@ def test_a_foreign_host_is_refused(path: str, host: str) -> None:
 @pytest.mark.parametrize(
     "origin", ["http://evil.example", "null", "http://127.0.0.1", "https://127.0.0.1.evil.example"]
 )
-def test_a_page_of_another_origin_can_neither_read_nor_press(origin: str) -> None:
+def test_a_page_of_another_origin_can_neither_read_nor_command(origin: str) -> None:
     assert _here("/api/status", origin=origin) == 403
     assert _here("/api/stop", "POST", origin=origin) == 403
 
 
 @pytest.mark.parametrize("kind", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"])
-def test_a_form_is_not_a_request(kind: str) -> None:
+def test_a_request_with_a_form_body_is_refused(kind: str) -> None:
     assert _here("/api/start", "POST", b"{}", **{"content-type": kind}) == 415
 
 
@@ -81,7 +81,7 @@ def test_foreign_websockets_are_refused(path: str, headers: dict[str, str]) -> N
 
 
 def _socket(path: str, headers: dict[str, str]) -> list[str]:
-    """What becomes of a websocket, message by message."""
+    """Return the messages that a WebSocket gets."""
     sent: list[str] = []
     scope = {
         "type": "websocket", "path": path, "query_string": b"", "client": ("127.0.0.1", 50000),
@@ -109,7 +109,7 @@ def _socket(path: str, headers: dict[str, str]) -> list[str]:
         ("lab", False),
     ],
 )
-def test_only_loopback_counts_as_loopback(host: str, local: bool) -> None:
+def test_only_loopback_addresses_count_as_loopback(host: str, local: bool) -> None:
     assert is_loopback(host) is local
 
 
@@ -123,13 +123,15 @@ def _ask(path: str, method: str = "GET", host: str = "10.1.2.3:8000", **headers:
 @pytest.mark.parametrize(
     "headers", [{}, {"authorization": "Bearer guess"}, {"cookie": "ctr_station_8000=guess"}, {"cookie": "=;=,\x7f"}]
 )
-def test_beyond_loopback_a_token_is_demanded(headers: dict[str, str]) -> None:
+def test_a_token_is_required_beyond_loopback(headers: dict[str, str]) -> None:
     assert _ask("/", **headers).status_code == 401
     assert _ask("/?token=guess", **headers).status_code == 401
 
 
 @pytest.mark.parametrize(("token", "role"), [(TOKENS.operator, "operator"), (TOKENS.viewer, "viewer")])
-def test_the_first_visit_with_a_token_leaves_a_cookie_and_a_clean_address(token: str, role: str) -> None:
+def test_the_first_visit_with_a_token_sets_a_cookie_and_removes_the_token_from_the_address(
+    token: str, role: str
+) -> None:
     first = _ask(f"/?token={token}")
     assert first.status_code == 303
     assert first.headers["location"] == "/"
@@ -139,13 +141,13 @@ def test_the_first_visit_with_a_token_leaves_a_cookie_and_a_clean_address(token:
     assert _ask("/", authorization=f"Bearer {token}").text == role
 
 
-def test_a_token_does_not_lead_to_another_host() -> None:
+def test_the_redirect_that_removes_the_token_stays_on_this_host() -> None:
     assert _ask(f"/%2Fevil.example/?token={TOKENS.viewer}").headers["location"] == "/evil.example/"
     assert _ask(f"/%09/evil.example/?token={TOKENS.viewer}").headers["location"] == "/%09/evil.example/"
 
 
 @pytest.mark.parametrize("path", ["/%e2%82%ac", "/%0a", "/%0d%0aset-cookie:%20a=b", "/%00", "/a%20b", "/api/runs/%ff"])
-def test_nor_does_any_path_break_the_answer(path: str) -> None:
+def test_the_redirect_that_removes_the_token_works_for_any_path(path: str) -> None:
     answer = _ask(f"{path}?token={TOKENS.viewer}")
     assert answer.status_code == 303
     assert all(0x20 < ord(letter) < 0x7F for letter in answer.headers["location"])
@@ -155,7 +157,7 @@ def test_nor_does_any_path_break_the_answer(path: str) -> None:
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE"])
-def test_viewers_look_and_press_stop(method: str) -> None:
+def test_viewers_may_only_read_and_press_stop(method: str) -> None:
     viewer = {"authorization": f"Bearer {TOKENS.viewer}", "content-type": "application/json"}
     assert _ask("/api/status", **viewer).text == "viewer"
     assert _ask("/api/stop", "POST", **viewer).text == "viewer"
@@ -166,16 +168,16 @@ def test_viewers_look_and_press_stop(method: str) -> None:
 
 
 @pytest.mark.parametrize("host", ["evil.example:8000", "10.1.2.3", "10.1.2.3:9000", "10.1.2.3.evil.example:8000"])
-def test_names_that_others_could_point_here_are_refused_even_with_a_token(host: str) -> None:
+def test_foreign_host_names_are_refused_even_with_a_token(host: str) -> None:
     assert _ask("/", host=host, authorization=f"Bearer {TOKENS.operator}").status_code == 403
 
 
 @pytest.mark.parametrize("host", ["10.1.2.3:8000", "127.0.0.1:8000", "[::1]:8000", f"{socket.gethostname()}:8000"])
-def test_the_machines_own_names_and_numbers_are_let_in(host: str) -> None:
+def test_the_computers_names_and_addresses_are_accepted(host: str) -> None:
     assert _ask("/", host=host, authorization=f"Bearer {TOKENS.operator}").status_code == 200
 
 
-def test_no_other_site_shows_the_page_in_a_frame() -> None:
+def test_no_other_site_can_show_the_page_in_a_frame() -> None:
     operator = {"authorization": f"Bearer {TOKENS.operator}"}
     assert "frame-ancestors 'self'" in _ask("/", **operator).headers["content-security-policy"]
     followed = {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}

@@ -1,12 +1,12 @@
-"""One operator at a time."""
+"""The operator's lease: one operator at a time."""
 
 import pytest
 
-from web.access.lease import LENGTH, HeldError, Lease
+from web.access.lease import LEASE_S, Lease, LeaseHeldError
 
 
 class Anna:
-    """A lease that she has, and its clock."""
+    """Return a lease of client `a`, and its clock."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -14,37 +14,37 @@ class Anna:
         self.lease.take("a", "Anna")
 
 
-def test_the_second_is_told_who_holds_it_and_may_take_over() -> None:
+def test_a_second_client_gets_the_operators_name_and_may_take_over() -> None:
     lease = Anna().lease
-    with pytest.raises(HeldError, match="'Anna' is operator"):
+    with pytest.raises(LeaseHeldError, match="'Anna' is operator"):
         lease.take("b", "Ben")
     assert lease.holds("a")
     lease.take("b", "Ben", over=True)
     assert lease.holds("b")
     assert not lease.holds("a")
-    with pytest.raises(HeldError, match="'Ben' is operator"):
+    with pytest.raises(LeaseHeldError, match="'Ben' is operator"):
         lease.take("a", "Anna")
 
 
-def test_it_lapses_without_a_word_and_not_with_one() -> None:
+def test_the_operator_lease_expires_only_without_requests() -> None:
     anna = Anna()
     lease = anna.lease
     for second in range(1, 30):
         anna.now = float(second)
         lease.renew("a")
-        lease.renew("b")  # somebody else's words do not count
-    assert lease.left() == LENGTH
-    anna.now = 29.0 + LENGTH - 0.01
+        lease.renew("b")  # requests of another client do not renew the lease
+    assert lease.left() == LEASE_S
+    anna.now = 29.0 + LEASE_S - 0.01
     assert lease.holds("a")
-    anna.now = 29.0 + LENGTH
+    anna.now = 29.0 + LEASE_S
     assert lease.holder() is None
     assert lease.left() == 0.0
-    lease.renew("a")  # too late: it must be taken anew
+    lease.renew("a")  # too late: the lease has expired and must be taken again
     assert lease.holder() is None
     assert lease.take("b", "Ben").name == "Ben"
 
 
-def test_only_the_holder_gives_it_back() -> None:
+def test_only_the_operator_releases_the_lease() -> None:
     lease = Anna().lease
     lease.release("b")
     assert lease.holds("a")
@@ -53,5 +53,5 @@ def test_only_the_holder_gives_it_back() -> None:
     lease.release("a")
 
 
-def test_a_new_name_of_the_holder_is_taken() -> None:
+def test_the_operator_can_change_its_name() -> None:
     assert Anna().lease.take("a", "Anna Berg").name == "Anna Berg"

@@ -1,21 +1,21 @@
-"""The list of experiments: a file that is none is told with its reason and hides no other."""
+"""The list of experiments; an invalid file is listed with its error and hides no other."""
 
 import pytest
 
-from station.config.strict import OWN_EXPERIMENTS, preset_names, use_experiments
+from station.config.strict import EXPERIMENTS_VARIABLE, preset_names, use_experiments
 from station.service.station_file import load_station
 from web.api.experiments import experiments_out
 
 
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
-    """Of one's own experiments, in use."""
-    monkeypatch.setenv(OWN_EXPERIMENTS, "")  # put back after the test
+    """Folder of custom experiments, in use."""
+    monkeypatch.setenv(EXPERIMENTS_VARIABLE, "")  # pytest restores the variable after the test
     use_experiments(tmp_path)
     return tmp_path
 
 
-def test_a_file_that_is_no_experiment_is_told_and_hides_no_other(app, folder, short):
+def test_an_invalid_experiment_file_is_listed_with_its_error_and_hides_no_other(app, folder, short):
     (folder / "notes.toml").write_text('say = "milk"\n', encoding="utf-8")
     (folder / "torn.toml").write_text("[[[", encoding="utf-8")
     (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
@@ -33,9 +33,8 @@ def test_a_file_that_is_no_experiment_is_told_and_hides_no_other(app, folder, sh
         assert listed[name]["cases"][0]["refused"] == ""
 
 
-def test_a_broken_file_can_neither_be_started_nor_drawn_and_says_why(app, folder):
+def test_a_broken_experiment_file_has_no_picture_and_the_error_names_the_file(app, folder):
     (folder / "notes.toml").write_text('say = "milk"\n', encoding="utf-8")
-    assert "notes.toml" in app.post("/api/start", json={"experiment": "notes"}).json()["error"]
     drawn = app.get("/api/experiments/notes/picture.svg")
     assert drawn.status_code == 422
     assert "notes.toml" in drawn.json()["error"]
@@ -49,17 +48,17 @@ def test_a_station_of_three_tubes_lists_the_papers_experiments_as_refused():
             assert f"for robot '{other}'; this station has 'three_tubes'" in case.refused
 
 
-def test_each_case_is_named_in_words_and_told_with_numbers(app):
+def test_each_case_of_an_experiment_has_a_description_and_facts_with_numbers(app):
     listed = {one["name"]: one for one in app.get("/api/experiments").json()}
     first = listed["step_response"]["cases"][0]
     assert (first["name"], first["words"]) == ("k1_x", "k = 1 1/s, 1 mm along x")
     assert {"what": "motion", "text": "step: offset 1, 0, 0 mm, stay 6 s"} in first["facts"]
     assert "regulation, ramp 10s" in [case["words"] for case in listed["load_rate"]["cases"]]
     distorted = listed["fig8"]["cases"][-1]
-    assert distorted["warnings"][0].startswith("written for lab 'distorted', carried out on this station's own")
+    assert distorted["warnings"][0].startswith("written for lab 'distorted', runs on this station instead")
 
 
-def test_each_case_has_a_picture_of_its_own(app):
+def test_each_case_of_an_experiment_has_its_picture(app):
     def drawn(query: str) -> str:
         answer = app.get(f"/api/experiments/fig8/picture.svg{query}")
         assert answer.status_code == 200

@@ -1,4 +1,4 @@
-"""What nobody renews is told to nobody as a value of now: neither by the status nor by the stream of telemetry."""
+"""Stale values are null, in the status and in the telemetry stream."""
 
 from collections.abc import Iterator
 
@@ -8,12 +8,12 @@ import pytest
 from core.robot.robot import Array
 from station.control.task import Phase
 from station.devices.interfaces import Severity
-from station.service.standing import DIRECTIONS, FELT, TRACKED, TRUE
+from station.service.stale_channels import DIRECTION_CHANNELS, SENSOR_CHANNELS, TRACKER_CHANNELS, TRUTH_CHANNELS
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
-from web.api.bench import devices_out
-from web.api.control import SCALARS, STREAMED, sample_out
+from web.api.control import SCALAR_GROUPS, STREAMED_GROUPS, sample_out
+from web.api.rig import devices_out
 
 
 @pytest.fixture(scope="module")
@@ -23,16 +23,16 @@ def service() -> Iterator[StationService]:
     supervisor.close()
 
 
-VECTORS = frozenset(STREAMED) - set(SCALARS)
+VECTORS = frozenset(STREAMED_GROUPS) - set(SCALAR_GROUPS)
 
 
-def told(service: StationService, row: Array) -> frozenset[str]:
-    """Groups that the stream has a value of; status and raw values agree."""
+def groups_with_values(service: StationService, row: Array) -> frozenset[str]:
+    """Return the groups with a value in the stream; status and raw values agree."""
     supervisor = service.supervisor
     supervisor.ring.write(row)
     sample = sample_out(service, row, 0, None)
     fresh = frozenset(group for group in VECTORS if sample[group] is not None)
-    assert VECTORS - supervisor.status().standing == fresh
+    assert VECTORS - supervisor.status().stale_groups == fresh
     assert any(name.startswith("force.") for name in devices_out(service).raw) == ("force" in fresh)
     return fresh
 
@@ -41,39 +41,39 @@ def told(service: StationService, row: Array) -> frozenset[str]:
 def row(service: StationService) -> Array:
     channels = service.supervisor.channels
     row = np.ones(len(channels))
-    for group in ("trouble", "held"):
+    for group in ("trouble", "estimates_frozen"):
         channels.of(row, group)[:] = 0.0
     channels.of(row, "phase")[:] = Phase.MOVING
     return row
 
 
-def test_all_of_a_row_is_told_while_all_of_it_is_renewed(service: StationService, row: Array) -> None:
-    assert told(service, row) == VECTORS
+def test_all_telemetry_groups_have_values_while_all_are_current(service: StationService, row: Array) -> None:
+    assert groups_with_values(service, row) == VECTORS
 
 
-def test_of_a_row_that_is_held_only_what_is_read_is_told(service: StationService, row: Array) -> None:
-    service.supervisor.channels.of(row, "held")[:] = 1.0
-    assert told(service, row) == {"joints", "trouble"}
+def test_a_row_with_frozen_estimates_has_only_values_that_are_read(service: StationService, row: Array) -> None:
+    service.supervisor.channels.of(row, "estimates_frozen")[:] = 1.0
+    assert groups_with_values(service, row) == {"joints", "trouble"}
 
 
-@pytest.mark.parametrize(("place", "old"), [(1, TRACKED), (2, FELT)])
-def test_a_silent_device_s_values_are_not_told(
+@pytest.mark.parametrize(("place", "old"), [(1, TRACKER_CHANNELS), (2, SENSOR_CHANNELS)])
+def test_the_telemetry_values_of_a_silent_device_are_null(
     service: StationService, row: Array, place: int, old: frozenset[str]
 ) -> None:
     troubles = service.supervisor.channels.of(row, "trouble")
     troubles[place] = Severity.WARN
-    assert told(service, row) == VECTORS
+    assert groups_with_values(service, row) == VECTORS
     troubles[place] = Severity.HOLD
-    assert told(service, row) == VECTORS - old
+    assert groups_with_values(service, row) == VECTORS - old
 
 
-def test_where_nothing_is_known_to_be_true_nothing_is_told(service: StationService, row: Array) -> None:
+def test_ground_truth_is_null_where_it_is_unknown(service: StationService, row: Array) -> None:
     service.supervisor.channels.of(row, "truth_known")[:] = 0.0
-    assert told(service, row) == VECTORS - TRUE
+    assert groups_with_values(service, row) == VECTORS - TRUTH_CHANNELS
     assert sample_out(service, row, 0, None)["phase"] == "moving"
 
 
-def test_a_direction_that_nobody_asks_for_is_not_told(service: StationService, row: Array) -> None:
-    for group in DIRECTIONS:
+def test_tip_directions_are_null_where_the_direction_is_not_controlled(service: StationService, row: Array) -> None:
+    for group in DIRECTION_CHANNELS:
         service.supervisor.channels.of(row, group)[:] = 0.0
-    assert told(service, row) == VECTORS - set(DIRECTIONS)
+    assert groups_with_values(service, row) == VECTORS - set(DIRECTION_CHANNELS)

@@ -6,7 +6,7 @@ from starlette.testclient import TestClient
 
 from station.config.robots import load_robot
 from tests.harness.web_app import HOST, PORT
-from web.scene.drawn import NOTHING
+from web.scene.content import NOTHING
 from web.scene.views import VIEWS
 
 
@@ -18,12 +18,12 @@ def test_the_legend_names_every_mark_every_tube_and_every_view(app: TestClient) 
     ]
     names = [sign["name"] for sign in legend["signs"]]
     for word in ("desired", "measured", "estimated", "force", "reference"):
-        assert any(name.startswith(word) for name in names)  # the close-up takes its colours by these
+        assert any(name.startswith(word) for name in names)  # the close-up finds its colours by these names
 
 
-def test_the_close_up_says_that_nothing_is_known_and_takes_any_word(app: TestClient) -> None:
+def test_the_close_up_reports_that_there_is_no_telemetry_and_accepts_any_text(app: TestClient) -> None:
     with app.websocket_connect(f"ws://{HOST}:{PORT}/api/scene/tip?client=nobody-at-all&rate=30") as socket:
-        assert socket.receive_json() == json.loads(json.dumps(NOTHING.told()))
+        assert socket.receive_json() == json.loads(json.dumps(NOTHING.to_json()))
         for text in ("Tip", "", "\x00", "x" * 5000):
             socket.send_text(text)
-        assert socket.receive_json()["says"] == "no telemetry yet"
+        assert socket.receive_json()["message"] == "no telemetry yet"

@@ -1,9 +1,9 @@
-"""What the station process tells the gateway."""
+"""Messages of the station process to the gateway."""
 
 from web.gateway.host import gains_of
 
 
-def test_gains_are_named_by_their_place_and_nothing_that_is_no_value_is_told():
+def test_controller_gains_are_named_by_their_keys_and_only_values_are_sent():
     controller = {
         "strategy": "best",
         "k1": 2.5,

@@ -1,28 +1,28 @@
-"""CDR of ROS 2 messages, decoded by rosbags: with the definitions here, and with those that it brings along."""
+"""CDR of ROS 2 messages, decoded by rosbags with our definitions and with its own."""
 
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from station.control.clock import REAL_TIME
+from station.control.clock import REAL_TIME_CLOCK
 from station.control.ring import Ring
 from station.control.states import State
 from station.control.telemetry import Channels
 from tests.harness.gateway import DESIRED, FORCE, MEASURED, MOMENT, PAPER, Shown
-from web.gateway.ros2.messages import TOPICS, joint_state, messages, transforms
-from web.gateway.seen import Eyes, Told
+from web.gateway.ros2.messages import TOPICS, joint_state, ros_messages, transforms
+from web.gateway.snapshot import SnapshotReader, StationInfo
 
 ROBOT = PAPER.robot()
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 @pytest.fixture
-def seen():
+def scene():
     feed = Shown(PAPER)
     ring = Ring(len(Channels(ROBOT)))
-    eyes = Eyes(ring, ROBOT, feed.channels, REAL_TIME)
+    reader = SnapshotReader(ring, ROBOT, feed.channels, REAL_TIME_CLOCK)
     ring.write(feed.row(3))
-    yield eyes.look(Told(State.RUNNING), wanted=True).seen
+    yield reader.read(StationInfo(State.RUNNING), with_scene=True).scene
     for each in (ring, feed.ring):
         each.close(remove=True)
 
@@ -32,26 +32,26 @@ def xyz(vector) -> list[float]:
 
 
 @pytest.mark.parametrize("kind", sorted(set(TOPICS.values()), key=lambda kind: kind.name), ids=lambda kind: kind.name)
-def test_definitions_and_hashes_are_those_of_ros(kind):
+def test_ros2_type_definitions_and_hashes_are_those_of_ros(kind):
     own = get_typestore(Stores.EMPTY)
     own.register(get_types_from_msg(kind.definition, kind.name))
     assert own.hash_rihs01(kind.name) == STORE.hash_rihs01(kind.name) == kind.hash
 
 
-def test_every_topic_is_read_by_rosbags(seen):
-    said = {message.topic: message.data for message in messages(ROBOT, seen)}
-    assert set(said) == set(TOPICS)
-    read = {topic: STORE.deserialize_cdr(data, TOPICS[topic].name) for topic, data in said.items()}
-    for topic, data in said.items():
-        # Not a byte more or less than ROS has.
+def test_rosbags_reads_every_ros2_topic(scene):
+    messages = {message.topic: message.data for message in ros_messages(ROBOT, scene)}
+    assert set(messages) == set(TOPICS)
+    read = {topic: STORE.deserialize_cdr(data, TOPICS[topic].name) for topic, data in messages.items()}
+    for topic, data in messages.items():
+        # The message has the same bytes as one that rosbags encodes.
         assert bytes(STORE.serialize_cdr(read[topic], TOPICS[topic].name)) == data
 
     joints = read["/joint_states"]
     assert joints.name == list(ROBOT.joint_names)
-    assert joints.position == pytest.approx(seen.joints)
-    assert joints.velocity == pytest.approx(seen.velocities)
+    assert joints.position == pytest.approx(scene.joints)
+    assert joints.velocity == pytest.approx(scene.velocities)
     assert len(joints.effort) == 0
-    assert joints.header.stamp.sec * 10**9 + joints.header.stamp.nanosec == seen.stamp
+    assert joints.header.stamp.sec * 10**9 + joints.header.stamp.nanosec == scene.stamp
     for name, place in (("measured", MEASURED), ("desired", DESIRED)):
         tip = read[f"/tip/{name}"]
         assert tip.header.frame_id == "world"
@@ -59,10 +59,10 @@ def test_every_topic_is_read_by_rosbags(seen):
         assert tip.pose.orientation.w == 1.0
     frames = {each.child_frame_id: each.transform for each in read["/tf"].transforms}
     assert set(frames) == {"plate", "tip", "tip_load", "inner_base", "outer_base"}
-    assert xyz(frames["tip"].translation) == list(seen.estimated[0])
-    assert xyz(frames["inner_base"].translation) == list(seen.bases[0][0])
+    assert xyz(frames["tip"].translation) == list(scene.estimated[0])
+    assert xyz(frames["inner_base"].translation) == list(scene.bases[0][0])
     turned = frames["inner_base"].rotation
-    assert [turned.x, turned.y, turned.z, turned.w] == list(seen.bases[0][1])
+    assert [turned.x, turned.y, turned.z, turned.w] == list(scene.bases[0][1])
     felt = read["/tip/force"]
     assert felt.header.frame_id == "tip_load"
     assert xyz(felt.wrench.force) == list(FORCE)
@@ -71,7 +71,7 @@ def test_every_topic_is_read_by_rosbags(seen):
 
 
 @pytest.mark.parametrize("names", [(), ("a",), ("ab", "abc"), ("abcd", "abcde", "abcdefg")])
-def test_names_of_any_length_leave_numbers_aligned(names):
+def test_ros2_numbers_after_names_of_any_length_are_aligned(names):
     numbers = [0.5 * number for number in range(len(names))]
     joints = STORE.deserialize_cdr(joint_state(5, names, numbers, numbers), "sensor_msgs/msg/JointState")
     assert joints.name == list(names)
@@ -83,6 +83,6 @@ def test_names_of_any_length_leave_numbers_aligned(names):
     ]
 
 
-def test_what_is_not_known_is_not_told(seen):
-    topics = {m.topic for m in messages(ROBOT, seen.__class__(**{**vars(seen), "measured": None, "force": None}))}
+def test_unknown_values_are_not_published_to_ros2(scene):
+    topics = {m.topic for m in ros_messages(ROBOT, scene.__class__(**{**vars(scene), "measured": None, "force": None}))}
     assert topics == set(TOPICS) - {"/tip/measured", "/tip/force"}

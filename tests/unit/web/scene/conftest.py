@@ -1,4 +1,4 @@
-"""A scene that nobody looks at."""
+"""A scene without clients."""
 
 from collections.abc import Iterator
 

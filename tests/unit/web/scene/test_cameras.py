@@ -11,9 +11,9 @@ from websockets.sync.client import ClientConnection, connect
 
 from tests.harness.waiting import until
 from web.scene.cameras import Cameras
-from web.scene.views import ASPECT, Bounds, camera
+from web.scene.views import DEFAULT_ASPECT, ViewBounds, camera
 
-ROOM = Bounds(np.array((-0.1, -0.1, -0.15)), np.array((0.1, 0.1, 0.3)))
+ROOM = ViewBounds(np.array((-0.1, -0.1, -0.15)), np.array((0.1, 0.1, 0.3)))
 TIP, UNIT, ASIDE = np.array((0.02, -0.03, 0.25)), 10.0, np.array((1.0, 2.0, 3.0))
 
 
@@ -30,14 +30,14 @@ def cameras(server: viser.ViserServer) -> Cameras:
 
 
 def page(server: viser.ViserServer, name: str) -> ClientConnection:
-    """A browser's socket as the proxy makes it."""
+    """Return a browser's socket as the proxy opens it."""
     address = f"ws://127.0.0.1:{server.get_port()}/?client={name}"
     version = f"viser-v{viser.__version__}"
     return connect(address, subprotocols=[version], proxy=None, max_size=None)  # pyright: ignore[reportArgumentType]
 
 
 def report(socket: ClientConnection, position: np.ndarray, aspect: float) -> None:
-    """Where the browser says that its camera is."""
+    """Return a camera message of a browser."""
     message: dict[str, Any] = {
         "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": position.tolist(), "fov": 0.6,
         "near": 0.1, "far": 100.0, "image_height": 100, "image_width": round(100 * aspect),
@@ -51,25 +51,25 @@ def stands_at(cameras: Cameras, name: str, view: str, aspect: float) -> bool:
     return bool(np.allclose(cameras._clients[name].camera.position, place, atol=1e-6))
 
 
-def test_a_view_moves_the_camera_of_that_page_only(server: viser.ViserServer, cameras: Cameras) -> None:
+def test_a_view_moves_the_scene_camera_of_one_page_only(server: viser.ViserServer, cameras: Cameras) -> None:
     with page(server, "page-one") as one, page(server, "page-two") as two:
-        report(one, ASIDE, ASPECT)
+        report(one, ASIDE, DEFAULT_ASPECT)
         report(two, ASIDE, 2.0)
         until(lambda: len(cameras._clients) == 2)
-        assert cameras.look("page-two", "Tip")
+        assert cameras.set_view("page-two", "Tip")
         assert stands_at(cameras, "page-two", "Tip", 2.0)
         np.testing.assert_allclose(cameras._clients["page-one"].camera.position, ASIDE)
-        assert not cameras.look("page-one", "Somewhere")
-        assert not cameras.look("page-three", "Tip")
+        assert not cameras.set_view("page-one", "Somewhere")
+        assert not cameras.set_view("page-three", "Tip")
     until(lambda: not cameras._clients)
 
 
-def test_the_first_picture_is_fitted_to_the_page_and_a_chosen_place_is_kept(
+def test_the_first_scene_picture_is_fitted_to_the_page_and_a_chosen_camera_is_kept(
     server: viser.ViserServer, cameras: Cameras
 ) -> None:
-    first = UNIT * camera("Overview", ROOM, TIP, ASPECT).eye
+    first = UNIT * camera("Overview", ROOM, TIP, DEFAULT_ASPECT).eye
     with page(server, "page-new") as new:
-        report(new, ASIDE, 0.5)  # what viser begins with
+        report(new, ASIDE, 0.5)  # viser's first camera
         until(lambda: "page-new" in cameras._clients)
         report(new, first, 0.5)
         until(lambda: stands_at(cameras, "page-new", "Overview", 0.5))

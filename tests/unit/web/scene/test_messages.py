@@ -1,4 +1,4 @@
-"""The gate before the scene, under messages that no honest browser sends."""
+"""The message gate of the scene, under messages that no normal browser sends."""
 
 import math
 from typing import Any
@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from web.access.identity import Who
-from web.access.lease import LENGTH, Lease
+from web.access.identity import Sender
+from web.access.lease import LEASE_S, Lease
 from web.access.tokens import Role
-from web.scene.messages import BURST, FAR, LONGEST, RATE, Box, Gate
+from web.scene.messages import MAX_BURST, MAX_CAMERA_DISTANCE, MAX_MESSAGE_BYTES, MAX_RATE_HZ, HandleBox, MessageGate
 
-GIZMOS = {"/target": Box((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0))}
+GIZMOS = {"/target": HandleBox((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0))}
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [0, 0, 1.5], "fov": 1.0, "near": 0.1,
     "far": 10.0, "image_height": 100, "image_width": 100, "look_at": [0, 0, 0], "up_direction": [0, 0, 1],
@@ -28,7 +28,7 @@ END = {"type": "TransformControlsDragEndMessage", "name": "/target", "owner": ""
 
 
 class Bench:
-    """A gate with its clock, its lease and what it reported."""
+    """A gate with its clock, its lease and its reports."""
 
     def __init__(self, role: Role = Role.OPERATOR, *, holds: bool = True) -> None:
         self.now = 0.0
@@ -36,8 +36,8 @@ class Bench:
         self.lease = Lease(lambda: self.now)
         if holds:
             self.lease.take("me-myself", "Me")
-        who = Who(role, "me-myself", "Me", "127.0.0.1")
-        self.gate = Gate(GIZMOS, self.lease, who, lambda: self.now, self.reported.append)
+        who = Sender(role, "me-myself", "Me", "127.0.0.1")
+        self.gate = MessageGate(GIZMOS, self.lease, who, lambda: self.now, self.reported.append)
 
     def say(self, message: Any) -> Any:
         passed = self.gate.passes(msgspec.msgpack.encode(message))
@@ -45,22 +45,22 @@ class Bench:
 
 
 @pytest.mark.parametrize("message", [CAMERA, MOVE, MOVE | {"wxyz": [0.5, -0.5, 0.5, 0.5]}, START, END])
-def test_what_an_operators_browser_says_goes_on_as_it_was(message: dict) -> None:
+def test_scene_messages_of_an_operators_browser_pass_unchanged(message: dict) -> None:
     assert Bench().say(message) == message
 
 
 @pytest.mark.parametrize("bench", [Bench(Role.VIEWER), Bench(holds=False), Bench(Role.VIEWER, holds=False)])
-def test_others_look_but_drag_nothing(bench: Bench) -> None:
+def test_clients_without_the_lease_move_their_camera_but_drag_nothing(bench: Bench) -> None:
     assert bench.say(CAMERA) == CAMERA
     for message in (MOVE, START, END):
         assert bench.say(message) is None
-    assert bench.reported == ["a drag by somebody who is not operator"]
+    assert bench.reported == ["a drag by a client that is not operator"]
 
 
-def test_a_lapsed_lease_drags_nothing() -> None:
+def test_a_client_with_an_expired_lease_drags_nothing() -> None:
     bench = Bench()
     assert bench.say(MOVE) is not None
-    bench.now = LENGTH + 1.0
+    bench.now = LEASE_S + 1.0
     assert bench.say(MOVE) is None
 
 
@@ -92,12 +92,12 @@ def test_a_lapsed_lease_drags_nothing() -> None:
         MOVE | {"wxyz": [0, 0, 0, 0]},
         MOVE | {"wxyz": [1, 1, 1, 1]},
         CAMERA | {"position": [0, 0, math.nan]},
-        CAMERA | {"position": [0, 0, 2 * FAR]},
+        CAMERA | {"position": [0, 0, 2 * MAX_CAMERA_DISTANCE]},
         CAMERA | {"image_height": 10**9},
         CAMERA | {"fov": -1.0},
     ],
 )
-def test_anything_else_is_dropped_counted_and_reported_once(message: Any) -> None:
+def test_unknown_scene_messages_are_dropped_counted_and_reported_once(message: Any) -> None:
     bench = Bench()
     for _ in range(3):
         assert bench.say(message) is None
@@ -105,19 +105,25 @@ def test_anything_else_is_dropped_counted_and_reported_once(message: Any) -> Non
     assert len(bench.reported) == 1
 
 
-def test_text_emptiness_and_long_messages_are_dropped() -> None:
+def test_text_empty_and_long_scene_messages_are_dropped() -> None:
     gate = Bench().gate
-    for data in ("text", None, b"", msgspec.msgpack.encode(MOVE | {"name": "x" * LONGEST}), b"\x91" * LONGEST):
+    for data in (
+        "text",
+        None,
+        b"",
+        msgspec.msgpack.encode(MOVE | {"name": "x" * MAX_MESSAGE_BYTES}),
+        b"\x91" * MAX_MESSAGE_BYTES,
+    ):
         assert gate.passes(data) is None
 
 
 @given(st.binary(max_size=300))
-def test_no_bytes_break_the_gate(data: bytes) -> None:
+def test_no_bytes_raise_an_exception_in_the_message_gate(data: bytes) -> None:
     Bench().gate.passes(data)
 
 
-def test_a_flood_is_cut_down_to_what_a_person_sends() -> None:
+def test_a_flood_of_scene_messages_is_limited_to_the_allowed_rate() -> None:
     bench = Bench()
-    assert sum(bench.say(CAMERA) is not None for _ in range(1000)) == BURST
+    assert sum(bench.say(CAMERA) is not None for _ in range(1000)) == MAX_BURST
     bench.now = 1.0
-    assert sum(bench.say(CAMERA) is not None for _ in range(1000)) == RATE
+    assert sum(bench.say(CAMERA) is not None for _ in range(1000)) == MAX_RATE_HZ

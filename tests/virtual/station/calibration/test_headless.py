@@ -1,4 +1,4 @@
-"""Procedures through the control loop and the wire-level devices."""
+"""Calibration procedures in the virtual lab, run through the control loop and the wire-level devices."""
 
 import math
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from station.calibration import commission, procedures
-from station.calibration.headless import carry_out
-from station.calibration.plan import Subject
-from station.calibration.procedure import Ask, GoTo, Guided
+from station.calibration.headless import run_headless
+from station.calibration.plan import PlanSubject
+from station.calibration.procedure import GoToPose, GuidedProcedure, OperatorPrompt
 from station.calibration.static_lab import StaticLab
 from station.config.robots import load_robot
 from station.control.clock import VirtualClock
@@ -18,23 +18,23 @@ START = np.array([0.0, math.pi / 2, -0.100])
 
 
 @pytest.fixture(scope="module")
-def subject() -> Subject:
-    return Subject.of(load_robot("paper"), START)
+def subject() -> PlanSubject:
+    return PlanSubject.of(load_robot("paper"), START)
 
 
-def test_visits_on_the_wire_are_those_of_the_still_lab(subject):
-    """The same true robot and the same hidden errors: the two benches differ by noise and play alone."""
+def test_measurements_at_wire_level_agree_with_those_of_the_static_lab(subject):
+    """Both benches have the same plant and the same hidden errors, so they differ only by noise and play."""
     lab, seen = load_lab("uncalibrated", subject.file), []
 
-    def few(bench: Subject):
-        away = yield GoTo(START + np.array([0.2, -0.15, 0.005]), 0.0, 0.0)
-        back = yield GoTo(START, 0.0, 0.3)
-        yield Ask("Hang a weight.", 0.5, 0.5)
-        pulled = yield GoTo(START, 0.5, 0.9)
+    def few(bench: PlanSubject):
+        away = yield GoToPose(START + np.array([0.2, -0.15, 0.005]), 0.0, 0.0)
+        back = yield GoToPose(START, 0.0, 0.3)
+        yield OperatorPrompt("Hang a weight.", 0.5, 0.5)
+        pulled = yield GoToPose(START, 0.5, 0.9)
         return [away, back, pulled]
 
     texts = []
-    seen = carry_out(few(subject), subject, lab, 4, VirtualClock(), lambda done, text: texts.append((done, text)))
+    seen = run_headless(few(subject), subject, lab, 4, VirtualClock(), lambda done, text: texts.append((done, text)))
     still = StaticLab(subject, lab, 4)
 
     for measurement in seen:
@@ -45,24 +45,24 @@ def test_visits_on_the_wire_are_those_of_the_still_lab(subject):
     assert (0.5, "Hang a weight.") in texts
 
 
-def test_latency_that_nobody_told_is_found(subject):
+def test_procedure_latency_finds_the_unknown_latency_of_the_tracker(subject):
     labs = [LabConfig(hidden=HiddenConfig(tracker_latency=late)) for late in (0.0, 0.020)]
 
     found = [
-        carry_out(commission.latency(subject), subject, lab, 0, VirtualClock(), lambda done, text: None).latency
+        run_headless(commission.latency(subject), subject, lab, 0, VirtualClock(), lambda done, text: None).latency
         for lab in labs
     ]
 
-    # The stages' own delay is in both.
+    # Both results contain the delay of the stages, so the difference is the added latency of the tracker.
     assert found[1].latency - found[0].latency == pytest.approx(0.020, abs=4.0 * found[1].error)
     assert found[1].error < 2e-3
 
 
-def test_a_procedure_can_be_walked_through_and_given_up(subject):
-    guided = Guided(procedures.tracker(subject, procedures.Effort(unloaded=8)))
+def test_calibration_procedure_can_be_stepped_through_and_aborted(subject):
+    guided = GuidedProcedure(procedures.tracker(subject, procedures.Effort(unloaded=8)))
     still = StaticLab(subject, LabConfig(), 0)
     done = []
-    while isinstance(guided.step, GoTo) and len(done) < 3:
+    while isinstance(guided.step, GoToPose) and len(done) < 3:
         done.append(guided.done)
         guided.answer(still.measure(guided.step.joints, 0.0))
 

@@ -1,4 +1,4 @@
-"""Six joints on one chain: from where the axes have room, and a coil askew made good while the tip points."""
+"""Calibration with six joints on one chain: signs of the axes, and compensation of a misaligned coil."""
 
 import math
 from pathlib import Path
@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from station.calibration import commission
-from station.calibration.headless import carry_out
+from station.calibration.headless import run_headless
 from station.calibration.outcome import Provenance, write_all
-from station.calibration.plan import Subject
+from station.calibration.plan import PlanSubject
 from station.calibration.procedures import Effort, TrackerResult, tracker
 from station.calibration.static_lab import StaticLab
-from station.calibration.static_lab import carry_out as carry_out_still
+from station.calibration.static_lab import run_static as carry_out_still
 from station.cli.calibrate import robot_start
 from station.config.robots import load_robot
 from station.control.clock import VirtualClock
@@ -22,9 +22,9 @@ from station.lab.config import LabConfig, load_lab
 from tests.harness.cases import a_run
 
 ASKEW = math.radians(3.0)
-#: The described tubes, and a coil 3 degrees askew: what is left of the direction's error is the coil's.
+#: Lab with exactly the robot file's tubes and a coil misaligned by 3 degrees, which causes all of the direction error.
 LAB = f"""
-title = "coil askew"
+title = "misaligned coil"
 [plant]
 tubes = {{}}
 play = {{}}
@@ -32,31 +32,31 @@ poisson_ratio = 0.30
 friction_force = 0.0
 friction_moment = 0.0
 [hidden]
-coil_askew = {ASKEW!r}
+coil_misalignment = {ASKEW!r}
 """
 
 
 @pytest.fixture(scope="module")
-def subject() -> Subject:
+def subject() -> PlanSubject:
     file = load_robot("balanced_pair")
-    return Subject.of(file, robot_start(file))
+    return PlanSubject.of(file, robot_start(file))
 
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("lab") / "askew.toml"
+    path = tmp_path_factory.mktemp("lab") / "misaligned.toml"
     path.write_text(LAB, encoding="utf-8")
     return path
 
 
 @pytest.fixture(scope="module")
 def found(subject, lab) -> TrackerResult:
-    """On the wire-level devices, from few poses."""
+    """Return the result of the procedure `tracker` on the wire-level devices, from few poses."""
     few = tracker(subject, Effort(unloaded=6))
-    return carry_out(few, subject, load_lab(str(lab), subject.file), 1, VirtualClock(), lambda done, text: None)
+    return run_headless(few, subject, load_lab(str(lab), subject.file), 1, VirtualClock(), lambda done, text: None)
 
 
-def test_the_axis_of_a_coil_askew_is_found_over_the_wire(subject, lab, found):
+def test_axis_of_a_misaligned_coil_is_found_at_wire_level(subject, lab, found):
     true = StaticLab(subject, load_lab(str(lab), subject.file), 1).hidden.coil_axis
 
     assert found.axis is not None
@@ -65,10 +65,10 @@ def test_the_axis_of_a_coil_askew_is_found_over_the_wire(subject, lab, found):
     assert math.acos(min(float(found.axis.direction @ true), 1.0)) < math.radians(0.3)
 
 
-def test_the_tip_points_where_it_should_once_the_coil_is_known_and_three_degrees_off_before(
-    subject, lab, found, tmp_path
-):
-    write_all(tmp_path / "known", found, subject, Provenance("tracker", "2026-01-01T00:00:00+00:00", "a lab", 1, 1.0))
+def test_calibrated_coil_axis_removes_three_degrees_of_direction_error(subject, lab, found, tmp_path):
+    write_all(
+        tmp_path / "known", found, subject, Provenance("tracker", "2026-01-01T00:00:00+00:00", "a lab", 1, 1.0, True)
+    )
     errors = []
     for calibration in ("", str(tmp_path / "known")):
         changes = {"lab": str(lab), "calibration": calibration, "duration": 5.0, "settling": 2.0}
@@ -83,8 +83,8 @@ def test_the_tip_points_where_it_should_once_the_coil_is_known_and_three_degrees
     assert errors[1] < 1.0
 
 
-def test_a_doubtful_model_is_not_asked_for_the_coils_axis(subject):
-    """Tubes that bend otherwise lay the tip's axis degrees beside the model's, the same way at every pose."""
+def test_coil_axis_is_not_used_if_the_model_does_not_fit(subject):
+    """Tubes that bend differently turn the tip's axis by degrees from the model's, equally at every pose."""
     lab = load_lab("uncalibrated", subject.file)
 
     result = carry_out_still(tracker(subject, Effort(unloaded=12)), StaticLab(subject, lab, 1))

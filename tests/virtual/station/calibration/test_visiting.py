@@ -1,4 +1,7 @@
-"""Steps as tasks of the control loop, rows as what was measured, on the wire-level devices in virtual time."""
+"""Steps of a procedure become tasks of the control loop, and their telemetry becomes measurements.
+
+The devices are those of the wire-level lab in virtual time.
+"""
 
 from dataclasses import replace
 
@@ -8,11 +11,11 @@ import pytest
 from core.control.corrections import Corrections
 from core.control.sensors import Sensors
 from core.control.step import Controller
-from station.calibration.procedure import AbortedError, GoTo, Swing
-from station.calibration.visiting import measured, task
-from station.config.controllers import BEST, PERIOD
+from station.calibration.procedure import AbortedError, GoToPose, SwingMotion
+from station.calibration.visiting import measurement_of, task
+from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S
 from station.control.loop import ControlLoop
-from station.control.settle_and_tare import AVERAGE
+from station.control.settle_and_tare import AVERAGE_S
 from station.control.states import State
 from station.lab.config import load_lab
 from station.lab.loads import ConstantLoad
@@ -22,15 +25,17 @@ START = np.array([0.0, np.pi / 2, -0.100])
 AWAY = START + np.array([0.1, -0.1, 0.0])
 
 
-def rows_of(step: GoTo | Swing, controller: Controller, paper, weight: float = 0.0) -> tuple[ControlLoop, np.ndarray]:
-    """Telemetry of one step from START on, in the lab `uncalibrated`."""
+def rows_of(
+    step: GoToPose | SwingMotion, controller: Controller, paper, weight: float = 0.0
+) -> tuple[ControlLoop, np.ndarray]:
+    """Return the telemetry of one step from START in the lab `uncalibrated`."""
     lab, devices = virtual_bench(paper, load_lab("uncalibrated", paper), 7, START)
     if weight:
         lab.apply_load(ConstantLoad(magnitude=weight), 0.0)
     loop, rows, tick, begun = ControlLoop(controller, devices), [], 0, False
     loop.connect(0.0)
     while not (begun and loop.state is State.READY):
-        row = loop.tick(tick * PERIOD, lab.advance(tick * PERIOD))
+        row = loop.tick(tick * PERIOD_S, lab.advance(tick * PERIOD_S))
         tick += 1
         assert not loop.cause
         if begun and row is not None:
@@ -41,14 +46,14 @@ def rows_of(step: GoTo | Swing, controller: Controller, paper, weight: float = 0
     return loop, np.array(rows)
 
 
-def test_a_visit_is_the_last_rest_and_says_which_way_each_joint_came(paper):
-    controller = BEST.controller(paper)
-    loop, rows = rows_of(GoTo(AWAY, 0.0, 0.0), controller, paper)
+def test_measurement_is_the_last_rest_with_the_arrival_direction_of_each_joint(paper):
+    controller = DEFAULT_CONTROLLER.controller(paper)
+    loop, rows = rows_of(GoToPose(AWAY, 0.0, 0.0), controller, paper)
 
-    measurement = measured(loop.channels, rows, GoTo(START, 0.25, 0.0), START, controller)
+    measurement = measurement_of(loop.channels, rows, GoToPose(START, 0.25, 0.0), START, controller)
 
     end = loop.channels.of(rows, "time")[-1, 0]
-    assert measurement.time == pytest.approx(end - 0.5 * AVERAGE, abs=2 * PERIOD)
+    assert measurement.time == pytest.approx(end - 0.5 * AVERAGE_S, abs=2 * PERIOD_S)
     np.testing.assert_allclose(measurement.joints, AWAY, atol=2e-3)
     assert measurement.came.tolist()[:2] == [1.0, -1.0]
     assert measurement.weight == 0.25
@@ -56,29 +61,29 @@ def test_a_visit_is_the_last_rest_and_says_which_way_each_joint_came(paper):
 
 
 @pytest.mark.parametrize("weight", [0.0, 0.5])
-def test_the_coil_of_a_calibration_in_use_is_taken_out_of_what_is_measured(paper, weight):
-    """Or the next calibration would find a coil that is at the tip, and lose it."""
-    plain = BEST.controller(paper)
+def test_coil_of_the_calibration_in_use_is_removed_from_measurements(paper, weight):
+    """Otherwise the next calibration would find the coil exactly at the tip and lose the coil's offset."""
+    plain = DEFAULT_CONTROLLER.controller(paper)
     known = replace(plain, corrections=Corrections(Sensors.ideal(2), np.array([2e-3, -1e-3, 3e-3])))
-    step = GoTo(START, weight, 0.0)
+    step = GoToPose(START, weight, 0.0)
     (loop, rows), (_, corrected) = rows_of(step, plain, paper, weight), rows_of(step, known, paper, weight)
 
-    first = measured(loop.channels, rows, step, START, plain)
-    second = measured(loop.channels, corrected, step, START, known)
+    first = measurement_of(loop.channels, rows, step, START, plain)
+    second = measurement_of(loop.channels, corrected, step, START, known)
 
     shown = [loop.channels.of(each, "tip_measured")[-1] for each in (rows, corrected)]
     assert np.linalg.norm(shown[1] - shown[0]) == pytest.approx(np.sqrt(14.0) * 1e-3, rel=0.1)
-    np.testing.assert_allclose(second.coil, first.coil, rtol=0, atol=20e-6)  # the frames' own mean is as sure
+    np.testing.assert_allclose(second.coil, first.coil, rtol=0, atol=20e-6)  # noise of a mean
 
 
-def test_the_axis_of_the_coil_is_what_the_tracker_says_whatever_calibration_is_in_use(paper):
-    plain, step = BEST.controller(paper), GoTo(START, 0.0, 0.0)
+def test_measured_coil_axis_does_not_depend_on_the_calibration_in_use(paper):
+    plain, step = DEFAULT_CONTROLLER.controller(paper), GoToPose(START, 0.0, 0.0)
     axis = np.array([0.03, -0.04, np.sqrt(1.0 - 0.0025)])
     known = replace(plain, corrections=Corrections(Sensors.ideal(2), axis=axis))
     (loop, rows), (_, corrected) = rows_of(step, plain, paper), rows_of(step, known, paper)
 
-    first = measured(loop.channels, rows, step, START, plain)
-    second = measured(loop.channels, corrected, step, START, known)
+    first = measurement_of(loop.channels, rows, step, START, plain)
+    second = measurement_of(loop.channels, corrected, step, START, known)
 
     shown = [loop.channels.of(each, "direction_measured")[-1] for each in (rows, corrected)]
     assert np.arccos(shown[0] @ shown[1]) == pytest.approx(0.05, rel=0.05)
@@ -87,32 +92,32 @@ def test_the_axis_of_the_coil_is_what_the_tracker_says_whatever_calibration_is_i
     np.testing.assert_allclose(second.axes, first.axes, rtol=0, atol=2e-4)
     untold = rows.copy()
     loop.channels.of(untold, "direction_measured")[:] = 0.0
-    assert measured(loop.channels, untold, step, START, plain).axes is None
+    assert measurement_of(loop.channels, untold, step, START, plain).axes is None
 
 
-def test_a_swing_is_everything_that_was_seen_in_it(paper):
-    controller, step = BEST.controller(paper), Swing(np.array([0.1, 0.1, 0.003]), 4.0, 4.0, 0.0)
+def test_swing_record_has_all_rows_and_frames_of_the_swing(paper):
+    controller, step = DEFAULT_CONTROLLER.controller(paper), SwingMotion(np.array([0.1, 0.1, 0.003]), 4.0, 4.0, 0.0)
     loop, rows = rows_of(step, controller, paper)
 
-    swung = measured(loop.channels, rows, step, START, controller)
+    swung = measurement_of(loop.channels, rows, step, START, controller)
 
-    assert swung.times[-1] - swung.times[0] == pytest.approx(4.0, abs=2 * PERIOD)
-    # (1 - cos) / 2 of the amplitudes: there and back again
+    assert swung.times[-1] - swung.times[0] == pytest.approx(4.0, abs=2 * PERIOD_S)
+    # The joints move along (1 - cos) / 2 of the amplitudes, so they return to their start.
     np.testing.assert_allclose(np.ptp(swung.joints, axis=0), step.amplitudes, rtol=0.1)
     np.testing.assert_allclose(swung.joints[-1], swung.joints[0], atol=5e-3)
     assert 140 <= len(swung.coils) == len(swung.frame_times) <= 160
     assert (np.diff(swung.frame_times) > 0.0).all()
 
 
-def test_what_was_hardly_seen_is_no_visit(paper):
-    controller, step = BEST.controller(paper), GoTo(START, 0.0, 0.0)
+def test_measurement_with_too_few_rows_or_frames_is_refused(paper):
+    controller, step = DEFAULT_CONTROLLER.controller(paper), GoToPose(START, 0.0, 0.0)
     loop, rows = rows_of(step, controller, paper)
 
     with pytest.raises(AbortedError, match=r"only 0\.2 of 1\.5 s were recorded"):
-        measured(loop.channels, rows[-102:], step, START, controller)
+        measurement_of(loop.channels, rows[-102:], step, START, controller)
     with pytest.raises(AbortedError, match="were recorded"):
-        measured(loop.channels, rows[:0], step, START, controller)
+        measurement_of(loop.channels, rows[:0], step, START, controller)
     blind = rows.copy()
     loop.channels.of(blind, "tip_new")[:] = 0.0
     with pytest.raises(AbortedError, match="no tracker frame"):
-        measured(loop.channels, blind, step, START, controller)
+        measurement_of(loop.channels, blind, step, START, controller)

@@ -1,9 +1,9 @@
-"""`ctr-station calibrate`: what it writes and what it finds."""
+"""Results and output files of `ctr-station calibrate`."""
 
 import json
 
 
-def test_the_command_writes_its_folder_and_says_where(call, tmp_path):
+def test_calibrate_writes_a_folder_and_prints_its_path(call, tmp_path):
     done = call("calibrate", "tracker", "--still", "--seed", "3", "--effort", "0.5", "--out", "found", "--json")
 
     assert done.status == 0, done.err
@@ -17,14 +17,14 @@ def test_the_command_writes_its_folder_and_says_where(call, tmp_path):
     assert folder.name in done.out
 
 
-def test_the_latency_command_says_how_long_it_was_on_the_bench(call):
+def test_calibrate_latency_prints_the_duration_on_the_rig(call):
     done = call("calibrate", "latency", "--out", "found", "--json")
 
     assert done.status == 0, done.err
     assert 20.0 < json.loads(done.out)["robot_s"] < 30.0
 
 
-def test_the_axes_command_finds_a_mirrored_stage_on_the_wire(call, write):
+def test_calibrate_axes_detects_a_mirrored_stage_on_the_wire(call, write):
     lab = write('[hidden]\nmirrored = ["inner_rotation"]\n', "mirrored")
 
     done = call("calibrate", "axes", "--lab", str(lab), "--out", "found", "--json")

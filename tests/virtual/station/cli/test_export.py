@@ -1,9 +1,9 @@
-"""`ctr-station export`: from a run to files, by name, by folder or the newest."""
+"""`ctr-station export`: conversion of a run to files; the run is given by name, by folder, or as the latest."""
 
 from pathlib import Path
 
 
-def test_the_newest_run_becomes_a_csv_file(call, write, short):
+def test_latest_run_is_exported_to_a_csv_file(call, write, short):
     assert call("run", str(write(short)), "--jobs", "1").status == 0
     done = call("export", "latest", "--format", "csv")
     assert done.status == 0, done.err

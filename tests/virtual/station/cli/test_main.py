@@ -1,4 +1,4 @@
-"""The command line: what it prints, what it leaves on the disk, and how it ends."""
+"""The command line: its output, its files on disk and its exit status."""
 
 import json
 import sys
@@ -17,7 +17,7 @@ def folders(out: Path) -> list[str]:
     return sorted(path.name for path in out.iterdir()) if out.exists() else []
 
 
-def test_the_same_seed_gives_the_same_rows_and_another_seed_others(call, write, short, tmp_path):
+def test_run_with_the_same_seed_has_the_same_rows_and_another_seed_changes_them(call, write, short, tmp_path):
     for seed in ("1", "1", "2"):
         assert call("run", str(write(short)), "--jobs", "1", "--seed", seed, "--out", "out").status == 0
     first, again, other = (read_case(path).rows for path in sorted((tmp_path / "out").glob("*/own.mcap")))
@@ -26,7 +26,7 @@ def test_the_same_seed_gives_the_same_rows_and_another_seed_others(call, write, 
     assert not (first == other).all()
 
 
-def test_the_table_has_units_and_the_papers_number_beside_ours(call, write, short):
+def test_result_table_of_run_has_units_and_the_numbers_of_the_paper(call, write, short):
     done = call("run", str(write(short + TWO_CASES)), "--jobs", "1")
 
     assert done.status == 0
@@ -52,17 +52,17 @@ strategy = "unloaded_jacobian"
 """
 
 
-def test_a_load_that_is_too_fast_is_run_and_what_was_possible_stands_beside_what_was_reached(call, write, short):
+def test_result_of_a_load_that_is_too_fast_has_the_best_possible_error(call, write, short):
     path = str(write(short + FAST))
     done = call("run", path, "--jobs", "1", "--json")
     assert done.status == 0
-    assert done.err.startswith("ctr-station: follows: load trapezoid is more than the joints can make up for: hold ")
+    assert done.err.startswith("ctr-station: follows: the joints cannot compensate load trapezoid: hold ")
     assert len(done.err.splitlines()) == 1
     follows, stays = (json.loads(done.out)["cases"][name] for name in ("follows", "stays"))
     assert follows["warnings"][0] in done.err
     least = follows["best_possible_mm"]
     assert stays["best_possible_mm"] == follows["by_change"]["0.4 s"]["best_possible_mm"] == least
-    # within a tenth of a second stages hardly begin to move: nobody can do much better than nothing
+    # Within a tenth of a second the stages barely move, so the best possible error is close to that without control.
     assert 0.8 * stays["true_max_distance_mm"] < least < stays["true_max_distance_mm"]
 
     table = call("run", path, "--jobs", "1").out
@@ -72,7 +72,7 @@ def test_a_load_that_is_too_fast_is_run_and_what_was_possible_stands_beside_what
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "expected"),
     [
         ("duration = 1.0", "duration = nan", ["duration = nan", "finite"]),
         ("duration = 1.0", "duration = -1.0", ["duration = -1.0", "greater than 0"]),
@@ -84,7 +84,9 @@ def test_a_load_that_is_too_fast_is_run_and_what_was_possible_stands_beside_what
         ('title = "short"', 'title = "short"\nrobot = "soft.toml"', ["soft.toml", "bending_stiffness -0.048 N m^2"]),
     ],
 )
-def test_a_bad_file_gets_one_line_and_leaves_nothing(call, write, short, robot_text, tmp_path, old, new, said):
+def test_run_with_an_invalid_file_prints_one_line_of_error_and_writes_no_files(
+    call, write, short, robot_text, tmp_path, old, new, expected
+):
     write(robot_text.replace("bending_stiffness = 0.048", "bending_stiffness = -0.048"), "soft")
     assert short.strip().count(old) == 1
     done = call("run", str(write(short.strip().replace(old, new))), "--jobs", "1", "--out", "out", "--json")
@@ -92,13 +94,13 @@ def test_a_bad_file_gets_one_line_and_leaves_nothing(call, write, short, robot_t
     assert done.status == 2
     assert done.out == ""
     assert len(done.err.splitlines()) == 1
-    for part in said:
+    for part in expected:
         assert part in done.err
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (["run", "fig99"], ["'fig99'", "fig10"]),
         (["run", "fig\n99"], ["'fig 99'"]),
@@ -109,9 +111,9 @@ def test_a_bad_file_gets_one_line_and_leaves_nothing(call, write, short, robot_t
         (["run", "fig7", "--seed", "9223372036854775808"], ["--seed", "9223372036854775808", "2^63 - 1"]),
         (["run", "fig7", "--sed", "1"], ["--sed"]),
         (["run"], ["EXPERIMENT"]),
-        (["run", "fig7", "--out", "taken"], ["taken: cannot write results there"]),
-        (["run", "fig7", "--out", "taken/below"], ["taken/below: cannot write results there"]),
-        (["run", "fig7", "--out", "x" * 300], ["cannot write results there: File name too long"]),
+        (["run", "fig7", "--out", "taken"], ["taken: cannot write results"]),
+        (["run", "fig7", "--out", "taken/below"], ["taken/below: cannot write results"]),
+        (["run", "fig7", "--out", "x" * 300], ["cannot write results: File name too long"]),
         (["run", "x" * 5000 + ".toml"], ["xxx: File name too long"]),
         (["run", "demo", "--calibration", "x" * 5000], ["xxx: File name too long"]),
         (["report", "x" * 5000], ["xxx: File name too long"]),
@@ -129,20 +131,20 @@ def test_a_bad_file_gets_one_line_and_leaves_nothing(call, write, short, robot_t
         (["fly"], ["fly", "run", "solve"]),
     ],
 )
-def test_a_bad_command_gets_one_line_that_names_it(call, tmp_path, arguments, said):
+def test_invalid_command_line_argument_causes_one_line_of_error_that_names_it(call, tmp_path, arguments, expected):
     (tmp_path / "taken").write_text("a file", encoding="utf-8")
     done = call(*arguments)
 
     assert done.status == 2
     assert done.out == ""
     assert len(done.err.splitlines()) == 1
-    for part in said:
+    for part in expected:
         assert part in done.err
     assert folders(tmp_path) == ["taken"]
 
 
-def test_a_run_that_cannot_go_on_says_why_and_is_kept_as_incomplete(call, write, short, tmp_path):
-    # Without feedback a load that cannot be held is no reason to refuse the motion beforehand.
+def test_run_that_cannot_continue_has_a_cause_and_is_kept_as_incomplete(call, write, short, tmp_path):
+    # Without feedback a load beyond the strength does not refuse the motion before its start.
     load = '[load]\nkind = "constant"\nmagnitude = 20.0\n[controller]\nstrategy = "unloaded_jacobian"\n'
     path = write(short + load + "[cases.one]\n[cases.two]\n")
     done = call("run", str(path), "--jobs", "1", "--out", "out", "--json")
@@ -160,7 +162,7 @@ def test_a_run_that_cannot_go_on_says_why_and_is_kept_as_incomplete(call, write,
 
 
 @pytest.mark.parametrize("options", [["--exact"], ["--sublink", "0.0025"], ["--robot", "own.toml"]])
-def test_solve_takes_another_model_or_another_robot(call, write, robot_text, monkeypatch, tmp_path, options):
+def test_solve_accepts_another_model_or_robot(call, write, robot_text, monkeypatch, tmp_path, options):
     write(robot_text.replace("bending_stiffness = 0.0413", "bending_stiffness = 0.0826"))
     request = tmp_path / "request"
     request.write_bytes(GOOD)
@@ -170,13 +172,13 @@ def test_solve_takes_another_model_or_another_robot(call, write, robot_text, mon
             monkeypatch.setattr(sys, "stdin", lines)
             return np.array(json.loads(call("solve", *arguments).out)["tip"])
 
-    # another sub-link or formulation: within a tenth of a millimetre; a tube twice as stiff: millimetres
+    # Another sub-link or formulation changes the tip by less than 0.1 mm; a tube twice as stiff by millimetres.
     distance = np.linalg.norm(tip(*options) - tip())
     assert distance > 0.0
     assert (distance < 1e-4) == ("--robot" not in options)
 
 
-def test_help_names_the_commands_and_the_experiments(call):
+def test_help_lists_the_commands_and_the_experiments(call):
     done = call("--help")
 
     assert (done.status, done.err) == (0, "")
@@ -184,7 +186,7 @@ def test_help_names_the_commands_and_the_experiments(call):
         assert word in done.out
 
 
-def test_without_a_command_there_is_help_and_a_status_that_says_nothing_was_done(call):
+def test_missing_command_prints_help_and_exits_with_status_2(call):
     done = call()
 
     assert done.status == 2
@@ -192,7 +194,7 @@ def test_without_a_command_there_is_help_and_a_status_that_says_nothing_was_done
 
 
 def test_bench_prints_one_json_object_or_a_table(call, monkeypatch):
-    from station.bench import bench
+    from station.benchmarks import bench
 
     whole = bench.model
     monkeypatch.setattr(bench, "model", lambda: whole(300, 2))

@@ -1,4 +1,4 @@
-"""The commands `report` and `replay`."""
+"""The commands `report` and `replay`: which run they read, and where they write their files."""
 
 import json
 import shutil
@@ -11,25 +11,25 @@ from tests.harness.cases import SHORT
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory) -> Path:
-    """A folder with one short run under `runs`."""
-    place = tmp_path_factory.mktemp("place")
-    path = place / "own.toml"
+def folder(tmp_path_factory) -> Path:
+    """Return a folder with one short run under `runs`."""
+    folder = tmp_path_factory.mktemp("folder")
+    path = folder / "own.toml"
     path.write_text(SHORT.replace("duration = 1.0", "duration = 0.3"), encoding="utf-8")
-    assert main(("run", str(path), "--jobs", "1", "--json", "--out", str(place / "runs"))) == 0
-    return place
+    assert main(("run", str(path), "--jobs", "1", "--json", "--out", str(folder / "runs"))) == 0
+    return folder
 
 
 @pytest.fixture
-def run(place, monkeypatch, capsys) -> Path:
-    """The one run."""
-    monkeypatch.chdir(place)
+def run(folder, monkeypatch, capsys) -> Path:
+    """Return the folder of the run."""
+    monkeypatch.chdir(folder)
     capsys.readouterr()
-    (run,) = (place / "runs").iterdir()
+    (run,) = (folder / "runs").iterdir()
     return run
 
 
-def test_they_take_the_latest_a_name_or_a_folder(run, capsys):
+def test_report_and_replay_accept_latest_a_name_or_a_folder(run, capsys):
     for command, which in (("report", "latest"), ("replay", run.name), ("report", str(run)), ("replay", "latest")):
         assert main((command, which)) == 0
         made = run / f"{command}.html"
@@ -39,34 +39,34 @@ def test_they_take_the_latest_a_name_or_a_folder(run, capsys):
 
 
 @pytest.mark.parametrize("where", [("--data", "other", "report", "latest"), ("report", "latest", "--data", "other")])
-def test_the_latest_is_that_of_the_folder_of_data(run, place, capsys, where):
-    other = place / "other" / "elsewhere"
+def test_report_of_the_latest_run_uses_the_data_folder(run, folder, capsys, where):
+    other = folder / "other" / "elsewhere"
     shutil.copytree(run, other, dirs_exist_ok=True)
 
     assert main(where) == 0
     assert Path(capsys.readouterr().out.strip()).resolve() == other / "report.html"
 
 
-def test_results_go_into_the_folder_of_data(place, monkeypatch, capsys):
-    monkeypatch.chdir(place)
+def test_run_writes_its_results_to_the_data_folder(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
     assert main(("run", "own.toml", "--jobs", "1", "--json", "--data", "kept")) == 0
 
-    (folder,) = (place / "kept").iterdir()
-    assert json.loads(capsys.readouterr().out)["recording"] == str(Path("kept", folder.name))
+    (run,) = (folder / "kept").iterdir()
+    assert json.loads(capsys.readouterr().out)["recording"] == str(Path("kept", run.name))
 
 
-def test_out_is_where_everything_goes(run, capsys, place):
+def test_option_out_of_report_and_replay_sets_the_destination_of_all_files(run, capsys, folder):
     assert main(("report", "latest", "--out", "made")) == 0
     assert main(("replay", "latest", "--out", "made/own.html")) == 0
     assert capsys.readouterr().out.split() == ["made/report.html", "made/own.html"]
-    names = {path.name for path in (place / "made").iterdir()}
+    names = {path.name for path in (folder / "made").iterdir()}
 
     assert {"report.html", "own.html", "path_own.png", "path_own.pdf"} <= names
     assert not (run / "report.html").exists()
 
 
 @pytest.mark.parametrize("command", ["report", "replay"])
-def test_a_run_that_is_not_there_gets_one_line(command, monkeypatch, tmp_path, capsys):
+def test_report_of_a_missing_run_prints_one_line_of_error(command, monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     for which in ("latest", "fig99"):
         assert main((command, which)) == 2

@@ -1,4 +1,4 @@
-"""The command `sweep`: its table, its JSON, its folder."""
+"""The command `sweep`: its table, its JSON output and its folder."""
 
 import json
 import sys
@@ -42,7 +42,7 @@ def test_sweep_prints_one_json_object_and_leaves_a_folder_with_a_report(write, s
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (("--seeds", "0"), "0 is outside 1 ... 100000"),
         (("--seeds", "many"), "'many' is not a whole number"),
@@ -53,10 +53,12 @@ def test_sweep_prints_one_json_object_and_leaves_a_folder_with_a_report(write, s
         (("--part", "2"), "'2' is not I/N, for example 2/4"),
         (("--part", "3/2"), "3 is outside 1 ... 2"),
         (("--part", "1/2"), "--part needs --folder"),
-        (("out",), "only named after 'sweep merge'"),
+        (("out",), "only follow 'sweep merge'"),
     ],
 )
-def test_bad_options_get_one_line_and_leave_nothing(write, short, tmp_path, monkeypatch, capsys, arguments, said):
+def test_sweep_with_invalid_options_prints_one_line_of_error_and_writes_no_files(
+    write, short, tmp_path, monkeypatch, capsys, arguments, expected
+):
     monkeypatch.chdir(tmp_path)
     try:
         status = main(("sweep", str(write(short)), *arguments, "--out", "out"))
@@ -66,7 +68,7 @@ def test_bad_options_get_one_line_and_leave_nothing(write, short, tmp_path, monk
 
     assert status == 2
     assert len(error.splitlines()) == 1
-    assert said in error
+    assert expected in error
     assert not (tmp_path / "out").exists()
 
 
@@ -74,12 +76,12 @@ def quick(write, short, text=""):
     return str(write(short.replace("duration = 1.0", "duration = 0.2") + text))
 
 
-def test_the_same_command_goes_on_where_it_was_and_another_one_is_refused(write, short, call, tmp_path):
+def test_repeated_sweep_continues_and_a_different_one_is_refused(write, short, call, tmp_path):
     command = ("sweep", quick(write, short), "--jobs", "1", "--folder", "here")
     assert call(*command, "--seeds", "2").status == 0
     manifest = tmp_path / "here" / "manifest.jsonl"
     whole = manifest.read_bytes()
-    manifest.write_bytes(whole[:-50])  # as kill -9 leaves it
+    manifest.write_bytes(whole[:-50])  # kill -9 leaves a manifest with a truncated last line
 
     again = call(*command, "--seeds", "2")
     assert again.status == 0
@@ -89,12 +91,10 @@ def test_the_same_command_goes_on_where_it_was_and_another_one_is_refused(write,
     assert "2 of 2 runs, 0 of them now, in" in call(*command, "--seeds", "2").out
     refused = call(*command, "--seeds", "3")
     assert (refused.status, refused.out) == (2, "")
-    assert "here/manifest.jsonl: another sweep is kept there: --seeds: 2 there, 3 here" in refused.err
+    assert "here/manifest.jsonl: the folder has another sweep: --seeds: 2 stored, 3 requested" in refused.err
 
 
-def test_without_a_folder_a_sweep_that_is_not_done_goes_on_and_one_that_is_has_another_beside_it(
-    write, short, call, tmp_path
-):
+def test_sweep_without_a_folder_continues_if_incomplete_and_gets_a_new_folder_if_complete(write, short, call, tmp_path):
     command = ("sweep", quick(write, short), "--jobs", "1", "--seeds", "2", "--json")
     first = json.loads(call(*command).out)["recording"]
     second = json.loads(call(*command).out)["recording"]
@@ -104,7 +104,7 @@ def test_without_a_folder_a_sweep_that_is_not_done_goes_on_and_one_that_is_has_a
     assert json.loads(call(*command).out)["recording"] == second
 
 
-def test_parts_are_put_together_to_what_the_whole_gives(write, short, call, tmp_path):
+def test_merged_parts_of_a_sweep_equal_the_whole_sweep(write, short, call, tmp_path):
     command = ("sweep", quick(write, short, TWO), "--seeds", "2", "--jobs", "1")
     whole = json.loads(call(*command, "--json").out)
     for part in ("2/3", "1/3"):
@@ -127,7 +127,7 @@ def test_parts_are_put_together_to_what_the_whole_gives(write, short, call, tmp_
     assert "4 runs of 3 parts" in call("sweep", "merge", "parts").out
 
 
-def test_a_run_that_fails_is_in_the_table_and_in_the_status(write, short, call):
+def test_failed_run_of_a_sweep_appears_in_its_table_and_exit_status(write, short, call):
     lost = '[[cases.lost.faults]]\nkind = "mute"\ndevice = "tracker"\nat = 0.1\n'
     experiment = quick(write, short, f"[cases.good]\n{lost}")
     done = call("sweep", experiment, "--seeds", "1", "--jobs", "1", "--set", "duration=0.6")
@@ -139,7 +139,9 @@ def test_a_run_that_fails_is_in_the_table_and_in_the_status(write, short, call):
     assert "2 of 2 runs in" in done.out
 
 
-def test_without_dask_a_scheduler_is_refused_with_the_extra_named(write, short, call, tmp_path, monkeypatch):
+def test_sweep_on_a_cluster_without_dask_is_refused_with_the_name_of_the_extra(
+    write, short, call, tmp_path, monkeypatch
+):
     monkeypatch.setitem(sys.modules, "distributed", None)
     refused = call("sweep", quick(write, short), "--scheduler", "local", "--folder", "here")
 

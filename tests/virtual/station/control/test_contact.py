@@ -1,4 +1,4 @@
-"""Contacts on the shaft seen through the loop and the wire-level devices."""
+"""Estimation of contacts on the shaft from the telemetry of the control loop with wire-level simulated devices."""
 
 from collections.abc import Callable
 from functools import cache
@@ -8,12 +8,12 @@ import pytest
 
 from core.model.statics import Statics
 from station.config.robots import load_robot
-from station.control.contact import look
+from station.control.contact import estimate_contact
 from station.experiments.experiment import load_experiment
 from station.experiments.runner import Recording
 from tests.harness.cases import a_run
 
-#: The joints stay, but for a turn of a hundredth of a degree.
+#: Experiment in which the joints stay, except for a rotation by a hundredth of a degree.
 RESTING = """
 title = "resting"
 start = {{ outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }}
@@ -31,7 +31,7 @@ distance = 0.0001
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory) -> Callable[[str], Recording]:
-    """A run under a load, as a TOML table; each is carried out once."""
+    """Return a function that runs the experiment under a load, given as TOML; each load is run once."""
 
     @cache
     def recorded(load: str) -> Recording:
@@ -43,63 +43,69 @@ def recorded(tmp_path_factory) -> Callable[[str], Recording]:
 
 
 @pytest.mark.parametrize("place", [0.06, 0.10, 0.14])
-def test_a_contact_on_the_shaft_is_told_from_a_load_at_the_tip_and_found(recorded, place):
+def test_contact_on_the_shaft_is_distinguished_from_a_load_at_the_tip_and_located(recorded, place):
     run = recorded(f'kind = "contact"\nmagnitude = 0.3\nplace = {place:g}\ndirection = [0.0, 1.0, 0.3]')
 
-    touch = look(Statics(load_robot("paper").robot()), run.channels, run.rows[-300:])
+    touch = estimate_contact(Statics(load_robot("paper").robot()), run.channels, run.rows[-300:])
 
     assert touch is not None
-    assert not touch.tip.holds
+    assert not touch.tip.accepted
     assert touch.contact is not None
-    assert touch.contact.place == pytest.approx(place, abs=10e-3)
+    assert touch.contact.arc_length == pytest.approx(place, abs=10e-3)
     assert any(start - 1e-3 <= place <= end + 1e-3 for start, end in touch.contact.intervals)
     np.testing.assert_allclose(np.linalg.norm(touch.force), 0.3, atol=0.02)
 
 
-def test_a_weight_at_the_tip_is_no_contact(recorded):
+def test_weight_at_the_tip_is_not_reported_as_a_contact_on_the_shaft(recorded):
     run = recorded('kind = "constant"\nmagnitude = 0.3')
 
-    touch = look(Statics(load_robot("paper").robot()), run.channels, run.rows[-300:])
+    touch = estimate_contact(Statics(load_robot("paper").robot()), run.channels, run.rows[-300:])
 
     assert touch is not None
-    assert touch.tip.holds
+    assert touch.tip.accepted
     assert touch.contact is None
 
 
 def drifted(run: Recording) -> np.ndarray:
-    """Its last rows with 30 mN more on each axis of a sensor 0.1 m behind the plate."""
+    """Return the last rows of a run, as if a sensor 0.1 m behind the plate had drifted by 30 mN on each axis."""
     rows, more = run.rows[-300:].copy(), np.array([0.03, -0.03, 0.03])
     run.channels.of(rows, "force")[:] += more
     run.channels.of(rows, "moment")[:] += np.cross([0.0, 0.0, -0.1], more)
     return rows
 
 
-def test_sensors_that_have_drifted_make_no_contact_of_a_weight_and_a_contact_less_certain(recorded):
+def test_sensor_drift_widens_the_interval_of_a_contact_and_does_not_invent_one(recorded):
     statics = Statics(load_robot("paper").robot())
     weight = recorded('kind = "constant"\nmagnitude = 0.3')
-    assert look(statics, weight.channels, drifted(weight)).contact is None
+    assert estimate_contact(statics, weight.channels, drifted(weight)).contact is None
 
     leaning = recorded('kind = "contact"\nmagnitude = 0.3\nplace = 0.1\ndirection = [0.0, 1.0, 0.3]')
-    sharp, blunt = (look(statics, leaning.channels, rows).contact for rows in (leaning.rows[-300:], drifted(leaning)))
+    sharp, blunt = (
+        estimate_contact(statics, leaning.channels, rows).contact for rows in (leaning.rows[-300:], drifted(leaning))
+    )
     (first, last), (low, high) = sharp.intervals[0], blunt.intervals[0]
     assert high - low > 1.5 * (last - first)
     assert low <= 0.1 <= high
 
 
-def test_moments_that_fit_no_place_are_said_to_and_drift_is_named(recorded):
+def test_note_about_moments_that_fit_no_contact_names_drift_as_a_cause(recorded):
     leaning = recorded('kind = "contact"\nmagnitude = 0.3\nplace = 0.1\ndirection = [0.0, 1.0, 0.3]')
     rows = leaning.rows[-300:].copy()
-    leaning.channels.of(rows, "moment")[:] += [0.0, 0.00383, 0.00115]  # along the force: no place explains that
-    touch = look(Statics(load_robot("paper").robot()), leaning.channels, rows).contact
+    leaning.channels.of(rows, "moment")[:] += [
+        0.0,
+        0.00383,
+        0.00115,
+    ]  # a moment along the force, which no contact explains
+    touch = estimate_contact(Statics(load_robot("paper").robot()), leaning.channels, rows).contact
     assert not touch.located
     assert "tare again" in touch.note
     assert "along the shaft" not in touch.note
 
 
-def test_too_few_rows_say_nothing(recorded):
+def test_too_few_rows_give_no_contact_report(recorded):
     run = recorded('kind = "none"')
 
-    assert look(Statics(load_robot("paper").robot()), run.channels, run.rows[:5]) is None
+    assert estimate_contact(Statics(load_robot("paper").robot()), run.channels, run.rows[:5]) is None
 
 
 SIX = """
@@ -123,18 +129,18 @@ direction = [0.0, 1.0, 0.3]
 
 
 @pytest.mark.parametrize("place", [0.10, 0.22])
-def test_a_contact_on_three_tubes_is_found_from_three_sensors(tmp_path, place):
-    """On the pair, and on the tube that is out of it alone."""
+def test_contact_on_a_robot_of_three_tubes_is_located_by_three_sensors(tmp_path, place):
+    """The contact is on the overlapping tubes, or on the innermost tube beyond them."""
     path = tmp_path / "own.toml"
     path.write_text(SIX.format(place=place), encoding="utf-8")
     run = a_run(load_experiment(str(path)).cases[0])
 
-    touch = look(Statics(load_robot("balanced_pair").robot()), run.channels, run.rows[-300:])
+    touch = estimate_contact(Statics(load_robot("balanced_pair").robot()), run.channels, run.rows[-300:])
 
     assert touch is not None
-    assert not touch.tip.holds
+    assert not touch.tip.accepted
     assert touch.contact is not None
     assert touch.contact.located, touch.contact.note
-    assert touch.contact.place == pytest.approx(place, abs=10e-3)
+    assert touch.contact.arc_length == pytest.approx(place, abs=10e-3)
     assert any(start - 1e-3 <= place <= end + 1e-3 for start, end in touch.contact.intervals)
     np.testing.assert_allclose(np.linalg.norm(touch.force), 0.3, atol=0.02)

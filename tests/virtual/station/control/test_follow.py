@@ -1,4 +1,4 @@
-"""A run that follows a target: how close, what happens when the target is lost, and that nobody follows nothing."""
+"""A run that follows a target: its error, a lost target, and a refusal without a target."""
 
 import numpy as np
 import pytest
@@ -19,44 +19,44 @@ def virtual() -> VirtualStation:
 
 
 def errors(virtual: VirtualStation, since: float) -> np.ndarray:
-    """Distance (ticks,) [m] of the true tip from where it should be beside the true target."""
+    """Return the distance (ticks,) [m] of the true tip from its desired position next to the true target."""
     rows = virtual.rows[-round(since / virtual.case.controller.period) :]
-    wanted = virtual.of("target_true", rows) + virtual.of("target_offset", rows)
-    return np.linalg.norm(wanted - virtual.of("tip_true", rows), axis=1)
+    desired = virtual.of("target_true", rows) + virtual.of("target_offset", rows)
+    return np.linalg.norm(desired - virtual.of("tip_true", rows), axis=1)
 
 
 def check_bounds(virtual: VirtualStation, motion: FollowMotion = FOLLOW) -> None:
-    """The setpoint of a run moves no faster than it may, and no quicker than it may change its speed.
+    """Check that the setpoint of a run keeps its bounds on speed and acceleration.
 
-    Telemetry has the led setpoint where it is now: a lead of at most 50 ms of its acceleration comes on top.
+    Telemetry has the margin setpoint where it is now: a lead of at most 50 ms of its acceleration comes on top.
     """
     moving = virtual.of("target_followed")[:, 0] > 0.0
     velocity = np.diff(virtual.of("tip_desired")[moving], axis=0) / virtual.case.controller.period
     change = np.linalg.norm(velocity[100:] - velocity[:-100], axis=1) / (100 * virtual.case.controller.period)
-    led = 0.05 * motion.max_acceleration
-    assert np.linalg.norm(velocity, axis=1).max() <= motion.max_speed + led
-    assert change.max() <= motion.max_acceleration + 2.0 * led / 0.2
+    margin = 0.05 * motion.max_acceleration
+    assert np.linalg.norm(velocity, axis=1).max() <= motion.max_speed + margin
+    assert change.max() <= motion.max_acceleration + 2.0 * margin / 0.2
 
 
-def test_the_tip_stays_beside_a_target_that_breathes(virtual: VirtualStation) -> None:
+def test_tip_stays_next_to_a_breathing_target(virtual: VirtualStation) -> None:
     virtual.moving(FOLLOW, since=6.0)
     virtual.seconds(6.0)
 
     assert errors(virtual, 6.0).max() < 0.5e-3
     target = virtual.of("target_true", virtual.rows[-3000:])
-    assert np.ptp(target, axis=0).max() > 4e-3  # it does breathe
+    assert np.ptp(target, axis=0).max() > 4e-3  # the target really moves
     assert np.linalg.norm(target - virtual.of("target_predicted", virtual.rows[-3000:]), axis=1).max() < 0.4e-3
     check_bounds(virtual)
 
 
-def test_without_prediction_it_lags_behind(virtual: VirtualStation) -> None:
+def test_tip_lags_behind_the_target_without_prediction(virtual: VirtualStation) -> None:
     virtual.moving(FollowMotion(predict=False), since=3.0)
     virtual.seconds(4.0)
 
     assert errors(virtual, 4.0).max() > 1.5e-3
 
 
-def test_a_given_offset_is_gone_to_within_the_bounds(virtual: VirtualStation) -> None:
+def test_tip_reaches_the_given_offset_from_the_target_within_the_bounds(virtual: VirtualStation) -> None:
     motion = FollowMotion(offset=(0.004, 0.0, -0.015))
     virtual.moving(motion, since=5.0)
     virtual.seconds(2.0)
@@ -66,13 +66,13 @@ def test_a_given_offset_is_gone_to_within_the_bounds(virtual: VirtualStation) ->
     check_bounds(virtual, motion)
 
 
-def test_a_target_that_is_lost_for_a_moment_lets_the_tip_rest_and_go_on(virtual: VirtualStation) -> None:
+def test_tip_rests_while_the_target_is_lost_and_follows_again(virtual: VirtualStation) -> None:
     virtual.moving(FOLLOW, since=4.0)
     virtual.fail("lose_target", "tracker", duration=1.2)
     virtual.seconds(0.9)
 
     desired = virtual.of("tip_desired", virtual.rows[-50:])
-    assert np.ptp(desired, axis=0).max() < 1e-9  # at rest
+    assert np.ptp(desired, axis=0).max() < 1e-9  # the setpoint of the tip is at rest
     trouble = virtual.devices.tracker.trouble(virtual.now)
     assert trouble is not None
     assert trouble.severity is Severity.WARN
@@ -85,29 +85,29 @@ def test_a_target_that_is_lost_for_a_moment_lets_the_tip_rest_and_go_on(virtual:
     check_bounds(virtual)
 
 
-def test_a_target_that_stays_away_ends_the_run_and_says_so(virtual: VirtualStation) -> None:
+def test_target_lost_for_long_ends_the_run_with_the_cause(virtual: VirtualStation) -> None:
     virtual.moving(FOLLOW, since=2.0)
     virtual.fail("lose_target", "tracker")
 
     assert virtual.becomes(State.HOLD, 5.0) == pytest.approx(FOLLOW.patience, abs=0.1)
-    assert virtual.loop.cause.startswith("target: not seen for 2.0 s")
+    assert virtual.loop.cause.startswith("target: not measured for 2.0 s")
     assert "bring it back into the tracker's volume" in virtual.loop.cause
     assert not virtual.of("target_followed")[-1]
     virtual.seconds(0.3)
     assert virtual.rests()
     virtual.loop.reset(virtual.now)
-    with pytest.raises(RefusedError, match="target: not seen for"):
+    with pytest.raises(RefusedError, match="target: not measured for"):
         virtual.moving(FOLLOW)
     virtual.mend()
     virtual.seconds(0.2)
     virtual.moving(FOLLOW)
 
 
-def test_a_bench_without_a_second_coil_refuses() -> None:
+def test_bench_without_a_second_coil_refuses_to_follow() -> None:
     usual = a_case("follow", "breathing")
     bench = VirtualStation(usual._replace(lab=load_lab("gentle", usual.robot)))
 
-    with pytest.raises(RefusedError, match=r"target: has not been seen yet.*name its coil in devices\.tracker\.target"):
+    with pytest.raises(RefusedError, match=r"target: not measured yet.*name its coil in devices\.tracker\.target"):
         bench.moving(FOLLOW)
     assert bench.state is State.READY
     assert not bench.of("target_true").any()

@@ -1,4 +1,4 @@
-"""The control loop on the virtual lab: bring-up, preparation, a run to its end, stops, and samples that are NaN."""
+"""The control loop with the virtual lab: connecting, taring, a complete run, stops, and readings that are NaN."""
 
 import math
 from typing import Any
@@ -7,49 +7,49 @@ import numpy as np
 import pytest
 
 from core.robot.robot import Array
-from station.config.controllers import PERIOD
+from station.config.controllers import PERIOD_S
 from station.config.motions import CircleMotion, HoldMotion, JointSweepMotion, Orders
-from station.control.loop import ControlLoop, Phase, Task
+from station.control.loop import ControlLoop, MotionTask, Phase
 from station.control.states import RefusedError, State
 from station.devices.interfaces import Condition, Devices, TipReading, WrenchReading
-from station.devices.zaber.protocol import Command
+from station.devices.zaber.protocol import ZaberCommand
 from station.experiments.experiment import Case
 from station.lab.loads import ConstantLoad
 from tests.harness.cases import a_case
 from tests.harness.watched_bench import Bench
 
-#: Rest before a motion: what settles, and what is averaged [s].
+#: Times of rest before a motion: the filters settle, then readings are averaged [s].
 SETTLE, AVERAGE = 0.5, 1.5
 
 
 @pytest.fixture(scope="module")
 def case() -> Case:
-    """Fig. 10 with feed-forward on the default virtual lab."""
+    """Return the case of Fig. 10 with feed-forward on the default virtual lab."""
     return a_case("fig10", "feedforward")
 
 
 @pytest.fixture(scope="module")
 def ideal() -> Case:
-    """The same kind of controller on the ideal lab."""
+    """Return a case with the same kind of controller on the ideal lab, which has no errors."""
     return a_case("fig3", "d_feedforward")
 
 
-def task(case: Case, motion: Any, duration: float, start: Array | None = None) -> Task:
-    return Task(case.controller, Orders(motion, case.robot.robot()), duration, start)
+def task(case: Case, motion: Any, duration: float, start: Array | None = None) -> MotionTask:
+    return MotionTask(case.controller, Orders(motion, case.robot.robot()), duration, start)
 
 
 CIRCLE = CircleMotion(radius=0.010, period=8.0)
 
 
-def test_nothing_is_asked_of_devices_before_connect(case):
+def test_devices_receive_nothing_before_connect(case):
     bench = Bench(case)
 
     assert bench.tick(200) is None
     assert bench.loop.state is State.OFF
-    assert bench.lab.chain.units[0].settings[Command.SET_MAXIMUM] == 1_536_000  # as from the factory
+    assert bench.lab.chain.units[0].settings[ZaberCommand.SET_MAXIMUM] == 1_536_000  # maximum position of a new unit
 
 
-def test_the_states_on_the_way_to_ready_follow_the_devices(case):
+def test_states_before_ready_follow_the_devices(case):
     bench = Bench(case)
     bench.loop.connect(0.0)
     seen = [bench.loop.state]
@@ -65,13 +65,13 @@ def test_the_states_on_the_way_to_ready_follow_the_devices(case):
         if bench.loop.state is State.CONNECTING:
             assert row is None
 
-    # Homed stages say so themselves: CONNECTED lasts no longer than a tick.
+    # Stages report that they are homed, so CONNECTED lasts no longer than a tick.
     assert seen == [State.CONNECTING, State.HOMED, State.READY]
     assert conditions[0] == (Condition.CONNECTED,) * 3
     assert bench.stages.commands == []
 
 
-def test_a_start_is_refused_before_the_station_is_ready(case):
+def test_start_is_refused_before_the_station_is_ready(case):
     bench = Bench(case)
     bench.loop.connect(0.0)
     bench.tick(50)
@@ -85,7 +85,7 @@ def test_a_start_is_refused_before_the_station_is_ready(case):
     assert bench.stages.commands == []
 
 
-def test_a_second_start_is_refused_while_a_run_is_on_and_does_not_disturb_it(case):
+def test_second_start_is_refused_during_a_run_and_does_not_disturb_it(case):
     bench = Bench(case)
     bench.ready()
     first = task(case, CIRCLE, 1.0)
@@ -98,64 +98,64 @@ def test_a_second_start_is_refused_while_a_run_is_on_and_does_not_disturb_it(cas
     assert bench.loop.progress.task is first
 
 
-def test_a_ready_station_estimates_but_sends_nothing(ideal):
+def test_station_in_ready_estimates_the_tip_and_sends_no_velocity(ideal):
     bench = Bench(ideal)
     bench.ready()
     bench.tick(100)
 
     assert bench.loop.state is State.READY
     assert bench.stages.commands == []
-    # what 10 mm sub-links leave of an exact rod with the same parameters
+    # The bound is the error of 10 mm sub-links compared with an exact rod of the same parameters.
     assert np.linalg.norm(bench.of("tip_estimated") - bench.of("tip_true"), axis=1).max() < 1e-4
 
 
-def test_the_first_tare_is_a_mean_and_not_one_noisy_sample(case):
-    """One sample of two sensors with 0.02 N of noise would leave 0.028 N an axis."""
+def test_first_tare_is_a_mean_and_not_one_noisy_sample(case):
+    """A single sample of two sensors with 0.02 N of noise would have an error of 0.028 N per axis."""
     bench = Bench(case)
     bench.ready()
     bench.tick(1000)
-    begin = len(bench.rows)
+    start = len(bench.rows)
     bench.tick(1000)
 
-    assert bench.of("force")[begin:].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.004)
+    assert bench.of("force")[start:].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.004)
 
 
-def test_a_run_rests_for_the_tare_and_the_start_tip_before_it_moves(case):
+def test_run_rests_for_the_tare_and_the_start_tip_before_its_motion(case):
     bench = Bench(case)
     bench.ready()
     bench.loop.start(task(case, CIRCLE, 1.0))
     bench.until(Phase.SETTLING)
-    begin, first = bench.now, len(bench.rows)
+    start, first = bench.now, len(bench.rows)
     bench.until(Phase.MOVING)
 
-    assert bench.now - begin == pytest.approx(SETTLE + AVERAGE)
-    assert bench.stages.commands == [] or bench.stages.commands[0][0] >= begin + SETTLE + AVERAGE - 1e-9
-    resting = [row for row in bench.rows[first:-1] if bench.of("time", [row])[0, 0] >= begin + SETTLE - 1e-9]
+    assert bench.now - start == pytest.approx(SETTLE + AVERAGE)
+    assert bench.stages.commands == [] or bench.stages.commands[0][0] >= start + SETTLE + AVERAGE - 1e-9
+    resting = [row for row in bench.rows[first:-1] if bench.of("time", [row])[0, 0] >= start + SETTLE - 1e-9]
     frames = bench.of("tip_measured", resting)[bench.of("tip_new", resting)[:, 0] > 0]
     assert len(frames) == 60
-    # the setpoint of the first moment is the start tip: the mean of the frames at rest
+    # The first setpoint is the start tip, which is the mean of the frames at rest.
     assert bench.of("tip_desired")[-1] == pytest.approx(frames.mean(axis=0), abs=1e-12)
-    # 60 frames of 0.1 mm leave 13 um; the true tip did not move
+    # The mean of 60 frames with a noise of 0.1 mm has an error of 13 um; the true tip did not move.
     assert bench.of("tip_desired")[-1] == pytest.approx(bench.of("tip_true")[-1], abs=60e-6)
 
 
-def test_the_tare_takes_the_sensors_offsets_out_of_the_load(case):
+def test_tare_removes_the_sensors_offsets_from_the_load(case):
     bench = Bench(case)
     bench.ready()
     bench.loop.start(task(case, HoldMotion(), 2.0))
     bench.until(Phase.MOVING)
     bench.lab.apply_load(ConstantLoad(magnitude=0.3, direction=(0.0, 0.6, 0.8)), bench.now + 0.5)
-    begin = len(bench.rows)
+    start = len(bench.rows)
     bench.tick(900)
 
-    # the raw readings have offsets of up to 1 N
-    assert np.abs(bench.of("wrench_raw")[begin]).max() > 0.2
-    # two sensors of 0.02 N noise over 200 and 600 samples, and friction that does not sum up
-    assert bench.of("force")[begin : begin + 200].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.01)
-    assert bench.of("force")[begin + 300 :].mean(axis=0) == pytest.approx([0.0, 0.18, 0.24], abs=0.01)
+    # Without the tare the readings have offsets of up to 1 N.
+    assert np.abs(bench.of("wrench_raw")[start]).max() > 0.2
+    # Tolerance: noise of two sensors, 0.02 N each, averaged over 200 and 600 samples, and friction.
+    assert bench.of("force")[start : start + 200].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.01)
+    assert bench.of("force")[start + 300 :].mean(axis=0) == pytest.approx([0.0, 0.18, 0.24], abs=0.01)
 
 
-def test_a_run_goes_to_its_end_and_leaves_a_station_at_rest_and_ready(ideal):
+def test_completed_run_leaves_the_station_at_rest_and_ready(ideal):
     bench = Bench(ideal)
     bench.ready()
     bench.loop.start(task(ideal, CIRCLE, 1.5))
@@ -169,7 +169,7 @@ def test_a_run_goes_to_its_end_and_leaves_a_station_at_rest_and_ready(ideal):
     assert bench.loop.cause == ""
     assert len(moving) == 750
     assert (bench.of("state", moving) == State.RUNNING).all()
-    # followed within 0.1 mm; the circle covers 2 * 10 mm * sin(pi * 1.5 / 8) in that time
+    # The tip follows within 0.1 mm. The chord of the circle after 1.5 s of 8 s is 2 * 10 mm * sin(pi * 1.5 / 8).
     assert np.abs(bench.of("tip_desired", moving) - bench.of("tip_true", moving)).max() < 1e-4
     path = bench.of("tip_true", moving)
     assert np.linalg.norm(path[-1] - path[0]) == pytest.approx(0.020 * math.sin(math.pi * 1.5 / 8.0), rel=0.02)
@@ -181,7 +181,7 @@ def test_a_run_goes_to_its_end_and_leaves_a_station_at_rest_and_ready(ideal):
     assert not bench.of("velocity_sent")[-1].any()
 
 
-def test_the_progress_of_a_run_counts_the_motion_only(ideal):
+def test_progress_of_a_run_counts_only_its_motion(ideal):
     bench = Bench(ideal)
     bench.ready()
     bench.loop.start(task(ideal, CIRCLE, 2.0))
@@ -192,7 +192,7 @@ def test_the_progress_of_a_run_counts_the_motion_only(ideal):
     assert bench.loop.part_done(bench.now) == pytest.approx(0.5)
 
 
-def test_a_stop_in_mid_motion_brings_every_axis_to_rest_and_stays(case):
+def test_stop_during_a_motion_brings_every_axis_to_rest_and_lasts(case):
     bench = Bench(case)
     bench.ready()
     bench.loop.start(task(case, CIRCLE, 8.0))
@@ -201,12 +201,12 @@ def test_a_stop_in_mid_motion_brings_every_axis_to_rest_and_stays(case):
     assert np.abs(bench.of("velocity_sent")[-1]).min() > 0.0
     last = bench.stages.commands[-1][0]
     bench.loop.stop(bench.now)
-    bench.tick(5)  # a message may be on the line, then the stop for all takes 6.25 ms
+    bench.tick(5)  # wait 10 ms: a message may occupy the line, then the stop command takes 6.25 ms
 
     assert bench.loop.state is State.STOPPED
     assert bench.loop.cause == "stopped by the operator"
     assert not bench.of("velocity_sent")[-1].any()
-    bench.tick(120)  # 12 ms transport, and 0.2 s down from top speed
+    bench.tick(120)  # wait for 12 ms of transport and 0.2 s of braking from top speed
     at_rest = bench.of("joints")[-1]
     bench.tick(500)
     assert bench.of("joints")[-1] == pytest.approx(at_rest, abs=1e-12)
@@ -217,7 +217,7 @@ def test_a_stop_in_mid_motion_brings_every_axis_to_rest_and_stays(case):
     assert (bench.loop.state, bench.loop.cause) == (State.READY, "")
 
 
-def test_a_run_goes_to_its_start_pose_first_inside_the_limits(case):
+def test_run_approaches_its_start_pose_first_inside_the_limits(case):
     away = case.start + np.array([math.radians(5.0), math.radians(-3.0), 0.004])
     bench = Bench(case, start=away)
     bench.ready()
@@ -227,13 +227,13 @@ def test_a_run_goes_to_its_start_pose_first_inside_the_limits(case):
     bench.tick(200)
 
     assert bench.of("joints")[first] == pytest.approx(away, abs=1e-5)
-    # within a fraction of a degree and of a millimetre, the travel during transport included
+    # The tolerance includes the travel while the stop command is transmitted.
     assert np.abs(bench.of("joints")[-1] - case.start) == pytest.approx(np.zeros(3), abs=2e-3)
     assert abs(bench.of("joints")[-1][2] - case.start[2]) < 2e-4
     assert (np.abs(bench.of("velocity_sent")) <= case.controller.limits.speed).all()
 
 
-def test_a_sweep_moves_its_joint_by_its_distance_and_the_others_not_at_all(case):
+def test_sweep_moves_only_its_joint_by_its_distance(case):
     bench = Bench(case)
     bench.ready()
     bench.loop.start(task(case, JointSweepMotion(joint="outer_rotation", speed=0.1, distance=0.05), 1.0))
@@ -241,13 +241,13 @@ def test_a_sweep_moves_its_joint_by_its_distance_and_the_others_not_at_all(case)
     bench.tick(450)
 
     moved = bench.of("joints")[-1] - case.start
-    assert moved[0] == pytest.approx(0.05, abs=0.003)  # 25 ms of hold at either end
+    assert moved[0] == pytest.approx(0.05, abs=0.003)  # tolerance: commands may start and end up to 25 ms late
     assert moved[1:] == pytest.approx([0.0, 0.0], abs=1e-5)
 
 
 @pytest.mark.parametrize("breaks", ["stages", "tracker", "sensors"])
 @pytest.mark.parametrize("phase", [Phase.SETTLING, Phase.MOVING])
-def test_a_device_that_answers_nan_leads_to_hold_and_nothing_is_sent_any_more(case, breaks, phase):
+def test_device_that_answers_nan_causes_hold_and_no_velocity_is_sent_afterwards(case, breaks, phase):
     bench = Bench(case, breaks=breaks)
     bench.ready()
     bench.loop.start(task(case, CIRCLE, 8.0))
@@ -255,22 +255,22 @@ def test_a_device_that_answers_nan_leads_to_hold_and_nothing_is_sent_any_more(ca
     bench.tick(200)
     assert bench.loop.state is State.RUNNING
     assert bench.broken is not None
-    bench.broken.since = begin = bench.now + PERIOD
+    bench.broken.since = start = bench.now + PERIOD_S
     bench.tick(100)
 
     assert bench.loop.state is State.HOLD
     assert "nan" in bench.loop.cause
     assert "\n" not in bench.loop.cause
     assert bench.loop.progress is None
-    # a frame may be 25 ms away; the other two are read at every tick
-    noticed = next(time for time in bench.stages.stops if time >= begin)
-    assert noticed <= begin + (0.026 if breaks == "tracker" else 0.001)
+    # The next tracker frame may be 25 ms away; stages and force sensors are read at every tick.
+    noticed = next(time for time in bench.stages.stops if time >= start)
+    assert noticed <= start + (0.026 if breaks == "tracker" else 0.001)
     assert all(time < noticed for time, _ in bench.stages.commands)
     assert all(np.isfinite(velocities).all() for _, velocities in bench.stages.commands)
     assert np.isfinite(np.array(bench.rows)).all()
 
 
-def test_after_a_hold_the_station_works_on_when_the_numbers_are_back(case):
+def test_station_can_run_again_after_a_hold_when_its_device_answers_valid_numbers(case):
     bench = Bench(case, breaks="sensors")
     bench.ready()
     bench.loop.start(task(case, CIRCLE, 8.0))
@@ -289,9 +289,9 @@ def test_after_a_hold_the_station_works_on_when_the_numbers_are_back(case):
     assert bench.loop.state is State.READY
 
 
-def test_a_tip_that_is_never_seen_at_rest_leads_to_hold_and_names_the_tracker(case):
+def test_run_without_tracker_frames_at_rest_ends_in_hold_and_names_the_tracker(case):
     class Blind:
-        """A tracker that loses the coil after a while."""
+        """Tracker that sends no frame from the time `since` on."""
 
         def __init__(self, tracker: Any) -> None:
             self.tracker = tracker
@@ -319,16 +319,16 @@ def test_a_tip_that_is_never_seen_at_rest_leads_to_hold_and_names_the_tracker(ca
     assert bench.stages.commands == []
 
 
-def test_a_row_holds_what_the_devices_said_at_its_tick(case):
-    said: list[WrenchReading] = []
+def test_telemetry_row_has_the_device_readings_of_its_tick(case):
+    readings: list[WrenchReading] = []
 
     class Overheard:
         def __init__(self, sensors: Any) -> None:
             self.sensors = sensors
 
         def poll(self, now: float) -> WrenchReading:
-            said.append(self.sensors.poll(now))
-            return said[-1]
+            readings.append(self.sensors.poll(now))
+            return readings[-1]
 
         def __getattr__(self, name: str) -> Any:
             return getattr(self.sensors, name)
@@ -341,7 +341,7 @@ def test_a_row_holds_what_the_devices_said_at_its_tick(case):
 
     assert row is not None
     assert bench.of("time", [row]).item() == pytest.approx(bench.now)
-    assert bench.of("wrench_raw", [row])[0] == pytest.approx(said[-1].wrenches.ravel())
+    assert bench.of("wrench_raw", [row])[0] == pytest.approx(readings[-1].wrenches.ravel())
     assert bench.of("joints", [row])[0] == pytest.approx(bench.devices.stages.poll(bench.now).positions)
     assert bench.of("tip_true", [row])[0] == pytest.approx(bench.truths[-1].tip)
     assert bench.of("truth_known", [row]).item() == 1.0

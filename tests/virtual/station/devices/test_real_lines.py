@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from station.devices.aurora.tracker import AuroraTracker
-from station.devices.zaber.setup import Port
+from station.devices.zaber.setup import PortSetup
 from station.devices.zaber.stages import Condition, ZaberStages
 from station.lab.aurora import wire as aurora_wire
-from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.coil import GENERATOR_POSE
 from station.lab.aurora.simulated import SimulatedAurora
 from station.lab.config import TrackerConfig
 from station.lab.zaber import simulated as simulated_zaber
@@ -21,11 +21,11 @@ TICK = 1e-3
 
 
 @pytest.mark.parametrize("line", [pty_line, socket_line])
-def test_stages_are_found_moved_and_stopped(paper, line):
+def test_stages_on_a_real_line_are_found_moved_and_stopped(paper, line):
     bench = Bench(paper)
     now = 0.0
     with line() as (near, far):
-        stages = ZaberStages(bench.setups, [Port(near, (0, 1, 2))])
+        stages = ZaberStages(bench.setups, [PortSetup(near, (0, 1, 2))])
 
         def until(reached: Callable[[], bool]) -> None:
             nonlocal now
@@ -48,11 +48,11 @@ def test_stages_are_found_moved_and_stopped(paper, line):
 
 
 @pytest.mark.parametrize("line", [pty_line, socket_line])
-def test_a_tracker_is_set_up_at_a_higher_rate_and_read(line):
+def test_tracker_on_a_real_line_is_set_up_at_a_higher_rate(line):
     unit = SimulatedAurora(TrackerConfig(noise=0.0), np.random.default_rng(0))
     now, read = 0.0, []
     with line() as (near, far):
-        tracker = AuroraTracker(near, registration=MOUNT)
+        tracker = AuroraTracker(near, registration=GENERATOR_POSE)
         while len(read) < 20:
             assert now < 20.0, tracker.report(now)
             unit.advance(now, now + TICK, REST, REST)

@@ -1,4 +1,4 @@
-"""Homing simulated stages: the order, the way round, stops meanwhile, and what cannot home."""
+"""Homing of simulated stages: order, direction, stops, and stages that cannot home."""
 
 import math
 
@@ -11,7 +11,7 @@ from station.lab.zaber.simulated import Faults
 from tests.harness.zaber_bench import TICK, Bench, connected
 
 
-class HardOfHearing:
+class LossyEnd:
     """The device's end of a link that misses one message, once."""
 
     def __init__(self, link: Link, message: bytes) -> None:
@@ -38,9 +38,9 @@ def bench(paper) -> Bench:
 
 
 class TestHoming:
-    """One after the other, the translation first."""
+    """Homing in sequence, the translation first."""
 
-    def test_the_translation_first_then_one_rotation_at_a_time(self, paper):
+    def test_translation_homes_first_then_one_rotation_at_a_time(self, paper):
         bench = Bench(paper, at=(0.3, 0.6, -0.110), homed=False).connect()
         together = 0
 
@@ -57,7 +57,7 @@ class TestHoming:
         assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
         assert [unit.position for unit in bench.units] == [1_536_000, 1_536_000, 0]
 
-    def test_a_rotation_that_begins_below_zero_is_turned_back_to_its_own_zero(self, paper):
+    def test_rotation_that_starts_below_zero_returns_to_its_zero(self, paper):
         bench = Bench(paper, at=(0.01, -math.radians(170.0), -0.129), homed=False).connect()
         bench.home()
 
@@ -66,7 +66,7 @@ class TestHoming:
         assert bench.reading.positions == pytest.approx(bench.truth, abs=1e-9)
         assert [unit.settings[44] for unit in bench.units[:2]] == [3_072_000, 3_072_000]  # the travel is as before
 
-    def test_a_rotation_stopped_on_its_long_way_home_still_finds_its_own_zero(self, paper):
+    def test_rotation_stopped_while_homing_still_finds_its_zero(self, paper):
         bench = Bench(paper, at=(-0.2, 0.01, -0.129), homed=False).connect()
         bench.stages.home(bench.now)
         bench.run(100.0, until=lambda: bench.truth[0] < -4.0)  # beyond half a turn
@@ -78,7 +78,7 @@ class TestHoming:
         assert bench.stages.ready, bench.stages.problem
         assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
 
-    def test_after_homing_the_stages_move_both_ways(self, paper):
+    def test_stages_move_in_both_directions_after_homing(self, paper):
         bench = Bench(paper, at=(0.1, 0.1, -0.125), homed=False).connect()
         bench.home()
         bench.run(2.0, lambda now: [-0.2, 0.2, 0.01])
@@ -86,7 +86,7 @@ class TestHoming:
         assert bench.truth == pytest.approx([-0.4, 0.4, -0.110], abs=0.05)
         assert bench.reading.positions == pytest.approx(bench.truth, abs=1e-5)
 
-    def test_a_stop_while_homing_is_answered_busy_and_ends_in_a_reset(self, paper):
+    def test_stop_while_homing_is_answered_busy_and_ends_in_a_reset(self, paper):
         bench = Bench(paper, homed=False).connect()
         bench.stages.home(bench.now)
         bench.run(1.0)
@@ -102,16 +102,16 @@ class TestHoming:
         bench.home()
         assert bench.stages.ready, bench.stages.problem
 
-    def test_a_home_that_was_not_heard_is_said_again(self, paper):
+    def test_lost_home_command_is_repeated(self, paper):
         bench = Bench(paper, at=(0.01, 0.01, -0.129)).connect()
-        bench.far[0] = hard_of_hearing = HardOfHearing(bench.far[0], bytes.fromhex("03 01 00 00 00 00"))
+        bench.far[0] = hard_of_hearing = LossyEnd(bench.far[0], bytes.fromhex("03 01 00 00 00 00"))
         bench.home()
 
         assert hard_of_hearing.missed == 1
         assert bench.stages.ready, bench.stages.problem
         assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
 
-    def test_a_noisy_line_homes_or_says_what_is_wrong(self, paper):
+    def test_noisy_line_homes_or_reports_the_fault(self, paper):
         bench = Bench(paper, at=(0.01, 0.01, -0.129), homed=False).connect()
         bench.chain.faults = Faults(drop=2e-4, flip=2e-4)
         bench.home()
@@ -121,7 +121,7 @@ class TestHoming:
         else:
             assert bench.stages.problem
 
-    def test_a_stage_that_cannot_home_is_named(self, paper):
+    def test_stage_that_cannot_home_is_named(self, paper):
         bench = Bench(paper, homed=False).connect()
         bench.chain.faults = Faults(stalled=frozenset({3}))
         bench.home()

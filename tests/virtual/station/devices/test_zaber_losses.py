@@ -1,11 +1,11 @@
-"""Stages that are lost: what is stopped, what is said of the rest, and what is believed afterwards."""
+"""Lost stages: stop of the others, reported range of the lost ones, and recovery."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from station.devices.zaber.protocol import Message
+from station.devices.zaber.protocol import ZaberMessage
 from station.devices.zaber.stages import Condition
 from station.lab.zaber.simulated import Faults
 from tests.harness.zaber_bench import LINEAR, Bench, connected, swing
@@ -17,9 +17,9 @@ def bench(paper) -> Bench:
 
 
 class TestLosing:
-    """A stage in constant-speed motion has no watchdog: those that hear are stopped, the others are named."""
+    """A stage at constant speed has no watchdog: stages that receive are stopped, the others are named."""
 
-    def test_a_cut_chain_stops_what_it_can_reach_and_says_how_far_the_rest_can_run(self, bench):
+    def test_cut_chain_stops_reachable_stages_and_reports_the_range_of_the_others(self, bench):
         bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
         bench.chain.faults = Faults(cut=3)
         cut = bench.now
@@ -36,7 +36,7 @@ class TestLosing:
         bench.run(15.0)
         assert bench.truth[2] == pytest.approx(-0.005, abs=1e-6)  # it did
 
-    def test_a_lost_stage_that_hears_again_is_stopped(self, bench):
+    def test_lost_stage_that_receives_again_is_stopped(self, bench):
         bench.run(1.0, lambda now: [0.0, 0.0, 0.010])
         bench.chain.faults = Faults(cut=3)
         bench.run(1.0)
@@ -48,7 +48,7 @@ class TestLosing:
         assert bench.stages.condition is Condition.FAULT
 
     @pytest.mark.parametrize("seed", range(4))
-    def test_on_a_line_that_loses_bytes_no_stage_runs_on(self, paper, seed):
+    def test_no_stage_continues_on_a_line_that_loses_bytes(self, paper, seed):
         bench = Bench(paper, seed=seed).connect()
         bench.chain.faults = Faults(drop=2e-3)
         bench.run(20.0, swing, until=lambda: bench.stages.condition is Condition.FAULT)
@@ -58,17 +58,17 @@ class TestLosing:
 
         assert bench.moving == [False, False, False]
 
-    def test_a_unit_that_was_reset_unnoticed_is_not_believed(self, bench):
-        bench.units[0].take(Message(1, 0, 0))
+    def test_readings_of_an_unexpectedly_reset_unit_are_rejected(self, bench):
+        bench.units[0].execute(ZaberMessage(1, 0, 0))
         bench.units[0].deaf_until = 0.0  # it is back at once
         bench.run(1.0, lambda now: [0.0, 0.0, 0.0])
 
         assert bench.stages.condition is Condition.FAULT
         assert "outer_rotation" in bench.stages.problem
-        assert "does not move as it was told" in bench.stages.problem
+        assert "does not move as commanded" in bench.stages.problem
         assert not bench.stages.homed[0]
 
-    def test_an_adapter_pulled_out_loses_all_its_stages_and_raises_nothing(self, paper):
+    def test_unplugged_adapter_loses_all_its_stages_without_an_exception(self, paper):
         bench = Bench(paper, apart=True).connect()
         bench.run(1.0, lambda now: [0.1, -0.1, 0.010])
         bench.near[1].close()
@@ -80,7 +80,7 @@ class TestLosing:
         assert bench.moving == [False, True, False]
         assert np.isfinite(bench.reading.positions).all()
 
-    def test_a_mute_unit_that_still_listens_is_stopped_too(self, bench):
+    def test_mute_unit_that_still_receives_is_stopped(self, bench):
         bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
         bench.chain.faults = Faults(mute=frozenset({1}))
         bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
@@ -88,7 +88,7 @@ class TestLosing:
         assert bench.stages.condition is Condition.FAULT
         assert bench.moving == [False, False, False]
 
-    def test_after_a_loss_it_connects_to_the_same_units_on_another_port_and_wants_homing(self, bench):
+    def test_same_units_reconnect_on_another_port_and_need_homing(self, bench):
         bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
         bench.near[0].close()
         bench.run(0.1)
@@ -102,7 +102,7 @@ class TestLosing:
         bench.home()
         assert bench.stages.ready, bench.stages.problem
 
-    def test_other_units_in_their_place_are_refused(self, bench):
+    def test_other_units_on_the_same_port_are_refused(self, bench):
         bench.near[0].close()
         bench.run(0.1)
         bench.units[2].kind = replace(LINEAR, serial=5)
@@ -111,12 +111,12 @@ class TestLosing:
 
         assert "serial number 5; 1001 is expected" in bench.stages.problem
 
-    def test_slow_replies_within_the_deadline_lose_nothing(self, bench):
+    def test_slow_replies_within_the_deadline_lose_no_stage(self, bench):
         bench.chain.faults = Faults(delay=0.025)
         bench.run(3.0, swing)
         assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
 
-    def test_a_unit_that_lost_its_power_is_noticed(self, bench):
+    def test_power_loss_of_a_unit_is_detected(self, bench):
         bench.run(1.0, swing)
         bench.chain.power_cycle(1)
         bench.run(2.0, swing)
@@ -124,7 +124,7 @@ class TestLosing:
         assert bench.stages.condition is Condition.FAULT
         assert "outer_rotation" in bench.stages.problem
 
-    def test_a_stopped_connection_is_not_a_connection(self, paper):
+    def test_connecting_that_was_stopped_is_not_connected(self, paper):
         bench = Bench(paper)
         bench.stages.connect(0.0)
         bench.run(0.2)

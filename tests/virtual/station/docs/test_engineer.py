@@ -1,4 +1,4 @@
-"""The examples of the engineer's page, as they stand there."""
+"""The examples of the guide engineer.md run exactly as the page shows them."""
 
 import importlib
 import importlib.util
@@ -21,29 +21,29 @@ PAGE = (Path(station.__file__).parent / "docs" / "engineer.md").read_text(encodi
 
 
 def block(language: str, holding: str) -> str:
-    """The page's block of code in which something stands."""
+    """Return the page's block of code that contains the text `holding`."""
     (found,) = [text for text in re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL) if holding in text]
     return found
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where somebody works who follows the page."""
+    """Return the working folder of a user who follows the page."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     return tmp_path
 
 
 def printed(said: str) -> None:
-    """What a script has said is what the page says that it says, but for the last digits."""
+    """Check that a script's output equals the output on the page, except for the last digits."""
     number = r"(?<![\w.])\d+\.\d+"
     shown = next(text for text in re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL) if text.split(":")[0] in said)
     assert re.sub(number, "#", said).split() == re.sub(number, "#", shown).split()
     assert [*map(float, re.findall(number, said))] == pytest.approx([*map(float, re.findall(number, shown))], rel=0.05)
 
 
-def test_a_controller_of_ones_own_is_known_by_its_name_and_runs(folder: Path, monkeypatch, capsys):
-    monkeypatch.setitem(STRATEGIES, "gentle", STRATEGIES["dual_layer"])  # forgotten again when the test ends
+def test_custom_controller_of_the_guide_is_selected_by_name_and_runs(folder: Path, monkeypatch, capsys):
+    monkeypatch.setitem(STRATEGIES, "gentle", STRATEGIES["dual_layer"])  # undone after the test
     (folder / "gentle.py").write_text(block("python", "class Gentle"), encoding="utf-8")
     (folder / "hurry.toml").write_text(block("toml", "gently"), encoding="utf-8")
     (folder / "try_gentle.py").write_text(block("python", "import gentle"), encoding="utf-8")
@@ -52,7 +52,7 @@ def test_a_controller_of_ones_own_is_known_by_its_name_and_runs(folder: Path, mo
 
 
 def with_the_pages_load(folder: Path) -> object:
-    """`loads.py` with what the page puts into it."""
+    """Return the module `loads.py` with the custom load of the page."""
     text = Path(loads.__file__).read_text(encoding="utf-8")
     change = block("diff", "SawLoad").splitlines()
     before, after = ("\n".join(line[1:] for line in change if line[0] != sign) for sign in "+-")
@@ -64,7 +64,7 @@ def with_the_pages_load(folder: Path) -> object:
     return importlib.import_module("changed_loads")
 
 
-def test_a_load_of_ones_own_is_a_table_of_an_experiment_and_pulls(folder: Path):
+def test_custom_load_of_the_guide_is_accepted_in_an_experiment_and_has_its_force(folder: Path):
     changed = with_the_pages_load(folder)
     known = TypeAdapter(changed.Load)
     table = tomllib.loads(block("toml", '"saw"'))["load"]
@@ -84,7 +84,7 @@ def test_a_load_of_ones_own_is_a_table_of_an_experiment_and_pulls(folder: Path):
     assert pull[time > 2.01] == pytest.approx(0.15 * (time[time > 2.01] - 2.0), abs=1e-3)
 
 
-def test_a_device_of_ones_own_is_found_by_the_stations_file_and_tried_in_the_lab(folder: Path, capsys):
+def test_custom_device_of_the_guide_is_found_by_a_station_file_and_runs_in_the_lab(folder: Path, capsys):
     (folder / "my_bench.py").write_text(block("python", "class Unloaded"), encoding="utf-8")
     project = tomllib.loads(block("toml", "my-bench"))["project"]
     entries = project["entry-points"]["ctr_station.devices"]

@@ -1,4 +1,4 @@
-"""Six joints on one chain: the tip goes around while it points the same way, and the recording says how well."""
+"""Six joints on one serial chain: the tip follows a circle with a constant direction."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ def pointing():
     return a_run(a_case("points", "pointing", duration=8.0), 1)
 
 
-def test_the_tip_points_the_same_way_on_its_circle_under_load(pointing):
+def test_the_tip_keeps_its_direction_on_a_circle_under_load(pointing):
     assert pointing.completed, pointing.cause
     found = summarise(pointing)
     assert found["true_p95_distance_mm"] < 1.0
@@ -20,7 +20,7 @@ def test_the_tip_points_the_same_way_on_its_circle_under_load(pointing):
     assert set(found["smallest"]) == {"stability", "room_of_half_travel", "tube_order_mm"}
 
 
-def test_the_recording_has_the_direction_as_measured_observed_wanted_and_true(pointing):
+def test_a_recording_has_the_measured_observed_desired_and_true_tip_direction(pointing):
     def of(group: str) -> np.ndarray:
         return pointing.channels.of(pointing.rows, group)
 
@@ -31,14 +31,14 @@ def test_the_recording_has_the_direction_as_measured_observed_wanted_and_true(po
     assert not np.ptp(of("direction_desired"), axis=0).any()
 
 
-def test_every_axis_of_six_gets_its_velocities_over_the_line(pointing):
-    """960 bytes a second, six to a command, as many to its answer; polls take the rest."""
+def test_each_of_six_axes_receives_its_velocity_commands_over_one_serial_line(pointing):
+    """The line carries 960 bytes a second; a command and its reply have six bytes each; polls take the rest."""
     assert len(pointing.rates) == 6
     for rates in pointing.rates.values():
         assert 20.0 < rates["velocities_per_s"] < 26.0
 
 
-def test_the_place_alone_says_nothing_of_a_wanted_direction():
+def test_a_recording_of_a_position_task_has_no_desired_tip_direction():
     recording = a_run(a_case("points", "position", duration=2.0), 1)
     assert not recording.channels.of(recording.rows, "direction_desired").any()
     assert "true_direction_error_deg" in summarise(recording)

@@ -1,4 +1,4 @@
-"""One case in the virtual lab, from bring-up to the end, or to whatever ends it before."""
+"""One case in the virtual lab, from connecting the devices to the end or an early stop."""
 
 import math
 import os
@@ -21,12 +21,12 @@ SEED = 3
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    """A second of a motion, kept in memory."""
+    """Return one second of a motion, kept in memory."""
     return a_run(a_case("fig10", "feedforward", duration=1.0), SEED)
 
 
-class Told(NamedTuple):
-    """The same second once more, told as it went on."""
+class Streamed(NamedTuple):
+    """The run of `recording` again, with rows and progress received by callbacks."""
 
     recording: Recording
     rows: list[np.ndarray]
@@ -34,58 +34,58 @@ class Told(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def told() -> Told:
+def streamed() -> Streamed:
     rows: list[np.ndarray] = []
     progress: list[float] = []
     case = a_case("fig10", "feedforward", duration=1.0)
     run = run_case(case, SEED, VirtualClock(), progress.append, lambda row: rows.append(row.copy()))
-    return Told(run, rows, progress)
+    return Streamed(run, rows, progress)
 
 
-def test_the_same_seed_twice_gives_the_same_rows_bit_for_bit_kept_or_recorded_as_they_come(recording, told):
+def test_runs_with_the_same_seed_give_the_same_rows_bit_for_bit_in_memory_and_recorded(recording, streamed):
     assert recording.completed
-    assert recording.rows.tobytes() == np.array(told.rows).tobytes()
-    assert told.recording.rows.shape == (0, len(told.recording.channels))
-    assert told.recording.completed
-    assert told.recording.rates == recording.rates
+    assert recording.rows.tobytes() == np.array(streamed.rows).tobytes()
+    assert streamed.recording.rows.shape == (0, len(streamed.recording.channels))
+    assert streamed.recording.completed
+    assert streamed.recording.rates == recording.rates
 
 
-def test_another_seed_gives_other_rows(recording):
+def test_runs_with_different_seeds_give_different_rows(recording):
     other = a_run(a_case("fig10", "feedforward", duration=0.2), SEED + 1)
 
     assert len(other.rows) == 100
     assert not np.array_equal(recording.rows[:100], other.rows)
 
 
-def test_there_is_a_row_for_every_tick_of_the_motion_with_time_from_its_start(recording):
+def test_every_tick_of_the_motion_has_a_row_with_time_from_its_start(recording):
     time = recording.channels.of(recording.rows, "time")[:, 0]
 
     assert recording.cause == ""
     assert time == pytest.approx(np.arange(500) * 0.002, abs=1e-9)
     assert (recording.channels.of(recording.rows, "state") == State.RUNNING).all()
     assert np.isfinite(recording.rows).all()
-    # connecting and 2 s at rest before
+    # The simulated time also covers connecting and 2 s at rest before the motion.
     assert 3.2 < recording.simulated_s < 8.0
     assert recording.wall_s > 0.0
 
 
-def test_frames_keep_their_own_time(recording):
+def test_tracker_frames_in_a_recording_keep_their_measurement_time(recording):
     new = recording.channels.of(recording.rows, "tip_new")[:, 0] > 0.0
     late = (recording.channels.of(recording.rows, "time") - recording.channels.of(recording.rows, "tip_time"))[new, 0]
 
     assert new.sum() == 40
     assert (late >= 0.024 - 1e-9).all()
-    # asked for up to 5 ms after it was there, and the reply has to come in and be looked at
+    # A frame is polled up to 5 ms after it is ready; then its reply must arrive and be read.
     assert (late < 0.034).all()
 
 
-def test_progress_rises_to_the_end(told):
-    assert told.progress == sorted(told.progress)
-    assert told.progress[0] == 0.0
-    assert 0.4 < told.progress[-1] <= 1.0
+def test_the_progress_of_a_run_rises_until_its_end(streamed):
+    assert streamed.progress == sorted(streamed.progress)
+    assert streamed.progress[0] == 0.0
+    assert 0.4 < streamed.progress[-1] <= 1.0
 
 
-def test_the_loads_time_counts_from_the_start_of_the_motion():
+def test_the_time_of_the_load_counts_from_the_start_of_the_motion():
     load = RaisedCosineLoad(peak=0.5, period=2.0)
     recording = a_run(a_case("fig8", "regulation", duration=1.5, load=load))
     time, force = (recording.channels.of(recording.rows, group) for group in ("time", "force_true"))
@@ -95,7 +95,7 @@ def test_the_loads_time_counts_from_the_start_of_the_motion():
     assert not force[:, 1:].any()
 
 
-def test_an_interrupt_ends_the_run_and_keeps_what_was_recorded():
+def test_ctrl_c_ends_a_run_and_keeps_its_rows():
     def interrupt(done: float) -> None:
         if 0.4 < done < 0.6:
             os.kill(os.getpid(), signal.SIGINT)
@@ -107,7 +107,7 @@ def test_an_interrupt_ends_the_run_and_keeps_what_was_recorded():
     assert np.isfinite(recording.rows).all()
 
 
-def test_an_interrupt_before_the_motion_leaves_no_rows_but_all_channels():
+def test_ctrl_c_before_the_motion_leaves_a_recording_with_all_channels_and_no_rows():
     def interrupt(_: float) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -126,7 +126,7 @@ def test_a_load_beyond_the_robots_reach_ends_the_run_with_a_cause():
 
 
 def test_a_lab_whose_tracker_never_answers_ends_the_run_with_a_cause(monkeypatch):
-    monkeypatch.setattr(runner, "BRING_UP", 8.0)
+    monkeypatch.setattr(runner, "CONNECT_TIMEOUT_S", 8.0)
     case = a_case("fig10", "paper")._replace(lab=LabConfig(tracker=TrackerConfig(latency=1e6)))
     recording = a_run(case)
 
@@ -135,7 +135,7 @@ def test_a_lab_whose_tracker_never_answers_ends_the_run_with_a_cause(monkeypatch
     assert "tracker" in recording.cause
 
 
-def test_tubes_drawn_from_the_seed_are_another_robot():
+def test_tubes_drawn_from_the_seed_differ_from_the_description():
     case = a_case("fig8", "regulation", duration=0.1)._replace(lab=LabConfig(plant=PlantConfig(vary=0.08)))
     tips = [a_run(case, seed) for seed in (1, 2)]
 

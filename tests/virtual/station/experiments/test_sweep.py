@@ -1,4 +1,4 @@
-"""A sweep: what is swept, the same runs as alone, on any number of processes."""
+"""Sweeps: their settings, and runs equal to single runs on any number of processes."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ from station.experiments.experiment import load_experiment
 from station.experiments.manifest import Row
 from station.experiments.results import summarise
 from station.experiments.sweep import on_processes, run_job, spreads, sweep_summary
-from station.experiments.sweep_plan import Job, jobs, plan_of
+from station.experiments.sweep_plan import SweepJob, jobs, plan_of
 from station.experiments.sweep_settings import nested, settings
 from station.recording.metadata import versions
 from tests.harness.cases import a_run
@@ -20,12 +20,12 @@ from tests.harness.cases import a_run
 
 @pytest.fixture
 def own(write, short):
-    """A second at rest, two cases."""
+    """Return an experiment of one second at rest with two cases."""
     return str(write(short + "[cases.one]\n[cases.two.controller]\nfeedforward = true\n"))
 
 
 @pytest.mark.parametrize(
-    ("option", "said"),
+    ("option", "message"),
     [
         ("controller.k1=-1", ["own.toml", "case 'one'", "K1 = -1 1/s"]),
         ("controller.k9=1", ["own.toml", "unknown key 'controller.k9'"]),
@@ -33,31 +33,31 @@ def own(write, short):
         ("duration=nan", ["duration = nan"]),
     ],
 )
-def test_every_setting_is_checked_before_anything_runs(own, option, said):
+def test_every_setting_of_a_sweep_is_checked_before_anything_runs(own, option, message):
     with pytest.raises(ConfigError) as refused:
         jobs(own, settings([option]), range(2))
-    for part in said:
+    for part in message:
         assert part in str(refused.value)
 
 
-def test_an_unknown_case_is_refused_with_those_that_there_are(own):
+def test_a_sweep_of_an_unknown_case_is_refused_with_the_list_of_cases(own):
     with pytest.raises(ConfigError, match="--case three: the cases are one, two"):
         jobs(own, [()], range(1), "three")
 
 
-def test_settings_go_on_top_of_every_case(own):
+def test_sweep_settings_apply_to_every_case(own):
     listed = jobs(own, settings(["controller.feedforward=false", "controller.k1=3"]), range(2))
 
     assert [(job.case.name, job.seed) for job in listed] == [("one", 0), ("one", 1), ("two", 0), ("two", 1)]
     assert {(job.case.file.controller.feedforward, job.case.file.controller.k1) for job in listed} == {(False, 3.0)}
 
 
-def carried_out(listed: list[Job], processes: int) -> tuple[list[Row], list[float]]:
-    """The rows in the order of the runs, and what was told."""
+def carried_out(listed: list[SweepJob], processes: int) -> tuple[list[Row], list[float]]:
+    """Return the rows in the order of the runs, and the reported numbers of runs."""
     rows: list[Row] = []
-    told: list[float] = []
-    on_processes(listed, processes, rows.append, told.append)
-    return sorted(rows, key=lambda row: row["run"]), told
+    reported: list[float] = []
+    on_processes(listed, processes, rows.append, reported.append)
+    return sorted(rows, key=lambda row: row["run"]), reported
 
 
 def without_clock(row: Row) -> Row:
@@ -67,10 +67,10 @@ def without_clock(row: Row) -> Row:
 def test_runs_of_a_sweep_are_bit_for_bit_those_of_single_runs(own):
     listed = jobs(own, settings(["duration=0.4"]), [3, 4], "two")
     before = {name: value for name, value in os.environ.items() if "THREADS" in name}
-    rows, told = carried_out(listed, 2)
+    rows, reported = carried_out(listed, 2)
 
     assert [row["seed"] for row in rows] == [3, 4]
-    assert told[-1] == 2
+    assert reported[-1] == 2
     for row, job in zip(rows, listed, strict=True):
         alone = summarise(a_run(job.case, job.seed))
         assert alone["completed"]
@@ -85,18 +85,18 @@ def die() -> None:
 
 
 class Deadly(str):
-    """A text that ends the process that it is sent to."""
+    """Text that kills the process that unpickles it."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return die, ()
 
 
-def spoilt(listed: list[Job], run: int, **how: Any) -> list[Job]:
-    """With a case that is no good for one of them."""
+def spoilt(listed: list[SweepJob], run: int, **how: Any) -> list[SweepJob]:
+    """Return the jobs with an invalid case for one of them."""
     return [job._replace(case=job.case._replace(**how)) if job.run == run else job for job in listed]
 
 
-def test_a_run_that_raises_is_a_row_with_its_reason(own):
+def test_a_sweep_run_that_raises_an_exception_is_a_row_with_the_reason(own):
     listed = spoilt(jobs(own, settings(["duration=0.2"]), range(1)), 0, start=np.zeros(7))
     rows, _ = carried_out(listed, 1)
 
@@ -107,19 +107,19 @@ def test_a_run_that_raises_is_a_row_with_its_reason(own):
     assert rows[1]["completed"]
 
 
-def test_a_run_that_ends_its_process_costs_itself_and_no_other(own):
+def test_a_sweep_run_that_kills_its_process_loses_no_other_run(own):
     listed = jobs(own, settings(["duration=0.2"]), range(2))
-    rows, told = carried_out(spoilt(listed, 1, warnings=(Deadly(),)), 2)
+    rows, reported = carried_out(spoilt(listed, 1, warnings=(Deadly(),)), 2)
 
     assert [row["completed"] for row in rows] == [True, False, True, True]
-    assert "a process ended in the middle of its job; was it killed" in rows[1]["cause"]
+    assert "a worker process ended before its job was done; was it killed" in rows[1]["cause"]
     for run in (0, 2, 3):
         assert without_clock(rows[run]) == without_clock(run_job(listed[run], lambda _: None))
-    assert told[-1] == 4
+    assert reported[-1] == 4
 
 
-def made_up(values: list[float], broken: int = -1) -> list[Row]:
-    """Rows of the first setting and case."""
+def synthetic_rows(values: list[float], broken: int = -1) -> list[Row]:
+    """Return synthetic rows of the first setting and case."""
     return [
         {
             "run": seed,
@@ -137,9 +137,9 @@ def made_up(values: list[float], broken: int = -1) -> list[Row]:
     ]
 
 
-def test_spreads_are_percentiles_over_the_completed_runs():
+def test_spreads_of_a_sweep_are_percentiles_over_the_completed_runs():
     values = [5.0, 1.0, 2.0, 4.0, 3.0, 100.0]
-    found = spreads(made_up(values, broken=5))
+    found = spreads(synthetic_rows(values, broken=5))
     x = found["rms_error_mm.x"]
 
     assert (x.median, x.worst) == (3.0, 5.0)
@@ -151,7 +151,7 @@ def test_spreads_are_percentiles_over_the_completed_runs():
 
 def test_a_sweep_with_a_run_that_did_not_complete_is_not_complete(own):
     listed = jobs(own, settings(["controller.k1=1"]), range(3), "one")
-    plan, rows = plan_of(load_experiment(own), listed), made_up([1.0, 2.0, 3.0], broken=1)
+    plan, rows = plan_of(load_experiment(own), listed), synthetic_rows([1.0, 2.0, 3.0], broken=1)
     summary = sweep_summary(plan, rows, 1.0)
 
     assert not summary["completed"]
@@ -160,12 +160,10 @@ def test_a_sweep_with_a_run_that_did_not_complete_is_not_complete(own):
     assert [run["seed"] for run in summary["runs"]] == [0, 1, 2]
     assert summary["runs"][0]["setting"] == {"controller.k1": 1}
     assert not sweep_summary(plan, rows[:2], 1.0)["completed"]
-    assert sweep_summary(plan, made_up([1.0, 2.0, 3.0]), 1.0)["completed"]
+    assert sweep_summary(plan, synthetic_rows([1.0, 2.0, 3.0]), 1.0)["completed"]
 
 
-def test_a_plan_is_the_same_wherever_the_command_is_given_and_another_when_a_file_of_it_has_changed(
-    own, write, tmp_path, monkeypatch
-):
+def test_a_sweep_plan_depends_on_the_contents_of_its_files_and_not_on_their_folder(own, write, tmp_path, monkeypatch):
     lab = write('title = "a lab"\n', "lab")
 
     def plan(name: str = own):

@@ -1,4 +1,4 @@
-"""The virtual lab at wire level: the project's own drivers on its wires, in virtual time."""
+"""The virtual lab at wire level with the station's drivers on its wires, in virtual time."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -8,14 +8,14 @@ import pytest
 
 from core.control.force_fusion import closure, fuse_at
 from station.config.robots import RobotFile, load_robot
-from station.devices.aurora.measurement import Quality
+from station.devices.aurora.measurement import FrameQuality
 from station.devices.aurora.tracker import AuroraTracker
 from station.devices.interfaces import JointReading, TipReading, WrenchReading
 from station.devices.netft.page import read_page
 from station.devices.netft.sensors import NetftSensors
-from station.devices.zaber.setup import Port
+from station.devices.zaber.setup import PortSetup
 from station.devices.zaber.stages import Condition, ZaberStages
-from station.lab.aurora.coil import MOUNT
+from station.lab.aurora.coil import GENERATOR_POSE
 from station.lab.config import BaseSensorConfig, LabConfig, PlantConfig, TrackerConfig
 from station.lab.loads import ConstantLoad, NoLoad, RampLoad, SineLoad
 from station.lab.simulated_bench import SimulatedBench
@@ -23,7 +23,14 @@ from station.lab.simulated_bench import SimulatedBench
 TICK = 0.002
 PARK = np.array([0.05, 0.30, -0.125])
 QUIET = BaseSensorConfig(
-    force_noise=0.0, moment_noise=0.0, force_count=0.0, moment_count=0.0, drift=0.0, force_offset=0.0, moment_offset=0.0
+    force_noise=0.0,
+    moment_noise=0.0,
+    force_count=0.0,
+    moment_count=0.0,
+    drift=0.0,
+    moment_drift=0.0,
+    force_offset=0.0,
+    moment_offset=0.0,
 )
 #: The default plant and devices without noise.
 CLEAR = LabConfig(tracker=TrackerConfig(noise=0.0), sensors=QUIET)
@@ -38,15 +45,15 @@ class Bench:
         self.lab = SimulatedBench(robot, config, seed, at, homed=homed)
         hosts = self.lab.hosts
         every = tuple(range(len(robot.joints)))
-        self.stages = ZaberStages(self.lab.setups, [Port(hosts.zaber, every)])
-        self.tracker = AuroraTracker(hosts.aurora, registration=MOUNT)
+        self.stages = ZaberStages(self.lab.setups, [PortSetup(hosts.zaber, every)])
+        self.tracker = AuroraTracker(hosts.aurora, registration=GENERATOR_POSE)
         self.sensors = NetftSensors(hosts.netft, [read_page(box.page() or b"") for box in self.lab.boxes])
         self.sensors.start(0.0)
         self.now = 0.0
         self.joints: JointReading
         self.wrenches: WrenchReading
         self.frames: list[TipReading] = []
-        self.tips: list[tuple[float, np.ndarray]] = []  # the true ones
+        self.tips: list[tuple[float, np.ndarray]] = []  # times and true tips
 
     def run(
         self, seconds: float, velocities: Sequence[float] | None = None, until: Callable[[], bool] = lambda: False
@@ -79,7 +86,7 @@ class Bench:
 
 @pytest.fixture(scope="module")
 def homed() -> Bench:
-    """Connected, homed, and driven to a pose with room on every side."""
+    """A lab that is connected, homed, and at a pose with room in all directions."""
     bench = Bench(load_robot("paper")).connect()
     assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
     assert bench.stages.homed == [False, False, False]  # just switched on
@@ -90,20 +97,20 @@ def homed() -> Bench:
     return bench.run(1.0)
 
 
-def test_before_homing_the_true_joints_are_where_the_lab_was_told(paper):
+def test_true_joints_before_homing_are_the_configured_ones(paper):
     bench = Bench(paper).run(0.1)
 
     assert bench.lab.positions == pytest.approx(PARK, abs=1e-12)
 
 
-def test_homed_stages_know_where_the_true_joints_are(homed):
+def test_homed_stages_report_the_true_joints(homed):
     microsteps = np.abs(homed.joints.positions - homed.lab.positions) / [s.joint.microstep for s in homed.lab.setups]
 
     assert homed.stages.at_rest
     assert microsteps.max() < 1.0
 
 
-def test_velocities_move_the_true_joints(homed):
+def test_commanded_velocities_move_the_true_joints(homed):
     before = homed.lab.positions
     homed.run(1.0, [0.05, -0.08, 0.004])
     homed.stages.stop(homed.now)
@@ -118,11 +125,11 @@ def test_velocities_move_the_true_joints(homed):
     ("name", "at"),
     [
         ("three_tubes", [0.02, 0.03, 0.04, -0.140, -0.220, -0.325]),
-        # The outermost tube is withdrawn first, so that every tube's end stays in front of that around it.
+        # The outermost tube retracts first, so that every tube's end stays in front of its outer neighbour's end.
         ("balanced_pair", [0.02, 0.03, 0.04, -0.040, -0.095, -0.160]),
     ],
 )
-def test_a_robot_of_three_tubes_connects_and_homes(name, at):
+def test_robot_of_three_tubes_connects_and_homes(name, at):
     robot, at = load_robot(name), np.array(at)
     bench = Bench(robot, at=at).connect().home()
 
@@ -132,20 +139,20 @@ def test_a_robot_of_three_tubes_connects_and_homes(name, at):
     assert bench.sensors.is_usable
 
 
-def test_the_tracker_sees_the_true_tip_when_it_was_measured(homed):
+def test_tracker_driver_reports_the_true_tip_at_the_time_of_the_measurement(homed):
     homed.run(1.0, [0.08, 0.10, 0.006])  # in motion: 24 ms are a third of a millimetre
     seen = [frame for frame in homed.frames if frame.time > homed.now - 0.8]
     homed.stages.stop(homed.now)
     homed.run(0.5)
 
     assert len(seen) >= 28  # 40 frames/s
-    assert homed.tracker.report(homed.now).quality is Quality.GOOD
+    assert homed.tracker.report(homed.now).quality is FrameQuality.GOOD
     errors = [frame.position - homed.true_tip(frame.time) for frame in seen]
     assert np.abs(errors).max() < 30e-6
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.3, 0.4, 0.5)])
-def test_the_fused_force_is_the_load(homed, paper, direction):
+def test_force_estimated_from_the_base_sensors_is_the_load(homed, paper, direction):
     homed.lab.apply_load(ConstantLoad(magnitude=0.4, direction=direction), homed.now)
     homed.run(0.2)
     fused = fuse_at(paper.robot(), homed.joints.positions, homed.wrenches.wrenches)
@@ -154,12 +161,12 @@ def test_the_fused_force_is_the_load(homed, paper, direction):
     assert homed.sensors.is_usable
     expected = 0.4 * np.array(direction) / np.linalg.norm(direction)
     assert homed.lab.truth.force == pytest.approx(expected)
-    # 0.1 deg of play at the inner rotation is in it
+    # The tolerance includes 0.1 deg of play at the inner rotation.
     assert fused.force == pytest.approx(expected, abs=1.5e-3)
     assert closure(fused, homed.lab.truth.tip) < 0.5e-3
 
 
-def test_the_load_counts_time_from_its_start(homed):
+def test_time_of_a_load_counts_from_its_start(homed):
     homed.lab.apply_load(SineLoad(amplitude=0.2, frequency=0.5), homed.now)
     homed.run(0.5)
     homed.lab.apply_load(NoLoad(), homed.now)
@@ -167,7 +174,7 @@ def test_the_load_counts_time_from_its_start(homed):
     assert homed.lab.truth.force == pytest.approx([0.2, 0.0, 0.0], abs=1e-4)
 
 
-def test_a_sensor_without_tare_reads_its_offset_and_each_its_own(paper):
+def test_untared_force_sensors_read_different_offsets(paper):
     bench = Bench(paper, LabConfig()).run(0.5)
 
     assert [page.serial for page in bench.sensors.pages] == ["FT00001", "FT00002"]
@@ -175,21 +182,21 @@ def test_a_sensor_without_tare_reads_its_offset_and_each_its_own(paper):
     assert np.abs(first - second).max() > 0.05
 
 
-def test_a_force_sample_is_timed_to_a_few_tenths_of_a_millisecond(paper):
+def test_time_of_a_force_sample_is_accurate_to_a_few_tenths_of_a_millisecond(paper):
     bench = Bench(paper, CLEAR.model_copy(update={"plant": PlantConfig(play={})})).run(0.1)
     start, late = bench.now, []
-    bench.lab.apply_load(RampLoad(times=(0.0, 0.5), magnitudes=(0.0, 0.5)), start)  # 1 N/s: the force tells the time
+    bench.lab.apply_load(RampLoad(times=(0.0, 0.5), magnitudes=(0.0, 0.5)), start)  # 1 N/s: the force gives the time
     for _ in range(200):
         bench.run(TICK)
         force = fuse_at(paper.robot(), bench.lab.positions, bench.wrenches.wrenches).force[0]
         late.append(bench.wrenches.time - (start + force))
 
-    # 1.7 ms if the boxes sent a record each tick: then it would always have waited as long to be polled.
+    # If the boxes sent a record each tick, every record would wait equally long for its poll, with an error of 1.7 ms.
     assert np.abs(late[50:]).max() < 0.4e-3
     assert np.mean(late[50:]) < 0.25e-3
 
 
-def test_stages_left_on_since_they_were_homed_need_no_homing(paper):
+def test_homed_stages_need_no_homing_after_reconnecting(paper):
     bench = Bench(paper, at=np.array([-0.2, 1.5, -0.1]), homed=True).connect()
 
     assert bench.stages.ready, bench.stages.problem
@@ -200,7 +207,7 @@ def test_stages_left_on_since_they_were_homed_need_no_homing(paper):
     assert bench.joints.positions == pytest.approx(bench.lab.positions, abs=5e-6)
 
 
-def test_where_the_robot_cannot_stand_it_stays_and_the_lab_goes_on(paper):
+def test_lab_continues_with_the_last_shape_at_an_impossible_pose(paper):
     lab = SimulatedBench(paper, CLEAR, 0, PARK)
     tip = lab.advance(0.002).tip
     lab.apply_load(ConstantLoad.model_construct(magnitude=1e6), 0.0)
@@ -213,7 +220,7 @@ def test_where_the_robot_cannot_stand_it_stays_and_the_lab_goes_on(paper):
     assert lab.trouble == ""
 
 
-def test_the_same_seed_gives_the_same_bench_and_another_seed_another(paper):
+def test_simulated_bench_is_the_same_for_the_same_seed_only(paper):
     def frames_and_wrenches(seed: int) -> tuple[np.ndarray, np.ndarray]:
         bench = Bench(paper, LabConfig(), seed).run(2.0)
         assert len(bench.frames) > 10
@@ -226,7 +233,7 @@ def test_the_same_seed_gives_the_same_bench_and_another_seed_another(paper):
         assert not np.array_equal(one, different)
 
 
-def test_time_may_go_on_in_steps_of_any_length(paper):
+def test_simulated_bench_advances_in_steps_of_any_length(paper):
     lab = SimulatedBench(paper, CLEAR, 0, PARK)
     steps = (0.0, 1e-4, 1e-3, 0.5, 0.5, math.pi)
     for now in steps:

@@ -1,4 +1,4 @@
-"""Faults of a simulated Net F/T box on the wire, and what the real driver makes of them."""
+"""Faults of a simulated Net F/T box on the wire, and the reaction of the real driver."""
 
 import struct
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from station.devices.netft.page import read_page
-from station.devices.netft.sensors import NetftSensors, Quality
-from station.lab.netft.wire import MOST_WAITING
+from station.devices.netft.sensors import NetftSensors, WrenchQuality
+from station.lab.netft.wire import MAX_PENDING_DATAGRAMS
 from tests.harness.netft_bench import STREAM, TICK, WRENCH, Bench
 
 
@@ -18,10 +18,10 @@ class Station(Bench):
         super().__init__(**settings)
         self.sensors = NetftSensors([self.host], [read_page(self.box.page() or b"")])
         self.sensors.start(0.0)
-        self.worst = Quality.GOOD
+        self.worst = WrenchQuality.GOOD
 
     def drive(self, time: float, wrench: np.ndarray = WRENCH) -> np.ndarray:
-        self.worst = Quality.GOOD
+        self.worst = WrenchQuality.GOOD
         for _ in range(round(time / TICK)):
             self.now += TICK
             self.box.advance(self.now, wrench)
@@ -41,25 +41,25 @@ def station() -> Station:
     return station
 
 
-def test_the_driver_reads_what_the_plant_has(station):
+def test_netft_driver_reads_the_wrench_of_the_plant(station):
     assert station.drive(1.0) == pytest.approx(WRENCH, abs=1e-6)
-    assert station.worst is Quality.GOOD
+    assert station.worst is WrenchQuality.GOOD
     assert station.sensors.counters[0].lost == 0
 
 
-def test_lost_doubled_and_exchanged_datagrams_are_counted_and_used_all_the_same(station):
+def test_netft_driver_counts_lost_duplicate_and_swapped_datagrams_and_continues(station):
     station.box.faults.drop = station.box.faults.duplicate = station.box.faults.reorder = 0.1
     station.drive(2.0)
 
     counters = station.sensors.counters[0]
-    assert station.worst == Quality.GAP
+    assert station.worst == WrenchQuality.GAP
     assert counters.lost > 50
     assert counters.duplicates > 50
     assert counters.late > 50
     assert counters.resyncs == 0
 
 
-def test_flipped_bits_do_not_upset_the_stream(station):
+def test_flipped_bits_do_not_stop_the_netft_driver(station):
     station.box.faults.flip = 0.2
     for _ in range(1000):  # bits of the counts themselves are for UDP's checksum
         station.now += TICK
@@ -68,20 +68,20 @@ def test_flipped_bits_do_not_upset_the_stream(station):
     station.box.faults.flip = 0.0
     station.drive(0.1)
 
-    assert station.sensors.quality == (Quality.GOOD,)
+    assert station.sensors.quality == (WrenchQuality.GOOD,)
     assert station.sensors.counters[0].implausible > 10
 
 
 @pytest.mark.parametrize(
     ("fault", "value", "quality"),
     [
-        ("mute", True, Quality.STALE),
-        ("saturate", True, Quality.SATURATED),
-        ("freeze", True, Quality.STALE),
-        ("status", 1 << 9, Quality.STATUS),
+        ("mute", True, WrenchQuality.STALE),
+        ("saturate", True, WrenchQuality.SATURATED),
+        ("freeze", True, WrenchQuality.STALE),
+        ("status", 1 << 9, WrenchQuality.STATUS),
     ],
 )
-def test_a_fault_is_seen_as_what_it_is_and_goes_when_it_goes(station, fault, value, quality):
+def test_netft_driver_reports_a_fault_of_the_box_while_it_lasts(station, fault, value, quality):
     healthy = getattr(station.box.faults, fault)
     setattr(station.box.faults, fault, value)
     station.drive(0.5)
@@ -93,7 +93,7 @@ def test_a_fault_is_seen_as_what_it_is_and_goes_when_it_goes(station, fault, val
     assert station.sensors.is_usable
 
 
-def test_a_delay_makes_old_samples_of_old_time(station):
+def test_delayed_force_samples_keep_their_measurement_times(station):
     station.box.faults.delay = 0.020
     for _ in range(100):
         station.now += TICK
@@ -104,7 +104,7 @@ def test_a_delay_makes_old_samples_of_old_time(station):
     assert station.now - reading.time == pytest.approx(0.020, abs=0.004)
 
 
-def test_a_box_without_power_for_a_moment_is_not_trusted_again_by_itself(station):
+def test_netft_driver_does_not_trust_the_box_after_a_power_failure(station):
     station.drive(5.0)
     station.box.reboot()
     for _ in range(1000):
@@ -112,20 +112,20 @@ def test_a_box_without_power_for_a_moment_is_not_trusted_again_by_itself(station
         station.box.advance(station.now, WRENCH)
         station.sensors.poll(station.now)
 
-    assert Quality.RESET in station.sensors.quality[0]
+    assert WrenchQuality.RESET in station.sensors.quality[0]
     assert not station.sensors.is_usable
     station.sensors.start(station.now)
     station.drive(0.1)
     assert station.sensors.is_usable
 
 
-def test_records_that_nobody_receives_do_not_pile_up():
+def test_number_of_unreceived_netft_records_is_bounded():
     bench = Bench(rate=7000.0)
-    bench.ask(STREAM)
+    bench.request(STREAM)
     for _ in range(1000):
         bench.now += TICK
         bench.box.advance(bench.now, WRENCH)
 
     newest = [struct.unpack(">I", datagram[:4])[0] for datagram in bench.host.receive()]
-    assert len(newest) == MOST_WAITING
-    assert newest == list(range(newest[-1] - MOST_WAITING + 1, newest[-1] + 1))
+    assert len(newest) == MAX_PENDING_DATAGRAMS
+    assert newest == list(range(newest[-1] - MAX_PENDING_DATAGRAMS + 1, newest[-1] + 1))

@@ -1,4 +1,4 @@
-"""Real runs, cut short, in their folders; and cases made of numbers that are known."""
+"""Shortened real runs in their folders, and synthetic cases with known numbers."""
 
 import json
 import re
@@ -12,7 +12,7 @@ import pytest
 from station.cli.main import main
 from station.config.strict import PRESETS
 from station.control.telemetry import Channels
-from station.report.run import Case
+from station.report.run import RecordedCase
 
 SHORT = """
 title = "short <b>run</b> & more"
@@ -36,7 +36,7 @@ max_abs_error_mm = { x = 7.9, z = 2.0 }
 
 @pytest.fixture(scope="session")
 def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Carry out an experiment's text under a name, once a session; its folder."""
+    """Return a function that runs an experiment's text under a name once per session and returns its folder."""
     made: dict[str, Path] = {}
 
     def run(name: str, text: str) -> Path:
@@ -54,13 +54,13 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 
 @pytest.fixture(scope="session")
 def short_run(run_of: Callable[..., Path]) -> Path:
-    """Two cases of a second and a half."""
+    """Return the folder of a run with two cases of 1.5 s."""
     return run_of("short", SHORT)
 
 
 @pytest.fixture(scope="session")
 def preset_run(run_of: Callable[..., Path]) -> Callable[..., Path]:
-    """A preset cut short, without the cases named."""
+    """Return a function that runs a shortened preset without the named cases."""
 
     def run(name: str, duration: float, settling: float, dropped: tuple[str, ...] = ()) -> Path:
         text = (PRESETS / "experiments" / f"{name}.toml").read_text(encoding="utf-8")
@@ -74,24 +74,26 @@ def preset_run(run_of: Callable[..., Path]) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def made_up(paper_robot) -> Callable[..., Case]:
-    """A case of 40 rows in 4 s, everything zero but for the groups given; a frame in every other row, 50 ms old."""
+def made_up(paper_robot) -> Callable[..., RecordedCase]:
+    """Return a function that makes a case of 40 rows in 4 s; every other row has a frame that is 50 ms old."""
 
-    def make(name: str = "made_up", settling: float = 2.0, file: dict[str, Any] | None = None, **groups: Any) -> Case:
+    def make(
+        name: str = "made_up", settling: float = 2.0, file: dict[str, Any] | None = None, **groups: Any
+    ) -> RecordedCase:
         channels = Channels(paper_robot)
         rows = np.zeros((40, len(channels)))
         times = np.arange(40) * 0.1
         given = {"time": times, "tip_new": np.arange(40) % 2 == 0, "tip_time": times - 0.05, **groups}
         for group, values in given.items():
             channels.of(rows, group)[:] = np.reshape(values, (40, -1))
-        return Case(name, channels.all, rows, {"settling": settling, **(file or {})}, {}, {})
+        return RecordedCase(name, channels.all, rows, {"settling": settling, **(file or {})}, {}, {})
 
     return make
 
 
 @pytest.fixture
 def folder_of(tmp_path: Path) -> Callable[..., Path]:
-    """A folder with nothing but a summary."""
+    """Return a function that makes a folder with only a summary."""
 
     def write(summary: dict[str, Any], name: str = "summary.json") -> Path:
         (tmp_path / name).write_text(json.dumps(summary), encoding="utf-8")

@@ -1,7 +1,8 @@
-"""Every figure of every experiment that has its own, from real runs cut short; numbers recomputed here."""
+"""Figures of the experiments, drawn from shortened real runs; the numbers are recomputed here."""
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -11,10 +12,11 @@ import pytest
 from station.experiments.step_fit import fit_step
 from station.recording.read import CaseRecording, read_case
 from station.report import deflection, force, model, overview, rates, steps, strategies, style, timing, tracking
-from station.report.figures import FIGURES, figures
-from station.report.run import Run, read_run
+from station.report.facts import head, origin
+from station.report.figures import FIGURES_BY_EXPERIMENT, figures
+from station.report.run import RecordedRun, read_run
 
-#: Experiment: its length, its settling time, cases that are left out here, and the figures that are due.
+#: By experiment: duration [s], settling time [s], cases that are left out here, and names of the expected figures.
 RUNS = {
     "fig3": (2.0, 0.0, ("b", "d"), ["fig3", "fig3_errors"]),
     "fig4": (2.0, 0.0, (), ["fig4", "rates"]),
@@ -31,20 +33,20 @@ RUNS = {
 
 @pytest.fixture(autouse=True)
 def settings():
-    with matplotlib.rc_context(style.SETTINGS):
+    with matplotlib.rc_context(style.MATPLOTLIB_SETTINGS):
         yield
 
 
 @pytest.fixture(params=RUNS)
-def run(request, preset_run) -> Run:
+def run(request, preset_run) -> RecordedRun:
     return read_run(preset_run(request.param, *RUNS[request.param][:3]))
 
 
-def recording(run: Run, case: str) -> CaseRecording:
+def recording(run: RecordedRun, case: str) -> CaseRecording:
     return read_case(run.folder / f"{case}.mcap")
 
 
-def test_all_figures_are_there_with_units_words_and_lines(run, tmp_path):
+def test_every_report_figure_has_units_texts_and_lines(run, tmp_path):
     drawn = list(figures(run))
 
     assert [one.name for one in drawn] == RUNS[run.experiment][3]
@@ -61,11 +63,11 @@ def test_all_figures_are_there_with_units_words_and_lines(run, tmp_path):
         assert len(one.alt) > 40
         assert len(one.caption) > 40
         assert "nan" not in one.alt + one.caption
-        # a legend wherever there is more than one thing
+        # Every figure with more than one line has a legend.
         assert one.figure.legends
 
 
-def test_fig3_shows_the_true_tip_of_every_strategy(preset_run):
+def test_the_report_of_fig3_shows_the_true_tip_of_every_strategy(preset_run):
     run = read_run(preset_run("fig3", *RUNS["fig3"][:3]))
     positions, errors = strategies.draw(run)
     z = {line.get_label(): line for line in positions.figure.axes[2].lines}
@@ -80,13 +82,13 @@ def test_fig3_shows_the_true_tip_of_every_strategy(preset_run):
     shown = z["(a) unloaded Jacobian"].get_ydata()
     start = recording(run, "a").of("tip_desired")[0]
     assert np.max(shown) == pytest.approx(1e3 * (tip - start)[:, 2].max())
-    # 15 mm sin(2 pi 0.05 t) after 2 s
+    # The desired z after 2 s is 15 mm sin(2 pi 0.05 t).
     assert np.max(z["desired"].get_ydata()) == pytest.approx(15.0 * math.sin(0.2 * math.pi), abs=0.02)
     largest = 1e3 * np.abs(recording(run, "c").of("tip_desired") - recording(run, "c").of("tip_true")).max(axis=0)
     assert f"c: {largest[0]:.2f}, {largest[1]:.2f}, {largest[2]:.2f} mm" in errors.alt
 
 
-def test_fig4_says_how_much_each_part_is(preset_run):
+def test_the_caption_of_fig4_has_the_size_of_each_part_of_the_deflection(preset_run):
     run = read_run(preset_run("fig4", *RUNS["fig4"][:3]))
     (drawn,) = deflection.draw(run)
     rows = recording(run, "deflection")
@@ -97,13 +99,13 @@ def test_fig4_says_how_much_each_part_is(preset_run):
     assert [len(axes.lines) for axes in drawn.figure.axes] == [3, 3, 3]
 
 
-def test_fig6_shows_the_mean_distances_of_the_summary(preset_run):
+def test_the_report_of_fig6_shows_the_mean_model_distances_of_the_summary(preset_run):
     run = read_run(preset_run("fig6", *RUNS["fig6"][:3]))
     (drawn,) = model.draw(run)
     numbers = run.summary["cases"]["turn"]["model_error_mm"]
     rows = recording(run, "turn")
-    late = rows.of("tip_new")[:, 0] > 0.0  # all of them: the load hangs there from the first moment on
-    # the unloaded model does not know the force: it is as smooth as the joints, with or without the mean of 0.5 s
+    late = rows.of("tip_new")[:, 0] > 0.0  # all frames count, because the load acts from the start on
+    # The unloaded model does not use the noisy force, so averaging over 0.5 s hardly changes its tip.
     at = rows.of("tip_time")[late, 0]
     unloaded = np.stack([np.interp(at, rows.of("time")[:, 0], tip) for tip in rows.of("tip_unloaded").T], axis=1)
     distance = 1e3 * np.linalg.norm(unloaded - rows.of("tip_measured")[late], axis=1).mean()
@@ -113,11 +115,11 @@ def test_fig6_shows_the_mean_distances_of_the_summary(preset_run):
     assert numbers["loaded"] < numbers["unloaded"]
 
 
-def test_fig6_of_a_run_that_ended_before_anything_counts_is_not_drawn(made_up):
-    assert list(model.draw(Run(Path("x"), "fig6", {}, {}, (made_up(settling=10.0),)))) == []
+def test_the_report_of_a_fig6_run_that_ended_too_early_has_no_figure(made_up):
+    assert list(model.draw(RecordedRun(Path("x"), "fig6", {}, {}, (made_up(settling=10.0),)))) == []
 
 
-def test_fig7_shows_the_papers_bounds_and_the_largest_error(preset_run):
+def test_the_report_of_fig7_shows_the_papers_bounds_and_the_largest_error(preset_run):
     run = read_run(preset_run("fig7", *RUNS["fig7"][:3]))
     (drawn,) = tracking.draw(run)
     rows = recording(run, "regulation")
@@ -125,11 +127,11 @@ def test_fig7_shows_the_papers_bounds_and_the_largest_error(preset_run):
     true = 1e3 * np.abs(rows.of("tip_desired") - rows.of("tip_true"))[late].max(axis=0)
     measured = run.summary["cases"]["regulation"]["max_abs_error_mm"]
 
-    said = ", ".join(
+    expected = ", ".join(
         f"{name} {' / '.join(f'{value:.2f}' for value in values)} mm"
         for name, values in (("measured", measured), ("true", true))
     )
-    assert said in drawn.caption
+    assert expected in drawn.caption
     for axes, bound in zip(drawn.figure.axes[:3], (15.5, 2.3, 1.1), strict=True):
         level = [
             line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == ":" or len(line.get_ydata()) == 2
@@ -138,7 +140,7 @@ def test_fig7_shows_the_papers_bounds_and_the_largest_error(preset_run):
         assert sorted(level)[-1] == bound
 
 
-def test_fig9_shows_the_force_and_its_error(preset_run):
+def test_the_fig9_figure_shows_the_force_and_its_error(preset_run):
     run = read_run(preset_run("fig10", *RUNS["fig10"][:3]))
     (drawn,) = force.draw(run)
     rows = recording(run, "paper")
@@ -147,9 +149,9 @@ def test_fig9_shows_the_force_and_its_error(preset_run):
     assert f"filtered {rms[0]:.3f} / {rms[1]:.3f} / {rms[2]:.3f} N" in drawn.caption
 
 
-def test_fig9_of_a_whole_run_begins_at_100_s(made_up):
+def test_the_fig9_figure_of_a_complete_run_starts_at_100_s(made_up):
     case = made_up(time=np.linspace(0.0, 250.0, 40), force_filtered=np.full((40, 3), 0.2))
-    (drawn,) = force.draw(Run(Path("x"), "fig10", {}, {}, (case,)))
+    (drawn,) = force.draw(RecordedRun(Path("x"), "fig10", {}, {}, (case,)))
     left, right = drawn.figure.axes[0].dataLim.intervalx
 
     assert left >= 100.0
@@ -157,20 +159,20 @@ def test_fig9_of_a_whole_run_begins_at_100_s(made_up):
     assert "100 to 200 s" in drawn.caption or "103 to 199 s" in drawn.caption
 
 
-def test_the_rates_are_compared_as_in_the_summary(preset_run):
+def test_the_deflection_rate_figure_has_the_errors_of_the_summary(preset_run):
     run = read_run(preset_run("fig10", *RUNS["fig10"][:3]))
     (drawn,) = rates.draw(run)
     for name, values in run.summary["cases"]["paper"]["deflection_rate_rms_error_mm_s"].items():
-        said = re.search(rf"{name} (\S+) / (\S+) / (\S+) mm/s", drawn.caption)
-        assert said
-        assert [float(value) for value in said.groups()] == pytest.approx(values, rel=0.005)
+        expected = re.search(rf"{name} (\S+) / (\S+) / (\S+) mm/s", drawn.caption)
+        assert expected
+        assert [float(value) for value in expected.groups()] == pytest.approx(values, rel=0.005)
 
 
-def test_rates_of_less_than_a_second_are_not_drawn(made_up):
-    assert list(rates.draw(Run(Path("x"), "fig10", {}, {}, (made_up(),)))) == []
+def test_a_report_of_less_than_a_second_has_no_deflection_rate_figure(made_up):
+    assert list(rates.draw(RecordedRun(Path("x"), "fig10", {}, {}, (made_up(),)))) == []
 
 
-def test_a_step_is_drawn_with_its_fit(preset_run):
+def test_the_step_response_figure_has_the_fit(preset_run):
     run = read_run(preset_run("step_response", *RUNS["step_response"][:3]))
     (drawn,) = steps.draw(run)
     step = run.summary["cases"]["k2_5_x"]["step"]
@@ -181,9 +183,9 @@ def test_a_step_is_drawn_with_its_fit(preset_run):
     assert again.rate == pytest.approx(step["rate"], rel=0.05)
 
 
-def test_any_other_experiment_gets_path_error_force_and_joints(short_run):
+def test_a_report_of_any_other_experiment_shows_path_error_force_and_joints(short_run):
     run = read_run(short_run)
-    assert "short" not in FIGURES
+    assert "short" not in FIGURES_BY_EXPERIMENT
     drawn = {one.name: one for one in figures(run)}
 
     assert list(drawn) == [f"{what}_{case}" for case in ("one", "two") for what in ("path", "error", "force", "joints")]
@@ -198,9 +200,9 @@ def test_any_other_experiment_gets_path_error_force_and_joints(short_run):
     assert shown[0] == pytest.approx(np.degrees(rows.of("joints")[0, 1]))
 
 
-def test_a_bench_without_a_truth_shows_none(made_up):
+def test_a_report_without_ground_truth_shows_no_true_values(made_up):
     case = made_up(truth_known=np.zeros(40), tip_measured=np.full((40, 3), 0.001))
-    run = Run(Path("x"), "own", {}, {}, (case,))
+    run = RecordedRun(Path("x"), "own", {}, {}, (case,))
     texts = " ".join(f"{one.caption} {one.alt}" for one in overview.draw(run))
 
     assert not run.simulated
@@ -208,14 +210,23 @@ def test_a_bench_without_a_truth_shows_none(made_up):
     assert "simulated" not in texts
 
 
-def test_the_loops_timing_is_shown_where_it_was_kept():
+def test_a_report_names_devices_that_reported_to_be_simulated(made_up):
+    case = made_up(truth_known=np.zeros(40), tip_measured=np.full((40, 3), 0.001))
+    run = RecordedRun(Path("x"), "own", {}, {}, (replace(case, metadata={"simulated": True}),))
+
+    assert run.simulated
+    assert origin(run) == "simulated bench"
+    assert "Simulated bench" in " ".join(head(run))
+
+
+def test_a_report_shows_the_recorded_timing_of_the_control_loop():
     late, work = [0] * 40, [0] * 300
     late[20], late[39], work[120], work[299] = 900, 100, 990, 10
     numbers = {
         "ticks": 1000, "missed": 2, "scheduler": "SCHED_FIFO", "late_counts": late, "tick_counts": work,
         "late_us": {"p50": 20, "p99": 39, "max": 41}, "tick_us": {"p50": 120, "p99": 299, "max": 420},
     }  # fmt: skip
-    (drawn,) = timing.draw(Run(Path("x"), "own", {"cases": {"run": {"timing": numbers}}}, {}, ()))
+    (drawn,) = timing.draw(RecordedRun(Path("x"), "own", {"cases": {"run": {"timing": numbers}}}, {}, ()))
 
     assert "late: median 20, 99 % 39, largest 41" in drawn.caption
     assert "2 periods missed" in drawn.caption
@@ -229,10 +240,10 @@ def test_the_loops_timing_is_shown_where_it_was_kept():
                 assert bars.values[np.searchsorted(bars.edges, place, side="right") - 1] == count
 
 
-def test_without_timing_there_is_no_such_figure():
-    assert list(timing.draw(Run(Path("x"), "own", {"cases": {"one": {}}}, {}, ()))) == []
+def test_a_report_of_a_run_without_timing_has_no_timing_figure():
+    assert list(timing.draw(RecordedRun(Path("x"), "own", {"cases": {"one": {}}}, {}, ()))) == []
 
 
-def test_nothing_recorded_nothing_drawn():
+def test_a_report_of_a_run_without_rows_has_no_figures():
     for name in RUNS:
-        assert list(figures(Run(Path("x"), name, {}, {}, ()))) == []
+        assert list(figures(RecordedRun(Path("x"), name, {}, {}, ()))) == []

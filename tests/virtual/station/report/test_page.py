@@ -1,4 +1,4 @@
-"""The page of a report: everything in one file, nothing from elsewhere, and its numbers those of the run."""
+"""The page of a report: one self-contained file with the numbers of the run."""
 
 import base64
 import json
@@ -16,7 +16,7 @@ from station.report.run import NoRun, read_run
 
 
 class Page(HTMLParser):
-    """Pictures, cells and words of a page."""
+    """Pictures, cells and texts of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -56,7 +56,7 @@ def page(report) -> Page:
     return Page(report.read_text(encoding="utf-8"))
 
 
-def test_the_file_needs_nothing_else(report, page):
+def test_a_report_is_one_self_contained_file(report, page):
     text = report.read_text(encoding="utf-8")
 
     assert not re.findall(r"https?:|//[a-z]|url\(|@import|src=\"(?!data:)", re.sub(r"base64,[^\"]*", "", text))
@@ -71,18 +71,18 @@ def test_the_file_needs_nothing_else(report, page):
         links = [value for part in image.iter() for key, value in part.attrib.items() if key.endswith("href")]
         assert links
         assert all(link.startswith("#") for link in links)
-        # letters are drawn: no font is looked for
+        # Letters are drawn as shapes, so that the figure needs no font.
         assert not [part for part in image.iter() if part.tag.endswith("}text")]
         assert len(picture["alt"]) > 40
 
 
-def test_it_is_written_beside_the_recordings(report):
+def test_a_report_is_written_into_the_folder_of_the_run(report):
     assert report.name == "report.html"
     assert (report.parent / "one.mcap").exists()
     assert not list(report.parent.glob("*.partial"))
 
 
-def test_it_says_what_was_simulated(page, short_run):
+def test_a_report_names_the_simulated_parts(page, short_run):
     title = json.loads((short_run / "summary.json").read_text(encoding="utf-8"))["lab"]
 
     assert "Simulated bench, seed 0" in page.text
@@ -90,13 +90,13 @@ def test_it_says_what_was_simulated(page, short_run):
     assert "The paper's numbers come from a real bench" in page.text
 
 
-def test_the_origin_stands_on_every_figure(page):
+def test_every_figure_of_a_report_states_the_origin_of_its_data(page):
     for picture in page.pictures:
-        # Letters are drawn as shapes; what they spell is in a comment beside them.
+        # Letters are drawn as shapes; a comment in the SVG has their text.
         assert b"<!-- simulated bench, seed 0 -->" in base64.b64decode(picture["src"].split(",", 1)[1])
 
 
-def test_the_papers_number_ours_and_the_ratio_stand_in_a_row(page, short_run):
+def test_a_row_of_the_comparison_table_has_the_papers_number_the_measured_one_and_the_ratio(page, short_run):
     numbers = json.loads((short_run / "summary.json").read_text(encoding="utf-8"))["cases"]["one"]
     measured, true = numbers["max_abs_error_mm"], numbers["true_max_abs_error_mm"]
     rows = [row for row in page.rows if len(row) == 6]
@@ -110,7 +110,7 @@ def test_the_papers_number_ours_and_the_ratio_stand_in_a_row(page, short_run):
     assert errors[0][2:] == [f"{value:.3f}" for value in numbers["true_rms_error_mm"]]
 
 
-def test_how_well_it_went_comes_first(page, short_run):
+def test_the_result_is_the_first_part_of_a_report(page, short_run):
     numbers = json.loads((short_run / "summary.json").read_text(encoding="utf-8"))["cases"]["two"]
     before = page.text.split("The paper's numbers and ours")[0]
 
@@ -119,7 +119,7 @@ def test_how_well_it_went_comes_first(page, short_run):
     assert f"the force on it was at most {numbers['force_max_N']:.2f} N" in before
 
 
-def test_the_line_is_there_with_what_each_axis_got(page, short_run):
+def test_a_report_has_the_line_rates_of_each_axis(page, short_run):
     rates = json.loads((short_run / "summary.json").read_text(encoding="utf-8"))["cases"]["two"]["line_rates"]
     rows = [row for row in page.rows if len(row) == 4 and row[1] in rates]
 
@@ -128,17 +128,17 @@ def test_the_line_is_there_with_what_each_axis_got(page, short_run):
     assert 20.0 < float(rows[3][2]) < 60.0
 
 
-def test_configuration_and_versions_are_there_once(page, short_run):
+def test_a_report_has_configuration_and_versions_once(page, short_run):
     assert (short_run / "experiment.toml").read_text(encoding="utf-8") in page.text
     assert page.text.count("versions.numpy = ") == 1
     assert page.text.count("robot.tubes[0].bending_stiffness = 0.0413") == 1
-    # the second case says only what is different
-    second = page.text.split("(case two), what differs from the first case")[1]
+    # The configuration of the second case lists only its differences from the first.
+    second = page.text.split("(case two): differences from the first case")[1]
     assert "settings.controller.feedforward = true" in second
     assert "settings.duration" not in second
 
 
-def test_text_from_files_is_text(page):
+def test_a_report_escapes_text_from_files(page):
     assert "short <b>run</b> & more" in page.text
     assert "b" not in page.tags[: page.tags.index("figure")]
 
@@ -156,7 +156,7 @@ def test_figures_are_written_as_png_and_pdf_and_the_same_run_gives_the_same_repo
     assert write_report(run, tmp_path / "again").read_bytes() == path.read_bytes()
 
 
-def test_a_case_that_did_not_complete_says_why(folder_of):
+def test_a_report_has_the_cause_of_an_incomplete_case(folder_of):
     cases = {"one": {"completed": False, "cause": "no shape <found>"}}
     text = write_report(folder_of({"experiment": "fig7", "cases": cases})).read_text(encoding="utf-8")
 
@@ -164,7 +164,7 @@ def test_a_case_that_did_not_complete_says_why(folder_of):
     assert "Nothing was recorded." in text
 
 
-def test_a_distorted_case_names_its_lab(preset_run, tmp_path):
+def test_a_report_of_a_case_with_a_distorted_tracker_names_its_lab(preset_run, tmp_path):
     folder = preset_run("fig10", 1.5, 0.5, ("feedforward",))
     shutil.copytree(folder, tmp_path / "run")
     text = Page(write_report(tmp_path / "run").read_text(encoding="utf-8")).text
@@ -174,18 +174,18 @@ def test_a_distorted_case_names_its_lab(preset_run, tmp_path):
     assert read_run(folder).case("paper_distorted").metadata["lab"]["tracker"]["distortion"] == 0.48e-3
 
 
-def test_a_folder_without_a_run_is_refused(tmp_path):
+def test_a_report_of_a_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(NoRun, match="no run in this folder"):
         write_report(tmp_path)
 
 
-def test_a_place_that_cannot_be_written_is_named(short_run, tmp_path):
+def test_a_report_that_cannot_be_written_fails_naming_the_path(short_run, tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
-    with pytest.raises(ReportError, match="file/out: cannot write the report there"):
+    with pytest.raises(ReportError, match="file/out: cannot write the report"):
         write_report(short_run, tmp_path / "file" / "out")
 
 
-def test_the_styles_make_it_fit_for_paper(report: Path):
+def test_the_style_sheet_of_a_report_supports_printing(report: Path):
     text = report.read_text(encoding="utf-8")
 
     assert "@page { size: A4" in text

@@ -1,4 +1,4 @@
-"""A run as its folder has it."""
+"""Reading of a run from its folder."""
 
 import json
 import shutil
@@ -11,7 +11,7 @@ from station.report import run as run_module
 from station.report.run import NoRun, read_run
 
 
-def test_cases_come_in_their_order_with_the_channels_that_were_recorded(short_run):
+def test_cases_read_from_a_run_have_their_order_and_their_recorded_channels(short_run):
     run = read_run(short_run)
 
     assert [case.name for case in run.cases] == ["one", "two"]
@@ -25,16 +25,16 @@ def test_cases_come_in_their_order_with_the_channels_that_were_recorded(short_ru
     assert run.cases[0].names("joints") == ["outer_rotation", "inner_rotation", "inner_translation"]
 
 
-def test_a_case_has_its_own_changes_of_the_file(short_run):
+def test_a_case_read_from_a_run_has_the_settings_that_it_changes(short_run):
     one, two = read_run(short_run).cases
 
-    assert one.counted_from == two.counted_from == 0.0  # the load pulls from the first moment on
+    assert one.counted_from == two.counted_from == 0.0  # the load acts from the start on, so errors count from 0 s
     assert "controller" not in one.file
     assert two.file["controller"] == {"feedforward": True}
 
 
-def test_errors_are_desired_minus_true_and_desired_minus_measured_at_the_frames_own_time(made_up):
-    # the setpoint goes up 10 mm/s, each frame shows it as it was 50 ms before the row, 2 mm off in x
+def test_measured_errors_use_the_setpoint_at_the_time_of_the_frame(made_up):
+    # The setpoint moves up at 10 mm/s. Each frame has the setpoint of 50 ms before its row, with 2 mm of error in x.
     times = np.arange(40) * 0.1
     desired = np.outer(0.010 * times, (0.0, 0.0, 1.0))
     measured = np.outer(0.010 * (times - 0.05), (0.0, 0.0, 1.0)) + np.array([0.002, 0.0, 0.0])
@@ -46,7 +46,7 @@ def test_errors_are_desired_minus_true_and_desired_minus_measured_at_the_frames_
     assert case.true_error() == pytest.approx(np.tile((0.0, 1.0, 0.0), (40, 1)))
 
 
-def test_a_distorted_case_is_held_against_the_same_numbers(short_run):
+def test_a_case_with_a_distorted_tracker_is_compared_with_the_same_numbers_of_the_paper(short_run):
     run = read_run(short_run)
 
     assert run.paper("one", "max_abs_error_mm") == {"x": 7.9, "z": 2.0}
@@ -54,15 +54,15 @@ def test_a_distorted_case_is_held_against_the_same_numbers(short_run):
     assert run.paper("two", "max_abs_error_mm") == {}
 
 
-def test_of_a_very_long_recording_every_nth_row_is_kept(short_run, monkeypatch):
-    monkeypatch.setattr(run_module, "MOST", 300)
+def test_a_very_long_recording_is_decimated_for_the_report(short_run, monkeypatch):
+    monkeypatch.setattr(run_module, "MAX_ROWS", 300)
     case = read_run(short_run).cases[0]
 
     assert case.stride == 3
     assert np.array_equal(case.of("tip_true"), read_case(short_run / "one.mcap").of("tip_true")[::3])
 
 
-def test_a_run_without_a_summary_still_has_its_recordings(short_run, tmp_path):
+def test_a_run_folder_without_a_summary_is_read_from_its_recordings(short_run, tmp_path):
     shutil.copy(short_run / "two.mcap", tmp_path)
     run = read_run(tmp_path)
 
@@ -70,24 +70,24 @@ def test_a_run_without_a_summary_still_has_its_recordings(short_run, tmp_path):
     assert run.summary == {}
 
 
-def test_an_empty_folder_is_no_run(tmp_path):
+def test_reading_a_run_from_an_empty_folder_is_refused(tmp_path):
     with pytest.raises(NoRun, match=r"neither a recording \(\.mcap\) nor summary\.json"):
         read_run(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["", "[1, 2]", "{"])
-def test_a_spoilt_summary_is_refused_by_name(tmp_path, text):
+def test_reading_a_run_with_an_invalid_summary_is_refused_naming_the_file(tmp_path, text):
     (tmp_path / "summary.json").write_text(text, encoding="utf-8")
     with pytest.raises(NoRun, match=r"summary\.json"):
         read_run(tmp_path)
 
 
-def test_unknown_channels_are_refused_by_name(made_up):
+def test_reading_unknown_channels_of_a_case_is_refused_with_their_name(made_up):
     with pytest.raises(NoRun, match="case 'made_up' has no channels 'colour'"):
         made_up().of("colour")
 
 
-def test_a_summary_alone_is_a_run_in_which_nothing_was_recorded(folder_of):
+def test_a_run_folder_with_only_a_summary_is_a_run_without_cases(folder_of):
     run = read_run(folder_of({"experiment": "fig7", "cases": {"regulation": {"completed": False, "cause": "x"}}}))
 
     assert run.cases == ()

@@ -1,4 +1,4 @@
-"""When a load beside the tip is believed, on rows of virtual runs."""
+"""Detection of a load on the shaft, on rows of virtual runs."""
 
 from collections.abc import Callable
 from functools import cache
@@ -14,7 +14,7 @@ from station.control.telemetry import Channels
 from station.experiments.experiment import load_experiment
 from station.experiments.runner import Recording
 from tests.harness.cases import a_run
-from web.scene.contact import AGREED, ROWS, ContactMonitor
+from web.scene.contact import AGREEING_WINDOWS, WINDOW_ROWS, ContactMonitor
 
 RUN = """
 title = "touched"
@@ -34,7 +34,7 @@ AT_100_MM = 'kind = "contact"\nmagnitude = 0.3\nplace = 0.1\ndirection = [0.0, 1
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Recording]:
-    """A joint turns slowly under a load, as a TOML table."""
+    """Return the recording of a slowly turning joint under a load, given as a TOML table."""
 
     @cache
     def ran(load: str) -> Recording:
@@ -57,35 +57,35 @@ def monitor() -> ContactMonitor:
 
 
 def newest(run: Recording) -> Array:
-    return run.rows[-ROWS:].copy()
+    return run.rows[-WINDOW_ROWS:].copy()
 
 
-def look(monitor: ContactMonitor, rows: Array, times: int = AGREED) -> None:
+def look(monitor: ContactMonitor, rows: Array, times: int = AGREEING_WINDOWS) -> None:
     for _ in range(times):
-        monitor.look(rows)
+        monitor.update(rows)
 
 
-def test_a_contact_is_believed_when_several_looks_agree_and_forgotten_as_slowly(
+def test_a_contact_is_reported_and_withdrawn_after_consecutive_agreeing_evaluations(
     monitor: ContactMonitor, touched: Recording, ran: Callable[[str], Recording]
 ) -> None:
-    look(monitor, newest(touched), AGREED - 1)
+    look(monitor, newest(touched), AGREEING_WINDOWS - 1)
     assert monitor.side_load is None
-    monitor.look(newest(touched))
+    monitor.update(newest(touched))
     assert monitor.side_load is not None
-    assert monitor.side_load.contact.place == pytest.approx(0.1, abs=10e-3)
+    assert monitor.side_load.contact.arc_length == pytest.approx(0.1, abs=10e-3)
     assert np.linalg.norm(monitor.side_load.force) == pytest.approx(0.3, abs=0.03)
     free = newest(ran('kind = "none"'))
-    look(monitor, free, AGREED - 1)
+    look(monitor, free, AGREEING_WINDOWS - 1)
     assert monitor.side_load is not None
-    monitor.look(free)
+    monitor.update(free)
     assert monitor.side_load is None
 
 
-def test_it_is_said_in_words_with_place_interval_and_what_to_do(monitor: ContactMonitor, touched: Recording) -> None:
+def test_the_contact_warning_has_position_interval_and_advice(monitor: ContactMonitor, touched: Recording) -> None:
     look(monitor, newest(touched))
     assert monitor.side_load is not None
     first, last = monitor.side_load.contact.intervals[0]
-    where = f"{1e3 * monitor.side_load.contact.place:.0f} mm ({1e3 * first:.0f}-{1e3 * last:.0f}) from the plate"
+    where = f"{1e3 * monitor.side_load.contact.arc_length:.0f} mm ({1e3 * first:.0f}-{1e3 * last:.0f}) from the plate"
     assert monitor.side_load.warning.startswith(f"the load does not act at the tip: contact at {where}; ")
 
 
@@ -98,28 +98,30 @@ def test_it_is_said_in_words_with_place_interval_and_what_to_do(monitor: Contact
         'kind = "hung_weight"\nweight = 0.3\nlowering = 0.1',
     ],
 )
-def test_a_load_at_the_tip_is_never_called_a_contact(
+def test_a_load_at_the_tip_is_never_reported_as_a_contact(
     monitor: ContactMonitor, ran: Callable[[str], Recording], load: str
 ) -> None:
     run = ran(load)
-    for end in range(ROWS, len(run.rows), 167):  # three looks a second
-        monitor.look(run.rows[end - ROWS : end])
+    for end in range(WINDOW_ROWS, len(run.rows), 167):  # three looks a second
+        monitor.update(run.rows[end - WINDOW_ROWS : end])
         assert monitor.side_load is None, end
 
 
-def test_nothing_is_said_while_it_cannot_be_told(monitor: ContactMonitor, touched: Recording) -> None:
+def test_no_contact_is_reported_during_fast_motion_or_missing_measurements(
+    monitor: ContactMonitor, touched: Recording
+) -> None:
     of = touched.channels.of
     fast, homing, blind = newest(touched), newest(touched), newest(touched)
-    of(fast, "joints")[:, 1] += np.linspace(0.0, np.deg2rad(6.0), ROWS)
+    of(fast, "joints")[:, 1] += np.linspace(0.0, np.deg2rad(6.0), WINDOW_ROWS)
     of(homing, "state")[:] = State.HOMING
     of(blind, "trouble")[-1, 2] = 2.0
-    for rows in (fast, homing, blind, newest(touched)[: ROWS // 2]):
-        look(monitor, rows, 2 * AGREED)
+    for rows in (fast, homing, blind, newest(touched)[: WINDOW_ROWS // 2]):
+        look(monitor, rows, 2 * AGREEING_WINDOWS)
         assert monitor.side_load is None
 
 
-def test_a_silent_station_feels_nothing_at_once(monitor: ContactMonitor, touched: Recording) -> None:
+def test_a_contact_is_withdrawn_at_once_when_telemetry_stops(monitor: ContactMonitor, touched: Recording) -> None:
     look(monitor, newest(touched))
     assert monitor.side_load is not None
-    monitor.look(newest(touched)[:0])
+    monitor.update(newest(touched)[:0])
     assert monitor.side_load is None

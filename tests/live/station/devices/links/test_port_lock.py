@@ -1,4 +1,4 @@
-"""One device, one station: locks between real processes, whichever way a port is named."""
+"""Exclusive access to a device: locks between real processes, for every name of a port."""
 
 import os
 import re
@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from station.devices.links.link import DatagramLink, LinkError, SerialLink
-from station.devices.links.port_lock import PortLock, PortTaken, device_name, lock_file
+from station.devices.links.port_lock import PortInUse, PortLock, device_name, lock_file
 
-HOLD = """
+KEEP_OPEN = """
 import sys
 from station.devices.links.link import DatagramLink, SerialLink
 url = sys.argv[1]
@@ -41,21 +41,21 @@ def holder(environment) -> Iterator[Callable[[str], subprocess.Popen[bytes]]]:
     """Another process that has a device open until it reads a line."""
     processes: list[subprocess.Popen[bytes]] = []
 
-    def hold(url: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-c", HOLD, url]
+    def keep_open(url: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-c", KEEP_OPEN, url]
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
         processes.append(process)
         assert process.stdout
         assert process.stdout.readline() == b"open\n"
         return process
 
-    yield hold
+    yield keep_open
     for process in processes:
         process.kill()
         process.communicate()
 
 
-def test_a_port_that_another_process_has_is_refused_by_name_and_process(terminal, holder, tmp_path: Path):
+def test_port_in_use_is_refused_with_its_name_and_the_process_number(terminal, holder, tmp_path: Path):
     process = holder(terminal)
     link = tmp_path / "stages"  # another name of the same port
     link.symlink_to(terminal)
@@ -71,7 +71,7 @@ def test_a_port_that_another_process_has_is_refused_by_name_and_process(terminal
     SerialLink(str(link), 9600).close()
 
 
-def test_a_killed_process_holds_nothing(terminal, holder):
+def test_lock_of_a_killed_process_is_released(terminal, holder):
     process = holder(terminal)
     process.send_signal(signal.SIGKILL)
     process.wait()
@@ -79,7 +79,7 @@ def test_a_killed_process_holds_nothing(terminal, holder):
     SerialLink(terminal, 9600).close()
 
 
-def test_a_force_sensor_has_one_host(holder):
+def test_force_sensor_accepts_one_link_only(holder):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as box:
         box.bind(("127.0.0.1", 0))
         port = box.getsockname()[1]
@@ -88,7 +88,7 @@ def test_a_force_sensor_has_one_host(holder):
             DatagramLink("localhost", port)
 
 
-def test_a_second_link_of_the_same_process_is_refused_too(terminal):
+def test_second_link_of_the_same_process_is_refused(terminal):
     first = SerialLink(terminal, 9600)
     with pytest.raises(LinkError, match=str(os.getpid())):
         SerialLink(terminal, 9600)
@@ -97,14 +97,14 @@ def test_a_second_link_of_the_same_process_is_refused_too(terminal):
     SerialLink(terminal, 9600).close()
 
 
-def test_a_port_that_cannot_be_opened_is_not_held(tmp_path: Path):
+def test_port_that_cannot_be_opened_stays_unlocked(tmp_path: Path):
     nowhere = str(tmp_path / "ttyUSB7")
     for _ in range(2):
         with pytest.raises(LinkError, match=r"ttyUSB7 cannot be opened: .* plugged in"):
             SerialLink(nowhere, 9600)
 
 
-def test_a_line_by_tcp_is_one_links(terminal):
+def test_tcp_line_accepts_one_link_only(terminal):
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         first = SerialLink(f"socket://127.0.0.1:{port}", 9600)
@@ -122,11 +122,11 @@ def test_a_line_by_tcp_is_one_links(terminal):
         ("socket://127.0.0.1:port", "socket://127.0.0.1:port"),
     ],
 )
-def test_a_host_is_known_by_its_address(url, name):
+def test_device_name_contains_the_address_of_the_host(url, name):
     assert device_name(url) == name
 
 
-def test_a_child_does_not_keep_what_its_parent_lets_go(terminal):
+def test_child_process_does_not_keep_the_lock_that_its_parent_releases(terminal):
     lock = PortLock(terminal)
     reading, writing = os.pipe()
     child = os.fork()
@@ -143,16 +143,16 @@ def test_a_child_does_not_keep_what_its_parent_lets_go(terminal):
         os.waitpid(child, 0)
 
 
-def test_a_lock_that_is_no_file_is_refused_with_its_path(terminal, tmp_path: Path, monkeypatch):
+def test_lock_path_that_is_no_file_is_refused_with_its_path(terminal, tmp_path: Path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     path = lock_file(terminal)
     assert path.parent == tmp_path
     path.symlink_to("/dev/null")
-    with pytest.raises(PortTaken, match=re.escape(str(path))):
+    with pytest.raises(PortInUse, match=re.escape(str(path))):
         PortLock(terminal)
 
 
-def test_the_file_may_be_locked_by_any_user_and_says_who_has_it(terminal, tmp_path: Path, monkeypatch):
+def test_lock_file_can_be_locked_by_any_user_and_contains_the_process_number(terminal, tmp_path: Path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     mask = os.umask(0o077)
     try:
@@ -166,7 +166,7 @@ def test_the_file_may_be_locked_by_any_user_and_says_who_has_it(terminal, tmp_pa
     assert not path.exists()
 
 
-def test_of_many_that_want_a_device_one_at_a_time_has_it(terminal, tmp_path: Path, monkeypatch):
+def test_device_is_locked_by_one_of_many_threads_at_a_time(terminal, tmp_path: Path, monkeypatch):
     """Threads open and close it as fast as they can; the file comes and goes under them."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     inside: list[int] = []
@@ -177,7 +177,7 @@ def test_of_many_that_want_a_device_one_at_a_time_has_it(terminal, tmp_path: Pat
         for _ in range(500):
             try:
                 lock = PortLock(terminal)
-            except PortTaken:
+            except PortInUse:
                 continue
             inside.append(me)
             most.append(len(inside))

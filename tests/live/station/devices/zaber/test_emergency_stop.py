@@ -1,4 +1,4 @@
-"""The last stop on simulated stages that really move, in a process of their own."""
+"""The emergency stop on moving simulated stages, in a separate process."""
 
 import socket
 import threading
@@ -8,12 +8,21 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from station.control.clock import REAL_TIME
+from station.control.clock import REAL_TIME_CLOCK
 from station.devices.interfaces import NotStopped
 from station.devices.links.link import SerialLink
 from station.devices.zaber.emergency_stop import Units, stop_stages
-from station.devices.zaber.protocol import BAUD, MESSAGE_TIME, SIZE, Command, Message, Status, decode, encode
-from station.devices.zaber.shifts import IGNORED
+from station.devices.zaber.frame_safety import NO_DATA
+from station.devices.zaber.protocol import (
+    BAUD,
+    MESSAGE_BYTES,
+    MESSAGE_TIME_S,
+    ZaberCommand,
+    ZaberMessage,
+    ZaberStatus,
+    decode,
+    encode,
+)
 from tests.harness.waiting import until
 from tests.harness.watched_lab import WatchedLab
 
@@ -31,65 +40,65 @@ def units(lab: WatchedLab) -> Units:
 def set_going(lab: WatchedLab) -> SerialLink:
     link = SerialLink(lab.endpoints["zaber"], BAUD)
     for device in (1, 2, 3):
-        link.write(encode(Message(device, Command.MOVE_SPEED, -500)))
-        time.sleep(2 * MESSAGE_TIME)
+        link.write(encode(ZaberMessage(device, ZaberCommand.MOVE_SPEED, -500)))
+        time.sleep(2 * MESSAGE_TIME_S)
     time.sleep(0.05)
     assert lab.notes()[-1].statuses == (22, 22, 22)
     return link
 
 
-def test_every_unit_is_told_and_says_that_it_stops(lab: WatchedLab) -> None:
+def test_every_unit_is_commanded_to_stop_and_confirms_it(lab: WatchedLab) -> None:
     set_going(lab).close()
-    begin = time.monotonic()
-    said = stop_stages(units(lab), REAL_TIME)
+    start = time.monotonic()
+    result = stop_stages(units(lab), REAL_TIME_CLOCK)
 
-    assert said.startswith(f"3 stages on {lab.endpoints['zaber']} stop, told ")
-    assert lab.told(begin) > 0.0
+    assert result.startswith(f"3 stages on {lab.endpoints['zaber']} stop, commanded ")
+    assert lab.told(start) > 0.0
 
 
-def test_a_port_that_a_dying_process_still_has_is_tried_until_it_is_free(lab: WatchedLab) -> None:
+def test_emergency_stop_retries_a_port_until_a_dying_process_releases_it(lab: WatchedLab) -> None:
     link = set_going(lab)
     release = threading.Timer(0.3, link.close)
     release.start()
-    said = stop_stages(units(lab), REAL_TIME)
+    result = stop_stages(units(lab), REAL_TIME_CLOCK)
     release.join()
 
-    assert said.startswith("3 stages on")
+    assert result.startswith("3 stages on")
     assert not lab.notes()[-1].moving
 
 
-def test_half_a_message_before_it_does_not_swallow_the_stop(lab: WatchedLab) -> None:
+def test_emergency_stop_works_after_half_a_message(lab: WatchedLab) -> None:
     link = set_going(lab)
     link.write(b"\x02\x16\x00")
     link.close()
-    assert stop_stages(units(lab), REAL_TIME).startswith("3 stages on")
+    assert stop_stages(units(lab), REAL_TIME_CLOCK).startswith("3 stages on")
     assert not lab.notes()[-1].moving
 
 
-def test_of_what_cannot_be_stopped_a_person_is_told(lab: WatchedLab) -> None:
+def test_emergency_stop_reports_stages_that_cannot_be_stopped(lab: WatchedLab) -> None:
     set_going(lab).close()
     with pytest.raises(NotStopped) as raised:
-        stop_stages({"/dev/not-there": {1}, **units(lab)}, REAL_TIME)
+        stop_stages({"/dev/not-there": {1}, **units(lab)}, REAL_TIME_CLOCK)
 
-    said = str(raised.value)
-    assert "the stages on /dev/not-there cannot be told to stop" in said
-    assert "press the emergency stop" in said
-    assert "3 stages on" in said
+    result = str(raised.value)
+    assert "the stages on /dev/not-there cannot be commanded to stop" in result
+    assert "press the emergency stop" in result
+    assert "3 stages on" in result
     assert not lab.notes()[-1].moving
-    assert stop_stages({}, REAL_TIME) == ""
+    assert stop_stages({}, REAL_TIME_CLOCK) == ""
 
 
-def test_units_that_home_and_obey_no_stop_are_reset(lab: WatchedLab) -> None:
+def test_emergency_stop_resets_homing_units_that_ignore_a_stop(lab: WatchedLab) -> None:
     link = SerialLink(lab.endpoints["zaber"], BAUD)
     for device in (1, 3):
-        link.write(encode(Message(device, Command.HOME, IGNORED)))
-        time.sleep(2 * MESSAGE_TIME)
+        link.write(encode(ZaberMessage(device, ZaberCommand.HOME, NO_DATA)))
+        time.sleep(2 * MESSAGE_TIME_S)
     until(lambda: lab.notes()[-1].statuses == (1, 0, 1))
     link.close()
-    said = stop_stages(units(lab), REAL_TIME)
+    result = stop_stages(units(lab), REAL_TIME_CLOCK)
 
-    assert said.startswith("3 stages on")
-    assert said.endswith("number 1, 3 homed and was reset: home again")
+    assert result.startswith("3 stages on")
+    assert result.endswith("number 1, 3 homed and was reset: home again")
     assert not lab.notes()[-1].moving
 
 
@@ -100,16 +109,16 @@ def chain(third: float | None) -> Iterator[str]:
 
         def answer() -> None:
             host, _ = server.accept()
-            with host, suppress(OSError):  # the other end goes when it has heard enough
-                while data := host.recv(SIZE, socket.MSG_WAITALL):
-                    if decode(data).command != Command.STATUS:
+            with host, suppress(OSError):  # the other end closes when it has received enough
+                while data := host.recv(MESSAGE_BYTES, socket.MSG_WAITALL):
+                    if decode(data).command != ZaberCommand.STATUS:
                         continue
                     for unit in (1, 2, 3):
                         if unit == 3:
                             if third is None:
                                 break
                             time.sleep(third)
-                        host.sendall(encode(Message(unit, Command.STATUS, Status.STOPPING)))
+                        host.sendall(encode(ZaberMessage(unit, ZaberCommand.STATUS, ZaberStatus.STOPPING)))
 
         thread = threading.Thread(target=answer)
         thread.start()
@@ -117,12 +126,12 @@ def chain(third: float | None) -> Iterator[str]:
         thread.join()
 
 
-def test_a_unit_that_answers_late_is_waited_for() -> None:
+def test_emergency_stop_waits_for_a_unit_that_answers_late() -> None:
     with chain(third=0.08) as port:
-        assert stop_stages({port: {1, 2, 3}}, REAL_TIME).startswith("3 stages on")
+        assert stop_stages({port: {1, 2, 3}}, REAL_TIME_CLOCK).startswith("3 stages on")
 
 
-def test_a_unit_that_says_nothing_is_not_taken_for_stopped() -> None:
-    said = "number 3 was told to stop and does not say so: press the emergency stop"
-    with chain(third=None) as port, pytest.raises(NotStopped, match=said):
-        stop_stages({port: {1, 2, 3}}, REAL_TIME, patience=0.5)
+def test_silent_unit_does_not_count_as_stopped() -> None:
+    result = "number 3 was commanded to stop and has not confirmed: press the emergency stop"
+    with chain(third=None) as port, pytest.raises(NotStopped, match=result):
+        stop_stages({port: {1, 2, 3}}, REAL_TIME_CLOCK, patience=0.5)

@@ -1,4 +1,4 @@
-"""Combined API: check values, captures and replies as the protocol's description gives them, however they arrive."""
+"""Combined API: check values, captures and replies of the protocol's description, split in any way."""
 
 import contextlib
 import itertools
@@ -52,21 +52,21 @@ REPLIES = ["OKAY", VALID[6:-2], "ERROR0C", TX[:-5].decode(), MISSING[6:-2], "RES
 
 
 @pytest.mark.parametrize(("text", "crc"), CHECKS.items())
-def test_the_crc_is_that_of_the_protocol(text, crc):
+def test_crc_matches_the_examples_of_the_protocol(text, crc):
     assert crc16(text.encode()) == crc
     assert framed(text) == f"{text}{crc:04X}\r".encode()
 
 
-def test_the_crc_has_the_catalogues_check_value():
+def test_crc_has_the_check_value_of_the_catalogue():
     assert crc16(b"123456789") == 0xBB3D  # CRC-16/ARC
 
 
 @pytest.mark.parametrize("capture", [VALID, MISSING])
-def test_a_binary_reply_is_framed_as_captured(capture):
+def test_binary_reply_is_framed_like_the_capture(capture):
     assert binary(capture[6:-2]) == capture
 
 
-def test_a_capture_of_bx_is_read():
+def test_captured_bx_reply_is_parsed():
     reply = parse_bx(VALID[6:-2])
     (tool,) = reply.tools
 
@@ -78,13 +78,13 @@ def test_a_capture_of_bx_is_read():
     assert reply.system_status == 0
 
 
-def test_a_capture_of_a_missing_tool_is_read():
+def test_captured_reply_with_a_missing_tool_is_parsed():
     (tool,) = parse_bx(MISSING[6:-2]).tools
 
     assert (tool.state, tool.transform, tool.port_status, tool.frame) == (ToolState.MISSING, None, 0x131, 0)
 
 
-def test_a_capture_of_tx_says_the_same_as_bx():
+def test_captured_tx_reply_equals_the_bx_reply():
     (tool,) = parse_tx(TX[:-5].decode()).tools
 
     assert (tool.handle, tool.state, tool.port_status, tool.frame) == (0x0A, ToolState.VALID, 0x31, 0)
@@ -93,7 +93,7 @@ def test_a_capture_of_tx_says_the_same_as_bx():
     assert tool.transform.error == pytest.approx(0.123)
 
 
-def test_handles_that_are_not_measured_have_no_transform_in_tx():
+def test_tx_handles_without_a_measurement_have_no_transform():
     reply = parse_tx("030AMISSING000000310000002A\n0BDISABLED000000010000002B\n0CUNOCCUPIED\n0041")
 
     assert [tool.state for tool in reply.tools] == [ToolState.MISSING, ToolState.DISABLED, ToolState.UNOCCUPIED]
@@ -102,7 +102,7 @@ def test_handles_that_are_not_measured_have_no_transform_in_tx():
     assert reply.system_status == 0x41
 
 
-def test_a_disabled_handle_in_bx_has_neither_status_nor_frame():
+def test_disabled_bx_handle_has_neither_status_nor_frame():
     reply = parse_bx(bytes([2, 0x0B, 4]) + VALID[7:-4] + bytes([0x40, 0]))
 
     assert [tool.state for tool in reply.tools] == [ToolState.DISABLED, ToolState.VALID]
@@ -110,7 +110,7 @@ def test_a_disabled_handle_in_bx_has_neither_status_nor_frame():
 
 
 def changed(at: int, value: bytes) -> bytes:
-    """The captured BX body with other bytes at `at`."""
+    """Return the captured BX body with other bytes at `at`."""
     body = VALID[6:-2]
     return body[:at] + value + body[at + len(value) :]
 
@@ -129,7 +129,7 @@ def changed(at: int, value: bytes) -> bytes:
         (changed(31, struct.pack("<f", -1.0)), "error -1"),
     ],
 )
-def test_a_body_that_no_tracker_sends_is_refused_by_name(body, complaint):
+def test_impossible_bx_body_is_refused_by_name(body, complaint):
     with pytest.raises(AuroraError, match=complaint):
         parse_bx(body)
 
@@ -138,25 +138,25 @@ def test_a_body_that_no_tracker_sends_is_refused_by_name(body, complaint):
     "text",
     ["", "0", "01", "010A", TX[:-6].decode(), TX[:-5].decode() + "0", "020AMISSING000000310000002A\n0000", "OKAY"],
 )
-def test_text_that_is_no_tx_reply_is_refused(text):
+def test_malformed_tx_reply_is_refused(text):
     with pytest.raises(AuroraError):
         parse_tx(text)
 
 
 @given(st.text(max_size=120))
-def test_no_text_makes_a_parser_raise_anything_else(text):
+def test_text_parsers_raise_only_aurora_errors(text):
     for parse in (parse_tx, parse_phsr, parse_phinf):
         with contextlib.suppress(AuroraError):
             parse(text)
 
 
 @given(st.binary(max_size=120))
-def test_no_body_makes_the_parser_raise_anything_else(body):
+def test_bx_parser_raises_only_aurora_errors(body):
     with contextlib.suppress(AuroraError):
         parse_bx(body)
 
 
-def test_port_handles_are_read():
+def test_port_handles_are_parsed():
     assert parse_phsr("00") == []
     assert parse_phsr("010A001") == [(0x0A, 0x001)]
     assert parse_phsr("020A0310B001") == [(0x0A, 0x031), (0x0B, 0x001)]
@@ -164,7 +164,7 @@ def test_port_handles_are_read():
         parse_phsr("020A001")
 
 
-def test_a_tool_says_who_it_is():
+def test_identity_of_a_tool_is_parsed():
     identity = parse_phinf("02000000" + "NDI         " + "001" + "3A5C1D00" + "31")
 
     assert identity == ("02000000", "NDI", "001", "3A5C1D00", 0x31)
@@ -173,11 +173,11 @@ def test_a_tool_says_who_it_is():
         parse_phinf("x" * 32)
 
 
-def test_errors_are_told_in_words():
+def test_error_codes_have_texts():
     assert error_code("ERROR0C") == 0x0C
     assert error_code("OKAY") is None
     assert error_words(0x0C) == "not in this mode (ERROR0C)"
-    assert error_words(0x77) == "an error without a name (ERROR77)"
+    assert error_words(0x77) == "unknown error (ERROR77)"
     assert system_words(0x12) == "interference from outside, hardware failure"
 
 
@@ -187,16 +187,16 @@ def feed(parts: list[bytes]) -> tuple[list[str | bytes], ReplyReader]:
 
 
 @given(st.lists(st.integers(0, len(STREAM))))
-def test_replies_are_the_same_however_the_stream_is_split(cuts):
-    places = [0, *sorted(cuts), len(STREAM)]
-    replies, reader = feed([STREAM[a:b] for a, b in itertools.pairwise(places)])
+def test_replies_do_not_depend_on_the_split_of_the_stream(cuts):
+    positions = [0, *sorted(cuts), len(STREAM)]
+    replies, reader = feed([STREAM[a:b] for a, b in itertools.pairwise(positions)])
 
     assert replies == REPLIES
     assert (reader.noise, reader.crc_errors) == (0, 0)
 
 
 @pytest.mark.parametrize("capture", [VALID, MISSING, TX, b"OKAYA896\r"])
-def test_no_single_flipped_bit_passes(capture):
+def test_every_single_flipped_bit_is_detected(capture):
     for bit in range(8 * len(capture)):
         spoilt = bytearray(capture)
         spoilt[bit // 8] ^= 1 << bit % 8
@@ -205,7 +205,7 @@ def test_no_single_flipped_bit_passes(capture):
 
 
 @pytest.mark.parametrize("capture", [VALID, MISSING, TX, b"OKAYA896\r"])
-def test_a_lost_byte_costs_no_more_than_its_own_reply_and_the_next(capture):
+def test_lost_byte_affects_at_most_its_reply_and_the_next(capture):
     for lost in range(len(capture)):
         replies, reader = feed([capture[:lost] + capture[lost + 1 :], VALID, VALID])
         assert replies in ([VALID[6:-2]] * 2, [VALID[6:-2]])
@@ -213,17 +213,17 @@ def test_a_lost_byte_costs_no_more_than_its_own_reply_and_the_next(capture):
 
 
 @given(st.binary(max_size=300), st.binary(max_size=300))
-def test_noise_is_counted_and_a_good_reply_after_it_is_found(before, between):
+def test_noise_is_counted_and_the_next_good_reply_is_found(before, between):
     reader = ReplyReader()
     found = reader.feed(before)
-    reader.drop()  # what a session does before it asks
+    reader.drop()  # as a session does before a request
     assert [reply for reply in reader.feed(VALID) if reply not in found] == [VALID[6:-2]]
     reader.feed(between)
     reader.drop()
     assert reader.noise + sum(len(reply) + (5 if isinstance(reply, str) else 8) for reply in found) >= len(before)
 
 
-def test_a_text_that_never_ends_is_given_up():
+def test_endless_text_is_discarded():
     reader = ReplyReader()
     reader.feed(b"A" * 5000)
 
@@ -231,7 +231,7 @@ def test_a_text_that_never_ends_is_given_up():
     assert reader.feed(b"OKAYA896\r") == ["OKAY"]
 
 
-def test_a_length_that_no_reply_has_is_not_waited_for():
+def test_impossible_length_of_a_reply_is_rejected_at_once():
     header = b"\xc4\xa5" + struct.pack("<H", 60000)
     replies, _ = feed([header + struct.pack("<H", crc16(header)), VALID])
 

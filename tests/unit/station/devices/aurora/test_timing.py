@@ -1,4 +1,4 @@
-"""Frame numbers become times by the lower envelope of arrivals; positions that cannot follow are refused."""
+"""Times of frames by the lower envelope of arrivals; rejection of impossible positions."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_late_replies_do_not_move_the_time_of_a_frame():
 
 
 @pytest.mark.parametrize("drift", [-2e-4, 2e-4])
-def test_clocks_that_drift_apart_are_followed(drift):
+def test_frame_clock_follows_the_drift_of_the_clocks(drift):
     clock = FrameClock(40.0)
     for n in range(40000):
         arrival = n / 40.0 * (1.0 + drift)
@@ -28,7 +28,7 @@ def test_clocks_that_drift_apart_are_followed(drift):
     assert time == pytest.approx(arrival, abs=1e-3)
 
 
-def test_times_never_go_back():
+def test_frame_times_never_decrease():
     rng = np.random.default_rng(1)
     clock = FrameClock(40.0)
     times = [clock.soonest(n, n / 40.0 + rng.uniform(0.0, 0.030)) for n in range(500)]
@@ -37,7 +37,7 @@ def test_times_never_go_back():
 
 
 @pytest.mark.parametrize("wrong", [5, 99, 104, 2**31])
-def test_a_frame_number_that_cannot_be_is_refused_and_does_no_harm(wrong):
+def test_impossible_frame_number_is_refused_without_effect(wrong):
     clock = FrameClock(40.0)
     for n in range(100):
         clock.soonest(n, n / 40.0)
@@ -45,24 +45,24 @@ def test_a_frame_number_that_cannot_be_is_refused_and_does_no_harm(wrong):
     assert clock.soonest(101, 101 / 40.0) == pytest.approx(101 / 40.0, abs=1e-4)
 
 
-def test_a_unit_that_counts_anew_is_believed_after_five_frames_that_agree():
+def test_restarted_frame_count_is_accepted_after_five_consistent_frames():
     clock = FrameClock(40.0)
     for n in range(1000, 1100):
         clock.soonest(n, n / 40.0)
-    answers = [clock.soonest(n, 30.0 + n / 40.0) for n in (0, 0, 1, 2, 2, 3, 4, 5)]  # some are asked for twice
+    answers = [clock.soonest(n, 30.0 + n / 40.0) for n in (0, 0, 1, 2, 2, 3, 4, 5)]  # some are requested twice
 
     assert answers[:6] == [None] * 6
     assert answers[6:] == pytest.approx([30.1, 30.125], abs=1e-3)
 
 
-def test_a_first_reply_that_was_held_up_does_not_spoil_the_rest():
+def test_late_first_reply_does_not_shift_later_times():
     clock = FrameClock(40.0)
     clock.soonest(0, 0.9)  # 0.9 s late
     answers = [clock.soonest(n, n / 40.0) for n in range(30, 50)]
     assert answers[-1] == pytest.approx(49 / 40.0)
 
 
-def test_a_slow_motion_passes_and_a_jump_does_not():
+def test_jump_gate_passes_a_slow_motion_and_rejects_a_jump():
     gate = JumpGate(fastest=500.0, jitter=2.0, confirm=10)
 
     assert all(gate.passes(n / 40.0, (0.3 * n, 0.0, 0.0)) for n in range(100))
@@ -70,14 +70,14 @@ def test_a_slow_motion_passes_and_a_jump_does_not():
     assert gate.passes(2.525, (30.0, 0.0, 0.0))
 
 
-def test_a_jump_is_believed_once_ten_frames_agree_on_it():
+def test_jump_is_accepted_after_ten_consistent_frames():
     gate = JumpGate(fastest=500.0, jitter=2.0, confirm=10)
     gate.passes(0.0, (0.0, 0.0, 0.0))
 
     assert [gate.passes(n / 40.0, (100.0, 0.0, 0.0)) for n in range(1, 12)] == [False] * 9 + [True] * 2
 
 
-def test_scattered_jumps_are_never_believed():
+def test_scattered_jumps_are_never_accepted():
     gate = JumpGate(fastest=500.0, jitter=2.0, confirm=10)
     gate.passes(0.0, (0.0, 0.0, 0.0))
     for n in range(1, 6):

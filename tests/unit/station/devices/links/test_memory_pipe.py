@@ -1,12 +1,12 @@
-"""A pipe in memory, and what pulling its cable does to either end."""
+"""A pipe in memory, and the effect of an unplugged cable on both ends."""
 
 import pytest
 
 from station.devices.links.link import LinkError, reopen
-from station.devices.links.memory_pipe import MOST_WAITING, memory_pipe
+from station.devices.links.memory_pipe import MAX_PENDING_BYTES, memory_pipe
 
 
-def test_bytes_go_both_ways_in_order():
+def test_pipe_transfers_bytes_in_both_directions_in_order():
     host, device = memory_pipe("line")
     host.write(b"ab")
     host.write(b"c")
@@ -16,17 +16,17 @@ def test_bytes_go_both_ways_in_order():
     assert (host.read(), device.read()) == (b"", b"")
 
 
-def test_what_nobody_reads_does_not_pile_up():
+def test_unread_bytes_of_a_pipe_are_limited():
     host, device = memory_pipe("line")
-    for k in range(3 * MOST_WAITING):
+    for k in range(3 * MAX_PENDING_BYTES):
         device.write(bytes((k % 256,)))
         host.write(b"x")
 
-    assert host.read() == bytes(k % 256 for k in range(2 * MOST_WAITING, 3 * MOST_WAITING))
-    assert len(device.read()) == MOST_WAITING
+    assert host.read() == bytes(k % 256 for k in range(2 * MAX_PENDING_BYTES, 3 * MAX_PENDING_BYTES))
+    assert len(device.read()) == MAX_PENDING_BYTES
 
 
-def test_a_pulled_cable_is_a_dead_port_for_the_host_and_silence_for_the_device():
+def test_unplugged_cable_raises_for_the_host_and_is_silent_for_the_device():
     host, device = memory_pipe("line")
     device.unplug()
     for use in (host.read, lambda: host.write(b"x"), lambda: reopen(host)):
@@ -36,9 +36,9 @@ def test_a_pulled_cable_is_a_dead_port_for_the_host_and_silence_for_the_device()
     assert device.read() == b""
 
 
-def test_plugged_in_again_the_host_has_to_open_it_anew_and_nothing_old_comes():
+def test_replugged_link_must_be_reopened_and_drops_old_bytes():
     host, device = memory_pipe("line")
-    host.write(b"on its way")
+    host.write(b"in transit")
     device.write(b"unread")
     device.unplug()
     device.plug()
@@ -50,18 +50,18 @@ def test_plugged_in_again_the_host_has_to_open_it_anew_and_nothing_old_comes():
     assert device.read() == b"new"
 
 
-def test_a_closed_link_is_closed_until_it_is_opened_anew():
+def test_closed_link_stays_closed_until_it_is_reopened():
     host, device = memory_pipe("line")
     host.close()
     with pytest.raises(LinkError, match="closed"):
         host.read()
-    device.write(b"for nobody")  # a device does not know
+    device.write(b"unread")  # a device does not detect this
     reopen(host)
     host.write(b"x")
     assert device.read() == b"x"
 
 
-def test_a_link_that_cannot_come_back_says_so():
+def test_link_that_cannot_be_reopened_raises():
     _, device = memory_pipe("line")
-    with pytest.raises(LinkError, match=r"line \(device\) cannot be opened anew"):
+    with pytest.raises(LinkError, match=r"line \(device\) cannot be opened again"):
         reopen(device)

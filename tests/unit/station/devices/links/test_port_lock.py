@@ -1,14 +1,14 @@
-"""Files of locks that were never released."""
+"""Lock files that were never released."""
 
 import tempfile
 from pathlib import Path
 
 import pytest
 
-from station.devices.links.port_lock import PortLock, PortTaken, clear_left_behind, lock_file
+from station.devices.links.port_lock import PortInUse, PortLock, clear_left_behind, lock_file
 
 
-def test_what_nobody_locks_is_removed_and_a_device_in_use_stays_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_unlocked_files_are_removed_and_a_device_in_use_stays_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     left, linked, other = lock_file("/dev/ttyUSB8"), tmp_path / "ctr-station-link.lock", tmp_path / "another.lock"
     for path in (left, other):
@@ -21,7 +21,7 @@ def test_what_nobody_locks_is_removed_and_a_device_in_use_stays_so(tmp_path: Pat
     assert not left.exists()
     assert linked.is_symlink()
     assert other.exists()
-    with pytest.raises(PortTaken, match="two devices cannot have one port"):
+    with pytest.raises(PortInUse, match="two devices cannot have one port"):
         PortLock("/dev/ttyUSB9")
     lock.release()
     PortLock("/dev/ttyUSB8").release()

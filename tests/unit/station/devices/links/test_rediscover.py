@@ -1,4 +1,4 @@
-"""Finding a USB adapter again: by serial number, by where it is plugged in, never by a guess."""
+"""A USB adapter is found again by its serial number or its socket, never by a guess."""
 
 import os
 from pathlib import Path
@@ -19,18 +19,18 @@ AURORA = usb("/dev/ttyUSB0", serial="P3-00123", location="1-1.1")
 STAGES = usb("/dev/ttyUSB1", PROLIFIC, location="1-1.2")
 
 
-def test_an_adapter_with_a_serial_number_is_found_under_another_name_in_another_socket():
+def test_adapter_with_a_serial_number_is_found_in_another_socket():
     moved = AURORA._replace(device="/dev/ttyUSB3", location="2-4")
     assert find(AURORA, [STAGES, moved]) == "/dev/ttyUSB3"
 
 
-def test_another_adapter_of_the_kind_is_not_taken_for_it():
+def test_similar_adapter_with_another_serial_number_is_not_used():
     assert find(AURORA, [AURORA._replace(serial="P3-00124")]) is None
     assert find(AURORA, [STAGES]) is None
     assert find(STAGES, []) is None
 
 
-def test_without_a_serial_number_the_socket_says_which_it_is():
+def test_adapter_without_a_serial_number_is_found_by_its_socket():
     swapped = [
         STAGES._replace(device="/dev/ttyUSB0", location="1-1.3"),
         STAGES._replace(device="/dev/ttyUSB2"),
@@ -38,13 +38,13 @@ def test_without_a_serial_number_the_socket_says_which_it_is():
     assert find(STAGES, swapped) == "/dev/ttyUSB2"
 
 
-def test_without_a_serial_number_in_another_socket_it_is_known_only_if_it_is_alone_of_its_kind():
+def test_moved_adapter_without_a_serial_number_is_found_only_if_unique():
     elsewhere = STAGES._replace(device="/dev/ttyUSB5", location="3-1")
     assert find(STAGES, [AURORA, elsewhere]) == "/dev/ttyUSB5"
     assert find(STAGES, [elsewhere, STAGES._replace(device="/dev/ttyUSB6", location="3-2")]) is None
 
 
-def test_an_adapter_with_several_ports_keeps_them_apart():
+def test_ports_of_one_adapter_are_distinguished():
     first = usb("/dev/ttyUSB0", serial="FT4", location="1-1:1.0")
     second = usb("/dev/ttyUSB1", serial="FT4", location="1-1:1.1")
     later = [second._replace(device="/dev/ttyUSB4", location="1-3:1.1"), first._replace(device="/dev/ttyUSB5")]
@@ -52,7 +52,7 @@ def test_an_adapter_with_several_ports_keeps_them_apart():
     assert find(second, later) == "/dev/ttyUSB4"
 
 
-def test_a_port_is_described_by_any_of_its_names(tmp_path: Path):
+def test_port_is_described_by_any_of_its_names(tmp_path: Path):
     master, slave = os.openpty()
     try:
         by_id = tmp_path / "usb-Prolific-if00-port0"
@@ -65,7 +65,7 @@ def test_a_port_is_described_by_any_of_its_names(tmp_path: Path):
         os.close(slave)
 
 
-def test_the_system_lists_only_usb_ports_each_with_its_numbers():
+def test_usb_ports_are_listed_with_their_numbers():
     for port in usb_ports():  # none on most test machines, and never a wrong one
         assert Path(port.device).exists()
         assert port.vendor > 0
@@ -75,5 +75,5 @@ def test_the_system_lists_only_usb_ports_each_with_its_numbers():
     ("port", "words"),
     [(AURORA, "USB adapter 0403:6001 with serial number P3-00123"), (STAGES, "USB adapter 067b:2303 at 1-1.2")],
 )
-def test_words(port, words):
+def test_description_names_serial_number_or_socket(port, words):
     assert str(port) == words

@@ -1,23 +1,23 @@
-"""Samples of several sensors brought to one time, by straight lines between them."""
+"""Samples of several sensors, interpolated linearly at one time."""
 
 import numpy as np
 import pytest
 
-from station.devices.netft.history import DEPTH, History
+from station.devices.netft.history import HISTORY_SAMPLES, SampleHistory
 
 SCALE = np.array([[1.0] * 6, [0.5] * 6])
 
 
-def fill(history: History, sensor: int, times: np.ndarray) -> None:
-    """Counts that rise with time, each axis at its own rate."""
+def fill(history: SampleHistory, sensor: int, times: np.ndarray) -> None:
+    """Return counts that increase with time, each axis at a different rate."""
     ring = history.ring(sensor)
     for time in times:
         ring.row[:] = time, *(time * np.arange(1.0, 7.0) * 100.0)
         ring.push()
 
 
-def test_between_two_samples_each_sensor_is_read_on_the_line():
-    history = History(SCALE)
+def test_sensors_are_interpolated_linearly_between_samples():
+    history = SampleHistory(SCALE)
     fill(history, 0, np.arange(200) * 0.002)
     fill(history, 1, 0.0007 + np.arange(200) * 0.00186)
 
@@ -26,17 +26,17 @@ def test_between_two_samples_each_sensor_is_read_on_the_line():
         assert history.at(time) == pytest.approx(expected, rel=1e-12)
 
 
-def test_beyond_the_newest_and_before_the_oldest_kept_sample_these_stand():
-    history = History(SCALE)
+def test_newest_and_oldest_sample_apply_outside_the_history():
+    history = SampleHistory(SCALE)
     fill(history, 0, np.arange(1000) * 0.001)
     fill(history, 1, np.array([0.5]))
 
     assert history.at(5.0)[:, 0] == pytest.approx([99.9, 25.0])
-    assert history.at(0.0)[:, 0] == pytest.approx([(1000 - DEPTH) * 0.1, 25.0])
+    assert history.at(0.0)[:, 0] == pytest.approx([(1000 - HISTORY_SAMPLES) * 0.1, 25.0])
 
 
-def test_a_clock_that_is_set_back_does_not_turn_time_round():
-    history = History(SCALE)
+def test_sample_times_do_not_decrease_when_the_clock_is_corrected():
+    history = SampleHistory(SCALE)
     ring = history.ring(0)
     fill(history, 1, np.array([0.0]))
     for time, counts in ((1.0, 10.0), (0.9995, 20.0), (1.01, 30.0)):
@@ -48,8 +48,8 @@ def test_a_clock_that_is_set_back_does_not_turn_time_round():
     assert history.at(1.005)[0, 0] == pytest.approx(25.0)
 
 
-def test_a_ring_that_was_cleared_has_nothing():
-    history = History(SCALE)
+def test_cleared_ring_has_no_samples():
+    history = SampleHistory(SCALE)
     ring = history.ring(0)
     fill(history, 0, np.array([1.0, 2.0]))
     ring.clear()

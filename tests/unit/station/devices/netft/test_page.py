@@ -1,4 +1,4 @@
-"""The configuration page: counts, units, identity; strict where a mistake would scale a force."""
+"""The configuration page: counts, units, identity; strict, because an error would scale a force."""
 
 import pytest
 from hypothesis import given
@@ -16,13 +16,13 @@ ELEMENTS = {
 
 
 def page(extra: str = "", head: str = '<?xml version="1.0"?>', **changes: str | None) -> bytes:
-    """A page with elements changed, or left out for None."""
+    """Return a page with changed elements; None omits an element."""
     elements = {**ELEMENTS, **changes}
     body = "".join(f"<{name}>{text}</{name}>\n" for name, text in elements.items() if text is not None)
     return f"{head}<netft><runft>1;2;3;4;5;6</runft>{body}{extra}</netft>".encode()
 
 
-def test_counts_and_units():
+def test_page_gives_force_and_torque_per_count():
     read = read_page(page())
 
     assert (read.product, read.serial, read.ranges) == ("Net F/T", "", None)
@@ -32,7 +32,7 @@ def test_counts_and_units():
 @pytest.mark.parametrize(
     ("unit", "newtons"), [("N", 1.0), ("kN", 1000.0), ("lbf", 4.44822), ("klbf", 4448.22), ("kgf", 9.80665)]
 )
-def test_force_units(unit, newtons):
+def test_force_units_are_converted_to_newtons(unit, newtons):
     assert read_page(page(scfgfu=unit, cfgcpf="1000")).force_count == pytest.approx(newtons / 1000.0, rel=1e-5)
 
 
@@ -50,12 +50,12 @@ def test_force_units(unit, newtons):
         ("kg-cm", 9.80665e-2),
     ],
 )
-def test_torque_units(unit, newton_metres):
+def test_torque_units_are_converted_to_newton_metres(unit, newton_metres):
     assert read_page(page(scfgtu=unit, cfgcpt="1000")).torque_count == pytest.approx(newton_metres / 1000.0, rel=1e-5)
 
 
 @pytest.mark.parametrize("text", ["18;18;18;250;250;250", "18,18,18,250,250,250", "18 18 18 250 250 250"])
-def test_identity_and_range_if_the_page_has_them(text):
+def test_identity_and_range_are_optional_in_the_page(text):
     read = read_page(page(scfgtu="N-mm", cfgcalsn="FT12345", cfgmr=text))
 
     assert read.serial == "FT12345"
@@ -63,18 +63,18 @@ def test_identity_and_range_if_the_page_has_them(text):
 
 
 @pytest.mark.parametrize("text", ["0;0;0;0;0;0", "18;18;18", "a;b;c;d;e;f", ""])
-def test_a_range_that_tells_nothing_is_not_taken(text):
+def test_invalid_range_is_ignored(text):
     assert read_page(page(cfgmr=text)).ranges is None
 
 
 @pytest.mark.parametrize("name", ELEMENTS)
-def test_a_missing_element_is_named(name):
+def test_missing_element_of_the_page_is_named(name):
     with pytest.raises(PageError, match=f"no <{name}>"):
         read_page(page(**{name: None}))
 
 
 @pytest.mark.parametrize("name", ELEMENTS)
-def test_an_element_that_comes_twice_is_named(name):
+def test_duplicate_element_of_the_page_is_named(name):
     with pytest.raises(PageError, match=f"<{name}> twice"):
         read_page(page(extra=f"<{name}>{ELEMENTS[name]}</{name}>"))
 
@@ -83,13 +83,13 @@ def test_an_element_that_comes_twice_is_named(name):
     "text", ["0", "-1", "nan", "inf", "1e400", "1e-300", "", "1_000", "0x10", "1,5", "++1", "\u0661"]
 )
 @pytest.mark.parametrize("name", ["cfgcpf", "cfgcpt"])
-def test_counts_that_are_no_positive_finite_number_are_refused(name, text):
+def test_counts_must_be_positive_finite_numbers(name, text):
     with pytest.raises(PageError, match=f"<{name}>"):
         read_page(page(**{name: text}))
 
 
 @pytest.mark.parametrize(("name", "text"), [("scfgfu", "n"), ("scfgfu", "N-m"), ("scfgtu", "N"), ("scfgtu", "")])
-def test_an_unknown_unit_is_refused_by_name(name, text):
+def test_unknown_unit_of_the_page_is_refused_by_name(name, text):
     with pytest.raises(PageError, match=f"<{name}> is '{text}'"):
         read_page(page(**{name: text}))
 
@@ -107,12 +107,12 @@ def test_an_unknown_unit_is_refused_by_name(name, text):
         (page(extra="<x>" + "a" * 300_000 + "</x>"), "bytes"),
     ],
 )
-def test_what_is_no_such_page_is_refused(data, reason):
+def test_invalid_page_is_refused(data, reason):
     with pytest.raises(PageError, match=reason):
         read_page(data)
 
 
 @given(st.binary(max_size=300))
-def test_garbage_is_refused(data):
+def test_random_bytes_are_refused_as_a_page(data):
     with pytest.raises(PageError):
         read_page(data)

@@ -1,4 +1,4 @@
-"""RDT: requests and records as the manual has them; sequences that wrap, tear, repeat and jump; the box's clock."""
+"""RDT: requests and records of the manual; sequences that wrap, break, repeat and jump; the box's clock."""
 
 import struct
 
@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from station.devices.netft.protocol import (
-    LATENCY,
-    Command,
+    LATENCY_S,
     Counters,
+    RdtCommand,
     SampleClock,
     Stream,
     describe,
@@ -31,7 +31,7 @@ def record(rdt: int, ft: int, status: int = 0, counts: tuple[int, ...] = (0,) * 
 
 
 def run(stream: Stream, datagrams: dict[int, list[bytes]] | list[bytes], first: int = 0) -> list[int]:
-    """Feed one datagram (or list of them) each 2 ms; the counts along x of what is accepted."""
+    """Feed one datagram (or list of them) every 2 ms; return the counts along x of the accepted records."""
     accepted = []
     for number, datagram in enumerate(datagrams, first):
         for part in datagram if isinstance(datagram, list) else [datagram]:
@@ -40,22 +40,22 @@ def run(stream: Stream, datagrams: dict[int, list[bytes]] | list[bytes], first: 
 
 
 def series(numbers: range | list[int], rdt: int = 0, ft: int = 6433, step: int = 14) -> list[bytes]:
-    """Records that carry their number as the force along x."""
+    """Return records with their number as the force along x."""
     return [record(rdt + n, ft + step * n, counts=(n, 0, 0, 0, 0, 0)) for n in numbers]
 
 
-def test_the_worked_requests():
-    assert request(Command.STREAM).hex(" ") == "12 34 00 02 00 00 00 00"
-    assert request(Command.BIAS).hex(" ") == "12 34 00 42 00 00 00 00"
-    assert request(Command.STOP).hex(" ") == "12 34 00 00 00 00 00 00"
-    assert request(Command.STREAM, 10).hex(" ") == "12 34 00 02 00 00 00 0a"
+def test_requests_match_the_examples_of_the_manual():
+    assert request(RdtCommand.STREAM).hex(" ") == "12 34 00 02 00 00 00 00"
+    assert request(RdtCommand.BIAS).hex(" ") == "12 34 00 42 00 00 00 00"
+    assert request(RdtCommand.STOP).hex(" ") == "12 34 00 00 00 00 00 00"
+    assert request(RdtCommand.STREAM, 10).hex(" ") == "12 34 00 02 00 00 00 0a"
 
 
-def test_the_worked_record():
+def test_record_matches_the_example_of_the_manual():
     assert records(WORKED) == [(1, 6433, 0, (1_000_000, -2_000_000, 3_000_000, 10_000, -20_000, 30_000))]
 
 
-def test_a_buffered_datagram_has_several_records():
+def test_buffered_datagram_has_several_records():
     assert [r.rdt_sequence for r in records(b"".join(series(range(1, 41)))) or []] == list(range(1, 41))
 
 
@@ -65,7 +65,7 @@ def test_a_buffered_datagram_has_several_records():
         st.sampled_from(["next", "next", "next", "skip", "again", "old", "sick", "large", "two", "noise"]), max_size=60
     )
 )
-def test_the_compiled_way_takes_exactly_what_the_plain_one_takes(fates):
+def test_compiled_stream_accepts_exactly_the_records_of_the_plain_one(fates):
     both, plain, limits, row = Stream(), Stream(), np.full(6, 1e6), np.zeros(7)
     rdt, now = 0, 0.0
     for fate in ["next"] * 3 + fates:
@@ -89,14 +89,14 @@ def test_the_compiled_way_takes_exactly_what_the_plain_one_takes(fates):
 
 
 @pytest.mark.parametrize("length", [0, 1, 8, 35, 37, 71])
-def test_a_datagram_of_another_length_is_malformed(length):
+def test_datagram_of_another_length_is_malformed(length):
     stream = Stream()
 
     assert stream.feed((WORKED * 2)[:length], 0.0) == []
     assert stream.counters.malformed == 1
 
 
-def test_an_undisturbed_stream_is_taken_from_its_third_record_on():
+def test_undisturbed_stream_is_accepted_from_its_third_record():
     stream = Stream()
 
     assert run(stream, series(range(1, 101))) == list(range(3, 101))
@@ -104,14 +104,14 @@ def test_an_undisturbed_stream_is_taken_from_its_third_record_on():
 
 
 @pytest.mark.parametrize(("rdt", "ft"), [(WRAP - 50, 6433), (0, WRAP - 700), (WRAP - 10, WRAP - 20)])
-def test_both_counters_may_wrap(rdt, ft):
+def test_stream_accepts_wrapping_counters(rdt, ft):
     stream = Stream()
 
     assert run(stream, series(range(1, 201), rdt, ft)) == list(range(3, 201))
     assert stream.counters == Counters(accepted=198)
 
 
-def test_a_gap_is_counted_and_the_rest_taken():
+def test_gap_is_counted_and_later_records_are_accepted():
     stream = Stream()
 
     assert run(stream, [d if n not in (50, 51, 52) else [] for n, d in enumerate(series(range(1, 101)), 1)]) == [
@@ -121,7 +121,7 @@ def test_a_gap_is_counted_and_the_rest_taken():
     assert stream.counters == Counters(accepted=95, lost=3)
 
 
-def test_a_duplicate_and_a_late_record_are_dropped():
+def test_duplicate_and_late_records_are_dropped():
     stream, sent = Stream(), series(range(1, 21))
     sent[9], sent[10] = sent[10], sent[9]  # 11 before 10
     sent.insert(15, sent[14])
@@ -131,7 +131,7 @@ def test_a_duplicate_and_a_late_record_are_dropped():
 
 
 @pytest.mark.parametrize("bit", range(64))
-def test_one_wrong_bit_in_a_counter_costs_only_that_record(bit):
+def test_wrong_bit_in_a_counter_drops_only_its_record(bit):
     stream, sent = Stream(), series(range(1, 101))
     spoilt = bytearray(sent[49])
     spoilt[bit // 8] ^= 0x80 >> bit % 8
@@ -141,7 +141,7 @@ def test_one_wrong_bit_in_a_counter_costs_only_that_record(bit):
 
 
 @pytest.mark.parametrize("bit", range(64))
-def test_one_wrong_bit_at_the_very_beginning_spoils_nothing_either(bit):
+def test_wrong_bit_in_the_first_record_does_not_affect_later_records(bit):
     stream, sent = Stream(), series(range(1, 101))
     spoilt = bytearray(sent[1])
     spoilt[bit // 8] ^= 0x80 >> bit % 8
@@ -150,19 +150,19 @@ def test_one_wrong_bit_at_the_very_beginning_spoils_nothing_either(bit):
 
     assert [s.counts[0] for s in samples] == list(range(samples[0].counts[0], 101))
     assert samples[0].counts[0] <= 12
-    assert all(s.time == pytest.approx(s.counts[0] * 0.002 - LATENCY, abs=1e-3) for s in samples)
+    assert all(s.time == pytest.approx(s.counts[0] * 0.002 - LATENCY_S, abs=1e-3) for s in samples)
 
 
-def test_a_stream_that_begins_anew_unasked_is_taken_up_after_ten_records():
+def test_unrequested_restart_of_a_stream_is_accepted_after_ten_records():
     stream = Stream()
     run(stream, series(range(1, 501)))
 
     assert run(stream, series(range(501, 600), rdt=-500), 500) == list(range(510, 600))
     assert stream.counters.resyncs == 1
-    assert stream.counters.resets == 0  # the same box: its sample counter went on
+    assert stream.counters.resets == 0  # the same box: its sample counter continues
 
 
-def test_a_stream_that_is_asked_for_again_is_taken_from_its_third_record_on():
+def test_requested_restart_of_a_stream_is_accepted_from_its_third_record():
     stream = Stream()
     run(stream, series(range(1, 501)))
     stream.restart()
@@ -171,7 +171,7 @@ def test_a_stream_that_is_asked_for_again_is_taken_from_its_third_record_on():
     assert stream.counters.resets == 0
 
 
-def test_a_box_that_was_switched_off_and_on_is_noticed():
+def test_restart_of_the_box_is_detected():
     stream = Stream()
     run(stream, series(range(1, 1001), ft=5_000_000))
     stream.restart()
@@ -180,7 +180,7 @@ def test_a_box_that_was_switched_off_and_on_is_noticed():
     assert stream.counters.resets == 1
 
 
-def test_a_counter_that_stands_still_is_not_a_measurement():
+def test_record_with_a_constant_counter_is_dropped():
     stream, sent = Stream(), series(range(1, 101))
     stuck = [record(n, 6433 + 14 * 50, counts=(50, 0, 0, 0, 0, 0)) for n in range(51, 101)]
 
@@ -189,11 +189,11 @@ def test_a_counter_that_stands_still_is_not_a_measurement():
 
 
 @pytest.mark.parametrize(("status", "usable"), [(0, True), (0x80010000, True), (0x80020000, False), (1 << 31, False)])
-def test_only_a_latched_threshold_is_a_mere_warning(status, usable):
+def test_latched_threshold_is_the_only_usable_fault_status(status, usable):
     assert is_usable(status) is usable
 
 
-def test_status_bits_in_words():
+def test_status_bits_have_texts():
     assert describe(0) == "healthy"
     assert describe(0x80020000) == "transducer saturated or A/D"
     assert describe(0x80010004) == "monitor condition latched, temperature"
@@ -202,22 +202,22 @@ def test_status_bits_in_words():
 
 
 @pytest.mark.parametrize("error", [-0.005, 0.0, 0.005])
-def test_the_clock_follows_a_box_whose_clock_is_off(error):
+def test_sample_clock_follows_a_box_with_a_wrong_clock_rate(error):
     clock, worst = SampleClock(), 0.0
     for n in range(1, 100_001):  # 200 s; each record comes up to 1 ms late, every tenth at once
-        arrival = n * 0.002 + LATENCY + (0.0 if n % 10 == 0 else 1e-4 * (n * 7919 % 11))
+        arrival = n * 0.002 + LATENCY_S + (0.0 if n % 10 == 0 else 1e-4 * (n * 7919 % 11))
         time = clock.observe(round(n * 14 * (1.0 + error)), arrival)
         worst = max(worst, abs(time - n * 0.002) if n >= 10 else 0.0)
 
     assert worst < 0.5e-3
 
 
-def test_records_that_waited_for_the_host_keep_their_times():
+def test_delayed_records_keep_their_measurement_times():
     stream, times = Stream(), []
     sent = series(range(1, 1001))
     for n in range(500):
-        times += [s.time for s in stream.feed(sent[n], n * 0.002 + LATENCY)]
-    for n in range(500, 1000):  # the host looks away for a second
+        times += [s.time for s in stream.feed(sent[n], n * 0.002 + LATENCY_S)]
+    for n in range(500, 1000):  # the host does not poll for a second
         times += [s.time for s in stream.feed(sent[n], 2.0)]
 
     # The box's clock may have drifted by 0.6 % of that second.
@@ -226,7 +226,7 @@ def test_records_that_waited_for_the_host_keep_their_times():
     assert stream.counters == Counters(accepted=998)
 
 
-def test_what_the_host_could_not_keep_is_a_gap_and_not_another_box():
+def test_records_lost_by_the_host_are_a_gap_and_no_restart():
     stream = Stream()
     for n, datagram in enumerate(series(range(1, 301))):
         stream.feed(datagram, 0.002 * n if n < 100 else 4.0)  # 4 s away, and the socket keeps 200 records
@@ -237,7 +237,7 @@ def test_what_the_host_could_not_keep_is_a_gap_and_not_another_box():
 
 
 @given(st.lists(st.binary(max_size=150), max_size=30))
-def test_garbage_is_counted_and_never_raises(datagrams):
+def test_random_datagrams_are_counted_and_never_raise(datagrams):
     stream = Stream()
     for n, datagram in enumerate(datagrams):
         stream.feed(datagram, n * 0.002)
@@ -248,7 +248,7 @@ def test_garbage_is_counted_and_never_raises(datagrams):
 
 
 @given(st.lists(st.sampled_from(["pass", "lose", "repeat", "swap", "spoil"]), min_size=10, max_size=300))
-def test_whatever_happens_on_the_way_what_is_accepted_was_sent_and_is_in_order(fates):
+def test_accepted_records_were_sent_and_are_in_order_for_any_disturbance(fates):
     stream, sent = Stream(), []
     for n, fate in enumerate(fates, 1):
         (datagram,) = series([n])
@@ -261,7 +261,7 @@ def test_whatever_happens_on_the_way_what_is_accepted_was_sent_and_is_in_order(f
     assert set(accepted) <= set(range(1, len(fates) + 1))
 
 
-def test_ten_thousand_spoilt_datagrams_requests_and_pages():
+def test_ten_thousand_corrupted_datagrams_and_pages_are_handled():
     found = fuzz(10_000, 1)
 
     assert found["cases"] == 10_000

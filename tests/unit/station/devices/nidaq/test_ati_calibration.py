@@ -1,4 +1,4 @@
-"""ATI calibration files in both forms, and the arithmetic from six voltages to a wrench."""
+"""ATI calibration files in both forms, and the conversion of six voltages to a wrench."""
 
 import numpy as np
 import pytest
@@ -59,7 +59,7 @@ SI = USER * np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])[:, None]
     [AXIS_ROWS + TRANSFORM, AXIS_ROWS + TRANSFORM + rows("UserAxis", USER), rows("UserAxis", USER)],
     ids=["axis rows only", "both", "user rows only"],
 )
-def test_every_form_of_the_file_gives_the_same_matrix(body):
+def test_every_form_of_the_calibration_file_gives_the_same_matrix(body):
     calibration = parse_calibration(file(body))
 
     assert calibration.matrix == pytest.approx(SI, abs=1e-12)
@@ -67,7 +67,7 @@ def test_every_form_of_the_file_gives_the_same_matrix(body):
     assert (calibration.serial, calibration.part, calibration.volts) == ("FT9999", "SI-18-0.25", 10.0)
 
 
-def test_voltages_become_a_wrench_less_the_bias():
+def test_wrench_is_computed_from_voltages_minus_bias():
     calibration = parse_calibration(file(AXIS_ROWS + TRANSFORM))
     bias = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.5])
 
@@ -79,13 +79,13 @@ def test_voltages_become_a_wrench_less_the_bias():
 
 
 @pytest.mark.parametrize(("volts", "saturated"), [(9.99, False), (10.0, True), (-10.0, True), (np.nan, True)])
-def test_a_gauge_at_the_converters_end_is_noticed(volts, saturated):
+def test_saturated_gauge_is_detected(volts, saturated):
     calibration = parse_calibration(file(AXIS_ROWS))
 
     assert calibration.is_saturated(np.array([0.0, 0.0, volts, 0.0, 0.0, 0.0])) is saturated
 
 
-def test_units_are_those_of_the_file():
+def test_wrench_uses_the_units_of_the_calibration_file():
     metres = parse_calibration(
         file(AXIS_ROWS + TRANSFORM.replace('"4.5"', '"0.0045"'), TorqueUnits="N-mm", DistUnits="m")
     )
@@ -117,12 +117,12 @@ def test_units_are_those_of_the_file():
         (b"<FTSensor/>", "Calibration"),
     ],
 )
-def test_what_cannot_be_trusted_is_refused_by_name(data, reason):
+def test_invalid_calibration_is_refused_by_name(data, reason):
     with pytest.raises(CalibrationError, match=reason):
         parse_calibration(data)
 
 
-def test_the_file_is_named_when_it_is_refused(tmp_path):
+def test_refused_calibration_names_its_file(tmp_path):
     path = tmp_path / "FT9999.cal"
     path.write_bytes(file(""))
     with pytest.raises(CalibrationError, match=r"FT9999\.cal: .*neither"):

@@ -1,4 +1,4 @@
-"""Sensors on analog cards without a card: voltages that arrays hold, where the real ones come from a converter."""
+"""Sensors on analog cards, with voltages from arrays in place of a converter."""
 
 import math
 from collections.abc import Sequence
@@ -8,14 +8,14 @@ import pytest
 
 from station.devices.interfaces import Condition, Severity
 from station.devices.links.link import LinkError
-from station.devices.nidaq.ati_calibration import Calibration
-from station.devices.nidaq.sensors import CardSensors, Quality, SampleClock, Wiring, mean_wrench
+from station.devices.nidaq.ati_calibration import GaugeCalibration
+from station.devices.nidaq.sensors import CardClock, CardQuality, CardSensors, Wiring, mean_wrench
 
 RATE = 5000.0
 TICK = 0.002
 #: Every gauge feels every axis, as real ones do.
 MATRIX = np.random.default_rng(1).normal(size=(6, 6)) * np.array([[2.0]] * 3 + [[0.02]] * 3)
-CALIBRATION = Calibration("FT1", "SI-18-0.25", MATRIX, np.array([18.0] * 3 + [0.25] * 3), 10.0)
+CALIBRATION = GaugeCalibration("FT1", "SI-18-0.25", MATRIX, np.array([18.0] * 3 + [0.25] * 3), 10.0)
 
 
 def voltages_of(wrench: np.ndarray) -> np.ndarray:
@@ -23,19 +23,19 @@ def voltages_of(wrench: np.ndarray) -> np.ndarray:
 
 
 class Recorded:
-    """A card that has sampled all of a recording up to `now`, and tells it when it is read."""
+    """A card that has sampled a recording up to `now` and returns the samples when it is read."""
 
-    def __init__(self, name: str, recording: np.ndarray, rate: float = RATE, begin: float = 0.0) -> None:
+    def __init__(self, name: str, recording: np.ndarray, rate: float = RATE, start: float = 0.0) -> None:
         self.name, self.rate, self.now = name, rate, 0.0
-        self._recording, self._begin, self._told = recording, begin, 0
+        self._recording, self._start, self._returned = recording, start, 0
         self.broken, self.closed = "", False
 
     def read(self) -> np.ndarray:
         if self.broken:
             raise LinkError(self.broken)
-        # Sample k (from 1) is taken at begin + k / rate.
-        there = min(max(int((self.now - self._begin) * self.rate + 1e-9), self._told), self._recording.shape[1])
-        block, self._told = self._recording[:, self._told : there], there
+        # Sample k (from 1) is taken at start + k / rate.
+        there = min(max(int((self.now - self._start) * self.rate + 1e-9), self._returned), self._recording.shape[1])
+        block, self._returned = self._recording[:, self._returned : there], there
         return block
 
     def close(self) -> None:
@@ -46,13 +46,13 @@ def sensors_on(cards: Sequence[Recorded], wirings: Sequence[Wiring]) -> CardSens
     return CardSensors(lambda: cards, wirings)
 
 
-def test_a_wrench_comes_back_from_its_voltages():
+def test_wrench_is_recovered_from_its_voltages():
     wrench = np.array([1.0, -2.0, 3.0, 0.01, 0.02, -0.03])
     samples = np.repeat(voltages_of(wrench)[:, None], 10, axis=1)
     assert mean_wrench(CALIBRATION, samples) == pytest.approx(wrench, abs=1e-12)
 
 
-def test_the_mean_of_ten_samples_has_a_tenth_of_the_noise_power():
+def test_mean_of_ten_samples_has_a_tenth_of_the_noise_power():
     noise = 1e-3 * np.random.default_rng(2).normal(size=(6, 20_000))
     singles = MATRIX @ noise
     means = np.array([mean_wrench(CALIBRATION, noise[:, k : k + 10]) for k in range(0, 20_000, 10)])
@@ -60,14 +60,14 @@ def test_the_mean_of_ten_samples_has_a_tenth_of_the_noise_power():
 
 
 @pytest.mark.parametrize("value", [10.0, -10.0, 12.0, math.nan, math.inf])
-def test_one_sample_at_the_converters_end_spoils_the_mean(value):
+def test_saturated_sample_invalidates_the_mean(value):
     samples = np.zeros((6, 10))
     samples[3, 7] = value
     assert mean_wrench(CALIBRATION, samples) is None
 
 
-def test_a_samples_time_comes_from_its_number_however_late_it_is_read():
-    random, clock = np.random.default_rng(3), SampleClock(RATE)
+def test_sample_time_follows_from_its_number_even_if_read_late():
+    random, clock = np.random.default_rng(3), CardClock(RATE)
     count, errors = 0, []
     for tick in range(1, 2000):
         now = tick * TICK + random.exponential(0.5e-3)  # when a tick really reads
@@ -80,9 +80,9 @@ def test_a_samples_time_comes_from_its_number_however_late_it_is_read():
     assert np.ptp(errors[200:]) < 0.1e-3
 
 
-def test_the_clock_follows_a_card_that_is_slower_or_faster_by_1e_4():
+def test_card_clock_follows_a_rate_error_of_1e_4():
     for drift in (-1e-4, 1e-4):
-        clock, count, time = SampleClock(RATE), 0, 0.0
+        clock, count, time = CardClock(RATE), 0, 0.0
         for tick in range(1, 30_000):  # a minute
             now = tick * TICK
             there = int(now * RATE * (1.0 + drift))
@@ -92,10 +92,10 @@ def test_the_clock_follows_a_card_that_is_slower_or_faster_by_1e_4():
         assert time == pytest.approx(true, abs=1.0e-3 if drift < 0.0 else 0.3e-3)
 
 
-def test_two_sensors_on_one_card_and_a_third_on_another_give_one_reading():
+def test_sensors_on_two_cards_give_one_reading():
     wrenches = np.random.default_rng(4).normal(size=(3, 6)) * np.array([0.2] * 3 + [0.002] * 3)
     volts = [np.repeat(voltages_of(wrench)[:, None], 1000, axis=1) for wrench in wrenches]
-    cards = [Recorded("Dev1", np.concatenate(volts[:2])), Recorded("Dev2", volts[2], begin=0.0005)]
+    cards = [Recorded("Dev1", np.concatenate(volts[:2])), Recorded("Dev2", volts[2], start=0.0005)]
     sensors = sensors_on(cards, [Wiring(0, 0, CALIBRATION), Wiring(1, 0, CALIBRATION), Wiring(0, 6, CALIBRATION)])
     assert sensors.condition is Condition.CLOSED
     sensors.connect(0.0)
@@ -113,7 +113,7 @@ def test_two_sensors_on_one_card_and_a_third_on_another_give_one_reading():
     assert reading.time == pytest.approx(tick * TICK - 0.5 * TICK, abs=1.0e-3)
 
 
-def test_a_saturated_sensor_keeps_its_last_good_wrench_and_is_not_usable():
+def test_saturated_sensor_keeps_its_last_good_wrench_and_is_unusable():
     good = np.repeat(voltages_of(np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))[:, None], 2000, axis=1)
     spoilt = good.copy()
     spoilt[2, 500:1000] = 10.0
@@ -133,11 +133,11 @@ def test_a_saturated_sensor_keeps_its_last_good_wrench_and_is_not_usable():
     assert usable.count(False) == 50
     assert not usable[75]
     assert all(usable[100:])
-    assert Quality.SATURATED in seen[75]
-    assert Quality.STALE in seen[98]  # nothing usable for more than 50 ms
+    assert CardQuality.SATURATED in seen[75]
+    assert CardQuality.STALE in seen[98]  # nothing usable for more than 50 ms
 
 
-def test_without_samples_the_reading_grows_stale():
+def test_reading_without_new_samples_becomes_stale():
     card = Recorded("Dev1", np.zeros((6, 100)))
     sensors = sensors_on([card], [Wiring(0, 0, CALIBRATION)])
     sensors.connect(0.0)
@@ -150,7 +150,7 @@ def test_without_samples_the_reading_grows_stale():
     assert trouble == (Severity.HOLD, "force sensor 1 (Dev1): stale")
 
 
-def test_a_card_that_is_gone_is_told_and_opened_anew():
+def test_lost_card_is_reported_and_opened_again():
     cards = [Recorded("Dev1", np.zeros((6, 1000)))]
     opened: list[Recorded] = []
 
@@ -173,7 +173,7 @@ def test_a_card_that_is_gone_is_told_and_opened_anew():
     sensors.connect(1.0)
     assert cards[0].closed
     assert "no such device" in str(sensors.trouble(1.0))
-    cards.append(Recorded("Dev1", np.zeros((6, 1000)), begin=1.0))
+    cards.append(Recorded("Dev1", np.zeros((6, 1000)), start=1.0))
     sensors.connect(2.0)
     cards[1].now = 2.01
     assert sensors.poll(2.01).usable

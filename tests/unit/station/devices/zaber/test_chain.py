@@ -1,13 +1,13 @@
-"""The host's side of a chain: what is sent when, deadlines, and which positions are believed."""
+"""The host's side of a chain: schedule of messages, deadlines, plausibility of positions."""
 
 import math
 from dataclasses import replace
 
 import pytest
 
-from station.devices.zaber.chain import Line
-from station.devices.zaber.dialogue import Answer, Ask, Complaint, Lost, ResetDone, UnexpectedMotion
-from station.devices.zaber.protocol import BYTE_TIME, MESSAGE_TIME, Message
+from station.devices.zaber.chain import LineSettings
+from station.devices.zaber.dialogue import Reply, ReplyLost, Request, ResetDone, UnexpectedMotion, UnsolicitedError
+from station.devices.zaber.protocol import BYTE_TIME_S, MESSAGE_TIME_S, ZaberMessage
 from tests.fuzz.zaber import fuzz
 from tests.harness.zaber_host import AXES, TICK, Host, changing
 
@@ -21,14 +21,14 @@ def host() -> Host:
     return host
 
 
-def test_no_more_than_one_message_each_6_25_ms_is_handed_over(host):
+def test_at_most_one_message_is_sent_every_6_25_ms(host):
     host.run(4.0, changing(host))
 
     times = [time for time, _ in host.sent]
     assert len(times) == pytest.approx(4.0 * 160, abs=2)  # all that the line carries
     for window in (1, 10, 100):
         # Never more than the line has taken, but for the one handed over a tick early.
-        assert min(b - a for a, b in zip(times, times[window:], strict=False)) >= window * MESSAGE_TIME - TICK - 1e-9
+        assert min(b - a for a, b in zip(times, times[window:], strict=False)) >= window * MESSAGE_TIME_S - TICK - 1e-9
 
 
 def test_each_of_three_axes_gets_40_velocities_and_13_polls_a_second(host):
@@ -39,7 +39,7 @@ def test_each_of_three_axes_gets_40_velocities_and_13_polls_a_second(host):
         assert len(host.commands(axis.device, 60)) / 10 == pytest.approx(40 / 3, abs=0.3)
 
 
-def test_one_axis_alone_on_its_port_gets_the_whole_line():
+def test_single_axis_uses_the_whole_line():
     host = Host(places=(1_536_000,), axes=AXES[:1])
     host.run(0.3)
     host.sent.clear()
@@ -51,7 +51,7 @@ def test_one_axis_alone_on_its_port_gets_the_whole_line():
     assert len(host.sent) / 5 == pytest.approx(160, abs=5)
 
 
-def test_the_latest_command_wins_and_an_unchanged_one_is_not_sent(host):
+def test_latest_command_is_sent_and_an_unchanged_one_is_not(host):
     given = {}
 
     def each(now: float) -> None:
@@ -70,8 +70,8 @@ def test_the_latest_command_wins_and_an_unchanged_one_is_not_sent(host):
     assert [len(host.commands(axis.device, 22)) for axis in AXES] == [1, 1, 1]
 
 
-def test_a_velocity_is_said_again_in_case_it_was_not_heard():
-    host = Host(Line(refresh=0.25))
+def test_unchanged_velocity_is_repeated_after_a_while():
+    host = Host(LineSettings(refresh=0.25))
     host.run(0.3)
     host.run(2.0, lambda now: [host.chain.command(axis, 0) for axis in range(3)])
     assert host.commands(1, 22) == host.commands(1, 23) == []  # never moved: nothing to repeat
@@ -89,26 +89,26 @@ def test_speeds_are_clipped_to_the_axis(host):
     assert host.chain.sent == [0, 0, -4300]
 
 
-def test_a_stop_goes_before_everything_and_reaches_all_with_one_message(host):
+def test_stop_precedes_all_messages_and_addresses_all_units(host):
     host.run(1.0, changing(host))
     host.sent.clear()
-    asked = host.now
+    requested = host.now
     host.chain.stop()
     host.run(0.1)
 
     time, message = host.sent[0]
-    assert message == Message(0, 23, -1)
-    assert time - asked <= MESSAGE_TIME
-    assert [m for _, m in host.sent[1:4]] == [Message(1, 23, -1), Message(2, 23, -1), Message(3, 23, -1)]
+    assert message == ZaberMessage(0, 23, -1)
+    assert time - requested <= MESSAGE_TIME_S
+    assert [m for _, m in host.sent[1:4]] == [ZaberMessage(1, 23, -1), ZaberMessage(2, 23, -1), ZaberMessage(3, 23, -1)]
     assert host.chain.sent == [0, 0, 0]
     assert not host.commands(1, 22)
     # Units that have lost the frame need more than 10 ms of silence to find it.
-    assert host.sent[4][0] - host.sent[3][0] > MESSAGE_TIME + 0.010
+    assert host.sent[4][0] - host.sent[3][0] > MESSAGE_TIME_S + 0.010
     host.run(0.2)
     assert host.chain.stopping == {}
 
 
-def test_a_stop_at_every_tick_goes_round_and_does_not_starve_the_polls(host):
+def test_stop_at_every_tick_does_not_block_the_polls(host):
     host.run(1.0, lambda now: host.chain.stop())
 
     assert len(host.commands(3, 23)) >= 3
@@ -116,7 +116,7 @@ def test_a_stop_at_every_tick_goes_round_and_does_not_starve_the_polls(host):
     assert not host.chain.lost
 
 
-def test_a_stop_counts_for_an_axis_that_was_moved_again(host):
+def test_stop_applies_to_an_axis_that_was_moved_again(host):
     host.status = 22  # none of them rests
     host.chain.stop()
     host.run(0.2, lambda now: host.chain.command(1, 50 if now > 0.4 else 0))
@@ -129,33 +129,33 @@ def test_a_stop_counts_for_an_axis_that_was_moved_again(host):
     assert host.chain.sent[1] == 0
 
 
-def test_a_unit_that_homes_on_is_told_again_and_then_reset(host):
+def test_unit_that_continues_homing_is_stopped_again_and_then_reset(host):
     host.status = 1
     host.chain.stop()
     host.run(0.5)
 
-    assert host.commands(1, 23)[1:], "it was not told again"
+    assert host.commands(1, 23)[1:], "the stop was not repeated"
     resets = [message for _, message in host.sent if message.command == 0]
     assert {message.device for message in resets} == {1, 2, 3}
     assert {happening.axis for happening in host.happened if isinstance(happening, ResetDone)} == {0, 1, 2}
-    first = next(time for time, message in host.sent if message == Message(1, 0, -1))
+    first = next(time for time, message in host.sent if message == ZaberMessage(1, 0, -1))
     assert sum(time < first for time in host.commands(1, 23)) == 3
 
 
-def test_two_missed_replies_in_a_row_mean_a_lost_axis_and_one_does_not(host):
+def test_axis_is_lost_after_two_missed_replies_in_a_row(host):
     host.silent = {2}
-    begin = host.now
-    while not any(isinstance(happening, Lost) for happening in host.happened):
+    start = host.now
+    while not any(isinstance(happening, ReplyLost) for happening in host.happened):
         host.run(TICK)
-        assert host.now - begin < 1.0
-    assert host.happened == [Lost(1)]
+        assert host.now - start < 1.0
+    assert host.happened == [ReplyLost(1)]
     assert host.chain.counts[1].missed == 2
-    assert host.now - begin < 0.25
+    assert host.now - start < 0.25
     host.run(1.0)
-    assert host.happened == [Lost(1)]  # said once
+    assert host.happened == [ReplyLost(1)]  # reported once
 
 
-def test_a_single_missed_reply_is_only_counted(host):
+def test_single_missed_reply_is_only_counted(host):
     host.silent = {2}
     while host.chain.counts[1].missed == 0:
         host.run(TICK)
@@ -166,7 +166,7 @@ def test_a_single_missed_reply_is_only_counted(host):
     assert host.chain.counts[1].missed == 1
 
 
-def test_after_a_missed_reply_the_line_rests_for_more_than_10_ms(host):
+def test_line_pauses_for_more_than_10_ms_after_a_missed_reply(host):
     host.silent = {2}
     while host.chain.counts[1].missed == 0:
         host.run(TICK)
@@ -176,15 +176,15 @@ def test_after_a_missed_reply_the_line_rests_for_more_than_10_ms(host):
 
     before = max(time for time, _ in host.sent if time < missed - TICK / 2)
     after = min(time for time, _ in host.sent if time > before)
-    assert after - (before + MESSAGE_TIME) > 0.010
+    assert after - (before + MESSAGE_TIME_S) > 0.010
 
 
-def test_an_axis_is_where_its_ramps_have_taken_it(host):
+def test_axis_estimate_follows_the_velocity_ramps(host):
     estimate = host.chain.estimates[0]
     host.chain.polling = False
     host.run(0.1)  # the line is free
     host.chain.command(0, 1000)
-    effect = host.now + MESSAGE_TIME
+    effect = host.now + MESSAGE_TIME_S
     host.run(1.0)
 
     # 1000 units at 38 units of acceleration: 9375 microsteps/s after 21.9 ms.
@@ -193,7 +193,7 @@ def test_an_axis_is_where_its_ramps_have_taken_it(host):
     assert estimate.position == pytest.approx(due, abs=0.5)
 
 
-def test_a_reading_that_nothing_explains_needs_two_more_to_be_believed(host):
+def test_implausible_reading_is_accepted_after_two_more(host):
     host.places[0] += 5000
     seen = [host.chain.estimates[0].position]
     while host.chain.estimates[0].position == 1_536_000:
@@ -204,7 +204,7 @@ def test_a_reading_that_nothing_explains_needs_two_more_to_be_believed(host):
     assert host.chain.estimates[0].position == 1_541_000
 
 
-def test_a_damaged_reading_moves_nothing(host):
+def test_damaged_reading_does_not_change_the_estimate(host):
     readings = host.chain.counts[0].readings
     host.places[0] ^= 1 << 18
     while host.chain.counts[0].rejected == 0:
@@ -217,14 +217,14 @@ def test_a_damaged_reading_moves_nothing(host):
     assert host.chain.counts[0].readings > readings
 
 
-def test_an_axis_that_moves_by_itself_is_reported(host):
+def test_axis_that_moves_unexpectedly_is_reported(host):
     def drift(now: float) -> None:
         host.places[2] += 100
 
     host.run(2.0, drift)
 
     assert UnexpectedMotion(2) in host.happened
-    assert not any(isinstance(happening, Lost) for happening in host.happened)
+    assert not any(isinstance(happening, ReplyLost) for happening in host.happened)
 
 
 @pytest.mark.parametrize(
@@ -237,47 +237,47 @@ def test_an_axis_that_moves_by_itself_is_reported(host):
         "ff ff ff ff ff ff",
     ],
 )
-def test_what_cannot_be_is_no_position(frame):
+def test_impossible_position_is_rejected(frame):
     host = Host()
     host.run(0.3)
     before = [estimate.position for estimate in host.chain.estimates]
     happened = host.chain.feed(bytes.fromhex(frame), host.now)
 
     assert [estimate.position for estimate in host.chain.estimates] == before
-    assert all(isinstance(happening, Complaint) for happening in happened)
+    assert all(isinstance(happening, UnsolicitedError) for happening in happened)
 
 
-def test_one_question_at_a_time_and_its_answer(host):
-    host.chain.ask(Ask(2, 50, 0, 50))
+def test_one_request_at_a_time_gets_its_reply(host):
+    host.chain.send_request(Request(2, 50, 0, 50))
     host.run(0.03)
     assert host.commands(3, 50)
-    assert host.chain.feed(bytes.fromhex("03 32 ec 10 00 00"), host.now) == [Answer(4332)]
+    assert host.chain.feed(bytes.fromhex("03 32 ec 10 00 00"), host.now) == [Reply(4332)]
 
-    host.chain.ask(Ask(0, 53, 101, 101))
+    host.chain.send_request(Request(0, 53, 101, 101))
     host.run(0.03)
-    assert host.chain.feed(bytes.fromhex("01 ff 35 00 00 00"), host.now) == [Answer(error=53)]
+    assert host.chain.feed(bytes.fromhex("01 ff 35 00 00 00"), host.now) == [Reply(error=53)]
 
-    host.chain.ask(Ask(0, 63, 0, 63))
+    host.chain.send_request(Request(0, 63, 0, 63))
     host.run(0.2)
-    assert host.happened == [Answer()]  # nothing came in time
+    assert host.happened == [Reply()]  # nothing came in time
 
 
-def test_an_answer_that_nobody_waits_for_any_more_is_nothing(host):
-    host.chain.ask(Ask(2, 50, 0, 50))
+def test_reply_to_a_cancelled_request_is_ignored(host):
+    host.chain.send_request(Request(2, 50, 0, 50))
     host.run(0.03)
     host.chain.cancel()
 
     assert host.chain.feed(bytes.fromhex("03 32 ec 10 00 00"), host.now) == []
 
 
-def test_positions_are_unknown_until_two_readings_agree():
+def test_position_is_unknown_until_two_readings_agree():
     host = Host()
     assert math.isnan(host.chain.estimates[0].position)
     host.run(0.02)
     assert not host.chain.estimates[0].known
 
 
-def test_any_number_of_axes(host):
+def test_chain_supports_any_number_of_axes(host):
     four = (*AXES, replace(AXES[0], device=4))
     host = Host(places=(1, 2, 3, 4), axes=four)
     host.run(0.5)
@@ -285,17 +285,17 @@ def test_any_number_of_axes(host):
     assert [estimate.position for estimate in host.chain.estimates] == [1, 2, 3, 4]
 
 
-def test_fuzz_both_directions():
+def test_chain_survives_random_bytes_in_both_directions():
     result = fuzz(10_000, seed=6)
 
     assert result == {"cases": 10_000, "exceptions": 0, "hangs": 0, "false_accepts": 0}
 
 
-def test_bytes_come_back_one_at_a_time(host):
-    host.chain.ask(Ask(1, 51, 0, 51))
+def test_chain_accepts_replies_byte_by_byte(host):
+    host.chain.send_request(Request(1, 51, 0, 51))
     host.run(0.03)
     happened = []
     for k, byte in enumerate(bytes.fromhex("02 33 0b 02 00 00")):
-        happened += host.chain.feed(bytes((byte,)), host.now + k * BYTE_TIME)
+        happened += host.chain.feed(bytes((byte,)), host.now + k * BYTE_TIME_S)
 
-    assert happened == [Answer(523)]
+    assert happened == [Reply(523)]

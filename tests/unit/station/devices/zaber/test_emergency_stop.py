@@ -1,4 +1,4 @@
-"""Where the stages can be told to stop without their driver."""
+"""Ports and units of the emergency stop."""
 
 import pytest
 
@@ -20,5 +20,5 @@ from station.devices.zaber.emergency_stop import stage_units
         ({"driver": "zaber", "port": "COM5", "joints": {"a": {"device": 4}, "b": {"device": 2}}}, {"COM5": {2, 4}}),
     ],
 )
-def test_the_units_on_each_port(options, units):
+def test_stage_units_are_grouped_by_port(options, units):
     assert stage_units(options, joints=3) == units

@@ -1,4 +1,4 @@
-"""Zaber messages: the manufacturer's bytes, units, errors in words, and the frame found again in any stream."""
+"""Zaber messages: the manufacturer's bytes, units, error texts, and recovery of the frame in any stream."""
 
 from itertools import pairwise
 
@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from station.devices.zaber.protocol import (
-    BYTE_TIME,
-    MESSAGE_TIME,
-    Message,
-    Parser,
+    BYTE_TIME_S,
+    MESSAGE_TIME_S,
     ZaberError,
+    ZaberMessage,
+    ZaberParser,
     decode,
     encode,
     error_text,
@@ -23,23 +23,23 @@ from station.devices.zaber.protocol import (
 
 #: Seen on the wire, or worked out in the manual.
 WORKED = [
-    ("00 32 00 00 00 00", Message(0, 50, 0)),
-    ("01 32 45 11 00 00", Message(1, 50, 4421)),
-    ("03 32 ec 10 00 00", Message(3, 50, 4332)),
-    ("01 35 65 00 00 00", Message(1, 53, 101)),
-    ("01 ff 35 00 00 00", Message(1, 255, 53)),
-    ("01 3f e9 03 00 00", Message(1, 63, 1001)),
-    ("01 33 0b 02 00 00", Message(1, 51, 523)),
-    ("01 25 40 00 00 00", Message(1, 37, 64)),
-    ("01 16 ff ff ff ff", Message(1, 22, -1)),
+    ("00 32 00 00 00 00", ZaberMessage(0, 50, 0)),
+    ("01 32 45 11 00 00", ZaberMessage(1, 50, 4421)),
+    ("03 32 ec 10 00 00", ZaberMessage(3, 50, 4332)),
+    ("01 35 65 00 00 00", ZaberMessage(1, 53, 101)),
+    ("01 ff 35 00 00 00", ZaberMessage(1, 255, 53)),
+    ("01 3f e9 03 00 00", ZaberMessage(1, 63, 1001)),
+    ("01 33 0b 02 00 00", ZaberMessage(1, 51, 523)),
+    ("01 25 40 00 00 00", ZaberMessage(1, 37, 64)),
+    ("01 16 ff ff ff ff", ZaberMessage(1, 22, -1)),
 ]
 MESSAGES = st.builds(
-    Message, st.integers(0, 255), st.integers(0, 255), st.integers(min_value=-(1 << 31), max_value=(1 << 31) - 1)
+    ZaberMessage, st.integers(0, 255), st.integers(0, 255), st.integers(min_value=-(1 << 31), max_value=(1 << 31) - 1)
 )
 
 
 @pytest.mark.parametrize(("text", "message"), WORKED)
-def test_worked_bytes_both_ways(text, message):
+def test_messages_match_the_worked_examples_in_both_directions(text, message):
     assert encode(message) == bytes.fromhex(text)
     assert decode(bytes.fromhex(text)) == message
 
@@ -48,21 +48,21 @@ def test_worked_bytes_both_ways(text, message):
     ("message", "part"),
     [((256, 1, 0), "device 256"), ((1, -1, 0), "command -1"), ((1, 20, 1 << 31), "data 2147483648")],
 )
-def test_what_does_not_fit_is_refused_by_name(message, part):
+def test_value_outside_its_range_is_refused_by_name(message, part):
     with pytest.raises(ZaberError, match=part):
-        encode(Message(*message))
+        encode(ZaberMessage(*message))
 
 
-def test_message_id_takes_the_sixth_byte():
+def test_message_id_uses_the_sixth_byte():
     # A public client sent `01 3c 00 00 00 01`: position, ID 1.
-    assert encode(Message(1, 60, with_id(0, 1))) == bytes.fromhex("01 3c 00 00 00 01")
+    assert encode(ZaberMessage(1, 60, with_id(0, 1))) == bytes.fromhex("01 3c 00 00 00 01")
     assert split_id(with_id(-77, 255)) == (-77, 255)
     assert split_id(with_id(8_388_607, 128)) == (8_388_607, 128)
 
 
-def test_the_line_carries_160_messages_a_second():
-    assert pytest.approx(1 / 160) == MESSAGE_TIME
-    assert pytest.approx(10 / 9600) == BYTE_TIME
+def test_line_transmits_160_messages_per_second():
+    assert pytest.approx(1 / 160) == MESSAGE_TIME_S
+    assert pytest.approx(10 / 9600) == BYTE_TIME_S
 
 
 @pytest.mark.parametrize(
@@ -74,16 +74,16 @@ def test_the_line_carries_160_messages_a_second():
         (-3.0, 0.000234375, -1365),
     ],
 )
-def test_speeds_in_the_units_of_the_line(per_second, microstep, data):
+def test_speeds_are_converted_to_the_units_of_the_line(per_second, microstep, data):
     assert speed_data(per_second / microstep) == data
 
 
-def test_a_speed_that_is_no_number_is_refused():
+def test_speed_that_is_not_finite_is_refused():
     with pytest.raises(ZaberError, match="not finite"):
         speed_data(float("nan"))
 
 
-def test_largest_speed_of_the_factory_resolution():
+def test_largest_speed_at_the_factory_resolution():
     assert top_speed(64) == 32767
 
 
@@ -98,26 +98,26 @@ def test_largest_speed_of_the_factory_resolution():
         (999, "not in the list"),
     ],
 )
-def test_errors_in_words(code, words):
+def test_error_replies_have_texts(code, words):
     assert words in error_text(code)
 
 
 @given(st.lists(MESSAGES, max_size=8), st.lists(st.integers(0, 48), max_size=12))
-def test_any_split_of_the_stream_gives_the_same_messages(messages, cuts):
+def test_messages_do_not_depend_on_the_split_of_the_stream(messages, cuts):
     stream = b"".join(map(encode, messages))
     edges = sorted({0, len(stream), *(min(cut, len(stream)) for cut in cuts)})
-    parser, found = Parser(), []
+    parser, found = ZaberParser(), []
 
-    for k, (begin, end) in enumerate(pairwise(edges)):
-        found += parser.feed(stream[begin:end], k * 0.009)  # the longest pauses that are allowed
+    for k, (start, end) in enumerate(pairwise(edges)):
+        found += parser.feed(stream[start:end], k * 0.009)  # the longest pauses that are allowed
 
     assert found == messages
     assert parser.dropped == 0
 
 
 @given(st.binary(min_size=1, max_size=200), MESSAGES, st.integers(1, 5))
-def test_after_a_silence_a_message_is_understood_whatever_came_before(garbage, message, cut):
-    parser, frame = Parser(), encode(message)
+def test_message_after_a_silence_is_parsed_after_any_garbage(garbage, message, cut):
+    parser, frame = ZaberParser(), encode(message)
     parser.feed(garbage, 0.0)
 
     found = parser.feed(frame[:cut], 0.0101) + parser.feed(frame[cut:], 0.0102)
@@ -126,34 +126,34 @@ def test_after_a_silence_a_message_is_understood_whatever_came_before(garbage, m
     assert parser.dropped == len(garbage) % 6
 
 
-def test_a_message_with_too_long_a_pause_is_dropped():
-    parser, frame = Parser(), encode(Message(1, 60, 1000))
+def test_message_with_too_long_a_pause_is_dropped():
+    parser, frame = ZaberParser(), encode(ZaberMessage(1, 60, 1000))
 
     assert parser.feed(frame[:3], 0.0) == []
     assert parser.feed(frame[3:], 0.0105) == []
-    assert parser.feed(frame, 0.0300) == [Message(1, 60, 1000)]
+    assert parser.feed(frame, 0.0300) == [ZaberMessage(1, 60, 1000)]
     assert (parser.dropped, parser.resyncs) == (6, 2)
 
 
-def test_a_host_that_did_not_look_does_not_take_that_for_a_silence():
-    parser, frame = Parser(), encode(Message(1, 60, 1000))
+def test_long_interval_between_reads_is_not_taken_for_a_silence():
+    parser, frame = ZaberParser(), encode(ZaberMessage(1, 60, 1000))
     parser.feed(frame[:3], 0.0)
 
-    assert parser.feed(frame[3:], 0.5, since=0.002) == [Message(1, 60, 1000)]
+    assert parser.feed(frame[3:], 0.5, since=0.002) == [ZaberMessage(1, 60, 1000)]
 
 
 @given(st.binary(max_size=20).filter(lambda noise: 1 not in noise))
-def test_without_a_silence_the_next_message_that_makes_sense_is_found(noise):
-    parser = Parser(lambda message: message.device == 1 and message.command == 60)
-    frame = encode(Message(1, 60, 70_000))
+def test_next_valid_message_is_found_without_a_silence(noise):
+    parser = ZaberParser(lambda message: message.device == 1 and message.command == 60)
+    frame = encode(ZaberMessage(1, 60, 70_000))
 
-    assert parser.feed(noise + frame, 0.0) == [Message(1, 60, 70_000)]
+    assert parser.feed(noise + frame, 0.0) == [ZaberMessage(1, 60, 70_000)]
     assert parser.dropped == len(noise)
 
 
-def test_a_lost_byte_costs_one_message_where_others_make_sense():
-    parser = Parser(lambda message: message[:2] == (1, 60) and 0 <= message.data <= 3_072_000)
-    frame = encode(Message(1, 60, 70_000))
+def test_lost_byte_affects_one_message_only():
+    parser = ZaberParser(lambda message: message[:2] == (1, 60) and 0 <= message.data <= 3_072_000)
+    frame = encode(ZaberMessage(1, 60, 70_000))
 
-    assert parser.feed(frame[:4] + frame[5:] + frame + frame, 0.0) == [Message(1, 60, 70_000)] * 2
+    assert parser.feed(frame[:4] + frame[5:] + frame + frame, 0.0) == [ZaberMessage(1, 60, 70_000)] * 2
     assert (parser.dropped, parser.resyncs) == (5, 1)

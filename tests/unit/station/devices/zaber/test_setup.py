@@ -1,4 +1,4 @@
-"""How a stage's microsteps count, whichever way round it is mounted and wherever its home sensor is."""
+"""Counts of a stage's microsteps, for both mounting directions and any position of the home sensor."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 
 from station.devices.links.memory_pipe import memory_pipe
 from station.devices.zaber.protocol import ZaberError
-from station.devices.zaber.setup import Port, StageSetup
+from station.devices.zaber.setup import PortSetup, StageSetup
 from station.devices.zaber.stages import Condition, ZaberStages
 from station.lab.zaber.simulated import SimulatedChain, pump
 from station.lab.zaber.unit import Unit, UnitKind
@@ -15,46 +15,46 @@ from station.lab.zaber.unit import Unit, UnitKind
 MICROMETRE = 1e-6
 
 
-def test_a_rotation_turns_as_far_either_way(paper):
+def test_rotation_has_equal_travel_in_both_directions(paper):
     setup = StageSetup.of(paper.joints[0], 1)
     assert (setup.home_count, setup.maximum) == (1_536_000, 3_072_000)
     assert setup.position(0) == pytest.approx(-2.0 * math.pi)
     assert setup.position(3_072_000) == pytest.approx(2.0 * math.pi)
 
 
-def test_a_zero_that_is_not_at_the_sensor_moves_the_counts_and_not_the_travel(paper):
+def test_zero_away_from_the_sensor_shifts_the_counts_but_not_the_travel(paper):
     setup = StageSetup.of(paper.joints[0], 1, home_at=math.radians(90.0))
     assert setup.position(setup.home_count) == pytest.approx(math.radians(90.0))
     assert setup.maximum == 3_072_000
     assert [setup.position(count) for count in (0, setup.maximum)] == pytest.approx([-2.0 * math.pi, 2.0 * math.pi])
 
 
-def test_backwards_the_joint_falls_while_the_count_rises(paper):
+def test_backwards_joint_decreases_while_the_count_increases(paper):
     turning, sliding = (StageSetup.of(paper.joints[i], 1, backwards=True) for i in (1, 2))
     assert [turning.position(c) for c in (0, turning.maximum)] == pytest.approx([2.0 * math.pi, -2.0 * math.pi])
     assert sliding.position(0) == pytest.approx(-0.005)  # its sensor is at the inserted end
     assert sliding.position(sliding.maximum) == pytest.approx(-0.130, abs=MICROMETRE)
 
 
-def test_a_home_sensor_outside_the_travel_leaves_the_travel_reachable(paper):
+def test_travel_is_reachable_with_a_home_sensor_outside_of_it(paper):
     setup = StageSetup.of(paper.joints[2], 1, home_at=-0.150)
     assert setup.position(0) == -0.150
     assert setup.position(setup.maximum) == pytest.approx(-0.005, abs=MICROMETRE)
 
 
 @pytest.mark.parametrize(("home_at", "backwards"), [(-0.100, False), (-0.100, True)])
-def test_a_home_sensor_inside_the_travel_is_refused_with_both(paper, home_at, backwards):
+def test_home_sensor_inside_the_travel_is_refused_with_both_values(paper, home_at, backwards):
     with pytest.raises(ZaberError, match=r"inner_translation: home_at -0.1 m is inside the travel -0.13 ... -0.005 m"):
         StageSetup.of(paper.joints[2], 1, home_at, backwards)
 
 
-def test_a_stage_that_is_mounted_backwards_homes_and_moves_the_right_way(paper):
-    """The simulated unit counts as it likes; the joint that the driver tells is the true one."""
+def test_backwards_mounted_stage_homes_and_moves_in_the_right_direction(paper):
+    """The simulated unit may count in any direction; the driver reports the true joint position."""
     joint = paper.joints[2]
     setup = StageSetup.of(joint, 1, backwards=True)
     unit = Unit(UnitKind(4332, setup.maximum), 1, 20_000.0)
     host, device = memory_pipe("line")
-    chain, stages, now = SimulatedChain([unit]), ZaberStages([setup], [Port(host, (0,))]), 0.0
+    chain, stages, now = SimulatedChain([unit]), ZaberStages([setup], [PortSetup(host, (0,))]), 0.0
 
     def run(seconds: float, velocity: float | None = None) -> float:
         nonlocal now
@@ -76,4 +76,4 @@ def test_a_stage_that_is_mounted_backwards_homes_and_moves_the_right_way(paper):
     run(1.0, -0.010)
     stages.stop(now)
     assert run(1.0) == pytest.approx(-0.015, abs=5e-4)
-    assert -0.005 - unit.place * joint.microstep == pytest.approx(run(0.1), abs=1e-6)
+    assert -0.005 - unit.true_position * joint.microstep == pytest.approx(run(0.1), abs=1e-6)

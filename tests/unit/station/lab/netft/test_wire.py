@@ -1,14 +1,14 @@
-"""What the simulated Net F/T box answers to a browser."""
+"""The simulated Net F/T box answers requests of a browser for its page."""
 
 import pytest
 
-from station.devices.netft.protocol import LATENCY
+from station.devices.netft.protocol import LATENCY_S
 from station.lab.netft.simulated import BoxSettings
 from station.lab.netft.wire import respond
 
 
 @pytest.mark.parametrize(
-    ("heard", "answer"),
+    ("http_request", "answer"),
     [
         (b"GET /netftapi2.xml HTTP/1.1\r\n", b""),
         (b"GET /netftapi2.xml HTTP/1.1\r\n\r\n", b"HTTP/1.1 200 OK"),
@@ -19,10 +19,10 @@ from station.lab.netft.wire import respond
         (b"x" * 8192, b"HTTP/1.1 431"),
     ],
 )
-def test_requests_for_the_page(heard, answer):
-    assert respond(heard, lambda: b"<netft/>").startswith(answer)
-    assert bool(respond(heard, lambda: b"<netft/>")) == bool(answer)
+def test_requests_for_the_simulated_box_page_get_the_expected_status(http_request, answer):
+    assert respond(http_request, lambda: b"<netft/>").startswith(answer)
+    assert bool(respond(http_request, lambda: b"<netft/>")) == bool(answer)
 
 
-def test_the_latency_of_the_simulated_box_is_the_manuals():
-    assert BoxSettings().latency == LATENCY == 288e-6
+def test_latency_of_the_simulated_force_sensor_is_that_of_the_manual():
+    assert BoxSettings().latency == LATENCY_S == 288e-6

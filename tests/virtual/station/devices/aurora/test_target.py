@@ -1,4 +1,4 @@
-"""A second coil on the line: asked for by its serial number, told with the tip's in the same frame, lost and found."""
+"""A second coil: found by its serial number, measured in the same frame as the tip's, lost and found again."""
 
 import math
 
@@ -9,7 +9,7 @@ from station.devices.aurora.protocol import AuroraError, ReplyReader
 from station.devices.aurora.replies import PORT_OCCUPIED, parse_bx, parse_tx
 from station.devices.aurora.settings import AuroraSettings
 from station.devices.interfaces import Severity
-from station.lab.aurora.ports import Port
+from station.lab.aurora.ports import ToolPort
 from station.lab.aurora.simulated import TARGET_SERIAL
 from tests.harness.aurora_bench import REST, AuroraBench
 
@@ -21,7 +21,7 @@ def swaying(now: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("settings", [WITH, AuroraSettings(target_serial=TARGET_SERIAL, always_tx=True)])
-def test_both_coils_are_read_from_the_same_frame(settings):
+def test_positions_of_both_coils_come_from_the_same_frame(settings):
     bench = AuroraBench(settings, target=TARGET_SERIAL)
     bench.run(1.0, target=swaying)
 
@@ -36,8 +36,8 @@ def test_both_coils_are_read_from_the_same_frame(settings):
     assert bench.tracker.trouble(bench.now) is None
 
 
-def test_what_two_coils_look_like_on_the_wire():
-    """Entries as captured of one tool, one after the other under a count of two."""
+def test_reply_with_two_coils_matches_the_captured_format():
+    """The reply has two entries like the captured one of a single tool."""
     bench = AuroraBench(WITH, target=TARGET_SERIAL)
     bench.run(1.5, target=swaying)
     bench.port.device.read()
@@ -56,7 +56,7 @@ def test_what_two_coils_look_like_on_the_wire():
         assert tools[0].frame == tools[1].frame
 
 
-def test_without_the_key_a_second_coil_is_nobodys():
+def test_second_coil_is_ignored_without_the_key_target():
     bench = AuroraBench(target=TARGET_SERIAL)
     bench.run(1.0, target=swaying)
 
@@ -68,10 +68,10 @@ def test_without_the_key_a_second_coil_is_nobodys():
     assert "target" not in bench.tracker.details()
 
 
-def test_a_second_coil_does_not_change_what_the_tips_reads():
-    alone, beside = AuroraBench(noise=1e-4), AuroraBench(WITH, noise=1e-4, target=TARGET_SERIAL)
+def test_second_coil_does_not_change_the_readings_of_the_tip():
+    alone, with_target = AuroraBench(noise=1e-4), AuroraBench(WITH, noise=1e-4, target=TARGET_SERIAL)
 
-    one, two = ({r.frame: r for _, r in bench.run(3.0, target=swaying)} for bench in (alone, beside))
+    one, two = ({r.frame: r for _, r in bench.run(3.0, target=swaying)} for bench in (alone, with_target))
 
     common = sorted(one.keys() & two.keys())
     assert len(common) > 60
@@ -79,7 +79,7 @@ def test_a_second_coil_does_not_change_what_the_tips_reads():
         assert one[frame].position.tolist() == two[frame].position.tolist()
 
 
-def test_a_lost_target_is_a_warning_and_the_tip_is_still_measured():
+def test_lost_target_is_a_warning_and_the_tip_is_still_measured():
     bench = AuroraBench(WITH, target=TARGET_SERIAL)
     bench.run(1.0, target=swaying)
     bench.unit.faults.target_lost = True
@@ -98,23 +98,23 @@ def test_a_lost_target_is_a_warning_and_the_tip_is_still_measured():
     assert bench.tracker.trouble(bench.now) is None
 
 
-def test_a_target_that_is_not_plugged_in_is_named_and_taken_when_it_is():
+def test_unplugged_target_is_named_and_used_after_it_is_plugged_in():
     bench = AuroraBench(WITH)
     read = bench.run(1.5)
     trouble = bench.tracker.trouble(bench.now)
 
     assert read
     assert trouble is not None
-    assert f"target {TARGET_SERIAL}: not plugged in; tools that are: 3A5C1D00" in trouble.text
+    assert f"target {TARGET_SERIAL}: not plugged in; connected tools: 3A5C1D00" in trouble.text
 
     unit = AuroraBench(target=TARGET_SERIAL).unit
     bench.unit._target = unit._target
-    bench.unit.handles.ports.append(Port(0x0B, TARGET_SERIAL, target=True))
+    bench.unit.handles.ports.append(ToolPort(0x0B, TARGET_SERIAL, target=True))
     bench.unit.handles.changed |= PORT_OCCUPIED
     assert bench.run(2.0, target=swaying)[-1][1].target is not None
 
 
-def test_a_jump_of_the_target_is_not_believed_and_the_tips_coil_does_not_care():
+def test_jump_of_the_target_is_rejected_without_affecting_the_tip():
     bench = AuroraBench(WITH, target=TARGET_SERIAL)
     bench.run(1.0, target=swaying)
 
@@ -124,6 +124,6 @@ def test_a_jump_of_the_target_is_not_believed_and_the_tips_coil_does_not_care():
     assert len(read) >= 7
 
 
-def test_one_coil_cannot_be_both():
+def test_coil_cannot_be_tip_and_target():
     with pytest.raises(AuroraError, match="cannot be the tip's coil and the target's"):
         AuroraSettings(tool_serial="A", target_serial="A")

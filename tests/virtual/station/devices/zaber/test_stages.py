@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from station.devices.links.memory_pipe import memory_pipe
-from station.devices.zaber.chain import Line
+from station.devices.zaber.chain import LineSettings
 from station.devices.zaber.protocol import ZaberError
-from station.devices.zaber.setup import Port, StageSetup
+from station.devices.zaber.setup import PortSetup, StageSetup
 from station.devices.zaber.stages import Condition, ZaberStages
 from station.lab.zaber.simulated import Faults
 from tests.harness.zaber_bench import ROTARY, START, STEPS, Bench, connected, swing
@@ -21,12 +21,12 @@ def bench(paper) -> Bench:
 
 
 class TestSetup:
-    """How joints become microsteps."""
+    """Conversion of joints to microsteps."""
 
-    def test_numbers_of_the_papers_stages(self, paper):
+    def test_setups_of_the_papers_stages_have_the_expected_numbers(self, paper):
         outer, inner, slide = (StageSetup.of(joint, k + 1) for k, joint in enumerate(paper.joints))
 
-        assert (outer.home_count, outer.maximum) == (1_536_000, 3_072_000)  # a turn either way
+        assert (outer.home_count, outer.maximum) == (1_536_000, 3_072_000)  # one turn in both directions
         assert outer.top == inner.top == 9102  # 20 deg/s at 0.0021973 deg/s
         assert slide.top == 4300  # 20 mm/s at 4.6509 um/s
         assert outer.acceleration == 38  # 100 deg/s^2 at 2.637, rounded up
@@ -46,7 +46,7 @@ class TestSetup:
             ({"home_speed": 0.0}, "home speed of 0 units"),
         ],
     )
-    def test_what_cannot_be_is_refused_by_name(self, paper, change, part):
+    def test_invalid_setup_is_refused_by_name(self, paper, change, part):
         with pytest.raises(ZaberError, match=part):
             replace(StageSetup.of(paper.joints[0], 1), **change)
 
@@ -54,15 +54,15 @@ class TestSetup:
         setups = [StageSetup.of(joint, k + 1) for k, joint in enumerate(paper.joints)]
         host, _ = memory_pipe("line")
         with pytest.raises(ZaberError, match=r"\[0, 1\]"):
-            ZaberStages(setups, [Port(host, (0, 1))])
+            ZaberStages(setups, [PortSetup(host, (0, 1))])
         with pytest.raises(ZaberError, match="same device number"):
-            ZaberStages([setups[0], replace(setups[1], device=1), setups[2]], [Port(host, (0, 1, 2))])
+            ZaberStages([setups[0], replace(setups[1], device=1), setups[2]], [PortSetup(host, (0, 1, 2))])
 
 
 class TestConnecting:
-    """Identity, settings, positions."""
+    """Connection: identity, settings, positions."""
 
-    def test_what_the_units_say_and_what_they_are_told(self, bench):
+    def test_units_report_their_identity_and_receive_their_settings(self, bench):
         assert [tuple(identity) for identity in bench.stages.identities] == [
             (4421, 523, None),
             (4421, 523, None),
@@ -78,7 +78,7 @@ class TestConnecting:
         assert bench.stages.ready
         assert bench.reading.positions == pytest.approx(START, abs=1e-6)
 
-    def test_units_that_are_not_homed_give_no_position_to_rely_on(self, paper):
+    def test_units_that_are_not_homed_have_no_valid_position(self, paper):
         bench = Bench(paper, homed=False).connect()
 
         assert bench.stages.condition is Condition.CONNECTED
@@ -87,37 +87,37 @@ class TestConnecting:
         bench.run(0.5, swing)
         assert bench.truth == pytest.approx(START, abs=1e-9)  # commands are not heeded
 
-    def test_before_the_first_answer_there_is_no_position(self, paper):
+    def test_position_is_unknown_before_the_first_answer(self, paper):
         bench = Bench(paper)
         assert np.isnan(bench.stages.poll(0.0).positions).all()
 
-    def test_a_missing_unit_is_named(self, paper):
+    def test_missing_unit_is_named(self, paper):
         bench = Bench(paper)
         bench.units[1].number = 7
         bench.connect()
         assert bench.stages.condition is Condition.FAULT
         assert "inner_rotation (device 2 on line 0) does not answer" in bench.stages.problem
 
-    def test_another_unit_is_refused(self, paper):
+    def test_unexpected_unit_is_refused(self, paper):
         bench = Bench(paper)
         bench.stages = ZaberStages([*bench.setups[:2], replace(bench.setups[2], serial=1002)], bench.ports)
         bench.connect()
         assert "serial number 1001; 1002 is expected" in bench.stages.problem
 
-    def test_another_firmware_counts_in_other_units(self, paper):
+    def test_unsupported_firmware_is_refused(self, paper):
         bench = Bench(paper)
         bench.units[0].kind = replace(ROTARY, firmware=601)
         bench.connect()
         assert "firmware 6.01" in bench.stages.problem
 
-    def test_another_resolution_is_set_back_and_the_position_is_void(self, paper):
+    def test_other_resolution_is_reset_and_the_position_is_invalid(self, paper):
         bench = Bench(paper)
         bench.units[0].settings[37] = 128
         bench.connect()
         assert bench.units[0].settings[37] == 64
         assert bench.stages.homed == [False, True, True]
 
-    def test_a_setting_that_does_not_hold_is_named(self, paper):
+    def test_setting_that_is_not_accepted_is_named(self, paper):
         bench = Bench(paper)
         bench.units[2].settings[49] = 1  # locked
         bench.connect()
@@ -125,7 +125,7 @@ class TestConnecting:
         assert "inner_translation" in bench.stages.problem
         assert "settings are locked" in bench.stages.problem
 
-    def test_a_noisy_line_is_connected_to_all_the_same(self, paper):
+    def test_stages_connect_on_a_noisy_line(self, paper):
         bench = Bench(paper)
         bench.chain.faults = Faults(drop=0.003, flip=0.003)
         bench.connect()
@@ -155,15 +155,15 @@ class TestMoving:
         bench.run(10.0, track)
         assert (worst < 2.0).all()
 
-    def test_what_is_sent_is_what_the_units_got(self, bench):
+    def test_sent_velocities_match_the_velocities_of_the_units(self, bench):
         bench.run(3.0, lambda now: [math.radians(3.0), -0.1, 3.14e-3])
 
         assert bench.reading.sent == pytest.approx(
             [1365 * 9.375 * STEPS[0], -round(0.1 / (9.375 * STEPS[1])) * 9.375 * STEPS[1], 675 * 9.375 * STEPS[2]]
         )
-        before, begin = bench.places, bench.now
+        before, start = bench.places, bench.now
         bench.run(1.0, lambda now: [math.radians(3.0), -0.1, 3.14e-3])
-        assert bench.places - before == pytest.approx(bench.reading.sent * (bench.now - begin), rel=1e-6)
+        assert bench.places - before == pytest.approx(bench.reading.sent * (bench.now - start), rel=1e-6)
 
     def test_each_axis_gets_40_velocities_and_13_polls_a_second(self, bench):
         before = [(count.velocities, count.polls) for count in bench.stages.counts]
@@ -174,7 +174,7 @@ class TestMoving:
             assert (count.polls - polls) / 10 == pytest.approx(40 / 3, abs=0.3)
             assert count.missed == count.rejected == 0
 
-    def test_a_line_for_each_stage_is_three_times_as_fast(self, paper):
+    def test_separate_lines_are_three_times_as_fast(self, paper):
         bench = Bench(paper, apart=True).connect()
         assert bench.stages.ready, bench.stages.problem
         before = [count.velocities for count in bench.stages.counts]
@@ -183,12 +183,12 @@ class TestMoving:
         assert all((c.velocities - b) / 5 > 80 for c, b in zip(bench.stages.counts, before, strict=True))
         assert bench.reading.positions == pytest.approx(bench.truth, abs=1e-4)
 
-    def test_a_stop_brakes_all_three_at_once(self, bench):
+    def test_stop_brakes_all_three_stages_at_once(self, bench):
         bench.run(1.0, lambda now: [0.3, -0.3, 0.02])
         bench.stages.stop(bench.now)
         bench.let_go()
         bench.run(6.25e-3 * 2)
-        # 12.5 ms later all have begun to brake: none is as fast as it was.
+        # 12.5 ms later all stages brake: none has its earlier speed.
         assert [unit.status for unit in bench.units] == [23, 23, 23]
         bench.run(0.5)
         assert bench.moving == [False, False, False]
@@ -196,19 +196,19 @@ class TestMoving:
         assert bench.reading.sent.tolist() == [0.0, 0.0, 0.0]
         assert bench.reading.positions == pytest.approx(bench.truth, abs=2e-6)
 
-    def test_a_number_that_is_none_stops(self, bench):
+    def test_nan_velocity_stops_the_stages(self, bench):
         bench.run(1.0, lambda now: [0.1, 0.1, 0.001])
         bench.run(0.5, lambda now: [0.1, math.nan, 0.001])
 
         assert bench.moving == [False, False, False]
 
-    def test_the_hardware_maximum_position_holds_a_stage_that_is_driven_on(self, bench):
+    def test_hardware_maximum_position_stops_a_stage(self, bench):
         bench.run(15.0, lambda now: [0.0, 0.0, 0.02])
 
         assert bench.truth[2] == pytest.approx(-0.005, abs=1e-6)
         assert bench.reading.positions[2] == pytest.approx(-0.005, abs=1e-6)
 
-    def test_a_noisy_line_loses_no_axis_and_believes_nothing_wrong(self, bench):
+    def test_noisy_line_loses_no_axis_and_gives_no_wrong_position(self, bench):
         bench.chain.faults = Faults(flip=1e-3)  # about ten bytes
         worst = np.zeros(3)
 
@@ -219,14 +219,14 @@ class TestMoving:
 
         bench.run(5.0, track)
         assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
-        # A velocity that was damaged on its way is noticed at the next poll and said again.
+        # A velocity that was damaged in transit is detected at the next poll and repeated.
         assert (worst < [0.02, 0.02, 0.001]).all()
         assert sum(count.rejected + count.missed for count in bench.stages.counts) > 0
 
 
 def test_deadlines_can_be_changed(paper):
     bench = Bench(paper)
-    bench.stages = ZaberStages(bench.setups, bench.ports, Line(deadline=0.2))
+    bench.stages = ZaberStages(bench.setups, bench.ports, LineSettings(deadline=0.2))
     bench.chain.faults = Faults(delay=0.150)
     bench.connect()
     assert bench.stages.condition is not Condition.FAULT, bench.stages.problem

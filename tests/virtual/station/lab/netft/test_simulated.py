@@ -1,4 +1,4 @@
-"""The simulated Net F/T box: what it answers, when, to whom; its sensor's imperfections."""
+"""The simulated Net F/T box: answers, timing, clients, and errors of the sensor."""
 
 import struct
 from itertools import pairwise
@@ -10,22 +10,23 @@ from station.lab.config import BaseSensorConfig
 from tests.harness.netft_bench import PERFECT, STREAM, TICK, WRENCH, Bench
 
 
-def test_a_record_is_the_worked_one():
+def test_record_of_the_simulated_netft_box_equals_the_documented_one():
     bench = Bench(first=0.0)
     bench.box.advance(0.0, WRENCH)
-    bench.ask(STREAM)
+    bench.request(STREAM)
     bench.box.advance(0.0, WRENCH)
     bench.box.advance(0.004, WRENCH)
 
     (first, *_) = bench.host.receive()
-    # Sequence 1, healthy, the counts of 1 N, -2 N, 3 N, 0.01, -0.02, 0.03 N m; the counter has moved on by 14 in 2 ms.
+    # The record has sequence 1, a healthy status and the counts of 1 N, -2 N, 3 N, 0.01, -0.02, 0.03 N m. The counter
+    # has advanced by 14 in 2 ms.
     assert first.hex(" ", 4) == "00000001 0000192f 00000000 000f4240 ffe17b80 002dc6c0 00002710 ffffb1e0 00007530"
 
 
-@pytest.mark.parametrize(("asked", "step"), [(500.0, 14), (1000.0, 7), (7000.0, 1), (3000.0, 2), (50.0, 140)])
-def test_the_rate_is_7000_over_a_whole_number(asked, step):
-    bench = Bench(rate=asked)
-    bench.ask(STREAM)
+@pytest.mark.parametrize(("requested", "step"), [(500.0, 14), (1000.0, 7), (7000.0, 1), (3000.0, 2), (50.0, 140)])
+def test_record_rate_of_the_netft_box_is_7000_over_a_whole_number(requested, step):
+    bench = Bench(rate=requested)
+    bench.request(STREAM)
     records = bench.run(1.0)
 
     assert len(records) == pytest.approx(7000 / step, rel=0.01, abs=1)
@@ -33,49 +34,49 @@ def test_the_rate_is_7000_over_a_whole_number(asked, step):
     assert {b[1] - a[1] for a, b in pairwise(records)} == {step}
 
 
-def test_the_internal_counter_goes_on_and_the_sequence_begins_anew_with_each_request():
+def test_netft_counter_continues_and_sequence_restarts_with_each_request():
     bench = Bench()
-    bench.ask(STREAM)
+    bench.request(STREAM)
     first = bench.run(0.1)
-    bench.ask(STREAM)
+    bench.request(STREAM)
     second = bench.run(0.1)
 
     assert second[0][0] == 1
     assert second[0][1] > first[-1][1]
 
 
-def test_a_count_of_samples_is_kept_and_a_stop_obeyed():
+def test_netft_box_sends_the_requested_number_of_samples_and_obeys_stop():
     bench = Bench()
-    bench.ask("1234000200000005")
+    bench.request("1234000200000005")
     assert [r[0] for r in bench.run(0.1)] == [1, 2, 3, 4, 5]
-    bench.ask(STREAM)
+    bench.request(STREAM)
     assert bench.run(0.1)
-    bench.ask("1234000000000000")
+    bench.request("1234000000000000")
     assert bench.run(0.1) == []
 
 
-def test_only_the_latest_that_asked_is_served():
+def test_netft_box_serves_only_the_latest_client():
     bench = Bench()
     other = bench.end.link("other")
-    bench.ask(STREAM)
+    bench.request(STREAM)
     assert bench.run(0.1)
-    bench.ask(STREAM, other)
+    bench.request(STREAM, other)
     assert bench.run(0.1) == []
     assert other.receive()
 
 
-def test_a_long_request_names_the_host_to_serve():
+def test_long_netft_request_selects_the_receiving_host():
     bench = Bench()
     elsewhere = bench.end.link("10.0.0.7")
-    bench.ask("1234 8002 00000000 0a000007 " + f"{elsewhere.address[1]:04x}")
+    bench.request("1234 8002 00000000 0a000007 " + f"{elsewhere.address[1]:04x}")
 
     assert bench.run(0.1) == []
     assert len(elsewhere.receive()) > 40
 
 
-def test_buffered_records_come_several_a_datagram():
+def test_buffered_netft_stream_has_several_records_per_datagram():
     bench = Bench(buffer=10)
-    bench.ask("1234000300000019")  # 25 records
+    bench.request("1234000300000019")  # 25 records
     lengths = []
     for _ in range(100):
         bench.now += TICK
@@ -85,12 +86,12 @@ def test_buffered_records_come_several_a_datagram():
     assert lengths == [10, 10, 5]
 
 
-def test_a_bias_makes_the_present_reading_zero_while_the_stream_goes_on():
+def test_netft_bias_zeroes_the_present_reading_during_the_stream():
     bench = Bench()
-    bench.ask(STREAM)
+    bench.request(STREAM)
     bench.run(0.1)
-    bench.ask("1234004200000000")
-    records = bench.run(0.1)[1:]  # the first was on its way already
+    bench.request("1234004200000000")
+    records = bench.run(0.1)[1:]  # the first was already in transmission
 
     assert all(r[3:] == (0,) * 6 for r in records)
     assert records[0][0] > 1
@@ -98,28 +99,28 @@ def test_a_bias_makes_the_present_reading_zero_while_the_stream_goes_on():
     assert b"<setbias>1000000;-2000000;3000000;10000;-20000;30000</setbias>" in (bench.box.page() or b"")
 
 
-def test_the_threshold_latch_stays_until_it_is_reset():
+def test_netft_threshold_latch_stays_until_it_is_reset():
     bench = Bench()
     bench.box.faults.status = 1 << 16
-    bench.ask(STREAM)
+    bench.request(STREAM)
     assert {r[2] for r in bench.run(0.05)} == {0x80010000}
-    bench.ask("1234004100000000")
-    assert {r[2] for r in bench.run(0.05)[1:]} == {0}  # the first was on its way already
+    bench.request("1234004100000000")
+    assert {r[2] for r in bench.run(0.05)[1:]} == {0}  # the first was already in transmission
 
 
 @pytest.mark.parametrize(
     "request_", ["", "1234", "12340002000000", "123400020000000000", "4321000200000000", "12348002000000000a000007"]
 )
-def test_what_is_no_request_is_ignored(request_):
+def test_invalid_netft_request_is_ignored(request_):
     bench = Bench()
-    bench.ask(request_)
+    bench.request(request_)
 
     assert bench.run(0.1) == []
 
 
-def test_the_first_record_comes_when_it_is_due_and_all_are_late_by_the_latency():
+def test_first_netft_record_is_on_time_and_all_records_have_the_latency():
     bench = Bench(rate=7000.0, first=0.005, latency=0.010)
-    bench.ask(STREAM)
+    bench.request(STREAM)
     arrivals = []
     for number in range(1, 1001):
         bench.box.advance(number * 1e-4, WRENCH)
@@ -131,17 +132,17 @@ def test_the_first_record_comes_when_it_is_due_and_all_are_late_by_the_latency()
     assert all(0.010 - 1e-9 <= t - c / 7000 <= 0.0102 for t, c in arrivals)
 
 
-def test_the_clock_of_the_box_may_be_off():
+def test_clock_error_of_the_netft_box_changes_its_record_rate():
     bench = Bench(clock_error=0.005)
-    bench.ask(STREAM)
+    bench.request(STREAM)
     records = bench.run(2.0)
 
     assert (records[-1][1] - records[0][1]) == pytest.approx(7000 * 1.005 * 1.99, rel=0.005)
 
 
-def test_a_wrench_that_changes_is_sampled_on_the_way():
+def test_netft_records_interpolate_a_changing_wrench():
     bench = Bench(rate=7000.0)
-    bench.ask(STREAM)
+    bench.request(STREAM)
     for number in range(1, 101):
         bench.box.advance(number * 0.01, np.array([number * 0.01, 0, 0, 0, 0, 0]))
     records = [struct.unpack(">IIIiiiiii", d) for d in bench.host.receive()]
@@ -149,9 +150,9 @@ def test_a_wrench_that_changes_is_sampled_on_the_way():
     assert [r[3] for r in records] == pytest.approx([(r[1] - 6433) / 7000 * 1e6 for r in records], abs=1.0)
 
 
-def test_noise_quantisation_offset_and_drift_are_the_configured_ones():
+def test_simulated_force_sensor_has_the_configured_noise_quantisation_offset_and_drift():
     bench = Bench(BaseSensorConfig())
-    bench.ask(STREAM)
+    bench.request(STREAM)
     counts = np.array([r[3:] for r in bench.run(40.0, np.zeros(6))], dtype=float) * 1e-6
 
     assert counts.std(axis=0) == pytest.approx([0.02] * 3 + [0.2e-3] * 3, rel=0.05)
@@ -163,10 +164,10 @@ def test_noise_quantisation_offset_and_drift_are_the_configured_ones():
     assert np.abs(drift[:3]) == pytest.approx([30.0 * 5e-3 / 60.0] * 3, abs=1.5e-3)
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
+def test_netft_box_sends_the_same_bytes_for_the_same_seed_only():
     def sent(seed: int) -> list[tuple[int, ...]]:
         bench = Bench(BaseSensorConfig(), seed)
-        bench.ask(STREAM)
+        bench.request(STREAM)
         return bench.run(0.5)
 
     assert sent(3) == sent(3)
@@ -174,10 +175,10 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
 
 
 @pytest.mark.parametrize(("axis", "value", "end"), [(0, 18.5, 18_000_000), (4, -0.3, -250_000)])
-def test_beyond_the_calibrations_range_the_sensor_saturates_and_says_so(axis, value, end):
+def test_simulated_force_sensor_saturates_and_reports_it_beyond_its_range(axis, value, end):
     bench, wrench = Bench(), np.zeros(6)
     wrench[axis] = value
-    bench.ask(STREAM)
+    bench.request(STREAM)
     records = bench.run(0.1, wrench)
 
     assert records[-1][2] == 0x80020000
@@ -185,18 +186,18 @@ def test_beyond_the_calibrations_range_the_sensor_saturates_and_says_so(axis, va
     assert bench.run(0.1, 0.5 * wrench)[-1][2] == 0
 
 
-def test_gain_and_cross_talk_are_parts_of_the_ranges_and_add_up_linearly():
+def test_gain_errors_and_cross_talk_are_linear_fractions_of_the_sensor_ranges():
     ranges = np.array([18.0, 18.0, 18.0, 0.25, 0.25, 0.25])
 
     def read(wrench: np.ndarray, gain: float = 0.01) -> np.ndarray:
         bench = Bench(PERFECT.model_copy(update={"gain": gain}))
-        bench.ask(STREAM)
+        bench.request(STREAM)
         return np.array(bench.run(0.05, wrench)[-1][3:]) * 1e-6
 
     response = np.column_stack([(read(0.5 * r * axis) - 0.5 * r * axis) / (0.5 * r)
                                 for axis, r in zip(np.eye(6), ranges, strict=True)])  # fmt: skip
     parts = response * ranges / ranges[:, None]
     assert 0.005 < np.abs(parts).max() <= 0.01 + 1e-4
-    assert np.abs(parts[:3, 3:]).max() > 0.003  # a moment is seen as a force
+    assert np.abs(parts[:3, 3:]).max() > 0.003  # cross-talk shows a moment as a force
     assert read(WRENCH) == pytest.approx(WRENCH + response @ WRENCH, abs=5e-6)
     assert read(WRENCH, 0.0) == pytest.approx(WRENCH, abs=2e-6)

@@ -1,0 +1,60 @@
+"""The stages of `example_stages.py` with an emergency stop that fails as the option `manner` or its file specifies.
+
+The author of a driver may write any of these errors: an emergency stop that waits forever, returns nothing, ends the
+interpreter, or wrongly reports success.
+"""
+
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from station.config.robots import RobotFile
+from station.devices.interfaces import Clock, NotStopped
+from tests.harness.example_stages import LineStages
+from tests.harness.example_stages import open_stages as open_good_ones
+
+
+class Unprintable(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("not even that")
+
+
+#: Event that lets a hanging emergency stop return.
+RELEASED = threading.Event()
+RAISED: dict[str, BaseException] = {
+    "raises": RuntimeError("no such port"),
+    "raises SystemExit": SystemExit(0),
+    "raises KeyboardInterrupt": KeyboardInterrupt(),
+    "raises the unprintable": Unprintable(),
+    "raises NotStopped without a text": NotStopped(""),
+}
+RETURNED: dict[str, Any] = {
+    "returns None": None,
+    "returns an empty text": " ",
+    "returns True": True,
+    "returns bytes": b"stopped",
+    "lies": "all stages have stopped",
+}
+MANNERS = ("hangs", *RAISED, *RETURNED)
+
+
+def open_stages(options: Mapping[str, Any], robot: RobotFile) -> LineStages:
+    """Entry point of the driver: open the stages."""
+    return open_good_ones({key: value for key, value in options.items() if key != "manner"}, robot)
+
+
+def emergency_stop(options: Mapping[str, Any], robot: RobotFile, clock: Clock) -> Any:
+    """Fail in the manner that the options specify."""
+    manner = str(options["manner"])
+    if manner not in MANNERS:
+        manner = Path(manner).read_text(encoding="utf-8")
+    if manner == "hangs":
+        RELEASED.wait()
+        return "all stages have stopped at last"
+    if manner in RAISED:
+        raise RAISED[manner]
+    return RETURNED[manner]
+
+
+open_stages.emergency_stop = emergency_stop

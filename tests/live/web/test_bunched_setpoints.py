@@ -1,0 +1,200 @@
+"""Setpoints in bunches, and more of them than a busy station reads at once, on a live station."""
+
+import fcntl
+import json
+import signal
+import socket
+import struct
+import termios
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import pytest
+from pyigtl.messages import TransformMessage
+from websockets.sync.client import ClientConnection, connect
+
+from core.robot.robot import Array
+from station.config.robots import load_robot
+from station.control.process import ring_width
+from station.control.ring import Ring
+from station.control.telemetry import Channels
+from tests.harness.serving import Served, serving, shared_memory
+from tests.harness.waiting import until
+from web.gateway.igtl.server import MAX_CLIENTS
+
+WIDE = {"silence": 2.0, "end": 20.0}  # the station's clock is slow and the computer busy
+#: Requested position relative to the start [mm].
+BUNCH = ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (1.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[Served]:
+    with serving("--igtl", "0") as served:
+        served.ready()
+        yield served
+
+
+@pytest.fixture
+def station(served: Served) -> Served:
+    served.ready()
+    return served
+
+
+@contextmanager
+def leading(station: Served, **asked: float) -> Iterator[ClientConnection]:
+    """A client with a setpoint stream; it reads answers only on request."""
+    with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None, max_queue=None) as client:
+        client.send(json.dumps({**WIDE, **asked}))
+        assert "run_id" in json.loads(client.recv())
+        assert json.loads(client.recv()).get("ready")
+        yield client
+
+
+@contextmanager
+def standing_still(station: Served, client: ClientConnection) -> Iterator[None]:
+    """Stop all threads of the station process until all messages of the client have reached the computer."""
+    tasks = Path(f"/proc/{station.process.pid}/task")
+
+    def stopped() -> bool:
+        return all((task / "stat").read_text().rpartition(")")[2].split()[0] == "T" for task in tasks.iterdir())
+
+    station.process.send_signal(signal.SIGSTOP)
+    try:
+        until(stopped)
+        yield
+        until(lambda: struct.unpack("i", fcntl.ioctl(client.socket, termios.TIOCOUTQ, bytes(4))) == (0,))
+    finally:
+        station.process.send_signal(signal.SIGCONT)
+
+
+class Watched:
+    """Rows of the control loop since its start."""
+
+    def __init__(self, station: Served) -> None:
+        control = station.control_process().pid
+        (path,) = [path for path in shared_memory(control) if f"_{station.process.pid}_" in path.name]
+        robot = load_robot("paper")
+        self.ring, self._channels = Ring(ring_width(robot), path.name), Channels(robot.robot())
+        resource_tracker.unregister(f"/{path.name}", "shared_memory")  # the station removes the shared memory
+        self._since, self._rows = self.ring.written, list[Array]()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.ring.close(remove=False)
+
+    def __call__(self, group: str) -> Array:
+        rows, self._since, _ = self.ring.read(self._since)
+        self._rows.append(rows)
+        return self._channels.of(np.concatenate(self._rows), group)
+
+
+def igtl_port(station: Served) -> int:
+    (line,) = [line for line in station.said.read_text().splitlines() if line.startswith("OpenIGTLink is at")]
+    return int(line.rpartition(":")[2])
+
+
+def target(place: Array) -> bytes:
+    """Send positions without a time, as many clients do."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = place
+    return TransformMessage(matrix, device_name="Target", timestamp=0.0).pack()
+
+
+@pytest.mark.parametrize("pause", [0.04, 0.1, 0.18])
+def test_setpoints_bunched_within_a_millimetre_keep_the_tip_near_the_start(station: Served, pause: float) -> None:
+    with leading(station) as client, Watched(station) as watched:
+        for _ in range(round(3.0 / pause)):
+            for place in BUNCH:
+                client.send(json.dumps({"tip": [1e-3 * x for x in place]}))
+            time.sleep(pause)
+        for name, most in (("tip_desired", 4e-3), ("tip_true", 6e-3)):
+            tip = watched(name)
+            assert np.linalg.norm(tip - tip[0], axis=1).max() < most, name
+        client.send('{"end": true}')
+
+
+def test_bunched_openigtlink_targets_keep_the_tip_near_the_start(station: Served) -> None:
+    assert station.post("/api/gateway/target", WIDE).status_code == 202
+    station.wait_for(lambda status: status["phase"] == "moving")
+    with Watched(station) as watched:
+        until(lambda: len(watched("tip_desired")) > 0)
+        start = watched("tip_desired")[0]
+        with socket.create_connection(("127.0.0.1", igtl_port(station))) as client:
+            for _ in range(30):
+                client.sendall(b"".join(target(1e3 * start + np.array(place)) for place in BUNCH))
+                station.status()
+                time.sleep(0.1)
+            tip = watched("tip_desired")
+            assert np.linalg.norm(tip - start, axis=1).max() < 4e-3
+            assert np.linalg.norm(tip[-1] - start) > 1e-4
+    station.post("/api/stop")
+
+
+def test_a_busy_station_follows_only_the_newest_of_the_queued_setpoints(station: Served) -> None:
+    with leading(station) as client, Watched(station) as watched:
+        client.send('{"tip": [0, 0, 0]}')
+        assert json.loads(client.recv())["refused"] == ""
+        with standing_still(station, client):
+            for k in range(90):
+                client.send(json.dumps({"tip": [0.0, 1e-3, 1e-5 * k]}))
+            client.send('{"tip": [0, 0, 0.001]}')
+        assert [json.loads(client.recv())["refused"] for _ in range(91)] == [""] * 91
+        until(lambda: bool((watched("request_kind") == 1.0).any()))
+        kinds = watched("request_kind")[:, 0]
+        asked = watched("request")[: len(kinds)][kinds == 1.0]
+        assert np.nanmax(np.abs(asked[:, 1] - asked[0, 1])) < 1e-6
+        client.send('{"end": true}')
+
+
+def test_setpoints_queued_for_a_busy_station_do_not_exceed_the_rate_limit(station: Served) -> None:
+    with leading(station) as client:
+        with standing_still(station, client):
+            for _ in range(300):
+                client.send('{"tip": [0, 0, 0]}')
+        assert [json.loads(client.recv())["refused"] for _ in range(300)] == [""] * 300
+        client.send('{"end": true}')
+
+
+def test_a_setpoint_client_that_resets_its_connection_is_in_the_audit_log(station: Served) -> None:
+    name = {"x-ctr-client": "reset-0123456789", "x-ctr-name": "reset"}
+    client = connect(f"ws://127.0.0.1:{station.port}/api/setpoints", additional_headers=name, proxy=None)
+    client.send(json.dumps(WIDE))
+    client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    client.socket.close()
+
+    def log(outcome: str) -> list[str]:
+        entries = station.rest.get("/api/log").json()
+        return [
+            one["who"] for one in entries if one["what"].startswith("setpoints of run") and one["outcome"] == outcome
+        ]
+
+    until(lambda: any("reset" in who for who in log("ended")))
+    assert any("reset" in who for who in log("started"))
+    station.wait_for(lambda status: status["state"] == "READY")
+    station.rest.delete("/api/operator", headers=name)
+
+
+def test_openigtlink_refuses_a_client_beyond_the_limit_with_the_reason(station: Served) -> None:
+    address = ("127.0.0.1", igtl_port(station))
+    clients = [socket.create_connection(address) for _ in range(MAX_CLIENTS)]
+    try:
+        for client in clients:
+            client.settimeout(60.0)
+            assert client.recv(1)  # the client is served
+        with socket.create_connection(address) as late:
+            late.settimeout(60.0)
+            said = b""
+            while more := late.recv(4096):
+                said += more
+        assert said[2:8] == b"STATUS"
+        assert f"{MAX_CLIENTS} clients are connected, the limit is {MAX_CLIENTS}".encode() in said
+    finally:
+        for client in clients:
+            client.close()

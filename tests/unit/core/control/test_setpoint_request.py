@@ -1,0 +1,239 @@
+"""Streamed setpoint compared with analytic motions of bounded speed and acceleration."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.control.setpoint_request import DEFAULT_MOTION_BOUNDS, SetpointRequest, StreamedTip, turn_bounds
+
+PERIOD = 0.002
+STILL = np.zeros(3)
+
+
+def follow(tip: StreamedTip, request, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities (k, 3) of the setpoint; `request` gives the request at a time."""
+    setpoints = [tip.advance(PERIOD * k, request(PERIOD * k), PERIOD) for k in range(round(seconds / PERIOD))]
+    return np.array([s.position for s in setpoints]), np.array([s.velocity for s in setpoints])
+
+
+def norms(vectors: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(vectors, axis=1)
+
+
+def kept(velocities: np.ndarray) -> bool:
+    """Return whether a setpoint that starts at rest keeps its bounds on speed and acceleration."""
+    changes = np.diff(velocities, axis=0, prepend=0.0)
+    return bool((norms(velocities) < 0.020 + 1e-12).all() and (norms(changes) < 0.100 * PERIOD + 1e-12).all())
+
+
+def test_setpoint_reaches_a_jumping_requested_position_within_its_bounds_without_overshoot():
+    position = np.array([0.030, 0.0, 0.0])
+    positions, velocities = follow(
+        StreamedTip(DEFAULT_MOTION_BOUNDS), lambda _: SetpointRequest(position, STILL, 0.0, 0.1), 3.0
+    )
+
+    assert kept(velocities)
+    assert positions[:, 0].max() <= 0.030 + 1e-9
+    assert positions[-1] == pytest.approx(position, abs=1e-7)
+    # 1.7 s with the full deceleration: both ramps take 0.2 s and 2 mm
+    arrived = PERIOD * np.argmax(positions[:, 0] > 0.0299)
+    assert 1.6 < arrived < 2.0
+
+
+def test_setpoint_follows_a_moving_requested_position_without_lag_once_reached():
+    velocity = np.array([0.0, 0.010, 0.0])
+    positions, velocities = follow(
+        StreamedTip(DEFAULT_MOTION_BOUNDS), lambda t: SetpointRequest(velocity * t, velocity, t, 0.1), 2.0
+    )
+
+    assert kept(velocities)
+    assert positions[-1] == pytest.approx(velocity * 2.0, abs=1e-6)
+
+
+def test_requested_velocity_is_reached_at_full_acceleration_and_ends_before_the_reach():
+    velocity = np.array([0.0, 0.0, 0.020])
+    positions, velocities = follow(
+        StreamedTip(DEFAULT_MOTION_BOUNDS), lambda t: SetpointRequest(None, velocity, t, 0.1), 5.0
+    )
+
+    assert kept(velocities)
+    assert PERIOD * (1 + np.argmax(norms(velocities) > 0.020 - 1e-9)) == pytest.approx(0.2, abs=2 * PERIOD)
+    assert 0.0499 < positions[-1, 2] <= 0.050 + 1e-9
+
+
+def test_setpoint_without_requests_comes_to_rest_as_soon_as_possible():
+    tip = StreamedTip(DEFAULT_MOTION_BOUNDS)
+    follow(tip, lambda t: SetpointRequest(None, np.array([0.020, 0.0, 0.0]), t, 0.1), 1.0)
+    positions, _ = follow(tip, lambda _: None, 0.5)
+
+    # speed^2 / (2 a), within the distance of one period
+    assert positions[-1, 0] - positions[0, 0] == pytest.approx(0.002, abs=2 * 0.020 * PERIOD)
+    assert tip.speed == 0.0
+
+
+def test_requested_position_is_extrapolated_for_its_time_and_is_the_goal_again_afterwards():
+    velocity = np.array([0.010, 0.0, 0.0])
+    positions, _ = follow(StreamedTip(DEFAULT_MOTION_BOUNDS), lambda _: SetpointRequest(STILL, velocity, 0.0, 0.5), 3.0)
+
+    # 10 mm/s for 0.5 s, and the braking distance
+    assert 0.004 < positions[:, 0].max() < 0.010 * 0.5 + 0.010**2 / (2 * 0.100) + 1e-6
+    assert positions[-1] == pytest.approx(STILL, abs=1e-6)
+
+
+@given(
+    velocity=st.tuples(*[st.floats(-1e3, 1e3)] * 3),
+    goes_on=st.floats(0.0, 2.0),
+    now=st.floats(-1.0, 1e6),
+)
+def test_goal_never_leaves_the_requested_position_by_more_than_its_extrapolation_and_returns(velocity, goes_on, now):
+    position, velocity = np.array([0.001, 0.0, -0.002]), np.array(velocity)
+    goal = SetpointRequest(position, velocity, 0.0, goes_on).goal(now, STILL)
+    assert math.dist(goal.position, position) <= goes_on * math.hypot(*velocity) * (1.0 + 1e-9)
+    if now >= goes_on:
+        assert goal.position.tolist() == position.tolist()
+        assert not goal.velocity.any()
+
+
+@pytest.mark.parametrize("rate", [10.0, 50.0, 100.0, 500.0])
+def test_circle_requested_in_pieces_with_gaps_is_followed_smoothly(rate):
+    turn = 2.0 * math.pi / 20.0
+    rng = np.random.default_rng(7)
+
+    def circle(time: float) -> np.ndarray:
+        return 0.010 * np.array([math.cos(turn * time) - 1.0, math.sin(turn * time), 0.0])
+
+    requests = [SetpointRequest(STILL, STILL, 0.0, 1.0 / rate)]
+
+    def request(time: float) -> SetpointRequest:
+        if rate * time >= rate * requests[-1].time + 1.0 - 1e-9 and rng.random() > 0.1:
+            position = circle(time)
+            requests.append(
+                SetpointRequest(
+                    position, (position - requests[-1].position) / (time - requests[-1].time), time, 1.0 / rate
+                )
+            )
+        return requests[-1]
+
+    positions, velocities = follow(StreamedTip(DEFAULT_MOTION_BOUNDS), request, 20.0)
+
+    assert kept(velocities)
+    desired = np.array([circle(PERIOD * (k + 1)) for k in range(len(positions))])
+    late = norms(positions - desired)[500:]
+    assert np.median(late) < 0.1 * 0.010 * turn / rate + 2e-5  # a tenth of the distance between two requests, or 20 um
+
+
+FASTEST = 0.2  #: rad/s
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def pointed(requested, seconds: float, tip: StreamedTip | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Streamed directions and their angular velocities (k, 3); `requested` gives the direction at a time or None."""
+    tip = tip or StreamedTip(DEFAULT_MOTION_BOUNDS, turn_bounds(FASTEST), UP)
+    directions, rates = [], []
+    for k in range(round(seconds / PERIOD)):
+        direction = requested(PERIOD * k)
+        request = None if direction is None else SetpointRequest(STILL, STILL, PERIOD * k, 0.1, direction)
+        setpoint = tip.advance(PERIOD * k, request, PERIOD)
+        assert setpoint.direction is not None
+        directions.append(setpoint.direction)
+        rates.append(setpoint.turning)
+    return np.array(directions), np.array(rates)
+
+
+def tilted(angle: float, about: float) -> np.ndarray:
+    """Direction tilted from z by `angle`, toward the azimuth `about` from x [rad]."""
+    return np.array([math.sin(angle) * math.cos(about), math.sin(angle) * math.sin(about), math.cos(angle)])
+
+
+def angles(ones: np.ndarray, others: np.ndarray) -> np.ndarray:
+    return np.arctan2(np.linalg.norm(np.cross(ones, others), axis=-1), (ones * others).sum(axis=-1))
+
+
+def turns_as_it_says(directions: np.ndarray, rates: np.ndarray) -> bool:
+    """Return whether directions keep their motion bounds and rotate with the reported angular velocity."""
+    assert norms(directions) == pytest.approx(np.ones(len(directions)), abs=1e-12)
+    assert norms(rates).max() < FASTEST + 1e-12
+    assert norms(np.diff(rates, axis=0, prepend=0.0)).max() < 5.0 * FASTEST * PERIOD * (1.0 + 1e-3)
+    # the speed of a unit vector is its angular velocity times itself, here between two ticks
+    moved = np.diff(directions, axis=0) / PERIOD
+    means = np.cross(0.5 * (rates[1:] + rates[:-1]), 0.5 * (directions[1:] + directions[:-1]))
+    return bool(np.abs(moved - means).max() < 1e-6)
+
+
+def test_requested_direction_is_reached_along_the_shortest_arc_within_the_bounds() -> None:
+    requested = tilted(1.0, 0.7)
+    directions, rates = pointed(lambda _: requested, 7.0)
+
+    assert turns_as_it_says(directions, rates)
+    assert directions[-1] == pytest.approx(requested, abs=1e-7)
+    # The direction never leaves the arc, turns back or overshoots.
+    assert np.abs(directions @ np.cross(UP, requested)).max() < 1e-6
+    assert (np.diff(angles(directions, requested)) < 1e-9).all()
+    # 1 rad at 0.2 rad/s, with a ramp of 0.2 s at either end and an exponential end
+    arrived = PERIOD * np.argmax(angles(directions, requested) < 1e-3)
+    assert 5.1 < arrived < 5.6
+
+
+def test_new_requested_direction_during_a_rotation_is_approached_from_the_present_direction() -> None:
+    one, other = tilted(0.5, 0.0), tilted(0.5, 2.0)
+    directions, rates = pointed(lambda t: one if t < 1.5 else other, 8.0)
+
+    assert turns_as_it_says(directions, rates)
+    assert angles(directions[749], one) > 0.1  # not there yet
+    assert directions[-1] == pytest.approx(other, abs=1e-7)
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-14, 1e-10, 1e-6, 1e-3])
+def test_opposite_requested_direction_is_reached_by_half_a_turn(off: float) -> None:
+    requested = tilted(math.pi - off, 0.3)
+    directions, rates = pointed(lambda _: requested, 18.0)
+
+    assert np.isfinite(directions).all()
+    assert turns_as_it_says(directions, rates)
+    assert directions[-1] == pytest.approx(requested, abs=1e-6)
+    # half a turn and no more, although at the start all directions of rotation are equally long
+    assert norms(rates).sum() * PERIOD == pytest.approx(math.pi, abs=2e-3)
+    if off > 1e-7:
+        assert np.abs(directions @ np.array([-math.sin(0.3), math.cos(0.3), 0.0])).max() < 1e-4
+
+
+def test_slowly_moving_requested_direction_is_followed_within_the_expected_lag() -> None:
+    # The requests resemble those of an operator's hand: 3 degrees per second, 50 requests per second.
+    rate = math.radians(3.0)
+    directions, rates = pointed(lambda t: tilted(rate * math.floor(t * 50.0) / 50.0, 0.0), 10.0)
+
+    assert turns_as_it_says(directions, rates)
+    desired = np.array([tilted(rate * PERIOD * (k + 1), 0.0) for k in range(len(directions))])
+    # the error decays at 20 /s, and the newest request is up to 20 ms old
+    assert angles(directions, desired)[500:].max() < rate * (1.0 / 20.0 + 0.025)
+
+
+def test_streamed_direction_without_requests_comes_to_rest_and_stays() -> None:
+    requested, tip = tilted(1.0, 0.7), StreamedTip(DEFAULT_MOTION_BOUNDS, turn_bounds(FASTEST), UP)
+    before, _ = pointed(lambda _: requested, 2.0, tip)
+    assert tip.turning == pytest.approx(FASTEST)
+    after, rates = pointed(lambda _: None, 1.0, tip)
+
+    assert tip.turning == 0.0
+    # rate^2 / (2 a), within the angle of one period
+    assert angles(before[-1], after[-1]) == pytest.approx(0.02, abs=2 * FASTEST * PERIOD)
+    assert not rates[-200:].any()
+
+
+def test_start_direction_is_kept_before_the_first_requested_direction() -> None:
+    tip = StreamedTip(DEFAULT_MOTION_BOUNDS, turn_bounds(FASTEST), UP)
+    setpoint = tip.advance(0.0, SetpointRequest(np.array([0.001, 0.0, 0.0]), STILL, 0.0, 0.1), PERIOD)
+    assert setpoint.direction is not None
+    assert setpoint.direction.tolist() == UP.tolist()
+    assert not setpoint.turning.any()
+
+
+def test_streamed_setpoint_has_no_direction_when_the_direction_is_not_controlled() -> None:
+    setpoint = StreamedTip(DEFAULT_MOTION_BOUNDS).advance(
+        0.0, SetpointRequest(STILL, STILL, 0.0, 0.1, tilted(1.0, 0.0)), PERIOD
+    )
+    assert setpoint.direction is None
+    assert not setpoint.turning.any()

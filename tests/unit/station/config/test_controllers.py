@@ -1,0 +1,52 @@
+"""Controller settings of files: selection of the model's integrator, and refusal of renamed keys."""
+
+import pytest
+
+from core.model.statics import sublink_bend, suitable_integrator
+from station.config.controllers import ControllerFile
+from station.config.robots import load_robot
+from station.config.strict import ConfigError, Strict, check, read_toml
+
+
+class ControlledCase(Strict):
+    controller: ControllerFile
+
+
+@pytest.mark.parametrize(
+    ("name", "integrator", "step"),
+    [("paper", "paper", 0.010), ("balanced_pair", "fourth_order", 0.030), ("nylon", "fourth_order", 0.030)],
+)
+def test_curvature_of_the_robot_selects_the_integrator_of_its_controller(name, integrator, step):
+    robot = load_robot(name)
+    model = ControllerFile().controller(robot).statics
+
+    assert (model.integrator, model.step) == (integrator, step)
+    assert (ControllerFile().model_note(robot.robot()) == "") == (integrator == "paper")
+
+
+def test_shorter_sub_links_use_the_papers_integrator():
+    robot = load_robot("balanced_pair").robot()
+
+    assert sublink_bend(robot) == pytest.approx(0.1818, abs=1e-4)
+    assert suitable_integrator(robot, 0.0025) == "paper"
+    assert ControllerFile(sublink=0.0025).model(robot).integrator == "paper"
+
+
+def test_configured_integrator_is_used_and_needs_no_note():
+    robot = load_robot("balanced_pair").robot()
+    chosen = ControllerFile(integrator="paper")
+
+    assert (chosen.model(robot).integrator, chosen.model(robot).step) == ("paper", 0.010)
+    assert chosen.model_note(robot) == ""
+
+
+@pytest.mark.parametrize(("old", "new"), [("hold", "command_interval"), ("transport", "transport_delay")])
+def test_renamed_controller_key_is_refused_with_its_new_name(write, old, new):
+    path = write(f"[controller]\n{old} = 0.01\n")
+
+    with pytest.raises(ConfigError) as refused:
+        check(ControlledCase, read_toml(path), str(path))
+    assert str(refused.value) == (
+        f"{path}: unknown key 'controller.{old}': use 'controller.{new}', its new name (line 2)"
+    )
+    assert check(ControlledCase, {"controller": {new: 0.01}}, "new").controller.model_dump()[new] == 0.01

@@ -1,0 +1,73 @@
+"""The summary of a case has numbers in the page's units."""
+
+import re
+
+import pytest
+
+from station.config.motions import CircleMotion, JointSweepMotion, StepMotion, WaypointsMotion
+from station.config.strict import Strict, preset_names
+from station.experiments.case_summary import case_facts, describe_keys
+from station.experiments.experiment import offered_experiment
+from station.lab.faults import LabFault
+from station.lab.loads import HungWeightLoad, NoLoad, RampLoad
+from tests.harness.cases import a_case
+
+
+@pytest.mark.parametrize(
+    ("model", "text"),
+    [
+        (CircleMotion(radius=0.01, period=12.0), "circle: radius 10 mm, period 12 s, along z"),
+        (
+            CircleMotion(radius=0.01, period=12.0, normal=(0.0, 0.6, -0.8)),
+            "circle: radius 10 mm, period 12 s, along (0, 0.6, -0.8)",
+        ),
+        (StepMotion(offset=(0.001, 0.0, 0.0), stay=6.0), "step: offset 1, 0, 0 mm, stay 6 s"),
+        (StepMotion(offset=(0.001, 0.0, 0.0)), "step: offset 1, 0, 0 mm"),
+        (
+            WaypointsMotion(points=((5.0, 0.0, 0.01, 0.0), (10.0, 0.0, 0.0, 0.0))),
+            "waypoints: 2 points in 10 s, up to 10 mm from the start",
+        ),
+        (
+            JointSweepMotion(joint="outer_rotation", speed=0.05235988, distance=6.2831853),
+            "joint sweep: joint outer rotation, speed 3 °/s, distance 360 °",
+        ),
+        (NoLoad(), "none"),
+        (
+            HungWeightLoad(weight=0.2, lowering=3.0),
+            "hung weight: along x, weight 0.2 N, lowering 3 s, frequency 2 Hz, damping 0.05, start 0 s",
+        ),
+        (RampLoad(times=(0.0, 2.5), magnitudes=(0.0, 0.5)), "ramps: along x, times 0, 2.5 s, magnitudes 0, 0.5 N"),
+        (
+            LabFault(kind="mute", device="tracker", at=10.0, duration=0.2),
+            "mute: device tracker, at 10 s, duration 0.2 s",
+        ),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_the_case_summary_shows_motion_load_and_fault_with_numbers_and_units(model: Strict, text: str):
+    assert describe_keys(model) == text
+
+
+def test_the_case_summary_shows_the_sweep_of_a_translation_joint_in_millimetres():
+    sweep = JointSweepMotion(joint="inner_translation", speed=-0.002, distance=0.01)
+    assert describe_keys(sweep, turns=False) == "joint sweep: joint inner translation, speed -2 mm/s, distance 10 mm"
+
+
+def test_case_facts_describe_every_part_of_a_case():
+    facts = dict(case_facts(a_case("fig10", "paper")))
+    assert facts == {
+        "motion": "sinusoid: along z, amplitude 10 mm, frequency 0.05 Hz",
+        "load": "raised cosine: along x, peak 0.5 N, period 20 s",
+        "control": "dual layer, inner type 1, feedback tracker, k1 2.5 1/s, k2 2.5 1/s",
+        "duration": "200 s, errors count from 0 s on",
+        "start pose": "outer rotation 0 °, inner rotation 90 °, inner translation -100 mm",
+    }
+
+
+@pytest.mark.parametrize("name", preset_names("experiments"))
+def test_every_case_of_every_experiment_preset_has_a_summary(name: str):
+    for case in offered_experiment(name).cases:
+        for fact in case_facts(case):
+            assert "_" not in re.sub(r"'[^']*'", "", fact.text)  # except in names of files
+            assert "{" not in fact.text
+            assert "None" not in fact.text

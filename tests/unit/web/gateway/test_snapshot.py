@@ -1,0 +1,58 @@
+"""Stamps of rows by the computer's clock, independent of when they are read."""
+
+import time
+
+import numpy as np
+import pytest
+
+from station.control.clock import StationClock
+from station.control.ring import HEARTBEAT
+from tests.harness.gateway import PAPER, Shown
+from web.gateway.snapshot import SnapshotReader, StationInfo
+
+ROBOT = PAPER.robot()
+
+
+@pytest.fixture
+def feed():
+    feed = Shown(PAPER)
+    yield feed
+    feed.ring.close(remove=True)
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.5])
+def test_telemetry_stamps_increase_and_follow_the_computers_clock(feed, rate):
+    clock = StationClock(rate)
+    reader, stamps, number = SnapshotReader(feed.ring, ROBOT, feed.channels, clock), list[int](), 0
+    random = np.random.default_rng(2)
+    for _ in range(40):  # at most 0.4 s of rows: a larger jump counts as a restart of the loop
+        for _ in range(random.integers(1, 10)):
+            feed.ring.write(feed.row(number))
+            number += 1
+        feed.ring.numbers[HEARTBEAT] = clock.now() - 0.1 * random.random()
+        snapshot = reader.read(StationInfo(), with_scene=False)
+        assert snapshot.scene is None
+        assert len(snapshot.stamps) == len(snapshot.rows)
+        stamps += snapshot.stamps.tolist()
+    assert len(stamps) == number
+    gaps = np.diff(stamps)
+    assert np.all(gaps > 0)
+    assert np.median(gaps) == pytest.approx(2e6 / rate, rel=0.01)
+
+
+def test_telemetry_stamps_follow_the_clock_after_a_restart_of_the_control_loop(feed):
+    clock = StationClock()
+    reader = SnapshotReader(feed.ring, ROBOT, feed.channels, clock)
+    for first in (100_000, 0):
+        feed.ring.write(feed.row(first))
+        feed.ring.numbers[HEARTBEAT] = clock.now()
+        snapshot = reader.read(StationInfo(), with_scene=True)
+        assert snapshot.scene is not None
+        assert abs(time.time_ns() - snapshot.scene.stamp) < 30e9
+
+
+def test_a_gateway_snapshot_without_rows_is_empty(feed):
+    reader = SnapshotReader(feed.ring, ROBOT, feed.channels, StationClock())
+    snapshot = reader.read(StationInfo(), with_scene=True)
+    assert snapshot.scene is None
+    assert len(snapshot.rows) == 0

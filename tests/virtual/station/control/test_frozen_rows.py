@@ -1,0 +1,38 @@
+"""Telemetry rows whose estimates the controller does not update have `estimates_frozen` 1."""
+
+import pytest
+
+from station.control.states import State
+from tests.harness.virtual_station import VirtualStation, usual_case
+
+
+@pytest.fixture
+def virtual() -> VirtualStation:
+    return VirtualStation(usual_case())
+
+
+def frozen(virtual: VirtualStation) -> bool:
+    return bool(virtual.loop.channels.of(virtual.rows[-1], "estimates_frozen")[0])
+
+
+def test_telemetry_marks_estimates_as_frozen_exactly_during_homing(virtual: VirtualStation) -> None:
+    virtual.becomes(State.READY)
+    virtual.tick(10)
+    assert not frozen(virtual)
+    virtual.loop.home(virtual.now)
+    virtual.tick()
+    assert frozen(virtual)
+    virtual.becomes(State.READY, 120.0)
+    virtual.tick(10)
+    assert not frozen(virtual)
+
+
+def test_estimates_continue_after_a_stop_and_freeze_when_the_stages_are_lost(virtual: VirtualStation) -> None:
+    virtual.moving()
+    virtual.loop.stop(virtual.now, cause="a person")
+    virtual.tick(10)
+    assert not frozen(virtual)  # the estimates are still updated, because all devices are polled
+    virtual.fail("mute", "stages")
+    virtual.becomes(State.FAULT)
+    virtual.tick(10)
+    assert frozen(virtual)
