@@ -21,6 +21,7 @@ from station.devices.zaber.protocol import (
 from station.devices.zaber.units import Identity, Units
 
 MAX_ATTEMPTS = 6  #: repetitions of a query until two answers agree
+STOP_TIMEOUT_S = 5.0  #: time in which a unit must confirm a stop; a unit that is reset needs 1 s of it [s]
 
 Script = Generator[Request | float, Reply, None]  #: yields requests, or waiting times [s]
 
@@ -79,6 +80,7 @@ class Sequences:
     def home(self) -> Script:
         """Home the translations first, then one rotation after the other."""
         units = self._units
+        yield from self._confirm_stops()
         order = sorted(range(len(units.setups)), key=lambda i: units.setups[i].joint.motion != "translation")
         self.homing = Homing([homing_step(units.setups[i], self._count(i)) for i in order])
         for number, i in enumerate(order):
@@ -135,6 +137,15 @@ class Sequences:
         yield from self._set(i, ZaberCommand.SET_MAXIMUM, setup.maximum)
         if position != turn:
             raise ZaberError(f"{name} is at {position} microsteps after turning back to its zero, not at {turn}")
+
+    def _confirm_stops(self) -> Script:
+        """Wait until every unit has confirmed the last stop; a chain would also stop what starts before that."""
+        units = self._units
+        give_up = self.now + STOP_TIMEOUT_S
+        while moving := [i for i, (chain, axis) in enumerate(units.where) if axis in chain.stopping]:
+            if self.now > give_up:
+                raise ZaberError(f"{units.name(moving[0])} has not confirmed a stop for {STOP_TIMEOUT_S:.0f} s")
+            yield 0.02
 
     def _rest(self, i: int, give_up: float, what: str) -> Script:
         """Wait until a unit is idle."""

@@ -66,6 +66,18 @@ class TestHoming:
         assert bench.reading.positions == pytest.approx(bench.truth, abs=1e-9)
         assert [unit.settings[44] for unit in bench.units[:2]] == [3_072_000, 3_072_000]  # the travel is as before
 
+    @pytest.mark.parametrize("pause", [0.0, 0.1, 0.4, 0.9])
+    def test_stage_homes_again_while_it_restarts_after_a_stop(self, paper, pause):
+        bench = Bench(paper, at=(0.0, 0.0, -0.110), homed=False).connect()
+        bench.stages.home(bench.now)
+        bench.run(0.6)  # the stage ignores the stop while it homes, so the chain resets it
+        bench.stages.stop(bench.now)
+        bench.run(pause)
+        bench.home()
+
+        assert bench.stages.ready, bench.stages.problem
+        assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
+
     def test_rotation_stopped_while_homing_still_finds_its_zero(self, paper):
         bench = Bench(paper, at=(-0.2, 0.01, -0.129), homed=False).connect()
         bench.stages.home(bench.now)
