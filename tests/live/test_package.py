@@ -12,6 +12,7 @@ import sysconfig
 import venv
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import httpx
@@ -65,7 +66,7 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
         folder.chmod(0o755)
 
 
-Start = Callable[..., "subprocess.Popen[str]"]
+Start = Callable[..., AbstractContextManager["subprocess.Popen[str]"]]
 
 
 @pytest.fixture
@@ -74,12 +75,17 @@ def start(environment: Path, tmp_path: Path) -> Start:
     known = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "NUMBA_", "CTR_"))}
     own = {"HOME": str(environment / "home"), "XDG_CACHE_HOME": str(environment / "cache")}
 
-    def start(*arguments: object, **more: str) -> "subprocess.Popen[str]":
+    @contextmanager
+    def start(*arguments: object, **more: str) -> Iterator["subprocess.Popen[str]"]:
         command = [str(environment / "bin" / "ctr-station"), *map(str, arguments)]
         pipe = subprocess.PIPE
-        return subprocess.Popen(
+        with subprocess.Popen(
             command, cwd=tmp_path, env={**known, **own, **more}, text=True, stdout=pipe, stderr=subprocess.STDOUT
-        )
+        ) as process:
+            try:
+                yield process
+            finally:
+                process.kill()  # does nothing to a process that has ended
 
     return start
 
@@ -152,7 +158,7 @@ def test_installed_station_serves_its_page(start: Start, tmp_path: Path):
             assert line, said
         with httpx.Client(base_url=found[1], timeout=NET) as rest:
             page = rest.get("/").text
-            assert rest.get("/api/status").json()["format"] == 1
+            assert rest.get("/api/status").json()["format"] == 2
             linked = re.findall(r'(?:src|href)="/?(static/[^"]+)"', page)
             assert "static/main.js" in linked
             assert all(rest.get(f"/{link}").status_code == 200 for link in linked)
