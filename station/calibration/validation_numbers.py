@@ -61,7 +61,7 @@ def _parameters(best: PoseFit) -> dict[str, dict[str, Any]]:
             "standard_deviation": None if p.name in best.undetermined else error,
             "unit": p.unit,
             "known_beforehand": p.prior if math.isfinite(p.prior) else None,
-            "told": p.name not in best.fixed_by_prior and p.name not in best.undetermined,
+            "identified": p.name not in best.fixed_by_prior and p.name not in best.undetermined,
         }
         for p, value, error in zip(best.fit.parameters, values, errors, strict=True)
     }

@@ -19,7 +19,7 @@ from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
 from station.recording.run_outcome import RecordingError, RunOutcome
-from station.recording.tracking_errors import which_count
+from station.recording.tracking_errors import evaluation_note
 from station.recording.writer import CaseWriter
 
 #: Largest number of telemetry rows from which a summary is computed: every tick of half an hour. Of a longer run only
@@ -161,7 +161,7 @@ def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:
             table.add_row(label, *row)
             label = ""
         table.add_section()
-    table.caption = which_count(summary["cases"])
+    table.caption = evaluation_note(summary["cases"])
     return table
 
 

@@ -19,7 +19,7 @@ from station.recording.writer import PARTIAL_SUFFIX
 NOTES_FILE = "notes.json"
 #: Name of the file with the results of a sweep.
 SWEEP_FILE = "sweep.json"
-#: Name that stands for the newest run.
+#: Name for the newest run, accepted instead of its identifier.
 LATEST = "latest"
 #: Largest plausible start time in a summary [s since 1970].
 MAX_START_TIME = 1e11

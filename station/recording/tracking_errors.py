@@ -25,7 +25,7 @@ def counted_from(settling: float, onset: float) -> float:
     return min(settling, onset)
 
 
-def which_count(cases: Mapping[str, Mapping[str, Any]]) -> str:
+def evaluation_note(cases: Mapping[str, Mapping[str, Any]]) -> str:
     """Return a sentence about the time from which errors count in each of the `cases` of a summary."""
     starts = {name: numbers["counted_from_s"] for name, numbers in cases.items() if "counted_from_s" in numbers}
     if not starts:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from station.recording.outcome import case_outcomes
-from station.recording.tracking_errors import which_count
+from station.recording.tracking_errors import evaluation_note
 from station.report import document
 from station.report.comparison import all_errors, paper_comparison
 from station.report.run import RecordedRun
@@ -92,7 +92,7 @@ def result(run: RecordedRun) -> Iterator[str]:
         )
     errors = list(all_errors(run))
     if errors:
-        yield document.paragraph(f"Millimetres. {which_count(run.summary.get('cases', {}))}")
+        yield document.paragraph(f"Millimetres. {evaluation_note(run.summary.get('cases', {}))}")
         cells = ((row.case, row.kind, *(f"{value:.3f}" for value in row.values)) for row in errors)
         yield document.table(("case", "error", *AXES), cells, texts=2)
 

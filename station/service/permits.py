@@ -65,7 +65,7 @@ class Permits:
         return Permit(self, int(self._ring.counters[GENERATION]), self._clock.now() + DEADLINE_S, gone)
 
     def void(self, cause: str, *, stop: bool) -> None:
-        """Void every earlier permit; `cause` tells why. Only a STOP also voids a requested reset."""
+        """Void every earlier permit; `cause` is the reason in refusals. Only a STOP also voids a requested reset."""
         with self._lock:
             self._causes.append(cause)
             self._ring.counters[GENERATION] += 1

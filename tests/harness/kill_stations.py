@@ -43,7 +43,7 @@ def kill(station: LoneStation, lab: WatchedLab, whom: str, after: float) -> floa
     begin = lab.clock.now()
     os.kill(pid, signal.SIGKILL)
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    return lab.told(begin)
+    return lab.stop_delay(begin)
 
 
 def back(station: LoneStation) -> None:

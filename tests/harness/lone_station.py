@@ -69,8 +69,8 @@ def lone_station(
     `stages` replaces `[devices.stages]` of the station file; tracker and sensors are then still the lab's.
     """
     rate, endpoints = (clock.rate, None) if lab is None else (lab.clock.rate, lab.endpoints)
-    told = json.dumps({"lab": endpoints, "stages": stages})
-    command = [sys.executable, "-m", "tests.harness.lone_station", str(folder), str(rate), told]
+    setup = json.dumps({"lab": endpoints, "stages": stages})
+    command = [sys.executable, "-m", "tests.harness.lone_station", str(folder), str(rate), setup]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     station = LoneStation(process)
     try:
@@ -82,14 +82,14 @@ def lone_station(
 
 def main() -> None:
     """Run the station's side: execute the lines of the input."""
-    folder, rate, told = sys.argv[1], float(sys.argv[2]), json.loads(sys.argv[3])
+    folder, rate, setup = sys.argv[1], float(sys.argv[2]), json.loads(sys.argv[3])
     # HOLD follows when a fifth of the periods in 10 s are late: other programs cause fewer, and a test can cause them.
     calm = {"overruns": {**SETTINGS["overruns"], "hold_share": 0.2}}
     bench = load_station(None, calm if rate < 1.0 else {}).bench()
     bench = replace(bench, clock=StationClock(rate), on_operator_loss="hold")
-    if told["lab"] is not None:
-        devices = devices_at(told["lab"], bench.lab)
-        changed = {} if told["stages"] is None else {"stages": told["stages"]}
+    if setup["lab"] is not None:
+        devices = devices_at(setup["lab"], bench.lab)
+        changed = {} if setup["stages"] is None else {"stages": setup["stages"]}
         bench = replace(bench, devices=devices.model_copy(update=changed))
     supervisor = Supervisor(bench, Path(folder))
     try:

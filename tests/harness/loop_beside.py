@@ -87,10 +87,10 @@ def foxglove(port: int) -> None:
     """Run a Foxglove client that subscribes to every channel."""
     address, spoken = f"ws://127.0.0.1:{port}/", [Subprotocol("foxglove.sdk.v1")]
     with connect(address, subprotocols=spoken, proxy=None, max_size=None) as client:
-        for message in client:
-            told = json.loads(message) if isinstance(message, str) else {}
-            if told.get("op") == "advertise":
-                wish = [{"id": each["id"], "channelId": each["id"]} for each in told["channels"]]
+        for received in client:
+            message = json.loads(received) if isinstance(received, str) else {}
+            if message.get("op") == "advertise":
+                wish = [{"id": each["id"], "channelId": each["id"]} for each in message["channels"]]
                 client.send(json.dumps({"op": "subscribe", "subscriptions": wish}))
 
 

@@ -54,7 +54,7 @@ class WatchedLab:
         notes = self.notes()
         return bool(notes) and notes[-1].moving
 
-    def told(self, since: float) -> float:
+    def stop_delay(self, since: float) -> float:
         """Wait until all stages, one of which moved at `since` [s], must stop; return the time after `since` [s]."""
         before = [note for note in self.notes() if note.time <= since]
         assert before, "nothing is known of that time"

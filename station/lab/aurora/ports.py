@@ -11,7 +11,7 @@ from station.lab.aurora.commands import AuroraRefusal, number
 
 @dataclass
 class ToolPort:
-    """A port handle of the tracker, which stands for one plugged-in tool."""
+    """A port handle: the number that the tracker gives to a plugged-in tool."""
 
     handle: int
     serial: str  #: serial number of the tool

@@ -42,7 +42,7 @@ def test_stages_stop_and_the_run_is_interrupted_when_the_control_process_hangs(
     until_moving(mortal, watched_lab)
     begin = watched_lab.clock.now()
     mortal.child("control").send_signal(signal.SIGSTOP)
-    assert watched_lab.told(begin) > 0.0
+    assert watched_lab.stop_delay(begin) > 0.0
     status = until(lambda: (now := mortal.ask("status"))["state"] == "FAULT" and now["cause"] and now)
     assert "the control loop has not ticked for 1 s" in status["cause"]
     assert label(recordings, status["run"]) is RunOutcome.INTERRUPTED

@@ -69,7 +69,7 @@ def test_stages_stop_and_the_run_ends_when_the_station_process_is_suspended(
     begin = watched_lab.clock.now()
     mortal.process.send_signal(signal.SIGSTOP)
     try:
-        assert watched_lab.told(begin) > 0.0
+        assert watched_lab.stop_delay(begin) > 0.0
     finally:
         mortal.process.send_signal(signal.SIGCONT)
     status = until(lambda: (now := mortal.ask("status"))["state"] == "STOPPED" and now["cause"] and now)

@@ -36,7 +36,7 @@ def test_number_of_linear_algebra_threads_in_the_environment_is_kept(monkeypatch
         monkeypatch.delenv(name)
 
 
-def test_one_thread_during_restores_the_environment_after_its_block():
+def test_thread_limit_restores_the_environment_after_its_block():
     with one_thread_during():
         assert threads_of_a_process() == 1
     assert not any(name in os.environ for name in THREAD_VARIABLES)

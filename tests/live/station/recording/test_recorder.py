@@ -62,7 +62,7 @@ def test_the_recorder_records_a_run_from_start_to_end(recorder, feed, paper, tmp
     assert recorder.trouble() == ""
 
 
-def test_one_recorder_records_several_runs(recorder, feed, tmp_path):
+def test_recorder_records_several_runs_one_after_another(recorder, feed, tmp_path):
     for name in ("one", "two"):
         recorder.begin(name, {})
         with pytest.raises(RecordingError, match="another recording is active"):

@@ -17,7 +17,7 @@ def test_tubes_of_another_stiffness_need_the_procedure_tubes(paper):
     assert procedures(paper, paper.model_copy(update={"tubes": (stiffer, paper.tubes[1])})) == ["tubes"]
 
 
-def test_other_stages_need_the_procedures_axes_and_latency(paper):
+def test_changed_stages_need_the_procedures_axes_and_latency(paper):
     coarse = paper.joints[0].model_copy(update={"microstep": 1e-5})
     other = paper.model_copy(update={"joints": (coarse, *paper.joints[1:])})
 

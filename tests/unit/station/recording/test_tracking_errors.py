@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from station.recording.tracking_errors import counted_from, errors, motion_errors, settling_time, which_count
+from station.recording.tracking_errors import counted_from, errors, evaluation_note, motion_errors, settling_time
 
 #: Times of a motion that starts at 10 s [s]. The setpoint moves along x at 1 mm/s; the tip is 2 mm behind it in x and
 #: 1 mm off in y.
@@ -78,11 +78,11 @@ def test_tracking_errors_count_from_the_onset_of_a_load_during_the_settling_time
     assert counted_from(2.0, float("inf")) == 2.0
 
 
-def test_which_count_states_the_time_from_which_errors_count():
-    assert which_count({"a": {"counted_from_s": 2.0}, "b": {"counted_from_s": 2.0}}) == (
+def test_evaluation_note_states_the_time_from_which_errors_count():
+    assert evaluation_note({"a": {"counted_from_s": 2.0}, "b": {"counted_from_s": 2.0}}) == (
         "Errors count from 2 s after the motion's start on."
     )
-    assert "a 0 s, b 2.5 s" in which_count({"a": {"counted_from_s": 0.0}, "b": {"counted_from_s": 2.5}})
+    assert "a 0 s, b 2.5 s" in evaluation_note({"a": {"counted_from_s": 0.0}, "b": {"counted_from_s": 2.5}})
 
 
 def test_a_motion_that_has_not_settled_has_no_tracking_errors():

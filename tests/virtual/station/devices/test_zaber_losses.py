@@ -102,7 +102,7 @@ class TestLosing:
         bench.home()
         assert bench.stages.ready, bench.stages.problem
 
-    def test_other_units_on_the_same_port_are_refused(self, bench):
+    def test_stages_refuse_other_units_on_the_same_port(self, bench):
         bench.near[0].close()
         bench.run(0.1)
         bench.units[2].kind = replace(LINEAR, serial=5)

@@ -53,7 +53,7 @@ def test_every_unit_is_commanded_to_stop_and_confirms_it(lab: WatchedLab) -> Non
     result = stop_stages(units(lab), REAL_TIME_CLOCK)
 
     assert result.startswith(f"3 stages on {lab.endpoints['zaber']} stop, commanded ")
-    assert lab.told(start) > 0.0
+    assert lab.stop_delay(start) > 0.0
 
 
 def test_emergency_stop_retries_a_port_until_a_dying_process_releases_it(lab: WatchedLab) -> None:

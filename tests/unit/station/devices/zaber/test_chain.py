@@ -247,7 +247,7 @@ def test_impossible_position_is_rejected(frame):
     assert all(isinstance(happening, UnsolicitedError) for happening in happened)
 
 
-def test_one_request_at_a_time_gets_its_reply(host):
+def test_chain_returns_the_reply_to_the_pending_request(host):
     host.chain.send_request(Request(2, 50, 0, 50))
     host.run(0.03)
     assert host.commands(3, 50)

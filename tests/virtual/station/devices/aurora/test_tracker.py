@@ -221,7 +221,7 @@ def test_unplugged_cable_is_lost_until_a_link_is_attached():
     assert bench.report.quality is FrameQuality.GOOD
 
 
-def test_other_tool_is_rejected_after_a_lost_cable():
+def test_tracker_rejects_another_tool_after_a_lost_cable():
     bench = AuroraBench()
     bench.run(1.0)
     other = AuroraBench(serial="99999999")

@@ -110,7 +110,7 @@ class TestConnecting:
         bench.connect()
         assert "firmware 6.01" in bench.stages.problem
 
-    def test_other_resolution_is_reset_and_the_position_is_invalid(self, paper):
+    def test_connect_resets_a_changed_resolution_and_invalidates_the_position(self, paper):
         bench = Bench(paper)
         bench.units[0].settings[37] = 128
         bench.connect()
