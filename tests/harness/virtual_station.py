@@ -31,9 +31,9 @@ def usual_case() -> Case:
 class VirtualStation:
     """A control loop on devices that are simulated at wire level; the test ticks it."""
 
-    def __init__(self, case: Case, margins: Margins | None = None) -> None:
+    def __init__(self, case: Case, margins: Margins | None = None, seed: int = 0) -> None:
         self.case = case
-        lab, self.devices = virtual_bench(case.robot, case.lab, 0, case.start)
+        lab, self.devices = virtual_bench(case.robot, case.lab, seed, case.start)
         assert isinstance(lab, SimulatedBench)
         self.lab = lab
         self.loop = ControlLoop(case.controller, self.devices, margins)

@@ -42,7 +42,7 @@ lab.addEventListener("submit", async (event) => {
 clearFaults.addEventListener("click", () => sendCommand("DELETE", "/api/faults"));
 
 // A contact on the shaft: the controller assumes a load at the tip, and the station reports the true contact position.
-const contact = form(variants(await schemas(), (await schemas()).PullIn.properties.load).contact,
+const contact = form(variants(await schemas(), (await schemas()).LoadIn.properties.load).contact,
   { values: { magnitude: 0.3, place: 0.1, direction: [0, 1, 0] } });
 const removeContact = make("button", { type: "button" }, "Remove contact");
 const contactForm = make("form", {}, make("fieldset", {}, make("legend", {}, "Touch the simulated shaft"), contact.element,

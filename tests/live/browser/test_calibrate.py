@@ -142,7 +142,7 @@ def test_tube_exchange_shows_a_checklist_for_the_selected_robot(calibrate: Page,
     page.get_by_label("robot's file").set_input_files(
         {"name": "own.toml", "mimeType": "application/toml", "buffer": text.encode()}
     )
-    page.locator(".todo li", has_text="coil was taken off").wait_for()
+    page.locator(".todo li", has_text="The coil was removed").wait_for()
     page.locator(".todo").get_by_role("button", name="Tracker").click()
     page.get_by_role("button", name="Start: Tracker").wait_for()
 

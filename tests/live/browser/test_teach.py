@@ -151,7 +151,7 @@ def test_waypoint_csv_file_is_read_in_its_unit_and_saved_again(teach: Page) -> N
 
 def test_saved_motion_is_replaced_only_after_confirmation_and_can_be_loaded(teach: Page, station: Served) -> None:
     take(teach, POINTS)
-    says(teach, "✓ on the model")
+    says(teach, "✓ according to the model")
     name = teach.get_by_label("name to save it under")
     save = teach.get_by_role("button", name="Save", exact=True)
     name.fill("../up")
