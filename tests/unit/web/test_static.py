@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from starlette.testclient import TestClient
 
 import web
 
@@ -14,3 +15,18 @@ MODULES = sorted((Path(web.__file__).parent / "static").glob("*.js")) if web.__f
 def test_no_module_opens_a_modal_dialog_that_blocks_stop(module: Path) -> None:
     """A modal dialog and a browser's question block STOP for mouse, touch and keyboard."""
     assert not re.search(r"showModal|\b(alert|prompt)\(|window\.confirm|requestFullscreen", module.read_text())
+
+
+def test_page_reads_only_schemas_and_paths_of_the_api(app: TestClient) -> None:
+    """A form whose schema has another name would leave its tab empty."""
+    text = "\n".join(module.read_text(encoding="utf-8") for module in MODULES)
+    api = app.get("/api/openapi.json").json()
+    schemas = set(re.findall(r"\b([A-Z]\w+(?:In|Out))\.properties\b", text))
+    assert len(schemas) >= 2
+    assert schemas <= api["components"]["schemas"].keys()
+    sockets = ["/api/setpoints", "/api/gateway/target"]
+    known = [*api["paths"], *sockets, "/api/openapi.json"]
+    paths = set(re.findall(r"[\"`](/api/[^\"`?]*)", text))
+    assert len(paths) > 15
+    patterns = {path: re.compile(re.sub(r"\$\{[^}]*\}", "[^/]+", path)) for path in paths}
+    assert [path for path in sorted(paths) if not any(patterns[path].fullmatch(one) for one in known)] == []
