@@ -1,7 +1,7 @@
 """Decorators that compile functions with Numba, cache the machine code on disk and keep the type annotations.
 
-The cached code of a function depends on the sources of everything that the function names. A function that calls a
-function or uses a type of another file is recompiled when that file has changed.
+The cache key of a function includes the sources of all functions and types that the function names. A function is
+therefore also recompiled when another file, whose functions or types it uses, has changed.
 
 `error_model="numpy"` drops division checks inside loops. The fast-math flags let the compiler fuse and reorder
 operations. The chosen flags keep NaN and infinity meaningful, because the control loop checks for them.
@@ -34,8 +34,8 @@ _OPTIONS: dict[str, Any] = {
 _SOURCES: dict[Any, frozenset[str]] = {}
 
 #: `replaced(numbers, index, value)` returns the tuple with one number changed. It works in compiled code only. Compiled
-#: code uses tuples of known length because they are kept in registers. An array would be memory that might alias
-#: another array, and the compiler could then not vectorise the loop.
+#: code uses tuples of known length because they are kept in registers. An array's memory might overlap another array's
+#: memory, and the compiler could then not vectorise the loop.
 replaced = cast(Callable[[tuple[float, ...], int, float], tuple[float, ...]], cast(Any, numba_tuple).tuple_setitem)
 
 
@@ -45,7 +45,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a part of a loop's body and inline it, so that the surrounding loop is still vectorised."""
+    """Compile a function and inline it into its callers, so that a loop that calls it can still be vectorised."""
     return _compiled(function, forceinline=True)
 
 
@@ -70,7 +70,7 @@ def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
 
 
 def _dependencies(function: Callable[..., Any]) -> tuple[frozenset[str], list[str]]:
-    """Return the modules of all code that a function is compiled from, and the constants that it names."""
+    """Return the modules whose source code a function is compiled from, and the values of the constants it names."""
     code, names = function.__code__, function.__globals__
     sources, values = {function.__module__}, list[str]()
     named: list[Any] = [*map(names.get, code.co_names), *function.__annotations__.values()]

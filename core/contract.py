@@ -1,4 +1,4 @@
-"""Checks of values from custom code: control loops, limits, loads and drivers that are not part of the project."""
+"""Checks of values that custom code returns: control loops, limits, loads and drivers from outside the project."""
 
 from collections.abc import Callable
 from typing import Any, cast
@@ -47,7 +47,8 @@ def numbers(who: str, what: str, value: Any, shape: tuple[int, ...], unit: str, 
     `value` is that array. Error texts name the custom code (`who`) and the quantity (`what`).
 
     Raises:
-        ContractError: `value` has another shape or is not numeric, or is not finite although `finite` is required.
+        ContractError: `value` has the wrong shape, is not numeric, or contains NaN or infinity although `finite` is
+        True.
 
     """
     expected = f"it must be {'finite' if finite else 'real'} numbers [{unit}] of shape {shape}"

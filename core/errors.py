@@ -23,7 +23,7 @@ class PoseError(CtrError):
 
 
 class NoSolution(CtrError):
-    """The solver found no shape of the robot under this load; it never returns a wrong shape instead."""
+    """The solver found no shape of the robot under this load; the solver never returns a wrong shape instead."""
 
 
 class NotFinite(CtrError):
@@ -31,7 +31,7 @@ class NotFinite(CtrError):
 
 
 class ContractError(CtrError):
-    """Custom code (a loop, limit, load or driver) raised, or returned a value that violates its interface."""
+    """Custom code (a loop, limit, load or driver) raised an error or returned a value that violates its interface."""
 
 
 class Cancelled(Exception):

@@ -4,7 +4,7 @@
 from station.client import Station
 
 with Station() as station:
-    station.home()  # you have checked that the path is clear; then it goes to the robot's working pose
+    station.home()  # confirm that the path is clear; after homing the robot moves to its working pose
     run = station.start(trajectory={"kind": "circle", "radius": 0.01, "period": 20.0}, duration=20.0)
     station.wait(run)
     station.download(run, "circle.mcap")
@@ -27,17 +27,18 @@ from station.errors import StationError
 if TYPE_CHECKING:
     from station.setpoints import Setpoints
 
-#: Format of REST that this client uses, as in `format` of `GET /api/status`. Stations of version 0.1.0 send no `format`
-#: and use format 1. Format 2 renamed fields of the status (`message`, `action`, `contact`) and three paths.
+#: Newest REST format that this client supports; `GET /api/status` reports the format of a station as `format`. Stations
+#: of version 0.1.0 send no `format` and use format 1. Format 2 renamed three paths and the status fields `message`,
+#: `action` and `contact`.
 FORMAT = 2
-#: Interval between two status requests while waiting [s]. Each request also renews the operator's lease.
+#: Interval between two status requests while a method waits [s]. Each request also renews the operator's lease.
 POLL_INTERVAL_S = 0.2
 #: Timeout of a request [s]. Homing and the rendering of a report may take longer.
 REQUEST_TIMEOUT_S = 70.0
 
 
 class StationRefused(StationError):
-    """The station refuses a request because of its state, another operator or a value."""
+    """The station refuses a request: the station's state, another operator or a value does not allow it."""
 
 
 class RunFailed(StationError):
@@ -48,12 +49,12 @@ class Station:
     """Connection of a script to a running station over its REST interface."""
 
     def __init__(self, url: str = "http://127.0.0.1:8000", token: str | None = None, name: str = "script") -> None:
-        """Connect on the first request.
+        """Prepare the connection, which the first request opens.
 
         Args:
             url: address of the station.
             token: access token; required unless the station is on this computer.
-            name: shown to other clients while this script is the operator.
+            name: name that other clients see while this script is the operator.
         """
         self._client = secrets.token_hex(16)
         headers = {"x-ctr-client": self._client, "x-ctr-name": quote(name)}
@@ -72,7 +73,7 @@ class Station:
         self.close()
 
     def close(self) -> None:
-        """Release the operator's lease and close the connection; a run continues."""
+        """Release the operator's lease and close the connection; an active run continues."""
         try:
             self._http.delete("/api/operator", timeout=2.0)
         except httpx.HTTPError:
@@ -85,7 +86,7 @@ class Station:
         return self._request("GET", "/api/status")
 
     def become_operator(self, *, take_over: bool = False) -> None:
-        """Become the operator; not needed while no other client is the operator.
+        """Become the operator of the station; this is unnecessary while no other client is the operator.
 
         Raises:
             StationRefused: another client is the operator.
@@ -105,7 +106,7 @@ class Station:
         """Start an experiment by name, or a motion from the present pose; return the run's id.
 
         Raises:
-            StationRefused: the state, another operator or a value does not allow it.
+            StationRefused: the station's state, another operator or a value does not allow the start.
         """
         request = {
             "experiment": experiment, "case": case, "trajectory": trajectory, "controller": controller,
@@ -115,23 +116,23 @@ class Station:
         return self._request("POST", "/api/start", given)["run_id"]
 
     def stop(self) -> str:
-        """Stop every axis; always accepted. Return a warning for the operator; empty when every axis has stopped."""
+        """Stop every axis, in every state. Return a warning for the operator; empty when every axis has stopped."""
         return self._send("POST", "/api/stop", {})[
             "note"
-        ]  # send it without the check of the format, which must not delay or prevent a STOP
+        ]  # `_send`, not `_request`: a check of the format must not delay or prevent a STOP
 
     def reset(self) -> None:
         """Reset the station after a person has checked the cause of a STOP, HOLD or FAULT."""
         self._request("POST", "/api/reset", {})
 
     def home(self, timeout: float = 300.0, *, then_working_pose: bool = True) -> None:
-        """Home every stage, go to the working pose if the robot has one, and wait until the station is READY.
+        """Home every stage, move to the working pose if the robot has one, and wait until the station is READY.
 
-        The caller confirms that the path is clear. At the working pose motions have room.
+        By this call the caller confirms that the path is clear. The working pose is a suitable start for motions.
 
         Raises:
             StationRefused: the state is neither CONNECTED nor READY.
-            StationError: the station is not READY in time, or was stopped.
+            StationError: the station is not READY within `timeout` [s], or homing was stopped.
         """
         self._request("POST", "/api/home", {"way_is_clear": True, "then_working_pose": then_working_pose})
         deadline = time.monotonic() + timeout
@@ -150,7 +151,7 @@ class Station:
         Raises:
             StationRefused: the state is not READY, or the pose is impossible or too near to a snap.
             RunFailed: the motion ended in STOPPED, HOLD or FAULT.
-            StationError: the motion did not end in time.
+            StationError: the motion did not end within `timeout` [s].
         """
         body = {} if joints is None else {"joints": joints}
         self.wait(self._request("POST", "/api/goto", body)["run_id"], timeout)
@@ -160,7 +161,7 @@ class Station:
         self._request("POST", "/api/tare", {})
 
     def jog(self, space: str, velocity: tuple[float, ...]) -> None:
-        """Jog for the next 0.3 s: `joints` [rad/s or m/s], the `tip` [m/s], or its `direction` [rad/s]."""
+        """Jog for the next 0.3 s; `space`: `joints` [rad/s or m/s], `tip` [m/s], or `direction` of the tip [rad/s]."""
         self._request("POST", "/api/jog", {"space": space, "velocity": velocity})
 
     def wait(self, run: str, timeout: float | None = None) -> dict[str, Any]:
@@ -168,7 +169,7 @@ class Station:
 
         Raises:
             RunFailed: the run ended in STOPPED, HOLD or FAULT; the text has the cause.
-            StationError: the run did not end in time.
+            StationError: the run did not end within `timeout` [s].
         """
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
@@ -185,10 +186,10 @@ class Station:
             time.sleep(POLL_INTERVAL_S)
 
     def wait_for(self, state: str, timeout: float) -> dict[str, Any]:
-        """Wait for a state; return the status.
+        """Wait until the station is in this state; return the status.
 
         Raises:
-            StationError: the state was not reached in time, or the station is in FAULT.
+            StationError: the station did not reach the state within `timeout` [s], or is in FAULT.
         """
         deadline = time.monotonic() + timeout
         while (status := self.status())["state"] != state:
@@ -227,13 +228,13 @@ class Station:
         return path
 
     def telemetry(self, rate: float = 30.0) -> Iterator[dict[str, Any]]:
-        """Yield telemetry samples as they arrive, `rate` a second at most.
+        """Yield telemetry samples as they arrive, at most `rate` samples a second.
 
         Stale values are None, for example while stages are being homed or a device is silent. `skipped` is the number
-        of ticks since the previous sample, `missed` the number of ticks that the loop missed.
+        of ticks since the previous sample. `missed` is the number of ticks that the control loop missed.
 
         Raises:
-            StationError: the station has ended.
+            StationError: the connection failed, or the station has ended.
         """
         from websockets.exceptions import ConnectionClosed, WebSocketException  # local: most scripts need only httpx
         from websockets.sync.client import connect
@@ -250,17 +251,18 @@ class Station:
     def setpoints(self, **options: Any) -> "Setpoints":
         """Stream setpoints of the tip: `with station.setpoints() as tip: tip.go(0.001, 0.0, 0.0)`.
 
-        The block starts a run. At the end of the block the tip comes to rest and the run ends. The tip moves to the
-        position that was sent last. Without a message for 0.2 s the tip comes to rest, and after 2 s the run ends.
+        The start of the block starts a run. The tip moves to the position that was sent last. At the end of the block
+        the tip comes to rest and the run ends. Without a message for 0.2 s the tip also comes to rest; after 2 s
+        without a message the run ends. The options `silence` and `end` change these times.
 
         Args:
-            options: `frame` ("start": positions are relative to the tip at the start; or "world"); bounds of the
-                setpoint: `speed` [m/s], `acceleration` [m/s^2], `reach` [m], and `turning` [rad/s] of its direction;
-                `silence`, `end`, `duration` [s]; `controller`. A direction may be sent where the `task` of the
-                controller is "position_and_direction".
+            options: `frame` is "start" (positions relative to the tip at the start) or "world". The setpoint has the
+                bounds `speed` [m/s], `acceleration` [m/s^2] and `reach` [m]; `turning` [rad/s] bounds its direction.
+                The times are `silence`, `end` and `duration` [s]. `controller` has the keys of the controller; a
+                direction may be sent if its `task` is "position_and_direction".
 
         Raises:
-            StationError: on entering the block: the state, another operator or a value does not allow it.
+            StationError: at the start of the block: the state, another operator or a value does not allow the stream.
         """
         from station.setpoints import Setpoints
 
@@ -272,7 +274,7 @@ class Station:
         """Check once, before the first request, that the station's REST format is supported.
 
         Raises:
-            StationError: the station has a later format, or does not answer.
+            StationError: the station uses a newer format, or does not answer.
         """
         if self._format_checked:
             return

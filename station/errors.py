@@ -1,4 +1,4 @@
-"""Error of the client of a station."""
+"""Error that the Python client of a station raises."""
 
 from core.errors import CtrError
 

@@ -15,7 +15,7 @@ from station.errors import StationError
 
 
 class Setpoints:
-    """Stream of setpoints: entering the block starts a run, and leaving it ends the run."""
+    """Stream of setpoints for a `with` block: the start of the block starts a run, and its end ends the run."""
 
     def __init__(self, url: str, headers: dict[str, str], options: dict[str, Any]) -> None:
         self._url, self._headers, self._options = url, headers, options
@@ -29,7 +29,7 @@ class Setpoints:
         )  #: tip at the start of the run, in the world frame [m]
         #: direction of the tip at the start of the run, in the world frame; None: the direction is not controlled
         self.direction: tuple[float, float, float] | None = None
-        self.newest: dict[str, Any] = {}  #: latest answer of the station; see `go`
+        self.newest: dict[str, Any] = {}  #: latest answer of the station; `go` lists its keys
 
     def __enter__(self) -> Self:
         try:
@@ -54,7 +54,7 @@ class Setpoints:
         try:
             self._socket.send(json.dumps({"end": True}))
             for _ in self._socket:
-                pass  # the remaining answers, and the end of the run
+                pass  # receive the remaining answers and the message about the end of the run
         except (OSError, WebSocketException, ConnectionClosed):
             return  # the run had already ended
         finally:
@@ -67,18 +67,18 @@ class Setpoints:
             x: first coordinate, in the `frame` chosen at the start [m].
             y: second coordinate [m].
             z: third coordinate [m].
-            direction: in the world frame, of any length; requires a controller task that controls the direction.
-                None: the latest direction remains; before the first one it is the tip's direction at the start.
+            direction: direction vector in the world frame, of any length; the task of the controller must include the
+                direction. None: the latest direction remains; before the first one, the tip's direction at the start.
 
         Returns:
-            time [s], `measured`, `estimated` and `desired` tip [m], `force` [N], `error` [m] and the limits that slow
-            the motion. With a controlled direction also `direction_measured` and `direction_desired`, in the world
-            frame.
+            `time` [s], `measured`, `estimated` and `desired` tip [m], `force` [N], `error` [m], and the limits that
+            slow the motion. If the direction is controlled, also `direction_measured` and `direction_desired` in the
+            world frame.
 
         Raises:
-            StationError: the position or the direction was refused, or the run has ended; the text has the reason.
+            StationError: the position or the direction was refused, or the run has ended; the message has the reason.
         """
-        # The time lets the station compensate for delays between sender and station, which would shake the tip.
+        # With the sender's time the station compensates varying delays of messages, which would shake the tip.
         pointing = {} if direction is None else {"direction": list(direction)}
         return self.send({"tip": [x, y, z], "time": time.monotonic(), **pointing})
 
@@ -87,7 +87,7 @@ class Setpoints:
         return self.send({"velocity": [x, y, z]})
 
     def send(self, message: dict[str, Any]) -> dict[str, Any]:
-        """Send any message of `WS /api/setpoints`, such as a position with a custom time; otherwise like `go`."""
+        """Send any message of `WS /api/setpoints`, e.g. a position with a custom time; the rest is as for `go`."""
         answer = self._exchange(message)
         if answer["refused"]:
             raise StationError(answer["refused"])

@@ -18,9 +18,9 @@ def solve_many(
     along: bool = False,
     threads: int | None = None,
 ) -> Solutions:
-    """Return the solutions of `core.model.batch.solve_many`, computed by `threads` threads.
+    """Return the solutions of `core.model.batch.solve_many`, computed by at most `threads` threads.
 
-    With `threads` None there is one thread per processor.
+    If `threads` is None, there is one thread for each processor.
     """
     chunks = -(-len(joints) // CHUNK_ROWS)
     count = min(threads or processors(), chunks) if chunks > 1 else 1

@@ -64,9 +64,9 @@ from web.scene.view import SceneView
 STATIC = Path(__file__).parent / "static"
 #: Content-Security-Policy of the page, which may load only files of the station. The scene has a separate page.
 CONTENT_POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
-#: Time limit for the control process to compile and start [s]: it needs a minute, several on a busy computer.
+#: Time limit for the control process to compile and start [s]. The start takes a minute, or several on a busy computer.
 START_TIMEOUT_S = 600.0
-#: Start duration after which the terminal explains the delay [s].
+#: Duration of the start after which the terminal prints the reason of the delay [s].
 SLOW_START_S = 15.0
 COMPILING = "still starting: the first start compiles the model, which takes a minute or more (Ctrl-C cancels)"
 UNDRIVEN = "it moved no stages"
@@ -76,9 +76,9 @@ CALIBRATIONS_FOLDER = "calibrations"
 MAX_MESSAGE_BYTES = 64 * 1024
 #: Socket send buffer of each client that does not read [bytes]; the kernel doubles it.
 SEND_BUFFER_BYTES = 128 * 1024
-#: Number of STOP requests that are handled at the same time; each may wait seconds for stages that do not answer.
+#: Number of STOP requests handled at the same time. Each request may wait for seconds if the stages do not answer.
 STOPS_AT_ONCE = 32
-#: Longest close reason of a WebSocket [bytes] (RFC 6455).
+#: Largest length of the reason in a WebSocket's close frame [bytes] (RFC 6455).
 MAX_CLOSE_REASON_BYTES = 123
 #: Number of connections that the system queues before the server accepts them.
 LISTEN_BACKLOG = 64
@@ -101,20 +101,20 @@ def serve(
     """Run the station until Ctrl-C.
 
     Args:
-        config: path of the station file; None: the default station.
+        config: path of the station file; None: the default station, a virtual lab.
         changes: values that replace keys of the station file.
         host: address to listen on.
         port: port of page and REST; 0: any free port.
         data: folder of runs, calibrations and audit log.
         options: protocols and addresses of the gateway.
-        browser: open a browser if the output is a terminal.
+        browser: whether to open a browser; it is opened only if the output is a terminal.
 
     Returns:
         0 if every axis was confirmed to have stopped, otherwise 1.
 
     Raises:
         ConfigError: the configuration is invalid.
-        AuditError: the folder cannot be written.
+        AuditError: the audit log in the folder `data` cannot be written.
         PortError: the port is in use.
         GatewayError: a part of the gateway is not available.
         CtrError: the control process does not start.
@@ -138,7 +138,7 @@ def serve(
             supervisor.open()
             _serve_web(supervisor, listening, (host, port), data, audit, out, options, browser=browser)
         finally:
-            stopped = supervisor.end_control()  # repeated here, in case the web server never started
+            stopped = supervisor.end_control()  # needed if the web server never started; otherwise repeated
             supervisor.close()
             if not stopped.confirmed:
                 sys.stderr.write(f"ctr-station has ended; {stopped.text}\n")
@@ -158,13 +158,13 @@ def _serve_web(
     *,
     browser: bool,
 ) -> None:
-    """Run the web server until Ctrl-C, which first stops the axes, even while requests are being handled."""
+    """Run the web server until Ctrl-C. Ctrl-C first stops the axes, even while requests are being handled."""
     host, port = address
     tokens = None if is_loopback(host) else new_tokens()
     service = StationService(supervisor)
     gateway = _gateway(service, options, tokens, audit, out)
     calibration = LiveCalibration(supervisor, data / CALIBRATIONS_FOLDER)
-    # viser has no access control: it listens on loopback only, and the station's port proxies it.
+    # viser has no access control. Therefore viser listens on loopback only, and clients reach it through a proxy.
     with (
         contextlib.redirect_stdout(io.StringIO()),
         limited_scene_server(connection_capacity()),
@@ -176,7 +176,7 @@ def _serve_web(
         slow = threading.Timer(SLOW_START_S, out.print, [COMPILING])
         slow.start()
         try:
-            supervisor.wait_ready(START_TIMEOUT_S)  # processes and stages have started meanwhile
+            supervisor.wait_ready(START_TIMEOUT_S)  # returns after the control process has started
         finally:
             slow.cancel()
         # The main thread only waits for signals.
@@ -300,7 +300,7 @@ def build_app(
         audit: audit log of commands and refusals.
         host, port: address at which clients reach the application.
         tokens: access tokens, one of which every client needs; None on loopback.
-        gateway: gateway of the station; None: it has none.
+        gateway: gateway of the station; None: the station has no gateway.
     """
     stopping = ThreadPoolExecutor(STOPS_AT_ONCE, "stop")
 
@@ -370,7 +370,7 @@ def build_app(
     def other(_request: Request, error: HTTPException) -> JSONResponse:
         return refusal(str(error.detail), error.status_code, error.headers)
 
-    app.openapi()  # generated now, because generating it at the first request would delay a STOP
+    app.openapi()  # generated now, because doing this in a request could delay STOP
     return AuditMiddleware(Access(with_permits(app, service.supervisor), host, port, tokens), audit)
 
 
@@ -383,7 +383,7 @@ def _reason(error: RequestValidationError) -> str:
 
 
 def _field(loc: tuple[int | str, ...], body: Any) -> str:
-    """Return the location of a field in a request, counted from one: `trajectory.points, row 1, number 4`."""
+    """Return the location of a field in a request, counted from one, such as `trajectory.points, row 1, number 4`."""
     *parts, last = key_of(loc[1:] if loc[:1] in (("body",), ("query",)) else loc, body).split(".")
     number = [f"number {int(last) + 1}"] if last.isdecimal() else []
     name = ".".join(parts if number else (*parts, last))

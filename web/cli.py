@@ -1,4 +1,4 @@
-"""The command `ctr-station`: `serve`, and all commands of `python -m station`."""
+"""The command `ctr-station`: the subcommand `serve`, and all commands of `python -m station`."""
 
 import argparse
 import sys

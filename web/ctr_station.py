@@ -1,7 +1,8 @@
 """Entry point of `ctr-station`, installed as the module `ctr_station`; it first checks for name clashes.
 
 `core`, `station` and `web` are common package names, so packages of other projects may have the same names. This module
-imports none of them before it has checked that they belong to ctr-station: the first line of each package names it.
+imports none of these packages before it has checked that they belong to ctr-station. As a mark of ownership, the first
+line of each package contains "ctr-station".
 """
 
 import sys
@@ -27,6 +28,6 @@ def main() -> None:
         from web.cli import main as commands
 
         commands()
-    except KeyboardInterrupt:  # Ctrl-C during the imports, which take seconds on a busy computer
+    except KeyboardInterrupt:  # Ctrl-C while the imports run, which take seconds on a busy computer
         sys.stderr.write("ctr-station: interrupted\n")
         sys.exit(130)

@@ -13,10 +13,10 @@ import numpy as np
 
 from core.robot.robot import Array
 
-#: Largest plausible angle between the coil's axis and the tip's axis [rad]; beyond it the mounting is wrong.
+#: Largest plausible angle between the coil's axis and the tip's axis [rad]; beyond this angle the mounting is wrong.
 MAX_MISALIGNMENT_RAD = math.radians(45.0)
 COIL_HINT = "the coil is mounted backwards, or the reported joint positions are wrong"
-#: Largest accepted spread of the axis over single poses [rad]; beyond it the model's error dominates.
+#: Largest accepted spread of the axis over single poses [rad]; beyond this spread the model's error dominates.
 MAX_SPREAD_RAD = math.radians(2.0)
 MODEL_HINT = "the model does not bend like the robot"
 
@@ -25,7 +25,7 @@ class CoilAxis(NamedTuple):
     """The estimated axis of the coil."""
 
     direction: Array  #: (3,) unit vector in the frame of the innermost tube's tip
-    spread: float  #: root mean square deviation of single poses about each of two perpendicular axes [rad]
+    spread: float  #: root mean square deviation of single poses, per perpendicular axis [rad]
     refused: str = ""  #: reason why the result must not be used; empty if the result may be used
 
     @property

@@ -1,8 +1,8 @@
 """Commissioning of a robot's hardware: the sign of each axis, and the latency of the tracker.
 
 The search for the signs needs no registration of the tracker. If the signs are right, one rigid transform maps the
-measured positions onto the model's tips. No rigid transform compensates an axis with the wrong sign (reversing all
-rotations would need a mirror). So every combination of signs is tested on the same few small moves.
+measured positions onto the model's tips. No rigid transform compensates an axis with the wrong sign (compensating a
+reversal of all rotations would need a mirror). So every combination of signs is tested on the same few small moves.
 """
 
 import itertools

@@ -25,7 +25,7 @@ from core.model.solution import Solution, pure_force
 from core.model.statics import Statics
 from core.robot.robot import Array
 
-#: 95 % quantile of chi square with one degree of freedom, the bound of the contact's confidence intervals.
+#: 95 % quantile of chi square with one degree of freedom; it bounds the contact's confidence intervals.
 CHI_SQUARE_95_ONE_DOF = 3.841
 #: 99.9 % quantile of chi square with three degrees of freedom.
 CHI_SQUARE_999_THREE_DOF = 16.266

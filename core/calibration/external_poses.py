@@ -1,17 +1,17 @@
 """Comparison of externally measured poses with the model: with the robot file's values, fitted frames, or fitted tubes.
 
-The fit is that of `prediction`, with these differences:
+The fit of `prediction` is used, with these differences:
 
 * The measurement noise is unknown. The residual of the fit becomes the standard deviation of each axis, and the fit is
   repeated until both agree. Priors then have the right weight even if the model itself is inaccurate.
 * Poses whose neighbours have similar errors (`neighbour_correlation`) count as fewer poses.
-* Outliers are not fitted: tubes that snapped to another shape, mistakes in the measurement.
+* The fit excludes outliers, for example poses at which the tubes snapped to another shape, and measurement mistakes.
 * The measured point may be centimetres from the tip.
-* A joint may lag by much more than a drive's play, because friction between the tubes winds them up. With the extent
-  `friction` each tube has a wind-up that follows from the order of the poses (`windup`).
+* A joint may lag by much more than a drive's play, because friction between the tubes winds the tubes up. With the
+  extent `friction` the fit includes a wind-up of each tube, computed from the order of the poses (`windup`).
 
-The fit includes only parameters that the poses can determine (`fit_parameters`). `Fit.weak` lists the combinations that
-they do not.
+The fit includes only parameters that the poses can determine (`fit_parameters`). `Fit.weak` lists the parameter
+combinations that the poses do not determine.
 """
 
 import itertools
@@ -46,14 +46,14 @@ FIRST_POINT_STD_M, MIN_POINT_STD_M = 0.5e-3, 1e-6
 MAX_ROUNDS, MAX_RELATIVE_CHANGE = 8, 0.05
 #: Upper bound of the correlation between the errors of neighbouring poses.
 MAX_CORRELATION = 0.9
-#: Poses with errors above this multiple of the median are outliers, unless their fraction of the poses exceeds the
-#: second number.
+#: Poses with errors above `OUTLIER_RATIO` times the median error are outliers, unless more than the fraction
+#: `MAX_OUTLIER_SHARE` of all poses exceeds this bound.
 OUTLIER_RATIO, MAX_OUTLIER_SHARE = 4.0, 0.1
-#: Smallest force that counts as a load [N].
+#: Smallest tip force that counts as a load [N].
 MIN_LOAD_N = 0.05
-#: Smallest distance of a tube's end from its neighbours' at which its length and its lag are fitted [m].
+#: Smallest distance of a tube's end from its neighbours' ends at which the tube's length and lag are fitted [m].
 MIN_TUBE_DISTANCE_M = 1.5e-3
-#: Smallest motion back that counts as a reversal of a joint, as a fraction of the joint's range in the data.
+#: Smallest backward motion that counts as a reversal of a joint, as a fraction of the joint's range in the data.
 MIN_REVERSAL_SHARE = 2e-3
 #: An alternative interpretation of the joint values is reported if its mean error is below this fraction of the mean
 #: error of the given values.
@@ -82,7 +82,7 @@ class ErrorStatistics(NamedTuple):
 
     @classmethod
     def of(cls, errors: Array) -> "ErrorStatistics":
-        """Return the statistics of errors (m, 3) [m]; rows of NaN are ignored, and without others all are NaN."""
+        """Return the statistics of errors (m, 3) [m]; rows with NaN are ignored; without other rows all are NaN."""
         lengths = np.linalg.norm(errors[np.isfinite(errors).all(axis=1)], axis=1)
         if not lengths.size:
             return cls(0, math.nan, math.nan, math.nan, math.nan)
@@ -101,8 +101,8 @@ class PoseFit:
     half_lags: Array  #: (q,) largest wind-up of each tube by friction [rad]
     noise: float  #: standard deviation of the residual in each axis [m]
     neighbour_correlation: float  #: correlation of the errors of neighbouring poses, 0 ... `MAX_CORRELATION`
-    requested: FitParameters
-    fit: Fit | None  #: None: nothing was fitted
+    requested: FitParameters  #: parameters of the tubes, lags and wind-ups that were fitted
+    fit: Fit | None  #: result of the fit; None: nothing was fitted
     fitted: tuple[bool, ...]  #: whether the fit used each pose
     middle: Array  #: (3,) centre of the fitted rotation, robot's frame [m]
 
@@ -117,8 +117,8 @@ class PoseFit:
     def position_errors(self) -> Array:
         """Standard deviations (3,) of the registration's position [m].
 
-        The fit's values hold at the middle of the points. A distant origin of the points' frame also moves by the
-        error of the rotation.
+        The fit's standard deviations apply at the middle of the points. At the origin of the points' frame, the error
+        of the rotation adds to them in proportion to the distance from this middle.
         """
         if self.fit is None:
             return np.zeros(3)
@@ -162,12 +162,14 @@ def fit_poses(
         robot: robot with the robot file's values.
         measurements: measured poses; `coil` is the measured point.
         forces: tip forces in the world frame.
-        extent: `none` fits nothing: points are in the robot's frame, at the tip. `frames` fits a rigid transform and
-            the point's position in the tip frame. `tubes` also fits the tubes, `friction` also their wind-ups.
-        requested: from `fit_parameters`; its lags are fitted from `frames` on, its quantities from `tubes` on.
+        extent: `none` fits nothing and assumes points in the robot's frame, measured at the tip. `frames` fits a rigid
+            transform and the point's position in the tip frame. `tubes` also fits the tubes, `friction` also their
+            wind-ups.
+        requested: result of `fit_parameters`; `frames` and later extents fit the lags, `tubes` and `friction` the
+            quantities, `friction` the wind-ups.
 
     Raises:
-        UnobservableCombination: fewer poses than unknowns.
+        UnobservableCombination: there are too few poses for the unknowns.
         CtrError: the model has no shape at a pose.
 
     """
@@ -197,7 +199,7 @@ def fit_poses(
         try:
             found = fit(problem, problem.parameters, values)
         except NoEquilibrium as error:
-            # Near a snap even slightly different tubes may have no shape at this pose, so the fit omits the pose.
+            # Near a snap, tubes with slightly different parameters may have no shape at this pose: omit the pose.
             unsolvable[used[error.measurement]] = True
             kept = kept & ~unsolvable
             if np.count_nonzero(unsolvable) > max_outliers:
@@ -219,7 +221,7 @@ def fit_poses(
 
 
 def _inliers(errors: Array, max_outliers: int) -> NDArray[np.bool_]:
-    """Return whether each error (m, 3) is at most `OUTLIER_RATIO` times the median; all are if too many exceed it."""
+    """Return whether each error (m, 3) is at most `OUTLIER_RATIO` times the median, or finite if too many exceed it."""
     lengths = np.linalg.norm(errors, axis=1)
     near = lengths <= OUTLIER_RATIO * float(np.nanmedian(lengths))
     return near if np.count_nonzero(~near) <= max_outliers else np.isfinite(lengths)
@@ -237,8 +239,8 @@ def _errors(
 def neighbour_correlation(joints: Array, errors: Array) -> float:
     """Return the correlation of errors (m, 3) with those at the nearest other joints (m, n), 0 ... `MAX_CORRELATION`.
 
-    Measurement noise is not correlated; errors of the model are. With correlation r, m successive errors have the
-    information of m (1 - r) / (1 + r) independent ones.
+    Measurement noise is not correlated between poses; model errors are. With correlation r, m successive errors have
+    the information of m (1 - r) / (1 + r) independent ones.
     """
     scaled = joints / np.maximum(np.ptp(joints, axis=0), 1e-12)
     power = float(np.sum(errors * errors))
@@ -260,11 +262,13 @@ def fit_parameters(
     hysteresis: bool,
     others: Sequence[Measurement] = (),
 ) -> FitParameters:
-    """Return the parameters that poses under tip forces (m, 3) [N] can determine and that keep `others` valid.
+    """Return the parameters that `measurements` under tip forces (m, 3) [N] can determine and that leave `others`
+    valid.
 
-    Without load the poses determine only ratios of stiffness: the outermost tube's stiffness is then fixed. A tube that
-    ends flush with a neighbour in some pose keeps its total length, because that pose measures that the ends coincide.
-    Only the start of its curve is fitted. Such a tube could not lag behind a translation in that pose either.
+    Without load the poses determine only ratios of stiffness, so the outermost tube's stiffness is fixed. A tube that
+    ends flush with a neighbour in some pose keeps its total length, because that pose measures that the ends coincide;
+    only the start of the tube's curve is fitted. The lag of such a tube's translation is not fitted
+    either.
     """
     kept: list[Quantity] = []
     lags: list[Lag] = []
@@ -273,7 +277,7 @@ def fit_parameters(
     distances = _tube_distances(robot, (*measurements, *others))
     for quantity in quantities(robot):
         if quantity.kind == "end":
-            continue  # few poses determine the effective end of an outer tube, and other models do not have it
+            continue  # few poses determine the effective end of an outer tube, and other models lack this parameter
         name = quantity.parameter(robot).name.replace("_", " ")
         if (
             quantity.kind == "bending_stiffness"
@@ -322,7 +326,7 @@ def arrival_directions(joints: Array) -> Array:
         threshold = max(MIN_REVERSAL_SHARE * float(np.ptp(column)), 1e-9)
         direction, low, high = 0.0, column[0], column[0]
         for row, value in enumerate(column.tolist()):
-            # Smallest and largest value since the last reversal; moving back from an extreme is a reversal.
+            # `low` and `high` are the extremes since the last reversal; a motion back from an extreme is a reversal.
             low, high = min(low, value), max(high, value)
             if direction <= 0.0 and value - low > threshold:
                 direction, low, high = 1.0, value, value
@@ -337,7 +341,8 @@ def alternative_readings(
 ) -> tuple[tuple[str, float, float], ...]:
     """Return interpretations of the rotations that fit much better: text, and mean error with and without it [m].
 
-    The function tests reversed axes, and rotations that are meant as degrees, each with a fit of the frames only.
+    The function tests reversed axes, and rotations given in degrees instead of radians, each with a fit of the frames
+    only.
     """
     some: list[int] = np.unique(
         np.linspace(0, len(measurements) - 1, min(ALTERNATIVE_SAMPLE_SIZE, len(measurements))).astype(int)
@@ -374,7 +379,7 @@ def _mean_error(robot: Robot, measurements: Sequence[Measurement], forces: Array
 
 
 def _tube_distances(robot: Robot, measurements: Sequence[Measurement]) -> Array:
-    """Return the smallest distance (q,) of each tube's ends from its neighbours', over all measurements [m]."""
+    """Return the smallest distance (q,) of each tube's ends from its neighbours' ends, over all measurements [m]."""
     least = np.full(len(robot.tubes), math.inf)
     lengths = np.array([tube.length for tube in robot.tubes])
     for measurement in measurements:
@@ -385,7 +390,7 @@ def _tube_distances(robot: Robot, measurements: Sequence[Measurement]) -> Array:
 
 
 def _neighbour_distances(starts: Array, robot: Robot) -> Array:
-    """Return the distances of proximal ends; inf for neighbours without translation joints."""
+    """Return the distances `starts` of proximal ends [m]; inf between two tubes without translation joints."""
     slides = {joint.tube for joint in robot.joints if joint.motion == "translation"}
     fixed = [i not in slides and i + 1 not in slides for i in range(len(starts))]
     return np.where(fixed, math.inf, starts)

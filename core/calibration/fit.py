@@ -1,8 +1,8 @@
 """Least-squares fit with confidence intervals and a list of parameter combinations that the data do not determine.
 
-Every parameter has a tolerance (`size`): the largest error that does not matter. Prior knowledge (a tube's length to a
-millimetre) adds one row per parameter. Observability uses the data alone, in units of the tolerances. A value that only
-the prior determines is therefore never reported as measured.
+Every parameter has a tolerance (`size`): the largest error that does not matter. Prior knowledge (for example a tube's
+length to a millimetre) adds one row per parameter to the least-squares problem. The test of observability uses the data
+alone, in units of the tolerances. A value that only the prior determines is therefore never reported as measured.
 """
 
 import math
@@ -123,9 +123,9 @@ def weak_combinations(jacobian: Array, parameters: Sequence[Parameter]) -> tuple
 
 
 def fit(problem: FitProblem, parameters: Sequence[Parameter], start: Array | None = None) -> Fit:
-    """Minimise the squared residuals and priors from `start` (p,), zeros when left out.
+    """Minimise the squared residuals and priors from `start` (p,); None: from zero.
 
-    A step to parameters at which the model has no shape is shortened.
+    If the model has no shape at the parameters of a step, the step is shortened.
 
     Raises:
         PoseError, NoSolution: the model has no shape at the start, or for parameters near the current values.

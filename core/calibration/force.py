@@ -10,7 +10,7 @@ errors, and e the direction of gravity. Every w_i contains unknown wrenches betw
 be calibrated on a robot. These wrenches cancel in the sum over the sensors. The sum must equal the load, which is one
 of three: nothing; a known weight W e at the tip r with the moment r x W e; an unknown force F, for which only the
 moment equation M = r x F is used. Parameter combinations that do not change the sum (for example axial offsets of
-opposite sign) do not affect the load. `Fit.weak` lists these combinations.
+opposite sign in two sensors) do not affect the load. `Fit.weak` lists these combinations.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,7 +38,7 @@ FIRST_MOMENT_PRIOR_NM, FIRST_MOMENT_TOLERANCE_NM = 20e-3, 0.2e-3  # weight times
 #: range. Manufacturers specify accuracy in this form (ATI: 1 %).
 GAIN_PRIOR, GAIN_TOLERANCE = 0.006, 2e-3
 AXIS_RANGES = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)  # ranges of the axes of a Nano43 SI-18-0.25 [N, N m]
-#: Assumed size of an unknown load, for the weight of its measurement [N].
+#: Assumed size of an unknown load [N]; it sets the statistical weight of measurements under this load.
 TYPICAL_FORCE_N = 0.5
 #: Smallest number of measurements that can separate a sensor's offset, which turns with the sensor, from a weight.
 MIN_MEASUREMENTS = 8
@@ -81,7 +81,7 @@ def calibrate_sensors(
 
     Args:
         robot: description of the robot, from which the tubes' poses follow.
-        measurements: untared measurements; some without load, preferably some under a known weight.
+        measurements: untared measurements; some must be without load, and some should be under a known weight.
         tips: measured tip positions.
         noise: standard deviations of the summed loads.
         tip_error: standard deviation of each component of `tips` [m].

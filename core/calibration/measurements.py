@@ -15,8 +15,8 @@ class Measurement(NamedTuple):
     joints: Array  #: (n,) positions that the stages report [rad or m]
     coil: Array  #: (3,) position of the coil in the tracker's frame [m]
     wrenches: Array  #: (q, 6) untared readings of the base sensors in their axes [N, N m]
-    weight: float | None  #: known weight at the tip, 0 for no load; None: an unknown load [N]
-    came: Array | None = None  #: (n,) -1, 0, 1: direction of each joint's last motion; it determines the backlash
+    weight: float | None  #: known weight at the tip [N]; 0: no load; None: unknown load
+    came: Array | None = None  #: (n,) direction of each joint's last motion (-1, 0, 1), for the backlash
     axes: Array | None = None  #: (1, 3) or (3, 3) directions of the coil, tracker's frame: its axis, or x, y, z
     path: Array | None = None  #: (p, n) joints of the previous poses and this one, oldest first [rad or m]
 

@@ -1,8 +1,8 @@
 """Selection of the poses that a calibration measures: the most informative ones that the robot can reach in sequence.
 
-The selection is greedy D-optimal. Among many candidates inside the limits, the next pose is the one that adds most to
-the log determinant of the information matrix A: log det(1 + J A^-1 J^T) for the pose's rows J of the fit's Jacobian.
-The selected poses are then ordered for short paths, and every path is checked on the model before it is used.
+The selection is greedy D-optimal. Among many candidates inside the limits, the next pose is the candidate that adds
+most to the log determinant of the information matrix A: log det(1 + J A^-1 J^T) for the pose's rows J of the fit's
+Jacobian. The selected poses are then ordered for short paths, and every path is checked on the model before it is used.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,13 +23,13 @@ from core.robot.robot import Array, Flags, Indices, Robot
 
 T = TypeVar("T")
 
-#: Largest rotation of a candidate pose from zero [rad]; larger rotations repeat poses within half a turn.
+#: Largest rotation of a candidate pose from zero [rad]; larger rotations repeat the poses within this range.
 HALF_TURN_RAD = np.pi
 #: Fraction of each joint's travel that candidate poses leave unused at both ends.
 TRAVEL_MARGIN = 0.03
 #: Smallest margin of elastic stability of a candidate pose.
 MIN_STABILITY = 0.25
-#: Smallest distance between the ends of neighbouring tubes [m].
+#: Smallest distance between the distal ends of neighbouring tubes [m].
 MIN_TUBE_DISTANCE_M = 1.5e-3
 #: Number of checked poses on the path between two measurements.
 PATH_STEPS = 12
@@ -60,7 +60,7 @@ def low_discrepancy_points(count: int, n: int) -> Array:
 def feasible(statics: Statics, limits: Limits, poses: Array, force: Array) -> Flags:
     """Return which joint positions (m, n) are feasible (m,): inside travel, order and workspace, far from snapping.
 
-    Ends of neighbouring tubes keep a distance, so that poses stay valid for the lengths, zeros and plays of a fit.
+    Ends of neighbouring tubes keep a distance, so that poses stay valid when a fit changes lengths, zeros and plays.
     """
     can = np.array([_is_solvable(limits.check, joints) and _tubes_apart(statics.robot, joints) for joints in poses])
     travel = poses[can]
@@ -101,7 +101,7 @@ def select_poses(
         force: force at the tip (3,), world frame [N].
         noise: standard deviations of a measurement.
         count: number of poses to select.
-        known: information matrix (p, p), in tolerances, of the poses visited so far.
+        known: information matrix (p, p), in tolerances, of the poses visited so far; None: no poses yet.
 
     Returns:
         Indices (count,) in order of selection, and the information matrix (p, p) of all poses together.

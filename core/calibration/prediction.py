@@ -8,11 +8,12 @@ about the middle of the visited points, which decouples rotation and translation
 adds the residual R a_k - A d for each direction d in the tip's frame.
 
 A drive with play lags by half of its play: q_k is the stage's position minus half the play times the direction of the
-joint's last motion (`Measurement.came`). A fit of tubes also fits the plays, unless `lags` specifies others; otherwise
-the plays add to the noise. Tubes with friction lag by their wind-up (`windup`), which needs `Measurement.path`.
+joint's last motion (`Measurement.came`). Where `came` is known, a fit of tubes also fits the plays of all joints,
+unless `lags` selects other joints; a play that is not fitted adds to the noise. Tubes with friction lag by their
+wind-up (`windup`), which needs `Measurement.path`.
 
-The load has an error, too. The load's error enters the residual through the compliance C, so the covariance of a
-measurement is sigma_p^2 1 + sigma_F^2 C C^T.
+The load also has an error. This error enters the residual through the compliance C, so the covariance of a measurement
+is sigma_p^2 1 + sigma_F^2 C C^T.
 """
 
 import math
@@ -75,7 +76,7 @@ class Lag(NamedTuple):
     """Expected lag of a joint behind its last motion."""
 
     joint: int  #: index of the joint
-    play: float  #: standard deviation of the prior of its play [rad or m]
+    play: float  #: standard deviation of the prior of the joint's play [rad or m]
 
 
 class Frames(NamedTuple):
@@ -98,7 +99,7 @@ class Prediction:
     robot: Robot
     what: tuple[Quantity, ...]
     measurements: Sequence[Measurement]
-    forces: Array  #: (m, 3) at the tip, world frame [N]
+    forces: Array  #: (m, 3) forces at the tip, world frame [N]
     noise: Noise
     start: Frames
     coil: float = COIL_OFFSET_PRIOR_M  #: prior of the coil's deviation from `start`, one standard deviation [m]
@@ -125,11 +126,11 @@ class Prediction:
         return (*(quantity.parameter(self.robot) for quantity in self.what), *plays, *wound, *frames)
 
     def residuals(self, values: Array) -> Array:
-        """Return residuals (3 m,) in standard deviations; with directions, 3 more for each."""
+        """Return residuals (3 m,) in standard deviations; each measured direction adds 3 residuals."""
         return self._weighted(*self._errors(values, self.solutions(values)))
 
     def jacobian(self, values: Array) -> Array:
-        """Return the derivative by the quantities (central differences) and by the frames (closed form)."""
+        """Return the residuals' derivatives: by tube parameters with central differences, by frames in closed form."""
         columns: list[Array] = []
         for k, parameter in enumerate(self.parameters[: self._first]):
             ends = np.stack((values, values))

@@ -5,14 +5,15 @@ the precurvature: (kappa cos d, kappa sin d). By convention, the zero angle of t
 This tube defines the x axis of the robot's frame, to which the tracker's rotation about z refers. The straight length
 of the outermost tube is fixed for a similar reason. If all tubes were straight for a millimetre more, every point would
 be a millimetre further along z, as if the tracker had moved. A zero error of a translation has the same effect as an
-error of the straight length, and is part of it.
+error of the straight length, and is included in the straight length.
 
-For the shape, an outer tube ends where the inner tubes lose contact with it: with clearance, some millimetres before
-its edge. The fitted length of its last section is this effective length, not the length measured with a ruler.
+In the model, an outer tube ends where the inner tubes lose contact with it. With clearance, this point is some
+millimetres before the outer tube's edge. The fitted length of its last section is this effective length, not the length
+measured with a ruler.
 
 `torsional_stiffness` makes GJ independent of EI and Poisson's ratio. `curve_start` moves the border between the
-straight part and the curve and keeps the tube's total length. It is for tubes whose ends are flush in some pose, which
-then stay flush.
+straight part and the curve and keeps the tube's total length. This quantity is for tubes whose ends are flush in some
+pose: the ends stay flush.
 """
 
 import math

@@ -1,8 +1,9 @@
 """Classification of a calibration fit's residual: friction, a smooth function of the joints, or neither.
 
-Kernel ridge regression predicts the error of each pose from the other poses, with cross-validation. Its inputs are the
-joints alone, or the joints and each tube's wind-up from the previous motions (`windup`). A part of the error that the
-joints predict is smooth, and a learned correction could remove it. A part that only the motions predict is friction.
+Kernel ridge regression predicts the error of each pose from the other poses, with cross-validation. The inputs of the
+regression are the joints alone, or the joints and each tube's wind-up from the previous motions (`windup`). A part of
+the error that the joints predict is smooth, and a learned correction could remove it. A part that only the motions
+predict is friction.
 """
 
 import math
@@ -46,7 +47,7 @@ def residual(
 ) -> Residual:
     """Classify errors (m, 3) [m] at joints (m, n), reached along paths (m, p, n) if their order is known.
 
-    Rows of NaN are ignored.
+    Rows with NaN are ignored.
     """
     usable = np.flatnonzero(np.isfinite(errors).all(axis=1))
     order = errors[usable]

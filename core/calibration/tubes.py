@@ -19,12 +19,13 @@ from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
 from core.robot.robot import Array, Robot
 
-#: Largest accepted uncertainty of a frame, in tolerances of its parameters: 2 mm, 1 deg.
+#: Largest accepted standard deviation of a frame parameter, in units of its tolerance: 2 mm, 1 deg.
 MAX_OPEN_FRAME = 2.0
 #: Reduced chi square of the fit above which the model itself is considered inaccurate.
 MAX_REDUCED_CHI_SQUARE = 2.0
-#: Prior of the coil's offset from the tip, measured with a caliper: standard deviation of each axis [m]. A good model
-#: finds it more accurately. An inaccurate model would compensate other errors by millimetres of offset along the tube.
+#: Prior of the coil's offset from the tip, measured with a caliper: standard deviation of each axis [m]. A fit with a
+#: good model determines the offset more accurately. A fit with an inaccurate model would compensate other errors by
+#: millimetres of offset along the tube.
 COIL_OFFSET_STD_M = 0.3e-3
 #: Smallest number of loaded measurements that determines the scale of the stiffness.
 MIN_LOADED_MEASUREMENTS = 4
@@ -58,8 +59,8 @@ def calibrate_tubes(
 ) -> TubeCalibration:
     """Fit tubes and frames to measurements under tip forces (m, 3) [N].
 
-    `sags` (m, 3) are the tip forces equivalent to the tubes' own weight. They are used where the residuals exceed the
-    noise.
+    `sags` (m, 3) are the tip forces equivalent to the tubes' own weight. The fit includes these forces if the residuals
+    exceed the noise.
 
     Raises:
         UnobservableCombination: there are too few measurements or loads, or a frame is not determined.
@@ -99,7 +100,7 @@ def held_out_errors(
     described: Robot, calibration: TubeCalibration, fitted: tuple[Sequence[Measurement], Array],
     held_out: tuple[Sequence[Measurement], Array], noise: Noise,
 ) -> HeldOutErrors:  # fmt: skip
-    """Return the errors at held-out measurements; both sets are measurements and their forces (k, 3) [N]."""
+    """Return the errors at held-out measurements; `fitted` and `held_out` are measurements and forces (k, 3) [N]."""
     measurements, forces = fitted
     plain = Prediction(described, (), measurements, forces, noise, closed_form(described, measurements, forces))
     frames = plain.frames(fit(plain, plain.parameters).values)

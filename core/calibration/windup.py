@@ -17,8 +17,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from core.robot.robot import Array, Robot
 
-#: Number of recent poses that form the path of a pose. Older motions have no effect, because each rotation by d scales
-#: the earlier wind-up by exp(-|d| / h), where h is the half lag.
+#: Number of recent poses that form the path of a pose. Older motions have no noticeable effect, because each rotation
+#: by d scales the earlier wind-up by exp(-|d| / h), where h is the half lag.
 PATH_POSES = 17
 #: Standard deviation of the prior of a tube's half lag (its largest wind-up) [rad].
 EXPECTED_HALF_LAG_RAD = 0.1
@@ -46,7 +46,7 @@ def turned_tubes(robot: Robot) -> tuple[Windup, ...]:
 
 
 def relative_rotations(robot: Robot, joints: Array) -> Array:
-    """Return the rotation (..., q) of each tube in its neighbour, at joints (..., n) [rad]."""
+    """Return the rotation (..., q) [rad] of each tube relative to its neighbour, at joints (..., n)."""
     alpha = np.zeros((*joints.shape[:-1], len(robot.tubes)))
     for k, joint in enumerate(robot.joints):
         if joint.motion == "rotation":

@@ -1,9 +1,9 @@
 """Model of the stages' command path: sample-and-hold with a transport delay.
 
 The serial line to the stages carries one command per axis and command interval. A command waits half an interval on
-average, arrives after the transport delay, and is then applied for one interval. Meanwhile the velocities already sent
-(after limits and quantisation) move the joints. The controller therefore plans for the joint positions at which its
-command takes effect.
+average, arrives after the transport delay, and is then applied for one interval. Before a command takes effect, the
+velocities sent earlier (after limits and quantisation) move the joints. The controller therefore plans for the joint
+positions at which its command takes effect.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Second half of a tick: compute the joint velocities from the estimate, in one compiled call.
 
 The steps are the outer loop, the inner loop, and the inverse of the Jacobian inside the limits. Custom loops in Python
-can replace the first two. The inverse and the limits are the same for all strategies.
+can replace the outer and the inner loop. The inverse and the limits are the same for all strategies.
 """
 
 from typing import NamedTuple
@@ -71,7 +71,7 @@ def command(
         drift: tip velocity (3,) that neither joints nor load explain [m/s], or `OBSERVER_DRIFT`.
         aim: controlled coordinates of the tip; custom loops control the position only.
         pointing: (6, 3) direction task from `pack_direction_task`, if the direction is controlled.
-        null_space: objective for joint motions that do not move the tip; by default there are no such motions.
+        null_space: objective for joint motions that do not move the tip; None: the preferred joint velocity is zero.
 
     Raises:
         NotFinite: the requested tip velocity or the Jacobian is not finite.
@@ -98,7 +98,7 @@ def command(
 
 
 class _CurrentConfiguration:
-    """State of the robot in one tick, for limits; it computes Jacobian and tip only when a limit reads them."""
+    """State of the robot in one tick, for limits; Jacobian and tip are computed only when a limit reads them."""
 
     __slots__ = ("_now", "force", "joints")
 
@@ -127,7 +127,7 @@ def _custom_loops(
 ) -> tuple[Array, VelocityTask]:
     """Call custom loops; return the requested tip velocity U_int (3,) and the equation for the joints.
 
-    The loops receive copies of all arrays, so that they may overwrite them.
+    The loops receive copies of all arrays and may overwrite the copies.
     """
     known = now.known
     aim = Setpoint(_setpoint_ahead(feedback.lead_time, setpoint.position, setpoint.velocity), setpoint.velocity.copy())

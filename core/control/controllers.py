@@ -1,4 +1,4 @@
-"""The paper's control strategies (section III): each combines an outer loop and an inner loop.
+"""The paper's control strategies (section III): each strategy combines an outer loop and an inner loop.
 
 The outer loop requests a tip velocity U. The inner loop turns U into an equation for the joint velocities q'. Here J is
 the Jacobian by the joints q, C the compliance, w the load on the tip, and X the tip position.
@@ -7,12 +7,12 @@ the Jacobian by the joints q, C the compliance, w the load on the tip, and X the
 |---|---|---|
 | `unloaded_jacobian` (a) | velocity of the trajectory | J(q, 0) |
 | `loaded_jacobian` (b) | velocity of the trajectory | J(q, w) |
-| `inner_loop` (c) | velocity of the trajectory | one of the three below |
-| `dual_layer` (d) | eq. (30) on the measured tip | one of the three below |
+| `inner_loop` (c) | velocity of the trajectory | one of the inner loops below |
+| `dual_layer` (d) | eq. (30) on the measured tip | one of the inner loops below |
 
 | inner loop | equation |
 |---|---|
-| `type_1` | J(q, 0) q' = U - d(Delta_total)/dt, eq. (24); the deflection's rate contains q' of earlier ticks |
+| `type_1` | J(q, 0) q' = U - d(Delta_total)/dt, eq. (24); the filtered rate contains q' of earlier ticks |
 | `type_1_exact` | J(q, w) q' = U - C w': the same equation solved for q' |
 | `type_2` | J(q, w) q' = U - (X' - J(q, w) q'), eq. (29); X' is the tip's velocity from observer or tracker frames |
 """
@@ -36,8 +36,8 @@ from core.robot.robot import Array
 class LoopInputs(NamedTuple):
     """The model's solutions and the estimates that an inner loop may use."""
 
-    loaded: Solution  #: tip of the model under the measured load, F(q, w), and its derivatives
-    unloaded: Solution  #: tip of the model without load, F(q, 0), and its derivatives
+    loaded: Solution  #: solution of the model under the measured load: tip F(q, w) and its derivatives
+    unloaded: Solution  #: solution of the model without load: tip F(q, 0) and its derivatives
     deflection_rate: Array  #: (3,) rate of the deflection under load, from a filter or from C and J [m/s]
     load_rate: Array  #: (3,) C(q, w) w', the tip velocity that the load alone causes [m/s]
     drift: Array  #: (3,) tip velocity X' - J q' - C w' that neither joints nor load explain [m/s]
@@ -84,8 +84,8 @@ class VelocityMode:
 class PositionMode:
     """Outer loop with position feedback, eq. (30): U_int = -K1 X + K2 X_des, optionally with feed-forward of velocity.
 
-    Without feed-forward and with K1 = K2 = k, the tip lags behind a sinusoidal motion. At the angular frequency w the
-    error is |w / (k + jw)| of the amplitude, eq. (31).
+    Without feed-forward and with K1 = K2 = k, the tip lags behind a sinusoidal motion. At the angular frequency w
+    [rad/s] the error is the amplitude times |w / (k + jw)|, eq. (31).
     """
 
     k1: float  #: gain of the measured tip position [1/s]
@@ -117,7 +117,7 @@ def outer_law(k1: float, k2: float, feedforward: float, desired: Array, velocity
 
 
 class InnerLaw(NamedTuple):
-    """Built-in inner loop: an `InnerLoop` that compiled code selects by its number."""
+    """Built-in inner loop: an `InnerLoop` that compiled code selects by the field `number`."""
 
     number: int
 
@@ -164,8 +164,8 @@ loaded = InnerLaw(LOADED)
 type_1 = InnerLaw(TYPE_1)
 #: Inner loop J(q, w) q' = U_int - C w': eq. (21) solved for q', equal to eq. (24) with an exact Delta_total.
 type_1_exact = InnerLaw(TYPE_1_EXACT)
-#: Inner loop of eq. (29), J(q, w) q' = U_int - (X' - J(q, w) q'). It compensates every motion of the tip that the
-#: joints do not cause.
+#: Inner loop of eq. (29), J(q, w) q' = U_int - (X' - J(q, w) q'). This loop compensates every motion of the tip that
+#: the joints do not cause.
 type_2 = InnerLaw(TYPE_2)
 
 #: Inner loops of strategies (c) and (d) by name.
@@ -221,7 +221,7 @@ class Strategy:
         )
 
     def check(self, at: Solution) -> None:
-        """Call custom loops once before anything moves, with a robot at rest on its setpoint in the pose `at`.
+        """Call custom loops once before the robot moves, as if it were at rest on its setpoint in the pose `at`.
 
         Raises:
             ContractError: a custom loop raised, or returned a value that violates its interface.
@@ -233,8 +233,8 @@ class Strategy:
             self.velocity_task(u_int, LoopInputs(at.copy(), at.copy(), *rest[3:]))
 
 
-#: Functions that make the strategy of each name from the outer loop's gains and an inner loop. A strategy ignores the
-#: arguments that it does not need.
+#: Functions that make the strategy of each name from the outer loop's gains and an inner loop; a strategy may ignore
+#: either argument.
 STRATEGIES: dict[str, Callable[[PositionMode, InnerLoop], Strategy]] = {
     "unloaded_jacobian": lambda _gains, _inner: Strategy(VelocityMode(), unloaded),
     "loaded_jacobian": lambda _gains, _inner: Strategy(VelocityMode(), loaded),

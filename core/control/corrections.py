@@ -21,20 +21,22 @@ class Corrections:
     def tip(self, coil: Array, rotation: Array) -> Array:
         """Return the tip (3,) for a coil measured at `coil` (3,) [m]; `rotation` (3, 3) is the tip's frame.
 
-        The tip's frame comes from the model. With a coil offset of a millimetre, its error causes micrometres of error.
+        The tip's frame comes from the model. With a coil offset of a millimetre, an error of this frame moves the tip
+        by micrometres.
         """
         return coil - rotation @ self.coil
 
     def direction(self, axis: Array, rotation: Array) -> Array:
-        """Return the tip's direction (3,) for a measured coil axis `axis` (3,); `rotation` is the tip's frame.
+        """Return the tip's direction (3,) for a measured coil axis `axis` (3,); `rotation` (3, 3) is the tip's frame.
 
         The correction is the shortest rotation in the tip's frame that turns the coil's axis to z. The tip's frame
-        comes from the model. With an axis misaligned by 3 degrees, a frame error of one degree causes 0.05 degrees.
+        comes from the model. With a coil axis misaligned by 3 degrees, a frame error of one degree causes a direction
+        error of 0.05 degrees.
         """
         return axis if self.axis is None else rotation @ (self._straighten @ (rotation.T @ axis))
 
     def coil_axis(self, direction: Array, rotation: Array) -> Array:
-        """Return the coil axis (3,) measured when the tip points along `direction`: the inverse of that method."""
+        """Return the coil axis (3,) measured when the tip points along `direction`: inverse of `direction()`."""
         return direction if self.axis is None else rotation @ (self._straighten.T @ (rotation.T @ direction))
 
     @cached_property
@@ -51,6 +53,6 @@ class Corrections:
     def offset(self, readings: Array, alpha: Array) -> Array:
         """Return the tare (q, 6) from readings (q, 6) without load.
 
-        The tare excludes the weight of parts that hang on the sensors, because its direction rotates with the tubes.
+        The tare excludes the weight of parts that hang on the sensors, because the sensors rotate relative to gravity.
         """
         return readings - self.sensors.hanging(alpha)

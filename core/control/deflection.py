@@ -1,10 +1,10 @@
 """Rate of the deflection under load, d(Delta_total)/dt, eqs. (22) and (25).
 
 The deflection is Delta_total = F(q, w) - F(q, 0): the model's tip for joints q and load w, minus the tip without load.
-A Kalman filter with a constant-velocity model for each axis differentiates it. The filter's gain settles within the
-first second and does not depend on measurements. It is therefore computed once with filterpy; a tick then costs two
-multiplications per axis. The same filter on the measured force gives w' for the exact rate,
-C(q, w) w' + (J(q, w) - J(q, 0)) q'.
+A Kalman filter with a constant-velocity model for each axis differentiates the deflection. The filter's gain settles
+within the first second and does not depend on measurements. The gain is therefore computed once with filterpy; a tick
+then costs two multiplications per axis. The same filter on the measured force gives w' for the exact rate, C(q, w) w' +
+(J(q, w) - J(q, 0)) q'.
 """
 
 import math
@@ -23,7 +23,7 @@ class FilteredRate(NamedTuple):
     """A filtered deflection and its rate of change; the same filter also serves the force, in N and N/s."""
 
     value: Array  #: (3,) filtered deflection [m]
-    rate: Array  #: (3,) its rate of change [m/s]
+    rate: Array  #: (3,) rate of change of the filtered deflection [m/s]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class RateFilter:
         return FilteredRate(_finite(measured).copy(), np.zeros(3))
 
     def update(self, last: FilteredRate, measured: Array | None) -> FilteredRate:
-        """Return the filter's state one period later; without a measurement (`None`) it is extrapolated.
+        """Return the filter's state one period later; without a measurement (`None`) the state is extrapolated.
 
         Raises:
             NotFinite: the measurement is not finite; a NaN would stay in the filter forever.

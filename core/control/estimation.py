@@ -5,7 +5,7 @@ q are the joint positions, w is the load, J the Jacobian and C the compliance.
 | estimate | how it is computed |
 |---|---|
 | deflection Delta_total, its numerical and its filtered rate | F(q, w) - F(q, 0), eq. (25) |
-| tip velocity C w' by the load, exact rate of Delta_total | C w' + (J(q, w) - J(q, 0)) q', w' from the filtered force |
+| tip velocity by the load, exact rate of Delta_total | C w', C w' + (J(q, w) - J(q, 0)) q'; w' of the filtered force |
 | the deflection's parts Delta_1 and Delta_2 | eq. (22), integrated with the trapezoidal rule |
 | the joints' velocity, and their travel until a command sent now takes effect | `actuation` |
 | the tip, its velocity, and its predicted position | the model under the smoothed load, corrected by the `observer` |
@@ -52,7 +52,7 @@ class EstimateFields(NamedTuple):
     bias: Array  #: (3,) measured tip minus the model's tip [m]
     drift: Array  #: (3,) rate of the bias [m/s]
     refused: Array  #: (3,) innovation (measured minus expected tip) of the latest rejected tracker frame [m]
-    bias_covariance: Array  #: (3,) variance of bias, covariance of both, variance of drift [m^2, m^2/s, m^2/s^2]
+    bias_covariance: Array  #: (3,) variance of bias, their covariance, variance of drift [m^2, m^2/s, m^2/s^2]
     load: Array  #: (5, 3) estimate of the force at the tip, see `tip_force`
     vectors: Array  #: (22, 3) all vectors above in one matrix, one per row
     ahead: Array  #: (n,) distance that the joints still move until a command sent now takes effect [rad or m]
@@ -197,8 +197,9 @@ def estimate(
             along += compliance * (with_load.wrench[j] - had_load.wrench[j])
         for j in range(3):
             by_force += with_load.compliance[i, j] * new.force_rate[j]
-            # The force noise of a single sample would move the model's tip by a millimetre. The smoothed force has the
-            # same rate as the filtered force below, so the lag of both appears consistently in the bias and its drift.
+            # The force noise of a single sample would move the model's tip by a millimetre, so the tip is evaluated
+            # under the smoothed force. The smoothed force has the rate `force_rate`, which `load_rate` also uses. The
+            # lag of both therefore appears consistently in the bias and its drift.
             model_tip[i] += with_load.compliance[i, j] * (new.force_smooth[j] - force[j])
         for j in range(velocity.shape[0]):
             extra = with_load.jacobian[i, j] - free.jacobian[i, j]

@@ -43,7 +43,7 @@ def fuse_at(robot: Robot, joints: Array, wrenches: Array) -> FusedLoad:
 def closure(load: FusedLoad, tip: Array) -> float:
     """Return the moment mismatch |moment - tip x force| [N m].
 
-    It is zero for a point force at the tip (3,) [m], and large for other loads.
+    The mismatch is zero for a point force at the tip (3,) [m], and large for other loads.
     """
     return float(np.linalg.norm(load.moment - np.cross(tip, load.force)))
 

@@ -7,10 +7,10 @@ controllers that do not know the future.
     minimise  max_k |F(q_k, w_k) - target_k|
     subject to  q_0 given,  |q_k+1 - q_k| <= speed dt,  |v_k+1 - v_k| <= acceleration dt,  travel
 
-The problem is solved by sequential linear programming. The model's tip F is linearised along the path with the Jacobian
-J(q, w). The distance to the target is the largest of its projections on a set of directions; missing directions are
-added (Kelley 1960). Each step stays within a trust region. The minimum is local: the search starts from a greedy path
-that moves straight toward the target.
+Sequential linear programming solves this problem. The model's tip F is linearised along the path with the Jacobian J(q,
+w). The distance to the target is approximated by the largest projection of the tip error on a set of directions;
+missing directions are added (Kelley 1960). Each step stays within a trust region. The result is a local minimum: the
+search starts from a greedy path that moves straight toward the target.
 """
 
 # scipy has no type annotations, so the strict type check is off in this file.
@@ -63,7 +63,7 @@ class BestPath(NamedTuple):
 
 
 def best_path(statics: Statics, limits: Limits, joints: Array, velocity: Array, course: LoadCourse) -> BestPath:
-    """Return the joint path with the smallest largest tip error.
+    """Return the joint path whose largest tip error is as small as possible.
 
     Args:
         statics: model of the simulated real robot.
@@ -115,7 +115,7 @@ class _Path:
 
     @staticmethod
     def solved(statics: Statics, course: LoadCourse, joints: Array, near: "_Path | None") -> "_Path":
-        """Solve the model along `joints` (m, n), starting from a nearby path (`near`) or each from the point before."""
+        """Solve the model along `joints` (m, n); each solve starts from the path `near` or the previous point."""
         found: list[Solution] = []
         for k, (q, force) in enumerate(zip(joints, course.forces, strict=True)):
             guess = near.solutions[k] if near is not None else found[-1] if found else None
@@ -140,7 +140,7 @@ class _Program:
         self._dt = np.diff(times)
         self._start = velocity / self._speed
         m, n = len(self._dt), len(self._speed)
-        # This matrix maps joint steps at times 1 ... m to the velocities of the m intervals, as fractions of top speed.
+        # `_velocity` maps joint steps at times 1 ... m to the velocities of the m intervals, as fractions of top speed.
         difference = eye_array(m) - eye_array(m, k=-1)
         self._velocity = kron(diags_array(1.0 / self._dt) @ difference, eye_array(n), format="csr")
         self._change = kron(difference, eye_array(n), format="csr") @ self._velocity
@@ -150,7 +150,7 @@ class _Program:
         self._shape = m, n
 
     def step(self, path: _Path, directions: Sequence[list[Array]], trust: float) -> tuple[Array, float]:
-        """Return steps (m + 1, n) [rad or m] and the predicted largest error [m]; adds missing `directions`."""
+        """Return steps (m + 1, n) [rad or m] and the predicted largest error [m]; add missing `directions` in place."""
         m, n = self._shape
         offset = ((path.joints[1:] - path.joints[0]) / self._speed).ravel()
         rate, change = self._velocity @ offset, self._change @ offset

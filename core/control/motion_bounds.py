@@ -1,13 +1,14 @@
-"""A setpoint that follows a moving goal with bounded speed and acceleration; without a goal it comes to rest.
+"""A setpoint that follows a moving goal with bounded speed and acceleration; without a goal the setpoint stops.
 
 At the goal, the setpoint has the goal's velocity and no lag. Elsewhere the setpoint approaches the goal at the speed
-from which it can still stop there. With the remaining distance e, the approach rate K, and the fraction b of the
-acceleration a that is planned for braking, its velocity is
+from which it can still stop at the goal. The setpoint's velocity, with the remaining displacement e, the approach rate
+K, and the fraction b of the largest acceleration a that is planned for braking, is
 
     v = v_goal + e / |e| c(|e|),    c(s) = K s  up to s = b a / K^2,  sqrt(2 b a (s - b a / (2 K^2)))  beyond,
 
 Near the goal the distance decays exponentially; from farther away the setpoint brakes with constant deceleration. The
-speed c(s) has a continuous slope between both. The rest of the acceleration is reserved for the motion of the goal.
+slope of the speed c(s) is continuous where the two formulas meet. The rest of the acceleration is reserved for the
+motion of the goal.
 """
 
 import math
@@ -42,7 +43,7 @@ class MotionBounds:
             raise DescriptionError(f"pursuit: reach {self.reach:g} m must be greater than 0")
 
     def step(self, last: TargetState, goal: TargetState | None, period: float) -> TargetState:
-        """Return the setpoint one `period` [s] after `last` on its path to `goal`; without a goal it comes to rest."""
+        """Return the setpoint one `period` [s] after `last` on its path to `goal`; without a goal it stops."""
         new = TargetState(np.empty(3), np.empty(3))
         aim = goal or TargetState(last.position, _ZERO)
         _step(
@@ -70,8 +71,8 @@ def _step(
     _shorten(new_velocity, max_speed)
     rest = np.empty(3)
     if reach < math.inf:
-        # Limit the outward speed so that the setpoint can stop before `reach`. Where it would come to rest beyond
-        # `reach`, turn the velocity inward, so that it moves along the bound.
+        # Limit the outward speed so that the setpoint can stop before `reach`. Where the setpoint would come to rest
+        # beyond `reach`, turn its velocity inward, so that it moves along the bound.
         _inward(position, new_velocity, reach, rate, deceleration)
         if _rest(position, new_velocity, max_acceleration, rest) > reach:
             _inward(rest, new_velocity, reach, rate, deceleration)

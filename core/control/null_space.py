@@ -1,9 +1,9 @@
 """The null-space objective: how redundant joints move while the tip's task has priority.
 
 A robot with more joints than the task has rows is redundant: its joints can move without moving the tip. These motions
-are the null space of the task. `velocity_ik.inverse` chooses among them by a very small penalty (the ridge), inside all
-limits. The objective sets this penalty in two parts: a desired joint velocity away from edges, and a resistance against
-crossing kinks. Neither part changes the motion of the tip.
+are the null space of the task. `velocity_ik.inverse` chooses among these motions by a very small penalty (the ridge),
+inside all limits. The objective sets this penalty in two parts: a desired joint velocity away from edges, and a
+resistance against crossing kinks. Neither part changes the motion of the tip.
 
 An edge repels joints whose scaled distance from it is below 1, by the gradient of 1 / distance. Joint velocities are
 measured as fractions of their top speeds.
@@ -14,11 +14,11 @@ measured as fractions of their top speeds.
 | `limits` | a joint reaches the end of its travel | a quarter of the travel |
 | `order` | a tube passes the tube around it | 10 mm |
 
-A kink is a joint position where the Jacobian jumps, so each side has its own joint velocity of least speed. Where both
-velocities point toward the kink, commands that arrive a tenth of a second late belong to the wrong side. The joints
-then oscillate across the kink, and the tip stays millimetres behind its setpoint. For motions along the kink both
-Jacobians agree. The objective therefore resists the joint velocity across the kink, and one solution is valid on both
-sides.
+A kink is a joint position where the Jacobian jumps, so the joint velocity of least speed that fulfils the task differs
+on its two sides. Where both velocities point toward the kink, commands that arrive a tenth of a second late belong to
+the wrong side. The joints then oscillate across the kink, and the tip stays millimetres behind its setpoint. For
+motions along the kink both Jacobians agree. The objective therefore resists the joint velocity across the kink, and one
+solution is valid on both sides.
 """
 
 import math
@@ -46,7 +46,8 @@ TIME_CONSTANT_S = 0.1
 #: Weight of one trial solve in the running mean of the stability gradient; the mean is needed because each trial uses
 #: the noisy load of a single sample.
 SLOPE_FILTER_GAIN = 0.2
-#: Smallest scaled distance in the formula of repulsion and resistance; at smaller distances both stay constant.
+#: Smallest scaled distance in the formula of repulsion and resistance (no unit); at smaller distances repulsion and
+#: resistance stay constant.
 MIN_DISTANCE = 0.05
 #: Distances at which each edge starts to repel: stability margin; distance from a joint's end as a fraction of half its
 #: travel; distance between tube ends [m].
@@ -66,7 +67,7 @@ class StabilityGradient(NamedTuple):
 
 
 class Kinks(NamedTuple):
-    """Joint positions where the Jacobian jumps: `rows @ joints + offsets == 0`, one equation for each kink."""
+    """Joint positions where the Jacobian jumps; equation k of `rows @ joints + offsets == 0` describes kink k."""
 
     rows: Array  #: (k, n) coefficients of the joints, 1, -1 or 0
     offsets: Array  #: (k,) constant terms of the equations [m]
@@ -91,7 +92,7 @@ class NullSpaceObjective:
         """Return the stability gradient after a trial solve with one joint moved away from the nearer end of its
         travel.
 
-        A trial takes the time of a solve, so there is no trial while the margin is too large to repel the joints.
+        A trial costs one model solve. While the margin is too large to repel the joints, no trial is made.
         """
         last = last or StabilityGradient(np.zeros(now.joints.size), 0)
         if not self.weights.get("stability") or now.stability >= STABILITY_SCALE:
@@ -138,8 +139,8 @@ class NullSpaceObjective:
 def kinks_of(robot: Robot) -> Kinks:
     """Return the kinks of a robot: joint positions where a tube's curvature changes at another tube's end or the plate.
 
-    At a tube's end the bending stiffness changes as well, so it matters for the tip which of the two comes first. Where
-    the curvatures of two tubes change, the changes add up in either order, and there is no kink.
+    At a tube's end the bending stiffness changes, so the tip depends on which comes first: this end or the change of
+    curvature. Where the curvatures of two tubes change, the changes add up in either order, and there is no kink.
     """
     slides = {joint.tube: k for k, joint in enumerate(robot.joints) if joint.motion == "translation"}
     rows, offsets = list[Array](), list[float]()
@@ -162,7 +163,7 @@ def kinks_of(robot: Robot) -> Kinks:
 
 @compiled
 def _resisted(rows: Array, offsets: Array, joints: Array, limits: Array) -> Array:
-    """Return a row (n,) across each kink, scaled so that its squared length in top speeds is the resistance."""
+    """Return one row (n,) across each kink; with joints in units of top speed, its squared length is the resistance."""
     resisted = np.zeros(rows.shape)
     for k in range(rows.shape[0]):
         distance, square = offsets[k], 0.0
@@ -181,7 +182,7 @@ def _velocity(
     stability: float, ends: float, order: float,
     limits: Array, matrix: Array, bound: Array, joints: Array, margin: float, slope: Array,
 ) -> Array:  # fmt: skip
-    """Compute `NullSpaceObjective.velocity` in compiled code, for the weights of the three edges."""
+    """Compute `NullSpaceObjective.velocity` for the weights of the edges `stability`, `limits` (`ends`) and `order`."""
     n, desired, largest = joints.shape[0], np.zeros(joints.shape[0]), 1e-12
     for i in range(n):
         half = TRAVEL_SCALE * 0.5 * (limits[1, i] - limits[0, i])

@@ -1,4 +1,4 @@
-"""Tip observer: it estimates the tip's position between tracker frames and during drop-outs of the tracker.
+"""Tip observer: a filter that estimates the tip's position between tracker frames and during drop-outs of the tracker.
 
 The model F(q, w) gives the tip X at 500 Hz for joints q and load w, with a model error. The tracker gives the tip at
 40 Hz, delayed and noisy. The difference, the bias b of the model, changes slowly with pose and load:
@@ -7,10 +7,10 @@ The model F(q, w) gives the tip X at 500 Hz for joints q and load w, with a mode
 
 A Kalman filter estimates b and its rate b', with one covariance for the three axes. A tracker frame is compared with
 the model's tip *at the time of the frame's measurement*, from a short history. The frame corrects the present bias
-through the measurement matrix H = [1, -age]. Without frames the covariance grows; it is the displayed uncertainty. A
-frame whose innovation (measured minus expected tip) exceeds the gate is rejected as an outlier. Several rejected frames
-in a row that agree with each other are no outliers: a cause outside the model has moved the tip, and the bias is
-initialised again.
+through the measurement matrix H = [1, -age]. Without frames the covariance grows; the displayed uncertainty follows
+from this covariance. A frame whose innovation (measured minus expected tip) exceeds the gate is rejected as an outlier.
+After `REACQUIRE_FRAMES` rejected frames in a row that agree with each other, the observer assumes that a cause outside
+the model has moved the tip, and initialises the bias again.
 """
 
 import math
@@ -26,7 +26,7 @@ from core.robot.robot import Array
 
 #: Initial standard deviation of the drift, the rate of the model's bias [m/s].
 FIRST_DRIFT_STD_M_S = 1e-3
-#: Number of rejected frames in a row that agree with each other, after which they are accepted.
+#: Number of rejected frames in a row that agree with each other, at which the observer accepts the frames.
 REACQUIRE_FRAMES = 8
 
 
@@ -35,7 +35,7 @@ class ObserverState(NamedTuple):
 
     bias: Array  #: (3,) tracker's tip minus model's tip [m]
     drift: Array  #: (3,) rate of the bias [m/s]
-    covariance: Array  #: (3,) variance of bias, covariance of both, variance of drift [m^2, m^2/s, m^2/s^2]
+    covariance: Array  #: (3,) variance of bias, covariance of bias and drift, variance of drift [m^2, m^2/s, m^2/s^2]
     tips: Array  #: (ticks, 3) the model's tips of the last ticks, the newest at index `newest` [m]
     newest: int  #: index of the newest tip in `tips`
     used: bool  #: whether a tracker frame arrived in this tick and passed the gate
@@ -64,7 +64,7 @@ class Observer:
 
     period: float  #: time between two ticks [s]
     noise: float = 1e-4  #: standard deviation of the tracker in each axis [m]
-    bandwidth: float = 2.0  #: bandwidth of the bias estimate at 40 frames/s [Hz]; sets the bias' assumed random walk
+    bandwidth: float = 2.0  #: bandwidth of the bias estimate at 40 frames/s [Hz]; it sets the bias' process noise
     gate: float = 8.0  #: innovation beyond which a frame is rejected [standard deviations]
     longest_age: float = 0.128  #: largest age of a tracker frame that can still be used [s]
 
@@ -80,7 +80,7 @@ class Observer:
     def wander(self) -> float:
         """Density of the bias' white acceleration [m^2/s^3].
 
-        The value w^4 R T gives a filter of bandwidth w, for noise variance R and time T between frames.
+        The density w^4 R T gives a filter of bandwidth w, for noise variance R and time T between frames.
         """
         return (2.0 * math.pi * self.bandwidth) ** 4 * self.noise**2 * 0.025
 
@@ -103,7 +103,7 @@ class Observer:
             age: time since that frame was measured [s].
 
         Raises:
-            NotFinite: the tracker frame is not finite; a NaN would stay in the filter forever.
+            NotFinite: the tracker frame contains NaN or infinity; a NaN would stay in the filter forever.
 
         """
         if tip is not None:

@@ -38,9 +38,10 @@ def perceive(
         estimator: filters of the controller.
         last: estimate of the previous tick.
         joints: measured joint positions (n,) [rad or m].
-        wrenches: tared wrenches of the base sensors (q, 6), each in its sensor's axes [N, N m].
+        wrenches: tared wrenches of the base sensors (q, 6), each in the axes of its sensor [N, N m].
         sent: joint velocities (n,) sent to the stages last [rad/s or m/s].
-        tip, age: tip (3,) in a new tracker frame [m], or None, and the time since it was measured [s].
+        tip, age: tip (3,) in a new tracker frame [m], and the frame's age since its measurement [s]; tip None: no new
+            frame.
 
     Raises:
         PoseError, NoSolution: the model has no shape at the measured pose and load.
@@ -56,7 +57,7 @@ def perceive(
         joints, wrenches, sent, frame, age, *before, 1,
         total, loaded, unloaded, numbers,
     ):  # fmt: skip
-        # The warm start did not converge: `solve` repeats the solve in smaller steps, or from rest.
+        # The warm start did not converge: `Statics.solve` follows the branch in smaller steps, or starts from rest.
         force = now.known.load[FORCE]
         now.loaded = statics.solve(joints, pure_force(force), last.loaded)
         now.unloaded = statics.solve(joints, _NO_LOAD, last.unloaded)
@@ -74,10 +75,10 @@ def _perceive(
     near_loaded: Array, near_unloaded: Array, last: Array, careful: int,
     load: Array, loaded: Array, unloaded: Array, now: Array,
 ) -> bool:  # fmt: skip
-    """Compute `perceive` into the last four arguments; return False if a model was not solved.
+    """Compute `perceive` into the last four arguments; return False if the model was not solved.
 
-    If a model was not solved, only the load is valid. The argument `careful` is always 1. If it were a constant inside
-    this function, the compiler would build a second Newton solver.
+    After False only the load is valid: the sum `load` and the force estimate in `now`. The argument `careful` is always
+    1. As a constant inside this function, `careful` would make the compiler build a second Newton solver.
     """
     layout = unpack(packed)
     copy(fused_at(layout, joints, wrenches), load)

@@ -1,13 +1,14 @@
-"""Prediction of a target that moves with breathing and heartbeat, from delayed and rare tracker frames.
+"""Prediction of a target that moves with breathing and heartbeat, from delayed tracker frames at a low rate.
 
 The target's position is modelled on each axis as a constant c and a few waves s_k with quadrature components q_k,
 
     x(t) = c + sum_k s_k(t),    s_k' = k w q_k,    q_k' = -k w s_k,
 
 where k = 1, 2, ... counts the harmonics of each rhythm, and the rhythm's rate w [rad/s] is the same for all axes. An
-extended Kalman filter estimates c, s, q and w; the process noise sets how fast each may drift. The estimate of a rate
-converges only from a nearby initial value. Therefore several filters start at several rates, and the filter with the
-highest likelihood is used. The waves extrapolate the estimate to any later time at the cost of a few sines.
+extended Kalman filter estimates c, s, q and w; the process noise sets how fast each of these values may drift. The
+estimate of a rate converges only from a nearby initial value. Therefore several filters start at several rates, and the
+filter with the highest likelihood predicts the target. The waves extrapolate the estimate to any later time; an
+extrapolation costs a few sines.
 """
 
 import itertools
@@ -26,8 +27,8 @@ from core.robot.robot import Array
 REACQUIRE_FRAMES = 8
 #: Time constant with which old frames lose weight in the likelihoods that compare the filters [s].
 LIKELIHOOD_MEMORY_S = 4.0
-#: Cost per frame for each harmonic that is larger than its fundamental. A filter at half the true rate fits equally
-#: well; this cost makes the predictor use the filter at the true rate.
+#: Cost (negative log likelihood) per frame for each harmonic that is larger than its fundamental. A filter at half the
+#: true rate fits equally well with its second harmonic; this cost makes the predictor use the filter at the true rate.
 HARMONIC_PENALTY = 0.05
 
 
@@ -55,7 +56,7 @@ class Predictor(Protocol):
         ...
 
     def update(self, last: PredictorState, position: Array, time: float) -> PredictorState:
-        """Return the predictor's state after another frame, which is later than the last one."""
+        """Return the predictor's state after another frame; `time` [s] must be later than that of the last frame."""
         ...
 
     def at(self, known: PredictorState, time: float) -> TargetState:
@@ -65,14 +66,14 @@ class Predictor(Protocol):
 
 @dataclass(frozen=True)
 class NewestFrame:
-    """Predictor that assumes that the target rests at its position in the newest frame."""
+    """Predictor that assumes that the target rests at its position in the newest tracker frame."""
 
     def start(self, position: Array, time: float) -> PredictorState:
-        """Return the state after a first frame."""
+        """Return the predictor's state after a first frame `position` (3,) [m], measured at `time` [s]."""
         return PredictorState(time, _finite(position)[None].copy(), np.zeros((1, 3, 3)), np.zeros((1, 2)))
 
     def update(self, last: PredictorState, position: Array, time: float) -> PredictorState:
-        """Return the state after another frame."""
+        """Return the predictor's state after another frame, which must be later than the last frame."""
         _time_since_frame(last, time)
         return self.start(position, time)
 
@@ -137,7 +138,7 @@ class Waves:
 
     @cached_property
     def _settings(self) -> tuple[Array, Array, Array]:
-        """List of waves; process noise per second of each state variable; bounds of the rates (rhythms, 2) [rad/s]."""
+        """Array `_waves`; process noise per second of each state variable; bounds of the rates (rhythms, 2) [rad/s]."""
         turn = 2.0 * math.pi
         drifts = np.concatenate(
             (
@@ -149,7 +150,7 @@ class Waves:
         return self._waves, drifts, bounds
 
     def start(self, position: Array, time: float) -> PredictorState:
-        """Return the state after a first frame."""
+        """Return the predictor's state after a first frame `position` (3,) [m], measured at `time` [s]."""
         rates, variances = self._first
         still = np.concatenate((_finite(position), np.zeros(6 * len(self._waves))))
         states = np.concatenate((np.tile(still, (len(rates), 1)), rates), axis=1)
@@ -160,7 +161,7 @@ class Waves:
 
         Raises:
             NotFinite: the frame is not finite; a NaN would stay in the filter forever.
-            DescriptionError: the frame is not later than the last one.
+            DescriptionError: the frame is not later than the last frame.
         """
         now = PredictorState(time, last.states.copy(), last.covariances.copy(), last.costs.copy())
         _update(
@@ -213,7 +214,7 @@ def _advance(state: Array, covariance: Array, waves: Array, drifts: Array, wave_
             s, q = 3 + 6 * k + i, 6 + 6 * k + i
             state[s], state[q] = cos * state[s] + sin * state[q], cos * state[q] - sin * state[s]
             size += state[s] * state[s] + state[q] * state[q]
-            # Covariance F P F^T with transition matrix F, two rows and columns at a time; the rate's do not change.
+            # Covariance F P F^T with transition matrix F, two rows and columns at a time; F keeps the rates' rows.
             to_s, to_q = turn * state[q], -turn * state[s]
             for j in range(n):
                 a, b, w = covariance[s, j], covariance[q, j], covariance[rate, j]

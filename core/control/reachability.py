@@ -1,4 +1,4 @@
-"""Reachability check: a test on the model, before anything moves, whether the robot can follow a motion.
+"""Reachability check: a test on the model, before the robot moves, whether the robot can follow a motion.
 
 From the start pose, the simulated joints take small steps with the controller's inverse, inside the same limits,
 without noise and delay. If the tip falls behind its path by more than a tolerance, the robot cannot follow the motion.
@@ -24,7 +24,7 @@ from core.robot.robot import Array
 MAX_LAG_M = 5e-4
 #: Time between two steps of the reachability check [s], and largest number of its steps.
 CHECK_INTERVAL_S, MAX_STEPS = 0.02, 10_000
-#: Singular values of the Jacobian below this are reported as a reason, although the damping sets in lower [m/s].
+#: Singular value of the Jacobian below which a singular pose is reported as a reason [m/s]; damping starts lower.
 NEAR_SINGULAR_M_S = 4.0 * SIGMA_FLOOR_M_S
 #: Time that the tip has to reach the path after a jump [s].
 APPROACH_TIME_S = 20.0
@@ -91,9 +91,9 @@ def check_reach(
         duration: duration of the motion [s]; a periodic motion is checked for one period.
         force: function that returns the tip force (3,) [N] at a time since the start [s]; times before the start are
             negative; None: no force.
-        aim: controlled coordinates of the tip. An angle counts as the distance at its lever.
-        directions: desired directions of the tip; None keeps the direction of the start.
-        cancelled: function that returns whether the result is no longer required; called at every step.
+        aim: controlled coordinates of the tip. An angular error counts as the distance angle times lever.
+        directions: desired directions of the tip; None: the tip keeps its start direction.
+        cancelled: function that returns whether the result is no longer required; the check calls it at every step.
 
     Raises:
         Cancelled: `cancelled` returned true.
@@ -115,7 +115,7 @@ def check_reach(
         pointing = heading if directions is None else directions.at(time)[0]
         away = walk.step(start + offset, time, step, pointing)
         if float(np.linalg.norm(offset - before - step * velocity)) > MAX_LAG_M:
-            # No robot can follow a jump of the path; the jump is accepted if the tip can reach its end.
+            # No robot can follow a jump of the path; the check accepts the jump if the tip can reach the jump's end.
             for _ in range(round(APPROACH_TIME_S / step)):
                 if cancelled():
                     raise Cancelled

@@ -1,7 +1,7 @@
 """Calibrated base sensors: conversion between a sensor's reading and the wrench of its tube.
 
-The conversion contains the sensor's gain, its mounting, and the weight of parts that hang on it. It excludes the
-sensor's offset, which is tared before every run.
+The conversion includes the sensor's gain, its mounting, and the weight of parts that hang on the sensor. The sensor's
+offset is excluded, because it is tared before every run.
 """
 
 from dataclasses import dataclass, field

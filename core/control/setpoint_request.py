@@ -1,7 +1,7 @@
-"""Setpoint of a tip that a streaming client commands: it follows the latest request within motion bounds.
+"""Setpoint of the tip from a streaming client: the setpoint follows the client's latest request within motion bounds.
 
 Requests may arrive at any time. The tip's direction follows the requested direction by the same law, in the tangent
-plane of the sphere of directions. There the remaining distance is the angle of the shortest rotation to the requested
+plane of the sphere of directions. The remaining distance is then the angle of the shortest rotation to the requested
 direction.
 """
 
@@ -22,7 +22,7 @@ DEFAULT_MOTION_BOUNDS = MotionBounds(max_speed=0.02, max_acceleration=0.1, rate=
 
 
 def turn_bounds(fastest: float) -> MotionBounds:
-    """Return motion bounds for a tip direction: angular speed `fastest` [rad/s], reached in 0.2 s from rest."""
+    """Return motion bounds for a tip direction: angular speed at most `fastest` [rad/s], reached in 0.2 s."""
     return MotionBounds(fastest, 5.0 * fastest, DEFAULT_MOTION_BOUNDS.rate, DEFAULT_MOTION_BOUNDS.braking)
 
 
@@ -34,7 +34,7 @@ class SetpointRequest(NamedTuple):
     """Latest setpoint received from the streaming client."""
 
     position: Array | None  #: (3,) requested position from the start tip [m]; None: the request is a velocity
-    velocity: Array  #: (3,) requested velocity, or velocity of the requested positions [m/s]
+    velocity: Array  #: (3,) requested velocity; with a position: velocity of the requested position [m/s]
     time: float  #: time at which the request was received [s]
     extrapolation: float  #: time for which `velocity` moves the goal [s]; afterwards the goal is `position`, at rest
     direction: Array | None = None  #: (3,) requested direction of the tip, unit vector; None: never requested
@@ -58,7 +58,7 @@ class StreamedDirection:
         self.turning = np.zeros(3)  #: (3,) angular velocity of the direction [rad/s]
 
     def advance(self, requested: Array | None, period: float) -> None:
-        """Rotate for one `period` [s] toward the direction `requested` (3,); None: come to rest as soon as possible."""
+        """Rotate for one `period` [s] toward the direction `requested` (3,); None: stop as soon as possible."""
         goal = None if requested is None else TargetState(_rotation_toward(self.direction, requested), _ZERO)
         rotation = self._bounds.step(TargetState(_ZERO, self.turning), goal, period)
         self.direction = rotated(self.direction, rotation.position)
@@ -88,7 +88,7 @@ class StreamedTip:
         return 0.0 if self._pointing is None else float(np.linalg.norm(self._pointing.turning))
 
     def advance(self, now: float, request: SetpointRequest | None, period: float) -> Setpoint:
-        """Return the setpoint one `period` [s] later; without a request the setpoint comes to rest."""
+        """Return the setpoint one `period` [s] later, at `now` [s]; without a request it comes to rest."""
         goal = None if request is None else request.goal(now, self._at.position)
         self._at = self._bounds.step(self._at, goal, period)
         if self._pointing is None:

@@ -3,7 +3,8 @@
     sum the base wrenches -> solve the model with and without load -> estimate deflection, load,
     joints and tip -> outer loop -> inner loop -> inverse inside the limits -> check finite
 
-The tick uses no clock, device or thread. Its changing state enters as a `ControllerState` and leaves as a new one.
+The tick uses no clock, device or thread. The argument `ControllerState` contains all changing state; the tick returns a
+new one.
 """
 
 import math
@@ -46,7 +47,7 @@ class Sample(NamedTuple):
     joints: Array  #: (n,) measured joint positions [rad or m]
     sent: Array  #: (n,) joint velocities sent to the stages last [rad/s or m/s]
     wrenches: Array  #: (q, 6) tared base wrenches, each in its sensor's axes [N, N m]
-    tip: Array | None  #: (3,) tip in a new tracker frame [m]; None when no frame arrived since the last tick
+    tip: Array | None  #: (3,) tip in a new tracker frame [m]; None: no frame arrived since the last tick
     tip_age: float = 0.0  #: time since that tracker frame was measured [s]
     direction: Array | None = None  #: (3,) direction of the tip in the same frame; None: not measured
 
@@ -58,7 +59,7 @@ class ControllerState(NamedTuple):
     tip: Array  #: (3,) latest measured tip position [m]
     origin: Array  #: (3,) tip at the start of the motion, to which setpoints are relative [m]
     tracked: TrackerVelocity = NO_FRAMES  #: tip velocity from tracker frames, if the controller differentiates them
-    direction: DirectionEstimate | None = None  #: estimate of the tip's direction, if it is controlled or calibrated
+    direction: DirectionEstimate | None = None  #: estimate of the tip's direction, if it is estimated
     slope: StabilityGradient | None = None  #: gradient of the stability margin, for redundant joints
 
 
@@ -101,9 +102,9 @@ class Controller:
     corrections: Corrections | None = None
     #: Coordinates of the tip that are controlled: position, direction or both.
     aim: TaskSelection = POSITION_ONLY
-    #: Objective that moves redundant joints; None: joint motions that do not move the tip have zero velocity.
+    #: Objective that moves redundant joints; None: the preferred joint velocity is zero.
     null_space: NullSpaceObjective | None = None
-    #: True: the tip's direction is estimated although it is not controlled; a calibration needs it.
+    #: True: the tip's direction is estimated even if it is not controlled; a calibration needs this estimate.
     watches: bool = False
 
     def __post_init__(self) -> None:
@@ -128,14 +129,14 @@ class Controller:
     def kinks(self) -> Kinks:
         """Kinks (joint positions where the Jacobian jumps) that the null-space objective resists.
 
-        With a single redundant joint there are none: it would have to move at top speed to keep the others from
-        crossing.
+        With a single redundant joint the result is empty: this joint would have to move at top speed to keep the other
+        joints from crossing a kink.
         """
         kinks = kinks_of(self.statics.robot)
         return kinks if len(self.limits.joints) >= self.aim.rows + 2 else Kinks(kinks.rows[:0], kinks.offsets[:0])
 
     def check_loops(self, joints: Array) -> None:
-        """Call custom loops once in the unloaded pose `joints` (n,), before anything moves.
+        """Call custom loops once in the unloaded pose `joints` (n,), before the robot moves.
 
         Raises:
             ContractError: a custom loop raised, or returned a value that violates its interface.
@@ -176,7 +177,7 @@ def start_controller(controller: Controller, sample: Sample) -> ControllerState:
 
 
 def set_origin(controller: Controller, memory: ControllerState, origin: Array) -> ControllerState:
-    """Start a motion at rest after a tare: setpoints are then relative to `origin` (3,) [m].
+    """Start a motion at rest after a tare: setpoints of this motion are relative to `origin` (3,) [m].
 
     The tare has changed the zero of the force, so the estimates restart without load, and the deflection's parts of
     eq. (22) start at zero.
@@ -190,7 +191,7 @@ def set_origin(controller: Controller, memory: ControllerState, origin: Array) -
 
 
 def restart_setpoints_here(memory: ControllerState) -> ControllerState:
-    """Use the present tip as origin of setpoints, and its present direction as the direction to keep."""
+    """Return the state with the present tip as origin of setpoints and its present direction as direction to keep."""
     direction = memory.direction
     if direction is not None:
         direction = direction._replace(origin=direction.observed)
@@ -200,7 +201,7 @@ def restart_setpoints_here(memory: ControllerState) -> ControllerState:
 def step(controller: Controller, memory: ControllerState, sample: Sample, order: Setpoint | JointMotion | None) -> Tick:
     """Compute one tick: update the estimates, and compute the joint velocities for `order`.
 
-    An order is a setpoint to follow, a joint motion to execute, or None to stay still.
+    The argument `order` is a setpoint to follow, a joint motion to execute, or None to stand still.
 
     Raises:
         PoseError, NoSolution: the model has no shape at the measured pose and load.
@@ -242,7 +243,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         # Without a tip setpoint, report the present tip as setpoint.
         velocity = np.zeros(sample.joints.size) if order is None else order.velocity
         found, order = _joint_motion(limits, sample.joints, velocity), Setpoint(tip - memory.origin, np.zeros(3))
-    finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # an older frame was checked in its own tick
+    finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # earlier frames were checked in earlier ticks
     if not (finite and all(map(math.isfinite, found.velocity.tolist()))):
         raise NotFinite(
             f"joint velocities {found.velocity.tolist()} at measured tip {tip.tolist()} m are not finite"

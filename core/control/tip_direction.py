@@ -1,12 +1,13 @@
 """Direction of the tip: its control task and its estimate.
 
 A control task consists of rows, and each row is one equation for the joint velocities. The tip's position has three
-rows. Its direction has two: the rotations about the two axes perpendicular to the tip, because a rotation about the
-tip's axis does not change the direction. The direction's rows use the same inner loop as the position's rows, with the
-lower rows of the Jacobian J and the compliance C. A lever weights the direction's rows: it converts radians to metres.
+rows. The tip's direction has two rows: the rotations about the two axes perpendicular to the tip, because a rotation
+about the tip's axis does not change the direction. The direction's rows use the same inner loop as the position's rows,
+with the lower rows of the Jacobian J and the compliance C. A lever [m/rad] weights the direction's rows and thereby
+converts radians to metres.
 
-The observer treats the direction like a position: as the head of an arrow fixed to the tip. The arrow's length is
-chosen so that the tracker's noise at its head equals the noise of a position.
+The observer treats the direction like a position: as the head of an arrow that is fixed to the tip. With the arrow's
+length, the tracker's direction noise moves the head as much as its position noise moves a position.
 """
 
 from dataclasses import dataclass
@@ -29,8 +30,9 @@ ARROW_LENGTH_M = 0.02
 #: Default lever: weight of an error of the tip's direction compared with an error of its position [m/rad].
 DEFAULT_LEVER_M = 0.05
 
-#: Value of `SIGMA_FLOOR_M_S` for tasks with a direction [m/s]. A coil's axis is noisier than its position. With less
-#: damping the joints would oscillate at full speed to reach directions that are almost out of reach.
+#: Replacement of `SIGMA_FLOOR_M_S` for tasks with a direction [m/s]: smallest singular value without damping. A coil's
+#: axis is noisier than its position. With less damping the joints would oscillate at full speed to reach directions
+#: that are almost out of reach.
 DIRECTION_SIGMA_FLOOR_M_S = 2e-3
 
 #: Control tasks by name: whether the task controls the tip's position, and whether it controls its direction.
@@ -106,7 +108,7 @@ class _DirectionFields(NamedTuple):
     now: Array  #: (5, 3) rows of `observed`, `ahead` and `turnings`
     bias: Array  #: (3,) bias of the arrow's head, tracker minus model [m]
     drift: Array  #: (3,) rate of this bias [m/s]
-    covariance: Array  #: (3,) covariance of bias and drift, as in `observer.ObserverState`
+    covariance: Array  #: (3,) covariance elements of bias and drift, as in `observer.ObserverState`
     refused: Array  #: (3,) innovation (measured minus expected head) of the latest rejected tracker frame [m]
     counts: Array  #: (2,) index of the newest arrow; number of frames rejected in a row
     arrows: Array  #: (history, 3) heads of the model's arrow in the last ticks [m]
@@ -123,7 +125,7 @@ def _direction_fields(numbers: Array) -> _DirectionFields:
 def start_direction(
     estimator: Estimator, model: Array, direction: Array, origin: Array | None = None
 ) -> DirectionEstimate:
-    """Return the estimate of a tip at rest with `direction` (3,); `model` (3,) is the model's direction."""
+    """Return the estimate of a tip at rest with `direction` (3,); `model` (3,) is the model's tip direction."""
     first = estimator.observer.start(ARROW_LENGTH_M * model, ARROW_LENGTH_M * direction)
     counts = np.array((first.newest, first.in_a_row), dtype=np.float64)
     direction = direction.copy()
@@ -166,7 +168,7 @@ def _update_direction(
     settings: Array, loaded: Array, unloaded: Array, estimate: Array, force: Array, frame: Array, age: float,
     numbers: Array,
 ) -> None:  # fmt: skip
-    """Compute `update_direction` in place: `numbers` enters with the values of the last tick."""
+    """Compute `update_direction` in place: `numbers` contains the values of the last tick before the call."""
     now, bias, drift, covariance, refused, counts, arrows = _direction_fields(numbers)
     period, _, _, _, lead_time, noise, wander, gate = settings
     with_load, free, known = fields(loaded), fields(unloaded), estimate_fields(estimate)
@@ -204,7 +206,7 @@ def pack_direction_task(pointed: DirectionEstimate, desired: Array | None, turni
 
     Args:
         pointed: direction estimate of this tick.
-        desired: desired direction (3,); None keeps the direction of the start.
+        desired: desired direction (3,); None: the direction at the start of the motion.
         turning: angular velocity (3,) of the desired direction [rad/s].
         observes: True: use the direction predicted for the time when the command takes effect; False: the latest frame.
 

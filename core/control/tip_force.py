@@ -1,8 +1,9 @@
 """Force at the tip: the best linear unbiased estimate from all forces and moments of the base sensors.
 
 The total wrench of all base sensors does not contain the forces between the tubes. Let c be the point on the tubes'
-axis where the errors e_F and e_M of total force F and moment M are uncorrelated. It is the mean of the sensors'
-positions, weighted by their force errors. With the tip force f and the model's loaded tip r of the previous tick,
+axis about which the errors e_F and e_M of total force F and moment M are uncorrelated. This point is the mean of the
+sensors' positions, weighted by the variances of their force errors. With the tip force f and the model's loaded tip r
+of the previous tick,
 
     F = f + e_F,    M = (r - c) x f + e_M.
 
@@ -33,16 +34,18 @@ FORCE, VARIANCE, COVARIANCE, MISMATCH, QUALITY = range(5)
 #: Columns of the state's row QUALITY: bandwidth of the force filter [Hz]; chi square of the moment mismatch; time since
 #: the tare [s].
 BANDWIDTH, MISFIT, SINCE = range(3)
-#: Chi square of the moment mismatch above which the load does not act at the tip: the 99.9 % quantile with three
-#: degrees of freedom.
+#: Chi square of the moment mismatch above which the estimator assumes that the load does not act at the tip: the 99.9 %
+#: quantile with three degrees of freedom.
 FITS = 16.266
 #: Time constant with which the moment mismatch is averaged [s].
 MISMATCH_TIME_S = 0.1
-#: Variance gain of the force filter for white noise, divided by bandwidth times period: 3 / (2 sqrt 2) times 2 pi.
+#: Factor 3 / (2 sqrt 2) times 2 pi: the force filter multiplies the variance of white noise by this factor times its
+#: bandwidth times the period.
 PASSED = 6.66
 #: A sensor channel with this noise or more counts as missing, and its reading is not used [N or N m].
 MISSING = 1e3
-#: Bandwidth of the force filter times the standard deviation of the force's error [Hz N]; it sets the bandwidth.
+#: Product of the force filter's bandwidth and the standard deviation of the force's error [Hz N]; the adaptive
+#: bandwidth is this product divided by the present standard deviation.
 BANDWIDTH_TIMES_DEVIATION_HZ_N = 0.01
 #: Upper and lower bound of the force filter's adaptive bandwidth [Hz].
 WIDEST_HZ, NARROWEST_HZ = 3.0, 0.5
@@ -53,14 +56,14 @@ class SensorErrors:
     """Errors of the base sensors as standard deviations; each noise is one number per tube or one number for all.
 
     The defaults describe an ATI Nano43 SI-18-0.25. Its noise was measured. ATI states the largest error, 1 % of the
-    ranges, so a third of its square is used as variance. The drift is that of the virtual lab.
+    ranges; a third of the square of this error is used as variance. The drift is that of the virtual lab.
     """
 
     force_noise: float | tuple[float, ...] = 0.02  #: force noise of one sample [N]; inf: the sensor measures no force
     moment_noise: float | tuple[float, ...] = 0.2e-3  #: moment noise of one sample [N m]; inf: it measures no moment
     force_drift: float = 5e-3 / 60.0  #: drift of a force since the tare [N/s]
     moment_drift: float = 0.1e-3 / 60.0  #: drift of a moment since the tare [N m/s]
-    gain: float = 0.01 / math.sqrt(3.0)  #: error of an axis by each axis at full range, as a fraction of its range
+    gain: float = 0.01 / math.sqrt(3.0)  #: error of an axis due to each axis at full range, fraction of the range
     force_range: float = 18.0  #: range of a force axis [N]
     moment_range: float = 0.25  #: range of a moment axis [N m]
     lever: float = 1.5e-3  #: position error of the model's tip [m]
@@ -74,7 +77,8 @@ class SensorErrors:
         return np.asarray(np.minimum(deviations, MISSING) ** 2, dtype=np.float64)
 
 
-#: Gain error of a calibrated sensor's axis as a fraction of its range: what remains of 1 % after `calibrate tubes`.
+#: Gain error of a calibrated sensor's axis as a fraction of its range: the part of 1 % that remains after `calibrate
+#: tubes`.
 CALIBRATED_GAIN = 0.001
 
 
@@ -102,7 +106,7 @@ class LoadEstimator:
     def start(self, force: Array, bandwidth: float) -> Array:
         """Return the estimator's state (5, 3) before the first tick.
 
-        `force` (3,) is the initial tip force [N], `bandwidth` that of the force filter [Hz].
+        `force` (3,) is the initial tip force [N], `bandwidth` the bandwidth of the force filter [Hz].
         """
         rows = np.zeros((5, 3))
         rows[FORCE], rows[QUALITY, BANDWIDTH] = force, bandwidth
@@ -120,7 +124,7 @@ def estimate_force(
         settings: packed settings `LoadEstimator.settings`.
         period: time between two ticks [s].
         layout, joints: description and joint positions of the robot.
-        wrenches: (q, 6) that each tube exerts on its sensor since the tare, in the tube's axes [N, N m].
+        wrenches: wrenches (q, 6) that the tubes exert on their sensors, tared, each in its tube's axes [N, N m].
         tip: the model's loaded tip (3,), world frame [m].
         last, now: states (5, 3) of the previous tick and of this tick; the rows are `FORCE` ... `QUALITY`.
 

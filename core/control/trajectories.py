@@ -20,7 +20,7 @@ ZERO_VELOCITY = np.zeros(3)
 
 
 class Setpoint(NamedTuple):
-    """Desired tip relative to the tip at the start, world frame."""
+    """Desired position, velocity and direction of the tip, world frame; the position is relative to the start tip."""
 
     position: Array  #: (3,) desired offset from the start tip [m]
     velocity: Array  #: (3,) desired velocity of the tip [m/s]
@@ -31,7 +31,7 @@ class Setpoint(NamedTuple):
 class JointMotion(NamedTuple):
     """Directly commanded joint velocities, for example for an approach, a jog, or a sweep of one joint."""
 
-    velocity: Array  #: (n,) [rad/s or m/s]
+    velocity: Array  #: (n,) commanded joint velocities [rad/s or m/s]
 
 
 class Trajectory(Protocol):
@@ -49,8 +49,8 @@ class Trajectory(Protocol):
 
 #: Shortest time between two waypoints [s].
 MIN_WAYPOINT_INTERVAL_S = 1e-3
-#: Latest time [s] and largest offset [m] of a waypoint. No robot needs a day or 10 m, and far larger numbers overflow
-#: the spline's coefficients.
+#: Latest time [s] and largest offset per axis [m] of a waypoint: one day and 10 m, more than a motion needs. Far larger
+#: numbers would overflow the spline's coefficients.
 MAX_TIME_S, MAX_OFFSET_M = 86_400.0, 10.0
 
 
@@ -59,7 +59,7 @@ class Directions:
     """Direction of the tip over time: it rotates from one direction to the next about one axis and rests at each."""
 
     times: tuple[float, ...]  #: increasing times at which the tip has each direction [s]
-    directions: tuple[tuple[float, float, float], ...]  #: vectors of any length but zero; successive ones not opposite
+    directions: tuple[tuple[float, float, float], ...]  #: vectors of any nonzero length; none opposite to the next
 
     def __post_init__(self) -> None:
         if not self.times or len(self.times) != len(self.directions):
@@ -116,7 +116,7 @@ class Hold:
 
 @dataclass(frozen=True)
 class Step:
-    """Trajectory that jumps from the start tip to another position; with a finite `stay` it jumps back and forth."""
+    """Trajectory that jumps from the start tip to another position; back and forth if `stay` is finite."""
 
     offset: tuple[float, float, float]  #: offset of the other position from the start tip [m]
     stay: float = math.inf  #: time that the setpoint stays at either position [s]
@@ -142,7 +142,7 @@ class Step:
 class Sinusoid:
     """Trajectory that oscillates along a line through the start tip."""
 
-    direction: tuple[float, float, float]  #: direction of the line, a vector of any length but zero
+    direction: tuple[float, float, float]  #: direction of the line, a vector of any nonzero length
     amplitude: float  #: largest distance from the start tip [m]
     frequency: float  #: number of oscillations per second [Hz]
 
@@ -198,7 +198,7 @@ class Circle:
 
 @dataclass(frozen=True)
 class Helix:
-    """Trajectory along a helix: turns about an axis while advancing along it, at constant speed, then rest."""
+    """Trajectory along a helix at constant speed; after the last turn the setpoint stays at rest."""
 
     radius: float  #: radius of the helix [m]
     pitch: float  #: advance along the axis in one turn, of either sign [m]

@@ -5,13 +5,13 @@
 
 v are the joint velocities. The Jacobian J has a row for each controlled coordinate of the tip. With more joints than
 rows, some joint motions do not move the tip (the null space). A ridge, a penalty far below all other terms, selects
-among them: velocities near `preferred` (zero by default) with small products with the rows of `resisted` (none by
-default), inside the same limits.
+one of these motions inside the same limits: the ridge penalises the distance from `preferred` (zero by default) and the
+products with the rows of `resisted` (none by default).
 
 Joint velocities are measured in fractions of their top speed, which makes radians and metres comparable. The singular
 values of J diag(speed) are the tip speeds [m/s] with the joints at full speed. Where the smallest singular value is
 below a floor, the damping of Nakamura and Hanafusa sets in and keeps the joint velocities finite. Zero velocity
-satisfies every limit. A primal active-set method starts there and reaches the exact minimum with a few small
+satisfies every limit. A primal active-set method starts at zero velocity and reaches the exact minimum with a few small
 eliminations; its final working set contains the active limits.
 """
 
@@ -27,12 +27,12 @@ from core.robot.robot import Array
 
 #: Smallest singular value of the Jacobian (a tip speed) below which its inverse is always damped [m/s].
 SIGMA_FLOOR_M_S = 5e-4
-#: For a larger desired tip speed the damping sets in earlier, at a singular value of sqrt(this number * |desired|)
-#: [m/s]. Where the tubes line up, the solution reverses its direction. A joint would otherwise oscillate there at full
-#: speed, because commands arrive late.
+#: For a larger desired tip speed the damping sets in earlier, at a singular value of sqrt(this constant * |desired|)
+#: [m/s]. Where the tubes line up, the joint velocity of the solution changes its sign. Without this damping a joint
+#: would oscillate there at full speed, because commands arrive late.
 ADAPTIVE_DAMPING_M_S = 2e-4
 
-#: Empty bounds for a robot without limits of several joints together.
+#: Empty room vector for a robot without limits of several joints together.
 NO_BOUNDS = np.zeros(0)
 
 
@@ -64,7 +64,8 @@ def inverse(
         speed: top speeds of the joints (n,), used as units [rad/s or m/s].
         lower, upper: bounds of the joint velocities (n,); zero is between them [rad/s or m/s].
         rows, room: limits of several joints, rows (k, n) @ velocity <= room (k,); room is not negative.
-        preferred: joint velocity (n,) to prefer among equally good ones [rad/s or m/s]; zero by default.
+        preferred: joint velocity (n,) near which the solution is chosen among equally good velocities [rad/s or m/s];
+            zero by default.
         resisted: rows (k, n) whose products with the joint velocity are penalised [s/rad or s/m]; none by default.
 
     Raises:
@@ -152,7 +153,8 @@ def inverse_law(
 ) -> tuple[Array, Array, Array, Array, bool]:
     """Compute `inverse` in compiled code; the unknowns are x = v / speed.
 
-    Limits are numbered: c < n is the upper bound of joint c, c < 2 n the lower bound of joint c - n, else row c - 2 n.
+    Each limit has a number c: c < n is the upper bound of joint c, n <= c < 2 n the lower bound of joint c - n, and
+    other numbers the row c - 2 n.
     """
     n, m, size = speed.shape[0], rows.shape[0], desired.shape[0]
     scaled, total, square = np.empty((size, n)), 0.0, 0.0
@@ -165,7 +167,7 @@ def inverse_law(
     velocity, at_bound, at_row = np.zeros(n), np.zeros(n), np.zeros(m)
     for i in range(n):
         total += preferred[i] * preferred[i]
-    # The squares of these numbers must not overflow either: comparisons with the resulting NaN would allow full speed.
+    # The squares of these numbers must not overflow: comparisons with the resulting NaN would allow full speed.
     if not np.isfinite(total + square):
         return velocity, sigma, at_bound, at_row, False
     requested = np.sqrt(square)
@@ -324,7 +326,7 @@ def _singular_values(matrix: Array) -> Array:
         for j in range(n):
             square += rows[i, j] * rows[i, j]
         sigma[i] = np.sqrt(square)
-    for i in range(m - 1):  # a few numbers: a library's sort takes a second to compile
+    for i in range(m - 1):  # bubble sort of a few numbers: a library's sort would take a second to compile
         for k in range(m - 1 - i):
             if sigma[k] < sigma[k + 1]:
                 sigma[k], sigma[k + 1] = sigma[k + 1], sigma[k]

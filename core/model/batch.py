@@ -33,7 +33,7 @@ from core.robot.robot import Array, Flags, Indices, tube_poses, unpack
 
 #: Number of rows per chunk of a batch. With `along`, each chunk starts cold, so results do not depend on the threads.
 CHUNK_ROWS = 500
-#: How a row's solve starts: without a nearby solution, from the previous row, or from a row of given solutions.
+#: Start of a row's solve: without a nearby solution, from the previous row, or from a row of given solutions.
 COLD, ALONG, NEAR = range(3)
 
 #: Type of a function that calls another function for each number, like `map`, for example in threads.
@@ -127,13 +127,13 @@ def solve_many(
     """Solve many poses; forces act at the tip.
 
     Args:
-        models: the robot and its integrator; or one per row, with equal numbers of tubes, joints and equal steps.
+        models: the robot and its integrator; or one model per row, with equal tube counts, joint counts and steps.
         joints: positions (k, n) [rad or m].
         wrenches: force and moment (k, 6), world frame [N, N m].
-        near: k nearby solutions, whose branches are followed row by row; a row without one starts cold.
+        near: k nearby solutions; each row follows the branch of its solution. A row whose solution is NaN starts cold.
         along: every row follows the branch of the previous row. Every `CHUNK_ROWS`th row and a row after a failed one
             start cold.
-        spread: executes the chunks.
+        spread: function that executes the chunks, for example in threads.
 
     Raises:
         DescriptionError: the shapes of the arrays do not match each other or the robot.
@@ -234,7 +234,7 @@ def solve_rows(
         order, sublink, tubes, columns: see `newton`.
         joints, wrenches: (k, n) and (k, 6).
         start: `COLD`, `ALONG` or `NEAR`.
-        cold_start: with `ALONG`, the first row has no previous one.
+        cold_start: with `ALONG`, the row `first` starts cold, because it has no previous row.
         first, last: range of rows.
         near: (k, m) starts of the rows for `NEAR`.
         numbers: out (k, m).
@@ -272,7 +272,7 @@ def solve_rows(
                     robot, order, sublink, joints[row], wrenches[row], rest, np.inf, 0, COLD_STEP_RAD, tubes, columns,
                     numbers[row],
                 )  # fmt: skip
-                # Unlike the tubes, sub-links may have an equilibrium at a twist that they cannot resolve.
+                # Sub-links may have an equilibrium that the tubes lack, at a twist that the sub-links cannot resolve.
                 solved = solved and numbers[row, STABILITY] > 0.0
         else:
             solved = newton(

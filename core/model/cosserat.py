@@ -27,8 +27,8 @@ class Rod(NamedTuple):
     tip: Array  #: (3,) position of the tip [m]
     rotation: Array  #: (3, 3) frame of the innermost tube at the tip
     torsion: Array  #: (q,) torsion u_iz of each tube at the plate [1/m]
-    unknowns: Array  #: (q + 2,) m_x, m_y [N m] and u_iz [1/m] at the plate, from which a warm start begins
-    chord: Array  #: (q + 2, q + 2) inverse of the end conditions' derivative, for the next Newton
+    unknowns: Array  #: (q + 2,) m_x, m_y [N m] and u_iz [1/m] at the plate, the start values of a warm start
+    chord: Array  #: (q + 2, q + 2) inverse of the end conditions' derivative, for the next Newton solve
     iterations: int
 
 
@@ -84,7 +84,7 @@ class ExactRod:
     def stability(self, joints: Array, wrench: Array, rod: Rod, contact: float | None = None) -> float:
         """Return the determinant of the end conditions by the unknowns at a solution, by central differences.
 
-        The number is the same as `Solution.stability`: 1 for straight tubes without load, 0 where the tubes snap.
+        This number corresponds to `Solution.stability`: 1 for straight tubes without load, 0 where the tubes snap.
         """
         alpha, beta = self.robot.tube_poses(joints)
         position = self.robot.check_contact(joints, contact)
@@ -114,7 +114,7 @@ class ExactRod:
 
 @compiled
 def to_plate(layout: Layout, wrench: Array) -> Array:
-    """Return force and moment (6,) in the axes of the plate, in which the rod is solved."""
+    """Return force and moment (6,) of a world-frame wrench in the plate's axes, the axes of the rod equations."""
     result = np.zeros(6)
     for i in range(3):
         for k in range(3):
@@ -125,7 +125,7 @@ def to_plate(layout: Layout, wrench: Array) -> Array:
 
 @compiled
 def to_world(layout: Layout, y: Array) -> tuple[Array, Array]:
-    """Return tip (3,) and frame (3, 3) in the world."""
+    """Return tip (3,) [m] and tip frame (3, 3) in world coordinates from the state `y` at the tip."""
     own, tip, rotation = np.empty((3, 3)), np.empty(3), np.zeros((3, 3))
     _rotation(y, own)
     for i in range(3):
@@ -139,7 +139,7 @@ def to_world(layout: Layout, y: Array) -> tuple[Array, Array]:
 
 @compiled
 def _rotation(y: Array, out: Array) -> None:
-    """Write the rotation matrix of the quaternion y[:4] (w, x, y, z), of any length but zero, to `out`."""
+    """Write the rotation matrix of the quaternion y[:4] = (w, x, y, z), of any nonzero length, to `out`."""
     w, a, b, c = y[0], y[1], y[2], y[3]
     scale = 2.0 / (w * w + a * a + b * b + c * c)
     out[0, 0], out[0, 1], out[0, 2] = 1.0 - scale * (b * b + c * c), scale * (a * b - w * c), scale * (a * c + w * b)
@@ -154,8 +154,9 @@ def slope(
 ) -> None:  # fmt: skip
     """Write the derivative of y = quaternion (4), r (3), m_x, m_y, u_iz (q), psi_i (q) along the arc length.
 
-    `bend` is EI and `twist` GJ of the tubes present (q,), `softness` one over the sum of the former. An absent tube has
-    ratio 0. `turn` (q, 2) is memory for cosine and sine of psi_i; psi of the innermost tube is 0.
+    `bend` is EI and `twist` GJ of each tube (q,), 0 for a tube that is absent at this cross-section. `ratio` is EI /
+    GJ, 0 for an absent tube. `softness` is 1 / sum EI. `force` is the force (3,) beyond the cross-section, plate's
+    axes. `turn` (q, 2) is scratch memory for cosine and sine of psi_i; psi of the innermost tube is 0.
     """
     q = bend.shape[0]
     w, a, b, c = y[0], y[1], y[2], y[3]
@@ -193,7 +194,7 @@ def slope(
 
 @compiled
 def start_state(layout: Layout, alpha: Array, beta: Array, unknowns: Array, y: Array, section: Indices) -> float:
-    """Set the state `y` and each tube's section at the plate; return the innermost tube's angle there."""
+    """Set the state `y` and each tube's section index at the plate; return the innermost tube's angle there [rad]."""
     q = layout.counts.shape[0]
     theta = float(alpha[0] - beta[0] * unknowns[2])
     y[:] = 0.0
@@ -213,7 +214,7 @@ def start_state(layout: Layout, alpha: Array, beta: Array, unknowns: Array, y: A
 @compiled
 def present(layout: Layout, beta: Array, section: Indices, bend: Array, twist: Array, ratio: Array, curvature: Array,
     ) -> tuple[float, int, float]:  # fmt: skip
-    """Set stiffness and curvature of the tubes present; return the next section end, its tube and the sum of EI."""
+    """Set stiffness and curvature of the tubes present; return the next section end [m], its tube, and sum EI."""
     end, end_tube, total = np.inf, -1, 0.0
     for i in range(bend.shape[0]):
         bend[i] = twist[i] = ratio[i] = 0.0
@@ -235,7 +236,7 @@ def _integrate(
     y: Array, ends: Array,
 ) -> None:  # fmt: skip
     """Integrate from the plate to the tip, in the plate's axes; `ends` (q + 2) receives the end conditions."""
-    force = wrench.copy()  # only the first three are used: the force beyond the current cross-section
+    force = wrench.copy()  # force beyond the current cross-section; only the first three elements are used
     q = layout.counts.shape[0]
     section, memory = np.zeros(q, np.int64), np.zeros((3, q))
     bend, twist, ratio = memory[0], memory[1], memory[2]
@@ -291,8 +292,8 @@ def shoot(
     """Solve by chord Newton; the derivative (by differences) is recomputed when convergence is slow.
 
     Returns unknowns, chord, tip, frame, number of integrations and the residual of the end conditions at that tip. A
-    residual above `tolerance` means failure. The returned unknowns include one more chord step, so guesses that combine
-    several solutions do not contain the tolerated error.
+    residual above `tolerance` means failure. The returned unknowns include one more chord step, so that later guesses
+    computed from them do not contain the tolerated error.
     """
     q = layout.counts.shape[0]
     size = q + 2
@@ -378,7 +379,7 @@ def largest(values: Array) -> float:
 
 @compiled
 def times(matrix: Array, vector: Array, out: Array) -> None:
-    """Compute matrix times vector; for so few numbers this is faster than a library call."""
+    """Write matrix times vector to `out`; for a matrix this small the loop is faster than a library call."""
     for i in range(out.size):
         out[i] = 0.0
         for k in range(vector.size):

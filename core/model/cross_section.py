@@ -50,7 +50,7 @@ class Bend(NamedTuple):
 
 
 class BendRate(NamedTuple):
-    """Derivative of a bend by one column's variable."""
+    """Derivative of a `Bend` by the variable of one derivative column (an unknown, a joint or a force component)."""
 
     kx: float
     ky: float
@@ -74,7 +74,7 @@ def bend(
     Args:
         link: share, ratio, precurvature x and y, and 1 / sum EI for each tube (q, 5).
         load: force and moment at the plate (6,) [N, N m].
-        r: R.
+        r: rotation matrix R of the cross-section's frame.
         x, y, z: position from the plate [m].
         theta, twist: theta_i [rad] and u_iz [1/m].
 
@@ -120,12 +120,12 @@ def bend_rate(
     turn: Numbers,
     twist: Numbers,
 ) -> BendRate:  # fmt: skip
-    """Return the derivative of `bend`.
+    """Return the change of curvature and torsion rates, computed by `bend`, for small changes of its inputs.
 
     Args:
         at: the cross-section.
-        n1, n2, n3: its rotation, world frame [rad].
-        d1, d2, d3: its displacement [m].
+        n1, n2, n3: rotation of the cross-section, world frame [rad].
+        d1, d2, d3: displacement of the cross-section, world frame [m].
         f1, f2, f3, m1, m2, m3: change of the force [N] and of the moment at the plate [N m].
         turn, twist: change of theta_i [rad] and u_iz [1/m].
 

@@ -1,8 +1,9 @@
 """The paper's own variables, eqs. (6)-(16) with Euler angles, for comparison only.
 
 R = Rx(theta_1) Ry(theta_2) Rz(theta_i3), with theta_1 and theta_2 common to all tubes. The angles are singular where
-the tangent points along +-x: cos(theta_2) = 0. The model in use (`cross_section`) has no singularity. One pass starts
-from the base unknowns of a solution; the two forms agree to the order of the scheme.
+the tangent points along +-x: cos(theta_2) = 0. The model in use (`cross_section`) has no singularity. `euler_tip`
+integrates once from the base unknowns of a solution of that model; the tips of both models agree to the integrator's
+order.
 """
 
 import numpy as np
@@ -12,7 +13,7 @@ from core.errors import NoSolution
 from core.model.solution import Solution
 from core.robot.robot import Array, Layout, Robot
 
-#: Smallest cos(theta_2) at which the angles are used.
+#: Smallest cos(theta_2) at which the Euler angles are used; at 0 they are singular.
 MIN_COSINE = 0.02
 
 

@@ -1,11 +1,11 @@
 """A sub-link of fourth order from two cross-sections, its start and its middle.
 
-With y' = f and y'' = g known at a cross-section, two of them give fourth order (Chan, Tsai 2010):
+Where y' = f and y'' = g are known at a cross-section, two cross-sections give fourth order (Chan, Tsai 2010):
 
     y(h/2) = y + h/2 f + h^2/8 g,        y(h) = y + h f + h^2 (g / 6 + g(h/2) / 3).
 
-For the rotation this is the Magnus series: the same quadrature for the integral of kappa, and the
-commutator h^3/12 (kappa x kappa') of the middle. The derivative columns are those of the scheme.
+For the rotation this scheme becomes the Magnus series: the same quadrature gives the integral of kappa, and the
+commutator is h^3/12 (kappa x kappa') in the middle. The derivative columns are the exact derivatives of this scheme.
 """
 
 from core.compiled import compiled, replaced
@@ -25,7 +25,7 @@ def fourth_order(
     tubes: tuple[float, ...],
     columns: tuple[float, ...],
 ) -> None:
-    """Integrate one sub-link in place; `state` and `rates` as in `propagation.propagate`."""
+    """Integrate one sub-link of length `h` [m]; update `state` and `rates` of `propagation.propagate` in place."""
     q, width = len(tubes), len(columns)
     half, eighth, sixth, third, twelfth = 0.5 * h, h * h / 8.0, h * h / 6.0, h * h / 3.0, h * h * h / 12.0
     theta, twist = tubes, tubes
@@ -77,7 +77,7 @@ def fourth_order(
             dh = sliding * rates[fixed + 6 * width]
             d = bend_rate(at, n1, n2, n3, d1, d2, d3, f1, f2, f3, m1, m2, m3, turns, twists)
 
-            # to the middle; dh moves it by dh / 2
+            # derivatives at the middle, which moves by dh / 2 when the length changes by dh
             px = half * d.kx + eighth * d.k1x + dh * (0.5 * at.kx + 0.25 * h * at.k1x)
             py = half * d.ky + eighth * d.k1y + dh * (0.5 * at.ky + 0.25 * h * at.k1y)
             qx = eighth * d.ky + 0.25 * dh * h * at.ky
@@ -103,7 +103,7 @@ def fourth_order(
                 )  # fmt: skip
             e = bend_rate(mid, o1, o2, o3, e1, e2, e3, f1, f2, f3, m1, m2, m3, turns_m, twists_m)
 
-            # to the end
+            # derivatives at the end of the sub-link
             for i in range(q):
                 rates[(6 + i) * width + col] = (
                     turns[i] + h * present[i] * twists[i] + sixth * d.uz1[i] + third * e.uz1[i]
@@ -121,7 +121,8 @@ def fourth_order(
             rates[col] = n1 + g.m11 * px + g.m12 * py + g.m13 * pz
             rates[width + col] = n2 + g.m21 * px + g.m22 * py + g.m23 * pz
             rates[2 * width + col] = n3 + g.m31 * px + g.m32 * py + g.m33 * pz
-            # r + sum: the whole step rotated by n, the middle's part by o, and the changes along R and Rm
+            # Displacement: the start's part of the step rotated by n, the middle's part by o, and changes along R and
+            # Rm.
             qx, qy = sixth * d.ky + dh * h / 3.0 * at.ky, -sixth * d.kx - dh * h / 3.0 * at.kx
             vx, vy = third * e.ky + dh * h / 1.5 * mid.ky, -third * e.kx - dh * h / 1.5 * mid.kx
             tx, ty, tz = sx - third * wx, sy - third * wy, sz - third * wz

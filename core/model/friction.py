@@ -12,9 +12,10 @@ def dahl_friction(
 ) -> None:
     """Update Dahl friction after a relative motion of the inner tube on the outer one.
 
-    `old` and `new` contain force about and along the tangent [N], relative angle [rad] and 1 once initialised.
-    `turned` is the current relative angle [rad], `slid` the sliding distance since the previous tick [m], `limit` the
-    largest force.
+    `old` and `new` contain the friction force about and along the tangent [N], the relative angle [rad], and 1 once
+    initialised. `turned` is the current relative angle [rad], `slid` the sliding distance since the previous tick [m],
+    `limit` the largest friction force [N], `stick` the path over which friction reverses [m], and `radius` the contact
+    radius [m].
     """
     new[2], new[3] = turned, 1.0
     if old[3] == 0.0:
@@ -26,7 +27,7 @@ def dahl_friction(
     if distance > 0.0:
         toward = limit * (1.0 - decay) / distance
     new[0], new[1] = toward * about + decay * old[0], toward * along + decay * old[1]
-    # The normal force may have fallen: friction never exceeds its limit.
+    # The limit falls with the normal force, so the old friction may exceed the new limit: reduce it to the limit.
     size = np.sqrt(new[0] * new[0] + new[1] * new[1])
     if size > limit:
         new[0] *= limit / size

@@ -1,20 +1,23 @@
-"""The exact rod with effects of a real bench: friction and clearance between the tubes, weight, and base reactions.
+"""The exact rod with effects of real hardware: friction and clearance between the tubes, weight, and base reactions.
 
-Tubes that bend each other transfer moments by couples. At the end of a tube, and where the precurvature of one changes,
-its bending moment jumps by dM. The two forces dM / d of the couple, a length d apart, cause friction of at most
+Tubes that bend each other transfer moments by couples. At a tube's end, and where a tube's precurvature changes, the
+tube's bending moment jumps by dM. The two forces dM / d of the couple, a length d apart, cause friction of at most
 
     T = 2 mu |dM| / d                                   (Lock and Dupont 2011: |tau| <= c |dM|, c = 2 mu r / d)
 
-between neighbours. Its direction combines rotation (a torque r T about the tangent) and sliding. It follows Dahl's law:
-along a relative path x, dT/dx = (T_max e - T |dx|) / x_s. The history depends on motion, not on time. The torque enters
-the torsion of both tubes as a jump of GJ u_z, so it is solved together with the shape.
+between neighbouring tubes. The direction of the friction combines rotation (a torque r T about the tangent) and
+sliding. Friction follows Dahl's law along a relative path x: dT/dx = (T_max e - T |dx|) / x_s. It depends on the past
+motion, not on time. The torque enters the torsion of both tubes as a jump of GJ u_z, so torque and shape are solved
+together.
 
-Clearance (Ha, Fagogenis and Dupont 2019): over the last d = sqrt(6 g / du) of a tube, the inner tubes bend freely.
-There tubes whose curvatures differ by du cross the gap g. They leave the tube rotated by du_bundle d / 2.
+Clearance (Ha, Fagogenis and Dupont 2019): over the last d = sqrt(6 g / du) of a tube, the inner tubes bend freely. On
+this length d, tubes whose curvatures differ by du cross the gap g. The inner tubes leave the outer tube rotated by
+du_bundle d / 2.
 
 Each base carries one tube: the bending moment K_i (u - u_i^) and the torque GJ_i u_iz at the plate, and the shear
-t x m_i'. The force along z follows from n_i . t + m_i . u_i - W_i. This quantity is constant along a tube whose
-neighbours push only across it, except for changes at its end, its steps of precurvature, friction and weight.
+t x m_i'. The force along z follows from n_i . t + m_i . u_i - W_i. This sum is constant along a tube whose neighbours
+push only perpendicular to the tube. It changes only at the tube's end, at steps of its precurvature, and by friction
+and weight.
 """
 
 from typing import NamedTuple
@@ -33,9 +36,9 @@ class FrictionContact(NamedTuple):
     grip: float  #: 2 mu / d: friction force per transferred moment [1/m]
     stick: float  #: x_s, path over which friction reverses [m]
     gap: float  #: difference of the facing diameters [m]
-    radius: Array  #: (q,) contact radius of a tube with the one around it [m]
-    weight: Array  #: (q,) [N/m]
-    gravity: Array  #: (3,) unit vector, axes of the plate
+    radius: Array  #: (q,) contact radius of each tube with the tube around it [m]
+    weight: Array  #: (q,) weight of each tube per length [N/m]
+    gravity: Array  #: (3,) direction of gravity, unit vector in the plate's axes
 
 
 @compiled
@@ -66,7 +69,7 @@ def _bend(y: Array, curvature: Array, bend: Array, softness: float, u: Array, mo
 
 @compiled
 def _tangent(y: Array, along: Array) -> float:
-    """Return the component of a vector (3,) along the rod, both in the plate's axes."""
+    """Return the component of the vector `along` (3,), plate's axes, along the rod's tangent at state `y`."""
     w, a, b, c = y[0], y[1], y[2], y[3]
     scale = 2.0 / (w * w + a * a + b * b + c * c)
     return (
@@ -78,9 +81,9 @@ def _tangent(y: Array, along: Array) -> float:
 
 @compiled
 def _kink(y: Array, about_x: float, about_y: float, twist: Array, moments: Array) -> None:
-    """Rotate the frame by a small angle about its own axes; every tube's moment stays constant in the world.
+    """Rotate the frame of `y` by a small angle about its x and y axes; every tube's moment stays constant in the world.
 
-    `moments` (q, 2) are the tubes' bending moments before.
+    `moments` (q, 2) are the tubes' bending moments before the rotation [N m].
     """
     angle = np.sqrt(about_x * about_x + about_y * about_y)
     if angle < 1e-12:
@@ -115,18 +118,18 @@ def integrate(
 
     Args:
         layout: tubes at the current pose.
-        rough: friction, clearance, weight.
-        alpha: rotations (q,) [rad].
-        beta: proximal ends (q,) [m].
-        tip_force: (3,) [N].
+        rough: friction, clearance and weight of the tubes.
+        alpha: rotations of the tubes (q,) [rad].
+        beta: proximal ends of the tubes (q,) [m].
+        tip_force: external force (3,), plate's axes [N].
         contact: arc length at which `tip_force` acts, inf for the tip [m].
         unknowns: m_x, m_y [N m] and u_iz [1/m] at the plate (q + 2,).
         step: longest integration step [m].
         slid: displacement of each tube along z since the previous tick (q,) [m].
         old: friction at the previous tick (slots, 4), as in `dahl_friction`.
-        new: out, friction now.
-        y: (9 + 2 q,) the state at the tip, as in `cosserat`.
-        ends: (q + 2,).
+        new: out, friction at this tick (slots, 4).
+        y: out (9 + 2 q,), the state at the tip, as in `cosserat`.
+        ends: out (q + 2,), violations of the end conditions.
         bases: out (q, 6), load of each tube on its base: force [N], and moment about the plate's origin [N m].
 
     """
@@ -192,7 +195,7 @@ def integrate(
             load[:] = 0.0
             end, end_tube, total = present(layout, beta, section, bend, twist, ratio, curvature)
             continue
-        # The end of a section: bending moments of the tubes before and after it.
+        # Bending moments of the tubes before and after the end of this section.
         part, stiffness = section[ending], total
         old_curvature = curvature[ending].copy()
         angle = y[9 + q + ending]
@@ -218,7 +221,8 @@ def integrate(
         _bend(y, curvature, bend, 1.0 / total, u, after)
         step_u[0], step_u[1] = u[0] - bent[0], u[1] - bent[1]
         if finished:
-            # Its edge presses across the tubes inside it; it carries the axial force that they do not.
+            # The ending tube's edge presses perpendicular to the inner tubes; the ending tube carries the remaining
+            # axial force.
             pull[ending] += invariant
         else:
             cos, sin = np.cos(angle), np.sin(angle)
@@ -234,10 +238,10 @@ def integrate(
             turned = float(y[9 + q + p] - y[9 + q + p + 1])
             dahl_friction(limit, rough.stick, rough.radius[p], turned, slid[p] - slid[p + 1], old[slot], new[slot])
             torque, along = rough.radius[p] * new[slot, 0], new[slot, 1]
-            # The friction is that of the inner tube on the outer; the reaction on the inner has the opposite sign.
+            # `new` is the friction of the inner tube on the outer tube; the inner tube receives the opposite friction.
             for i, sign in ((p, 1.0), (p + 1, -1.0)):
                 jump = sign * torque * layout.stiffness[i, 1] / layout.stiffness[i, 0]
-                energy = sign * torque * (y[9 + i] + 0.5 * jump)  # stored in its torsion
+                energy = sign * torque * (y[9 + i] + 0.5 * jump)  # change of torsional energy per length [N]
                 pull[i] -= energy + sign * along
                 if finished:
                     pull[ending] += energy
@@ -245,9 +249,9 @@ def integrate(
         if finished:
             size = np.sqrt(step_u[0] * step_u[0] + step_u[1] * step_u[1])
             if rough.gap > 0.0 and size > 0.0:
-                # Smooth where no moment is transferred: there a kink has no direction.
+                # The term 1e-4 keeps `half` smooth for a vanishing curvature step, where the kink has no direction.
                 half = 0.5 * np.sqrt(6.0 * rough.gap * ended / (stiffness * np.sqrt(size * size + 1e-4)))
-                # Over that length, on average half of the transferred moment does not twist them yet.
+                # Over that length, on average half of the transferred moment does not twist the tubes yet.
                 for i in range(neighbours + 1):
                     less = (after[i, 0] - before[i, 0]) * bent[1] - (after[i, 1] - before[i, 1]) * bent[0]
                     y[9 + i] += half * less * layout.stiffness[i, 1] / layout.stiffness[i, 0]
@@ -264,7 +268,7 @@ def integrate(
 def _axial_invariant(
     y: Array, force: Array, bend: Array, twist: Array, curvature: Array, total: float, u: Array, moments: Array
 ) -> float:
-    """Return the invariant n . t + sum of m_i . u_i - W_i [N]; `u` and `moments` receive the bending."""
+    """Return the invariant n . t + sum(m_i . u_i - W_i) [N]; write curvature and moments to `u` and `moments`."""
     result = _tangent(y, force)
     _bend(y, curvature, bend, 1.0 / total, u, moments)
     for i in range(bend.shape[0]):
@@ -280,11 +284,11 @@ def _at_plate(
     bases: Array, y: Array, rate: Array, unknowns: Array, theta: float, bend: Array, twist: Array, curvature: Array,
     softness: float, pull: Array,
 ) -> None:  # fmt: skip
-    """Write moment and shear of each tube at the plate (q, 6), and start the sum of the axial forces."""
+    """Write moment and shear of each tube at the plate to `bases` (q, 6); initialise the axial forces in `pull`."""
     q = bend.shape[0]
     u, moments = np.zeros(2), np.zeros((q, 2))
     _bend(y, curvature, bend, softness, u, moments)
-    # u' of the bundle: the part of the moment, and the part of precurvatures that rotate with their tubes.
+    # u' of the bundle has a part from the moment and a part from precurvatures that rotate with their tubes.
     du = np.array((rate[7], rate[8]))
     own = np.zeros((q, 2))
     for i in range(q):
@@ -319,7 +323,8 @@ def settle(
     """Solve the shape by Newton with Broyden's updates: the derivative changes abruptly when friction starts to slide.
 
     Returns unknowns for the next guess, chord, tip, frame and the residual of the end conditions. A residual above
-    `tolerance` means failure. `new` and `bases` are those of the shape, in the plate's axes.
+    `tolerance` means failure. `new` receives friction and `bases` the base loads of the solved shape, in the plate's
+    axes.
     """
     q = layout.counts.shape[0]
     size = q + 2
@@ -331,14 +336,14 @@ def settle(
     unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
     integrate(layout, rough, alpha, beta, force, contact, unknowns, step, slid, old, new, y, ends, bases)
     residual = largest(ends)
-    exact, stale = False, not inverse.any()  # whether the derivative is exact at this point, or must be recomputed
+    exact, stale = False, not inverse.any()  # state of the derivative: exact at this point; to be recomputed
     iterations = 0
     while residual > tolerance and iterations < 80:
         if stale:
             matrix = np.empty((size, size))
             for k in range(size):
                 copy(unknowns, trial)
-                # So small that all points stay on one side of a reversal of friction.
+                # This difference is so small that all points stay on one side of a reversal of friction.
                 trial[k] += 1e-8
                 integrate(layout, rough, alpha, beta, force, contact, trial, step, slid, old, new, y, moved, bases)
                 for i in range(size):

@@ -20,14 +20,14 @@ RESIDUAL_TOLERANCE = 1e-9
 MAX_PASSES = 40
 #: Largest final Newton step of a warm start, applied to first order [rad over the whole length].
 WARM_STEP_RAD = 1e-6
-#: Largest final Newton step of a cold start [rad]. Time matters less there, and J and C are evaluated at the tip
-#: itself.
+#: Largest final Newton step of a cold start [rad over the whole length]. It is smaller than that of a warm start
+#: because time matters less, and J and C of the last pass are then those of the solution itself.
 COLD_STEP_RAD = 1e-8
-#: Largest final Newton step in the control loop [rad], where a force sample's noise moves the tip by a millimetre. The
-#: first-order error is below 0.1 um of the tip and 0.1 % of J and C, and half of the passes are saved.
+#: Largest final Newton step in the control loop [rad over the whole length]; it saves half of the passes. Its error is
+#: below 0.1 um at the tip and 0.1 % of J and C, while the noise of a force sample moves the tip by a millimetre.
 CONTROL_STEP_RAD = 3e-3
-#: Upper bound of the violation of the end conditions after a Newton step, divided by the step's square [1/m or N m]; it
-#: was measured and has a reserve.
+#: Upper bound of the violation of the end conditions after a Newton step, divided by the step's square [1/m or N m]; a
+#: measured value with a reserve.
 NEWTON_REMAINDER = 100.0
 #: Largest first Newton step of a careful warm start [rad]: a longer step may lead to another shape of the robot.
 MAX_FIRST_STEP_RAD = 0.5
@@ -53,13 +53,14 @@ def newton(
     Args:
         packed: the robot, `Robot.packed`.
         order, sublink: see `propagation.Scheme`.
-        joints, wrench, contact: the pose (n,) and the load (6,).
-        near: numbers of a nearby solution. A step that does not reduce the residual is halved.
-        careful: 1 for a warm start: refuses a long first step and a change of the margin's sign, to keep the branch.
+        joints, wrench, contact: the pose (n,), the load (6,), and the force's arc length from the plate [m].
+        near: numbers of a nearby solution, from which the iteration starts.
+        careful: 1 for a warm start: reject a long first step and a sign change of the margin, to stay on the branch.
         close: largest final Newton step, applied to first order [rad over the whole length].
         tubes, columns: see `propagate`.
-        numbers: out, those of the `Solution`.
+        numbers: out, the numbers of the `Solution`.
 
+    A step that does not reduce the residual is halved.
     """
     layout = unpack(packed)
     q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
@@ -136,7 +137,7 @@ def _predict(
         square += scale * scale * now * now
         before += scale * scale * last * last
         along += scale * scale * now * last
-    # The cubic of the previous change of pose and load is valid only for a change in the same direction.
+    # The cubic along the previous change of pose and load is valid only for a change in the same direction.
     if along * along > 0.99 * square * before and before > 0.0 and same_contact:
         t = along / before
         if abs(t) < 3.0:
@@ -146,9 +147,9 @@ def _predict(
 
 @compiled
 def _path_curvature(near: Parts, known: bool, found: Parts) -> None:
-    """Compute second and third order of the unknowns along the last move, from its ends and their slopes.
+    """Compute the second- and third-order coefficients of the unknowns along the last change of pose and load.
 
-    `known`: the slope at the start of the move is known.
+    The coefficients follow from values and slopes at both ends. `known`: the slope at the start is known.
     """
     for i in range(found.unknowns.shape[0]):
         here, there = 0.0, 0.0
@@ -174,7 +175,7 @@ def _end_conditions(
     n: int,
     table: Array,
 ) -> float:
-    """Fill the derivatives of the end conditions, then of the tip, by unknowns, joints, force and tip moment.
+    """Fill `table` with the derivatives of end conditions and tip by unknowns, joints, force and tip moment.
 
     The last column contains the end conditions: u_iz at each tube's end and M at the tip, which must vanish.
 
@@ -205,7 +206,7 @@ def _end_conditions(
         table[q + 1, col] = rates[moment + width + col] - (dz * fx - dx * fz) - (z * gx - x * gz)
         table[q + 2, col] = rates[moment + 2 * width + col] - (dx * fy - dy * fx) - (x * gy - y * gx)
         table[size, col], table[size + 1, col], table[size + 2, col] = dx, dy, dz
-        # the tube turns about its tangent in the frame
+        # rotation of the tip: the frame's rotation plus the innermost tube's angle about its tangent
         table[size + 3, col], table[size + 4, col], table[size + 5, col] = (
             r1 + t1 * turn,
             r2 + t2 * turn,
@@ -230,7 +231,7 @@ def _end_conditions(
 
 @compiled
 def _finish(base: Array, state: Array, table: Array, q: int, n: int, found: Parts) -> None:
-    """Write tip and frame after the last step, J, C and the sensitivity."""
+    """Write the tip and its frame after the last Newton step, J, C and the sensitivity to `found`."""
     size = q + 3
     last = size + n + 6
     for i in range(size):
@@ -247,7 +248,7 @@ def _finish(base: Array, state: Array, table: Array, q: int, n: int, found: Part
         found.tip[i] = state[9 + i] + table[size + i, last] + base[9 + i]
     square = n1 * n1 + n2 * n2 + n3 * n3
     for k in range(3):
-        # the innermost tube's axes after a rotation whose third order is negligible
+        # axes of the innermost tube, rotated to second order: the third order of this small rotation is negligible
         if k == 0:
             a, b, c = cos * state[0] + sin * state[1], cos * state[3] + sin * state[4], cos * state[6] + sin * state[7]
         elif k == 1:
@@ -265,7 +266,7 @@ def _finish(base: Array, state: Array, table: Array, q: int, n: int, found: Part
 def eliminate(table: Array, tubes: tuple[float, ...], columns: tuple[float, ...]) -> float:
     """Eliminate the first q + 3 rows and columns by Gauss-Jordan with row pivoting, also in the rows below.
 
-    [A B; C D] becomes [1 A^-1 B; 0 D - C A^-1 B]. Returns the determinant of A; 0 when singular.
+    [A B; C D] becomes [1 A^-1 B; 0 D - C A^-1 B]. Returns the determinant of A; 0 if A is singular.
     """
     size, rows, count = len(tubes) + 3, len(tubes) + 9, len(columns) + 8
     determinant = 1.0

@@ -1,8 +1,8 @@
 """One pass along the tubes: the loaded model, eqs. (6)-(16), and its derivatives, eqs. (17)-(19).
 
-The end of every tube section starts a new link. Links consist of sub-links of one length; the last one of each link
-takes the remainder. A sub-link is one step of an integrator: `second_order` is the paper's, `fourth_order` is for long
-steps.
+The end of every tube section starts a new link. Links consist of sub-links of one length; the last sub-link of each
+link takes the remainder. A sub-link is one step of an integrator: `second_order` is the paper's integrator,
+`fourth_order` permits longer steps.
 
 Derivatives are integrated with the state, as columns: by the base unknowns (u_iz(0), M(0)), the joints and the force.
 Only the last sub-link of a link changes its length with a joint (H in (19)).
@@ -31,7 +31,7 @@ class Scheme(NamedTuple):
     """Discretisation of the tubes: order of the integrator and length of its steps."""
 
     order: int  #: 2 or 4, see `INTEGRATORS`
-    sublink: float  #: length of a sub-link [m]; the last of each link takes the remainder
+    sublink: float  #: length of a sub-link [m]; the last sub-link of each link takes the remainder
 
 
 @compiled
@@ -53,7 +53,7 @@ def propagate(
 
     Args:
         layout: the robot.
-        scheme: discretisation.
+        scheme: order of the integrator and length of a sub-link.
         alpha, beta: rotation [rad] and proximal end [m] of each tube (q,).
         force: (3,), world frame [N].
         contact: arc length from the plate at which the force acts [m]; inf for the tip.
@@ -64,10 +64,11 @@ def propagate(
             of each tube; then the remaining force and M about the plate at the tip.
         rates: out (rows x columns, flat): derivatives of rotation (3, world), r (3), theta_i,
             u_iz, force, M by unknowns (q + 3), joints (n), force (3).
-        path: out (m, 16 + 2q): arc length, R, r, theta_i, u_iz, M at every sub-link, as far as m reaches.
+        path: out (m, 16 + 2q): arc length, R, r, theta_i, u_iz, M at the start of every sub-link and at the tip; only
+            the first m cross-sections are written.
 
     Returns:
-        Number of cross-sections passed, the plate's included.
+        Number of cross-sections on the way, including those at the plate and at the tip.
 
     """
     q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
@@ -81,7 +82,7 @@ def propagate(
         state[9 + k], load[k], load[3 + k] = 0.0, force[k], unknowns[q + k]
     for i in range(q):
         state[12 + q + i] = unknowns[i]
-        state[12 + i] = alpha[i] - beta[i] * unknowns[i]  # the tube's part behind the plate twists, too
+        state[12 + i] = alpha[i] - beta[i] * unknowns[i]  # the part of the tube behind the plate also twists
         # Skip sections that are entirely behind the plate.
         while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
             section[i] += 1
@@ -107,8 +108,8 @@ def propagate(
         for i in range(q):
             if section[i] < layout.counts[i]:
                 section_end = beta[i] + layout.ends[i, section[i]]
-                # Among flush ends the outermost comes first, so the innermost tube carries the tip: its translation
-                # moves the tip, as it does when the tube is extended.
+                # Among flush tube ends the outermost tube ends first, so the innermost tube carries the tip, and its
+                # translation moves the tip, as when the inner tube extends beyond the others.
                 if section_end < end + FLUSH_TOLERANCE_M:
                     end, end_tube = section_end, i
                 total += layout.stiffness[i, 0]
@@ -169,7 +170,7 @@ def repeat(
     columns: tuple[float, ...],
     times: int,
 ) -> None:
-    """Integrate along the tubes many times, for benchmarks."""
+    """Integrate along the tubes `times` times, for benchmarks."""
     q = len(tubes)
     state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * len(columns))
     path = np.empty((0, 0))
@@ -179,7 +180,7 @@ def repeat(
 
 @compiled
 def _leave_force(load: Array, state: Array, rates: Array, fixed: int, width: int) -> None:
-    """Remove the force beyond the point where it acts, and keep the moment that it causes."""
+    """Set the force to zero beyond its contact, and subtract its moment about the plate."""
     for k in range(3):
         j, m = (k + 1) % 3, (k + 2) % 3
         load[3 + k] -= state[9 + j] * load[m] - state[9 + m] * load[j]

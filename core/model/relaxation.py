@@ -1,16 +1,17 @@
 """Relaxation to a stable shape: minimise the elastic energy of an element chain, starting from a nearby shape.
 
 Newton's method for the base unknowns fails where tubes snap, after a loss of stability, and for long tubes whose ends
-depend on the last digit of their base torsion. The elastic energy still falls toward a shape there. The energy has a
-minimum for every pose and every force, so a stable shape always exists. The tubes are cut into elements that bend by
-k_e (2) about axes that do not twist. Tube i has the rotation theta_i at the elements' ends. The energy E is
+depend on the last digit of their base torsion. In these cases minimising the elastic energy still finds a shape. The
+energy has a minimum for every pose and every force, so a stable shape always exists. The tubes are cut into elements of
+length h with curvature k_e (2) about axes that do not twist. Tube i has the rotation theta_i at the elements' ends. The
+energy E is
 
     E = sum_e h (1/2 sum_i EI_i |k_e|^2 - k_e . sum_i EI_i w_i(theta_i)) + sum 1/2 GJ_i (d theta_i)^2 / h
         + sum_i 1/2 GJ_i (theta_i(0) - alpha_i)^2 / -beta_i - F . r(k).
 
-The minimisation takes Newton steps. Near a saddle of the energy, stiffness is added until the step descends; each step
-is shortened until the energy falls. The violation of the end conditions is of second order in the elements' length.
-This is accurate enough as a start for Newton's method.
+The minimisation takes Newton steps. Near a saddle of the energy, stiffness is added until the step decreases the
+energy; each step is shortened until the energy falls. The violation of the end conditions is of second order in the
+elements' length. The relaxed shape is accurate enough as a start for Newton's method.
 """
 
 from itertools import pairwise
@@ -87,7 +88,7 @@ def relax(chain: ElementChain, theta: Array, moment: Array) -> tuple[Array, Arra
         if np.abs(step).max() < REST_STEP_RAD:
             weakest = step if firm else np.linalg.eigh(curve)[1][:, 0]
             step = weakest * (PERTURBATION_RAD / np.abs(weakest).max(initial=1e-300))
-            # A neutral direction (a straight tube bends to any side alike) is not a descent direction.
+            # In a neutral direction the energy does not fall: a straight tube, for example, bends equally to any side.
             if firm or not _energy(chain, at + step, theta, moved)[0] < energy - 1e-9 * abs(energy):
                 theta = theta.copy()
                 theta.ravel()[moved] = at[2 * h.size :]
@@ -108,7 +109,7 @@ def relax(chain: ElementChain, theta: Array, moment: Array) -> tuple[Array, Arra
 
 
 def _down(slope: Array, curve: Array) -> tuple[Array, bool]:
-    """Return Newton's step and whether the energy is convex; if not, stiffness is added until it is."""
+    """Return Newton's step and whether the energy is convex; if it is not, add stiffness until it is."""
     from scipy.linalg import LinAlgError, cho_factor, cho_solve  # pyright: ignore  - slow to import
 
     added = 0.0
@@ -121,7 +122,7 @@ def _down(slope: Array, curve: Array) -> tuple[Array, bool]:
 
 
 def base_unknowns(robot: Robot, chain: ElementChain, k: Array, theta: Array) -> Array:
-    """Return u_iz(0) [1/m] and M(0) about the plate [N m], world frame (q + 3), of a relaxed shape: Newton's start."""
+    """Return Newton's start (q + 3) from a relaxed shape: u_iz(0) [1/m], M(0) about the plate, world frame [N m]."""
     h = np.diff(chain.ends)
     # The torsion at the plate is the sum of the torques from bending along the tube.
     twisted = chain.bend * h[:, None] * np.einsum("mk,mik->mi", k, _sideways(chain, theta))
@@ -172,7 +173,7 @@ def _rotations(bent: Array) -> Array:
 
 
 def _spins(bent: Array) -> Array:
-    """Return the rotation per change of a rotation vector, in the axes before it (m, 3, 2)."""
+    """Return the left Jacobians (m, 3, 2) of the rotations by vectors (x, y, 0): rotation per change of x and y."""
     cross, size = _crosses(bent)
     second = 0.5 * np.sinc(0.5 * size / np.pi) ** 2
     third = np.where(size < 1e-3, 1.0 / 6.0, (1.0 - np.sinc(size / np.pi)) / np.maximum(size, 1e-3) ** 2)
@@ -248,7 +249,7 @@ def _work(force: Array, bent: Array, h: Array) -> tuple[float, Array, Array]:
     levers = _cross(turns, arms) + _cross(halves, middles[:, None, :])
     m = h.size
     turns, lever = turns.reshape(2 * m, 3), levers.reshape(2 * m, 3)
-    # F . (turn_e x lever_f) for f behind e; within an element the mean of both orders.
+    # Entry (e, f) is F . (turn_e x lever_f) for element f beyond e; for f = e it is the mean of both orders.
     form = _cross(force, turns) @ lever.T
     order = np.repeat(np.arange(m, dtype=np.int64), 2)
     upper = np.where(order[:, None] < order[None, :], form, 0.0)
@@ -257,5 +258,5 @@ def _work(force: Array, bent: Array, h: Array) -> tuple[float, Array, Array]:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the cross product as floats; numpy's type also includes complex numbers."""
+    """Return the cross product as floats; the declared type of numpy's function also includes complex numbers."""
     return np.asarray(np.cross(a, b), dtype=np.float64)

@@ -23,7 +23,7 @@ def series(pp: float) -> tuple[float, float, float]:
 
 
 class Matrix(NamedTuple):
-    """A 3 x 3 matrix in registers."""
+    """A 3 x 3 matrix whose elements the compiler keeps in registers."""
 
     m11: float
     m12: float

@@ -21,7 +21,7 @@ def second_order(
     tubes: tuple[float, ...],
     columns: tuple[float, ...],
 ) -> None:
-    """Integrate one sub-link in place; `state` and `rates` as in `propagation.propagate`."""
+    """Integrate one sub-link of length `h` [m]; update `state` and `rates` of `propagation.propagate` in place."""
     q, width = len(tubes), len(columns)
     hh = 0.5 * h * h
     theta, twist = tubes, tubes

@@ -1,20 +1,21 @@
 """Second variation of the elastic energy about a shape: whether the shape is stable.
 
 A shape is stable when every small change increases its energy. The determinant of the end conditions changes sign once
-for every direction that becomes negative, so two such directions look like none. This module counts all of them, along
-the whole length at once (the Morse index; by Jacobi's condition the number of conjugate points between tip and plate).
+for every direction that becomes negative, so two negative directions leave the sign unchanged. This module counts all
+negative directions, along the whole length at once (the Morse index; by Jacobi's condition the number of conjugate
+points between tip and plate).
 
 A change is a rotation a d1 + b d2 of the cross-sections, common to all tubes because they share one curve, and a twist
-psi_i of each tube about the tangent. With the frame (d1, d2, t) of `propagation`, which does not twist, and in it
-k the curvature, w_i the precurvature of tube i, M the moment, n the force, and c = b k_x - a k_y,
+psi_i of each tube about the tangent. In the frame (d1, d2, t) of `propagation`, which does not twist, let k be the
+curvature, w_i the precurvature of tube i, M the moment, n the force, and c = b k_x - a k_y. Then
 
     2 Q = int  sum EI_i ((a')^2 + (b')^2) + 2 sum EI_i psi_i (a' w_iy - b' w_ix) + sum EI_i psi_i^2 k . w_i
              + sum GJ_i (psi_i' + c)^2 + c (M_y a - M_x b) - M_z (a b' - b a') + n_t (a^2 + b^2)  ds
           + sum GJ_i psi_i(0)^2 / -beta_i,        a = b = 0 at the plate.
 
 The last sum is the twist behind the plate. Linear elements between the cross-sections of a pass turn the form into a
-banded matrix. A moment at the tip has no potential; only the symmetric part of its contribution is used. No negative
-direction then still means stable, but a negative one does not necessarily mean unstable.
+banded matrix. A moment at the tip has no potential; only the symmetric part of its contribution is used. Under such a
+moment, a shape without negative direction is still stable, but a shape with one is not necessarily unstable.
 """
 
 import numpy as np
@@ -24,12 +25,13 @@ from core.robot.robot import Array, Robot
 #: Stiffness that represents a clamped end, divided by the stiffness of the clamped tubes [1/m].
 CLAMP_STIFFNESS = 1e9
 #: Smallest energy drop of a negative direction, as a fraction of (EI / length^2 + force) times the square of the
-#: change. It excludes errors of the elements and neutral directions (a straight tube bends to any side alike).
+#: change. The threshold excludes discretisation errors and neutral directions (a straight tube bends equally to any
+#: side).
 MIN_ENERGY_DROP = 2e-3
 
 
 def precurvature(robot: Robot, beta: Array, lengths: Array) -> tuple[Array, Array]:
-    """Return EI (m, q) [N m^2] and precurvature (m, q, 2) [1/m] of the tubes at arc lengths (m,) [m]; 0 beyond ends."""
+    """Return EI (m, q) [N m^2] and precurvature (m, q, 2) [1/m] of the tubes at `lengths` (m,) [m]; 0 beyond a tube."""
     stiffness, curvature = np.zeros((lengths.size, beta.size)), np.zeros((lengths.size, beta.size, 2))
     for i, count in enumerate(robot.layout.counts):
         section = np.searchsorted(beta[i] + robot.layout.ends[i, :count], lengths, side="right")
@@ -78,7 +80,7 @@ def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Ar
     total = bend.sum(axis=1)
     k = (np.einsum("mi,mik->mk", bend, w) + moment[:, :2]) / total[:, None]
 
-    # The form in the values (a, b, psi) and their slopes (da, db, dpsi) in the middle of an element.
+    # Quadratic form of the values (a, b, psi) and their slopes (da, db, dpsi) in the middle of each element.
     size = q + 2
     form = np.zeros((h.size, 2 * size, 2 * size))
     a, b, da, db = 0, 1, size, size + 1

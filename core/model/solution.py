@@ -1,6 +1,6 @@
 """A solved shape of the robot: one array of numbers, and names for its parts.
 
-The solver writes one array instead of a dozen small ones, whose allocation took as long as the model. The array starts
+The solver writes one array, because allocating a dozen small arrays took as long as solving the model. The array starts
 with a few scalars at the indices below; the `Parts` follow in their order.
 """
 
@@ -29,7 +29,7 @@ class Parts(NamedTuple):
     sensitivity: Array  #: (q + 3, n + 6) derivative of the unknowns by joints, force and moment
     joints: Array  #: (n,) joint positions for which the model was solved [rad or m]
     wrench: Array  #: (6,) load for which the model was solved [N, N m]
-    move: Array  #: (n + 6,) change of joints and wrench since the solution that this one started from
+    move: Array  #: (n + 6,) change of joints and wrench since the start solution `near`
     bend: Array  #: (2, q + 3) second and third order of the unknowns along `move`
 
 
@@ -70,7 +70,7 @@ def fields(numbers: Array) -> Parts:
 
 @cache
 def layout(q: int, n: int) -> Mapping[str, tuple[slice, tuple[int, ...]]]:
-    """Return slice and shape of each part in the numbers of q tubes and n joints, as `fields` has them."""
+    """Return slice and shape of each of the `Parts` in a solution's numbers, for q tubes and n joints."""
     numbers = np.arange(float(size(q, n)))
     numbers[[TUBE_COUNT, JOINT_COUNT]] = q, n
     found = fields(numbers)._asdict()

@@ -46,17 +46,17 @@ MAX_SUBLINK_BEND_RAD = 0.08
 MAX_TURN_RAD, MAX_LOAD_SHARE = 0.5, 0.25
 #: Largest mismatch between forward and backward prediction of one continuation step [rad over the whole length].
 MAX_PREDICTION_MISMATCH_RAD = 0.25
-#: Smallest continuation step as a fraction of the path; if a smaller step is needed, the tubes snap there.
+#: Smallest continuation step as a fraction of the path; if continuation needs a smaller step, the tubes snap there.
 MIN_STEP_SHARE = 1e-3
-#: Largest number of steps of one continuation; if more are needed, the load is out of reach.
+#: Largest number of steps of one continuation; if it needs more steps, the load is out of reach.
 MAX_STEPS = 200
 #: Distances beyond a snap at which the relaxation of the tubes starts, as fractions of the path.
 RELEASE_SHARES = (1e-3, 2e-2, 0.2)
 #: Largest number of snaps that one continuation follows.
 MAX_SNAPS = 4
-#: Element lengths for a relaxation [m]; the second is used if Newton fails after the first.
+#: Element lengths for a relaxation [m]; the second is used if Newton's method fails from the first one's result.
 RELAXATION_ELEMENTS_M = (0.02, 0.005)
-#: Largest distance of cross-sections for counting negative directions [m].
+#: Largest distance between cross-sections in the count of negative directions [m].
 SECTION_SPACING_M = 0.005
 #: Two solutions are the same shape when their tips are closer than this [m].
 SAME_TIP_M = 1e-6
@@ -84,8 +84,8 @@ class Statics:
         Args:
             joints: positions (n,) [rad or m], in the order of `robot.joints`.
             wrench: force and moment (6,), world frame [N, N m]; the moment acts at the tip.
-            near: a nearby solution, whose branch is followed. Without it the solve follows the robot from rest and
-                returns a stable shape.
+            near: a nearby solution, whose branch the solve follows. None: the solve follows the robot from rest
+                (aligned, unloaded tubes) and returns a stable shape.
             contact: arc length from the plate at which the force acts [m]; None for the tip.
 
         Raises:
@@ -115,8 +115,8 @@ class Statics:
     def shape(self, solution: Solution) -> Array:
         """Return cross-sections from the plate to the tip (m, 16 + 2q).
 
-        A row contains arc length [m], the frame by rows (9), position (3) [m], theta_i [rad], u_iz [1/m]
-        and the moment M (3) [N m], vectors in the world frame.
+        A row contains arc length [m], the frame by rows (9), position (3) [m], theta_i (q) [rad], u_iz (q) [1/m] and
+        the moment M (3) [N m]. All vectors are in the world frame.
         """
         path, _ = self._pass(solution)
         path[:, 10:13] += self.robot.base.position
@@ -125,15 +125,16 @@ class Statics:
     def negative_directions(self, solution: Solution) -> int:
         """Count the independent directions in which the elastic energy falls: 0 when the shape is stable.
 
-        A cold solve includes this check; a warm one follows its branch by the margin's sign. A moment at the tip has no
-        energy: 0 is then stable, but more are not necessarily unstable.
+        A cold solve includes this check; a warm solve checks only the sign of the stability margin. A moment at the tip
+        has no potential energy. Under such a moment 0 still means stable, but a larger count does not prove
+        instability.
         """
         return negative_directions(
             self.robot, solution.joints, solution.wrench, solution.contact, self._sections(solution)
         )
 
     def residual(self, solution: Solution) -> float:
-        """Return the largest violation of an end condition [1/m or N m], recomputed."""
+        """Recompute a solution and return the largest violation of its end conditions [1/m or N m]."""
         _, state = self._pass(solution)
         q = len(self.robot.tubes)
         twist = self.robot.layout.stiffness[0, 1] / self.robot.layout.stiffness[0, 0]
@@ -142,7 +143,7 @@ class Statics:
         return float(max(np.abs(torsion).max(), np.abs(state[15 + 2 * q :] - solution.wrench[3:]).max()))
 
     def repeat_pass(self, solution: Solution, times: int, with_derivatives: bool) -> None:
-        """Pass along the tubes `times` times, to measure the time of the arithmetic alone."""
+        """Integrate along the tubes `times` times, to measure the time of the arithmetic alone."""
         alpha, beta = self.robot.tube_poses(solution.joints)
         tubes, columns = self._widths
         repeat(
@@ -170,7 +171,7 @@ class Statics:
         q, length = len(tubes), float(beta[0]) + self.robot.tubes[0].length
         scheme = Scheme(self._scheme.order, min(self._scheme.sublink, SECTION_SPACING_M))
         path = np.empty((int(length / scheme.sublink) + 4 + int(self.robot.layout.counts.sum()), 16 + 2 * q))
-        # With columns, although no derivative is used: another width would need a separate compilation.
+        # Derivative columns are computed but not used: another number of columns would need a separate compilation.
         state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * len(columns))
         passed = propagate(
             self.robot.layout, scheme, alpha, beta, solution.wrench, solution.contact, solution.unknowns,
@@ -181,7 +182,7 @@ class Statics:
     def _cold(self, joints: Array, wrench: Array, contact: float) -> Solution | None:
         """Return the stable shape that the robot reaches from rest; None when no shape is reached.
 
-        Mostly Newton finds the same shape directly; J and C are then those of its last pass.
+        Newton's method mostly finds the same shape directly; J and C are then those of Newton's last pass.
         """
         found = self._from_rest(joints, wrench, contact)
         if found is None:
@@ -198,7 +199,7 @@ class Statics:
         return found if relaxed is None and wrench[3:].any() and found.stability > 0.0 else relaxed
 
     def _from_rest(self, joints: Array, wrench: Array, contact: float) -> Solution | None:
-        """Follow the robot from aligned tubes without load; then rotate each in the shorter direction; then load."""
+        """Follow the shape from aligned, unloaded tubes: turn each tube the shorter way, then apply the load."""
         aligned, short, no_load = joints.copy(), joints.copy(), np.zeros(6)
         outermost = float(self.robot.tube_poses(joints)[0][-1])
         for j, joint in enumerate(self.robot.joints):
@@ -212,7 +213,7 @@ class Statics:
         for load in (no_load, wrench):
             at = self._follow(at, short, load, contact) if at is not None else None
         if at is not None:
-            at.joints[:] = joints  # whole turns change nothing
+            at.joints[:] = joints  # a whole turn of a tube does not change the shape
         return at
 
     def _follow(
@@ -220,7 +221,8 @@ class Statics:
     ) -> Solution | None:
         """Follow the branch from `start` on a straight line to the pose and the load, in sufficiently short steps.
 
-        Where the branch ends the tubes snap, at most `snaps` times; the path continues from their next stable shape.
+        Where the branch ends, the tubes snap to another stable shape, and the path continues from it, at most `snaps`
+        times.
         """
         moved, loaded = joints - start.joints, wrench - start.wrench
         longest = 1.0 / max(1.0, np.abs(moved).max(initial=0.0) / MAX_TURN_RAD, float(loaded.any()) / MAX_LOAD_SHARE)
@@ -239,7 +241,7 @@ class Statics:
                 break
         if snaps == 0:
             return None
-        # Elements fold slightly earlier or later than sub-links: the relaxation starts beyond the end of the branch.
+        # The element chain snaps slightly earlier or later than the sub-links: relax beyond the end of the branch.
         for beyond in RELEASE_SHARES:
             to = done + beyond
             pose, load = joints - (1.0 - to) * moved, wrench - (1.0 - to) * loaded
@@ -250,7 +252,7 @@ class Statics:
         return None
 
     def _mismatch(self, here: Solution, there: Solution) -> float:
-        """Return the prediction mismatch of two solutions [rad over the whole length]: large between two branches."""
+        """Return how far two solutions mispredict each other [rad over the whole length]; large between branches."""
         move = np.concatenate((there.joints - here.joints, there.wrench - here.wrench))
         change = there.unknowns - here.unknowns
         q = len(self.robot.tubes)
@@ -260,7 +262,7 @@ class Statics:
         return length * float(misses.max())
 
     def _release(self, near: Solution | None, joints: Array, wrench: Array, contact: float) -> Solution | None:
-        """Release the tubes from `near` or untwisted; return the stable shape they reach, None if not found."""
+        """Relax the tubes from `near` (None: untwisted); return the stable shape they reach, None if not found."""
         force = np.append(wrench[:3], np.zeros(3))
         if np.linalg.norm(force) * RELAXATION_ELEMENTS_M[-1] ** 2 > self.robot.layout.stiffness[0, 0]:
             return None  # the force bends the innermost tube strongly within one element and one sub-link
@@ -323,7 +325,7 @@ class Statics:
 
 
 def suitable_integrator(robot: Robot, sublink: float = PAPER_SUBLINK_M) -> Integrator:
-    """Return the paper's integrator, or `fourth_order` where a curve bends a sub-link [m] by more than its bound."""
+    """Return `paper`, or `fourth_order` if a curve bends a sub-link [m] by more than `MAX_SUBLINK_BEND_RAD`."""
     return "paper" if sublink_bend(robot, sublink) <= MAX_SUBLINK_BEND_RAD else "fourth_order"
 
 
@@ -333,6 +335,6 @@ def sublink_bend(robot: Robot, sublink: float = PAPER_SUBLINK_M) -> float:
 
 
 def _at(path: Array, values: Array, lengths: Array) -> Array:
-    """Return columns of `values`, given at the arc lengths of a path, interpolated at other arc lengths."""
+    """Interpolate `values` (m, k), given at the arc lengths of `path`, at other arc `lengths`; return (len, k)."""
     columns: list[Array] = [np.interp(lengths, path[:, 0], column) for column in values.T]
     return np.column_stack(columns)

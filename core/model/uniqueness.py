@@ -1,21 +1,22 @@
 """Test whether a robot has exactly one shape at given translations, for all rotations and directions of the force.
 
-If so, Newton may start anywhere: its solution is the shape that the robot reaches from rest, and it is stable. The
-variables are those of `relaxation`: the curvature k of the common curve and the rotations theta_i, without constraints
-between them. The second variation of the elastic energy is
+If there is only one shape, Newton's method may start anywhere: its solution is the shape that the robot reaches from
+rest, and this shape is stable. The variables are those of `relaxation`: the curvature k of the common curve and the
+rotations theta_i, without constraints between them. The second variation of the elastic energy is
 
     int B |dk|^2 - 2 dk . v + sum EI_i psi_i^2 k . w_i + sum GJ_i psi_i'^2 ds + sum GJ_i psi_i(0)^2 / -beta_i - F . d2r
 
-with w_i the precurvature of tube i, w_i' its rate by theta_i, v = sum EI_i psi_i w_i' and B = sum EI_i. At any
-equilibrium B k = sum EI_i w_i + M, |M| <= |F| (L - s), and |d2r| <= int y^2 with y' = |dk|. So it is at least
+with w_i the precurvature of tube i, w_i' its derivative by theta_i, v = sum EI_i psi_i w_i' and B = sum EI_i. At any
+equilibrium B k = sum EI_i w_i + M, |M| <= |F| (L - s), and |d2r| <= int y^2 with y' = |dk|. So the second variation is
+at least
 
     int (B y' - V)^2 / B - |F| y^2 + sum GJ_i p_i'^2 - sum_{i<j} EI_i EI_j / B |w_i| |w_j| (p_i + p_j)^2
         - sum EI_i |w_i| |F| (L - s) / B p_i^2 ds + sum GJ_i p_i(0)^2 / -beta_i,
-    p_i = |psi_i|, V = sum EI_i |w_i| p_i,
+    p_i = |psi_i|, V = sum EI_i |w_i| p_i.
 
-which does not depend on the shape. Where this form is positive, every equilibrium is a strict minimum of the energy.
-Between two minima there would be a saddle, so there is only one. For two tubes without load this is the condition that
-a design does not snap (`robot.stability`); for a single straight tube it is Euler's load.
+This lower bound does not depend on the shape. Where the bound is positive, every equilibrium is a strict minimum of the
+energy. Between two minima there would be a saddle, so there is only one. For two tubes without load this is the
+condition that a design does not snap (`robot.stability`); for a single straight tube it is Euler's load.
 """
 
 import numpy as np
@@ -23,7 +24,7 @@ import numpy as np
 from core.compiled import compiled
 from core.robot.robot import FLUSH_TOLERANCE_M, Array, Layout
 
-#: Largest length of an element of the discretised energy [m], and the same as a fraction of the robot's length.
+#: Largest length of an element of the discretised energy, in metres [m] and as a fraction of the robot's length.
 MAX_ELEMENT_M, MAX_ELEMENT_SHARE = 0.025, 0.1
 #: Factor on the negative terms of the energy's second variation, a reserve for the errors of elements and sub-links.
 SAFETY_FACTOR = 1.1
@@ -42,7 +43,7 @@ def is_unique(layout: Layout, beta: Array, force: float, tubes: tuple[float, ...
         tubes: a tuple of length q, see `propagation.propagate`.
 
     Returns:
-        False if the test cannot prove it.
+        True if the test proves uniqueness and stability; False leaves both open.
 
     """
     q = len(tubes)
@@ -92,7 +93,7 @@ def _element(
 ) -> None:
     """Fill the form of one element in the unknowns at its two ends (2 (q + 1), square)."""
     form[:] = 0.0
-    # y', y and p in the middle, by the values at both ends.
+    # Weights of y', y and p in the middle of the element, expressed by the values at both ends.
     even, odd = 0.25 * h, 1.0 / h
     _put(form, 0, 0, size, -SAFETY_FACTOR * force * even, total * odd)
     for i in range(size - 1):
@@ -116,7 +117,7 @@ def _element(
 
 @compiled
 def _put(form: Array, i: int, j: int, size: int, even: float, odd: float) -> None:
-    """Add (value i) (value j) with weight 4 `even`, and the product of the differences with weight `odd`."""
+    """Add the product of mid values i and j with weight 4 `even`, and of their end differences with weight `odd`."""
     form[i, j] += even + odd
     form[i, size + j] += even - odd
     form[size + i, j] += even - odd
@@ -125,7 +126,7 @@ def _put(form: Array, i: int, j: int, size: int, even: float, odd: float) -> Non
 
 @compiled
 def _is_positive(carried: Array, form: Array, size: int) -> bool:
-    """Eliminate the near end of an element; return whether the form is positive. `carried` moves to the far end."""
+    """Eliminate the near end of an element; return whether the form is positive; `carried` moves to the far end."""
     for i in range(size):
         for j in range(size):
             form[i, j] += carried[i, j]

@@ -1,9 +1,9 @@
 """Limits of single joints (speed, travel, stopping distance) and limits of several joints together.
 
-A limit of several joints (tube order, workspace, force) allows joint velocities v with G @ v <= h. `Limit.rows`
-returns the matrix G (the rows) and the vector h (the room). h is the remaining distance divided by
-`BRAKING_TIME_CONSTANT_S`, so the robot approaches the limit ever more slowly and never passes it. No limit ever
-requires a motion: zero velocity is always allowed.
+A limit of several joints (tube order, workspace, force) allows joint velocities v with G @ v <= h. `Limit.rows` returns
+the matrix G (the rows) and the vector h (the room). For tube order and workspace, h is the remaining distance divided
+by `BRAKING_TIME_CONSTANT_S`, so the robot approaches the limit ever more slowly and never passes it. For the force, h
+is a tip speed that falls to 0 at the largest force. No limit ever requires a motion: zero velocity is always allowed.
 """
 
 import math
@@ -20,8 +20,8 @@ from core.robot.robot import FLUSH_TOLERANCE_M, Array, Robot
 
 #: Time constant with which the robot approaches a limit [s]; it is several times the delay of the stages.
 BRAKING_TIME_CONSTANT_S = 0.25
-#: Smallest distance between tubes that could collide [m]. It is needed because the stages receive commands one at a
-#: time and keep moving between them.
+#: Smallest distance between tubes that could collide [m]. The distance is needed because the stages receive commands
+#: one at a time and keep moving between commands.
 MIN_TUBE_DISTANCE_M = 5e-4
 
 
@@ -50,7 +50,7 @@ class LimitContext(Protocol):
 
 
 class Configuration(NamedTuple):
-    """A `LimitContext` whose values are all known."""
+    """A `LimitContext` whose values were all computed beforehand."""
 
     joints: Array
     jacobian: Array
@@ -63,11 +63,11 @@ class Limit(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Text of each row for reports while the row is active, with value and unit."""
+        """Name of each row, with its bound and unit; reports show the name while the row limits the motion."""
         ...
 
     def rows(self, at: LimitContext) -> tuple[Array, Array]:
-        """Return rows G (m, n) and room h (m,), not negative; joint velocities v must satisfy G @ v <= h."""
+        """Return rows G (m, n) and room h (m,), h >= 0: joint velocities v must satisfy G @ v <= h."""
         ...
 
     def check(self, at: LimitContext) -> None:
@@ -97,8 +97,8 @@ class JointLimit:
 class ForceBound(NamedTuple):
     """The largest force on the tip at which a motion continues."""
 
-    newton: float  #: size of the force [N]
-    reason: str  #: text that names what the bound protects
+    newton: float  #: largest size of the force [N]
+    reason: str  #: text that names the part that the bound protects
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Limits:
         """Check the travel of every joint and every limit of several joints at the robot's state.
 
         Raises:
-            PoseError: a limit is violated; the text has its name, the value and the bound.
+            PoseError: a limit is violated; the text has the limit's name, the value and the bound.
             ContractError: a custom limit raised another error, or its rows violate the interface `Limit`.
 
         """
@@ -173,8 +173,8 @@ class Limits:
         """Return rows (m, n) and room (m,) of all limits of several joints.
 
         Raises:
-            ContractError: a custom limit raised, or returned other shapes, a number that is not finite or a room
-                below zero.
+            ContractError: a custom limit raised, or returned a wrong shape, a number that is not finite or a negative
+                room.
 
         """
         parts = [limit.rows(at) if type(limit) in _BUILT_IN_LIMITS else _rows_of(limit, at) for limit in self.others]
@@ -183,7 +183,7 @@ class Limits:
         return np.concatenate([rows for rows, _ in parts]), np.concatenate([room for _, room in parts])
 
     def blocking(self, joints: Array, at_bound: Array, at_row: Array) -> bool:
-        """Return whether a limit other than a joint's speed changed a command; the arguments are those of `active`."""
+        """Return whether a limit other than a joint's top speed changed a command; for the arguments see `active`."""
         if not at_bound.any() and not at_row.any():
             return False
         lower, upper = self.velocity_bounds(joints)
@@ -221,7 +221,7 @@ class TubeOrder:
 
     @classmethod
     def of(cls, robot: Robot, joints: tuple[JointLimit, ...]) -> "TubeOrder | None":
-        """Return the order of a robot's tubes; None where the joints' travel already ensures it."""
+        """Return the tube order limit of a robot; None if the joints' travel already ensures the order."""
         slides = {joint.tube: k for k, joint in enumerate(robot.joints) if joint.motion == "translation"}
         names: list[str] = []
         rows: list[Array] = []
@@ -244,7 +244,7 @@ class TubeOrder:
             outer = i + 1 if i + 1 < len(robot.tubes) else None
             around = "the plate" if outer is None else f"tube '{robot.tubes[outer].name}'"
             keep(f"start of tube '{tube.name}' behind that of {around}", i, outer, 0.0)
-            # end of the outer tube - end of this one <= 0
+            # Row: end of the outer tube minus end of this tube <= 0.
             if outer is None:
                 slide = slides.get(i)
                 if slide is not None and joints[slide].lower < -tube.length:

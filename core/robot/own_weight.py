@@ -1,11 +1,11 @@
 """The tubes' own weight as an equivalent force at the tip.
 
-A cantilever of length L with a distributed weight w(s) sags at its end as under the force
+At the end of a cantilever of length L, a distributed weight w(s) causes the same sag as the end force
 
     F = integral of w(s) s^2 (3 L - s) / (2 L^3) ds        (3/8 w L for one tube from the plate to the tip).
 
-The formula ignores curvature, and that the inner tube is softer than the bundle. The error is some percent of a sag of
-half a millimetre.
+The formula ignores curvature, and ignores that the inner tube is softer than the bundle. The resulting error is some
+percent of a sag of half a millimetre.
 """
 
 from core.robot.robot import Array, Robot

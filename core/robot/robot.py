@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-#: Largest number of tubes, number of sections per tube, and length of a tube [m]. Real robots are smaller; a wrong
-#: length unit would make a solve take hours.
+#: Largest number of tubes, of sections per tube, and largest length of a tube [m]. Real robots are smaller. The bounds
+#: catch a wrong length unit, with which a solve would take hours.
 MAX_TUBES, MAX_SECTIONS, MAX_LENGTH_M = 8, 50, 5.0
 #: Largest distance at which two tube ends count as flush [m]: it covers rounding in sums of lengths and positions.
 FLUSH_TOLERANCE_M = 1e-9
@@ -87,7 +87,7 @@ class Tube:
 
     @property
     def length(self) -> float:
-        """Whole length, straight and curved [m]."""
+        """Total length of all sections, straight and curved [m]."""
         return sum(section.length for section in self.sections)
 
     @property
@@ -145,7 +145,7 @@ class Layout(NamedTuple):
     stiffness: Array  #: (q, 2) bending stiffness EI [N m^2], and ratio EI / GJ
     joint_tube: Indices  #: (n,) index of the tube that each joint moves
     joint_slides: Indices  #: (n,) 1 for a translation, 0 for a rotation
-    rest: Array  #: (q, 2) fixed rotation [rad] and translation [m] of tubes without such a joint
+    rest: Array  #: (q, 2) rotation [rad] and translation [m] of each tube, used where no joint sets the value
     base: Array  #: (12,) rotation of the plate by rows, then its position [m]
 
 
@@ -187,7 +187,7 @@ class Robot:
         self._check_fixed_tubes({tube for tube, motion in seen if motion == "translation"})
 
     def _check_fixed_tubes(self, sliding: set[int]) -> None:
-        """Refuse tubes without translation joint that collide with each other or end inside the guide."""
+        """Reject fixed tubes (without translation joint) that collide with each other or end inside the guide."""
         fixed = [tube for i, tube in reversed(list(enumerate(self.tubes))) if i not in sliding]
         bound, around = 0.0, "the plate"
         for tube in fixed:
@@ -211,7 +211,7 @@ class Robot:
 
     @cached_property
     def layout(self) -> Layout:
-        """Description of the robot in arrays for compiled functions."""
+        """Description of the robot as arrays for compiled functions."""
         q, k = len(self.tubes), max(len(tube.sections) for tube in self.tubes)
         ends, curvatures = np.zeros((q, k)), np.zeros((q, k, 2))
         for i, tube in enumerate(self.tubes):
@@ -245,11 +245,11 @@ class Robot:
         return bool(tube_poses(self.layout, joints)[2])
 
     def check_pose(self, joints: Array) -> None:
-        """Refuse invalid joint positions.
+        """Reject invalid joint positions.
 
         Raises:
-            PoseError: a position is not finite; a proximal end is in front of the plate or of the next outer tube's;
-                or a tube ends behind the plate or inside the tube around it. Flush ends are valid.
+            PoseError: a position is not finite; a proximal end is in front of the plate or of the next outer tube's
+                proximal end; or a tube ends behind the plate or inside the tube around it. Flush ends are valid.
 
         """
         if joints.shape != (len(self.joints),):
@@ -344,6 +344,6 @@ def tube_poses(layout: Layout, joints: Array) -> tuple[Array, Array, bool]:
 
 
 def positive(what: str, value: float, unit: str) -> None:
-    """Refuse a value that is not finite and greater than 0; the text names `what`."""
+    """Raise DescriptionError for a `value` that is not finite and greater than 0; the text names `what`."""
     if not (math.isfinite(value) and value > 0.0):
         raise DescriptionError(f"{what} {value:g} {unit} must be finite and greater than 0")

@@ -7,9 +7,9 @@ of length l. With k^2 = (1 + nu) u1 u2, this pair rotates without a snap when (D
     k L < pi / 2   and   S = l k tan(k L) < 1.
 
 S is the snap number. For any tubes the snap number is 1 - D / D0. D is the determinant of the end conditions by the
-base torsion, at the worst of the alignments without torsion. D0 is the same determinant without the twist before the
-curves meet. For the pair above the result is exactly S. The margin under load is `Solution.stability`, the same
-determinant at the loaded shape.
+base torsion, at the worst alignment of the tubes' curves (each parallel or opposite, without torsion). D0 is the same
+determinant without the twist of the tubes before their curves overlap. For the pair above the result is exactly S. The
+margin under load is `Solution.stability`, the same determinant at the loaded shape.
 """
 
 import itertools
@@ -25,7 +25,7 @@ GRID_POSES = 9
 
 
 def snap_number(robot: Robot, joints: Array) -> float:
-    """Return the snap number at the translations of `joints` (n,): the largest S over the alignments of the tubes.
+    """Return the snap number at the translations of `joints` (n,): the largest S over parallel and opposite tubes.
 
     The value is 0 if the tubes cannot store torsion, and below 1 if they do not snap. It is infinite if they snap even
     without straight lengths.
@@ -101,7 +101,7 @@ def _pieces(robot: Robot, beta: Array) -> list[tuple[float, float, Array]]:
 def _determinant(
     robot: Robot, beta: Array, pieces: list[tuple[float, float, Array]], signs: Array, bare: bool
 ) -> float:
-    """Return the determinant of end torsion by base torsion; `bare` ignores the twist before the curves meet."""
+    """Return the determinant of end torsion by base torsion; `bare` ignores the twist before the curves overlap."""
     q = len(robot.tubes)
     turn, twist = np.diag(-beta), np.eye(q)
     met = False

@@ -8,7 +8,7 @@ is the smallest of three bounds:
 * the innermost tube alone: F = EI (strain limit / radius - curvature imposed by the tubes) / L
 
 The rest of each sensor range is reserved for the forces and moments between the tubes, which the sensors also measure.
-In the paper's robot these take 90 N mm of the range of 250 N mm.
+In the paper's robot the moments between the tubes take 90 N mm of the range of 250 N mm.
 """
 
 import math
@@ -19,7 +19,7 @@ from core.robot.robot import Robot
 
 #: Largest fraction of a base sensor's range that the load may use.
 LOAD_PART = 0.6
-#: Largest strain at a tube's surface; below it, with a reserve, nitinol and nylon recover their shape.
+#: Largest strain at a tube's surface (no unit): with a reserve, nitinol and nylon still recover their shape from it.
 MAX_STRAIN = 0.03
 #: Ranges of the ATI Nano43 SI-18-0.25, the sensor of the paper's bench: force [N] and moment [N m].
 NANO43_RANGES = (18.0, 0.25)

@@ -1,6 +1,6 @@
-"""`ctr-station bench accuracy` and `bench cost`: accuracy of the model against the exact rod, and its cost.
+"""`ctr-station bench accuracy` and `bench cost`: accuracy of the model against the exact rod, and time of a solve.
 
-All poses are drawn from a seed, so that results can be reproduced. The tests run a part of it.
+All poses are drawn from a seed, so that results can be reproduced. The unit tests run a hundredth of the verification.
 """
 
 import math
@@ -17,21 +17,21 @@ from core.model.statics import Statics
 from core.robot.robot import Array, Base, Indices, Joint, Robot, Section, Tube
 from station.config.robots import load_robot
 
-#: A cold start is wrong if its tip is further than this from every tip of the exact rod [m].
+#: A solution without a warm start is wrong if its tip is further than this from the tips of the exact rod [m].
 MAX_COLD_ERROR_M = 0.15e-3
-#: Half steps of the finite differences of the exact rod, by unit.
+#: Half step of the central differences that give the derivatives of the exact rod, by unit of the varied quantity.
 HALF_STEPS = {"rad": 1e-5, "m": 1e-5, "N": 3e-5, "N m": 3e-6}
 
 
 Integrator = Literal["paper", "fourth_order"]
-#: Sub-links at which derivatives are compared, each half the one before [m].
+#: Sub-link lengths at which derivatives are compared, by integrator; each length is half of the previous one [m].
 SUBLINK_LADDERS_M: dict[Integrator, tuple[float, ...]] = {
     "paper": (0.010, 0.005, 0.0025),
     "fourth_order": (0.020, 0.010, 0.005, 0.0025),
 }
 
 
-#: The integrators, and the progress at which each starts in the verification.
+#: Integrators to verify, each with the fraction of the whole verification that is done when its part starts.
 INTEGRATOR_SCHEDULE: tuple[tuple[Integrator, float], ...] = (("paper", 0.0), ("fourth_order", 0.5))
 
 
@@ -39,20 +39,21 @@ class AccuracyCase(NamedTuple):
     """A robot with the ranges of its test poses and loads."""
 
     robot: Robot
-    lower: Array  #: (n,) of the joints
+    lower: Array  #: smallest position of each joint (n,) [rad or m]
     upper: Array
-    force: float  #: largest [N]
-    moment: float  #: largest [N m]
+    force: float  #: largest force at the tip [N]
+    moment: float  #: largest moment at the tip [N m]
 
 
 def telescope(count: int, base: Base | None = None) -> Robot:
-    """Return a robot of 1 to 5 tubes with two curved sections each; all but the outermost rotate and translate.
+    """Return a robot of 1 to 5 tubes, each with two curved sections.
 
-    All follow one pattern, so that robots with different numbers of tubes can be compared.
+    Every tube rotates and translates, except the outermost tube of several. The robots follow one pattern, so that
+    robots with different numbers of tubes can be compared.
     """
     tubes, joints = list[Tube](), list[Joint]()
     for i in range(count):
-        out = count - 1 - i  # from the outermost inward
+        out = count - 1 - i  # number of tubes around this tube
         inner = 0.4e-3 + 0.6e-3 * i
         sections = (Section(0.06 + 0.05 * out), Section(0.08, (3.0, 0.5 * i)), Section(0.05, (5.0, -1.0)))
         gj = 0.012 * 1.6**i if i == 1 else None
@@ -79,7 +80,7 @@ def cases() -> dict[str, AccuracyCase]:
 
 
 def draw(case: AccuracyCase, rng: np.random.Generator) -> Iterator[tuple[Array, Array]]:
-    """Yield random valid poses and wrenches endlessly."""
+    """Yield random pairs of a valid pose and a wrench, without an end."""
     while True:
         joints = rng.uniform(case.lower, case.upper)
         directions = rng.normal(size=(2, 3))
@@ -95,10 +96,11 @@ def cold_starts(
     integrator: Integrator = "paper",
     done: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Solve random poses of the paper's robot, forces up to 0.6 N in any direction, without a warm start.
+    """Solve random poses of the paper's robot without a warm start, under forces up to 0.6 N in any direction.
 
-    A solution is correct if the tip of the exact rod, also started cold, is within `MAX_COLD_ERROR_M`. If
-    several shapes balance the load, it is correct if the exact rod, started from the solution, has one there.
+    A solution is correct if its tip is at most `MAX_COLD_ERROR_M` from the tip of the exact rod, also solved without a
+    warm start. The robot may have several shapes under one load. So another solution is compared again, with the exact
+    rod solved from this solution as its start; if both then agree, the result counts it as `another_shape`.
     """
     case = cases()["paper"]._replace(force=0.6, moment=0.0)
     statics, exact = Statics(case.robot, integrator=integrator), ExactRod(case.robot)
@@ -138,12 +140,13 @@ def derivatives(
     integrator: Integrator = "paper",
     done: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Compare J, C and the stability margin with differences of the exact rod, for `SUBLINK_LADDERS_M`.
+    """Compare J, C and the stability margin of the model with those of the exact rod.
 
-    Errors are relative to the largest entry of each block (position or rotation, by rotations, translations,
-    force or moment). The figures are those of the shortest sub-links. A pose is drawn again if rod and model have
-    different shapes, or if the ends of two sections are so close together that a difference would cross
-    one of them.
+    J and C of the exact rod are finite differences. Their errors are relative to the largest entry of each block; a
+    block has the rows of position or rotation and the columns of rotations, translations, force or moment. The numbers
+    are those of the shortest sub-links in `SUBLINK_LADDERS_M`; `falls` are the ratios of mean errors from one length
+    to the next. Another pose is drawn if rod and model have different shapes, or if the ends of two sections are so
+    close together that a finite difference would move one end past the other.
     """
     result: dict[str, Any] = {}
     ladder = SUBLINK_LADDERS_M[integrator]
@@ -190,7 +193,7 @@ def derivatives(
 
 
 def cost(solves: int = 400, max_tubes: int = 5) -> dict[str, Any]:
-    """Return microseconds of a warm solve with J and C: 1 to `max_tubes` tubes, 5 to 100 sub-links, and loads."""
+    """Return times of a solve with J and C [us]: by 1 to `max_tubes` tubes with 5 to 100 sub-links, and by load."""
     result: dict[str, Any] = {}
     for tubes in range(1, max_tubes + 1):
         robot = telescope(tubes)
@@ -214,7 +217,7 @@ def cost(solves: int = 400, max_tubes: int = 5) -> dict[str, Any]:
 
 
 def accuracy(done: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
-    """Run the whole verification: 20 000 cold starts with each integrator, 500 poses of three robots."""
+    """Run the whole verification with each integrator: 20 000 cold starts, and derivatives at 500 poses of 3 robots."""
     return {
         kind: {
             "cold_starts": cold_starts(20_000, 0, kind, lambda part, at=at: done(at + 0.1 * part)),
@@ -225,7 +228,7 @@ def accuracy(done: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
 
 
 def _rod(exact: ExactRod, joints: Array, wrench: Array, near: Solution | None = None) -> Rod | None:
-    """Return the exact shape, cold or from the base unknowns of a solution; None if there is none."""
+    """Return the exact rod, solved cold or from the base unknowns of `near`; None if it has no solution."""
     q = len(exact.robot.tubes)
     start = None
     if near is not None:
@@ -239,7 +242,7 @@ def _rod(exact: ExactRod, joints: Array, wrench: Array, near: Solution | None = 
 
 
 def _apart(robot: Robot, joints: Array) -> bool:
-    """Return whether all ends of sections, and the plate, are further apart than the range of the differences."""
+    """Return whether plate and ends of sections are so far apart that no finite difference moves one past another."""
     beta = robot.tube_poses(joints)[1]
     ends = [
         start + end for tube, start in enumerate(beta) for end in robot.layout.ends[tube, : robot.layout.counts[tube]]
@@ -252,7 +255,7 @@ def _distance(solution: Solution, rod: Rod | None) -> float:
 
 
 def _differences(exact: ExactRod, joints: Array, wrench: Array, rod: Rod) -> Array:
-    """Return derivatives of the exact tip's position and rotation (6, n + 6) by joints, force, moment: differences."""
+    """Return derivatives (6, n + 6) of the exact tip's position and rotation by joints, force and moment."""
     n = joints.size
     halves = [HALF_STEPS[joint.unit] for joint in exact.robot.joints] + 3 * [HALF_STEPS["N"]] + 3 * [HALF_STEPS["N m"]]
     columns = np.empty((6, n + 6))
@@ -268,7 +271,7 @@ def _differences(exact: ExactRod, joints: Array, wrench: Array, rod: Rod) -> Arr
 
 
 def _relative(found: Array, truth: Array, groups: Sequence[Indices]) -> float:
-    """Return the largest error relative to the largest entry of its block."""
+    """Return the largest error of all blocks; an error is divided by the largest true entry of its block."""
     worst = 0.0
     for rows in (slice(0, 3), slice(3, 6)):
         for columns in groups:
@@ -296,7 +299,7 @@ def _warm(statics: Statics, joints: Array, load: float, solves: int) -> float:
     near = statics.solve(joints, wrench)
     times = np.empty(solves)
     for index in range(solves):
-        # back and forth, so that no end of travel is reached
+        # The joints move back and forth, so that none reaches the end of its travel.
         at = joints + (50 - abs(index % 100 - 50)) * move
         start = time.perf_counter()
         near = statics.solve(at, wrench, near)

@@ -1,4 +1,4 @@
-"""`ctr-station bench`: performance of this computer, as medians."""
+"""Part of `ctr-station bench`: speed of the model and of a simulated run, and the table of a result."""
 
 import math
 import time
@@ -21,12 +21,12 @@ from station.experiments.runner import run_case
 def model(solves: int = 20_000, tubes: int = 5) -> dict[str, Any]:
     """Measure warm-started solves while the joints move around (0, pi/2, -0.100) under 0.2 N along x.
 
-    A solve returns tip, J and C, and all three are read. Joints advance 10 mrad and 0.3 mm between solves,
-    within +-0.5 rad and +-15 mm. Accuracy is the distance to the exact rod. `residual` is evaluated
-    again after the solve. `derivative_error` is the difference of J and C to those of a solve started
-    from the solution, relative to their largest entry. The result also contains the fourth-order integrator;
-    the time of a pass along the tubes, with and without derivatives; and the model in batches,
-    for 1 to `tubes` tubes.
+    The timed part solves the model and reads tip, J and C. Between two solves the joints move by 10 mrad and 0.3 mm,
+    within +-0.5 rad and +-15 mm. `accuracy_mm` is the distance of the tip from that of the exact rod. `residual` is
+    computed separately after the solve. For `derivative_error` the model is solved again from the solution; the error
+    is the difference of both J and C, relative to the largest entry. The result also has the same numbers for the
+    fourth-order integrator, the time of a pass along the tubes with and without derivatives, and the speed of the
+    model in batches for 1 to `tubes` tubes.
     """
     robot = load_robot("paper").robot()
     result = _wander(Statics(robot), solves)
@@ -54,7 +54,7 @@ def _wander(statics: Statics, solves: int) -> dict[str, Any]:
     near: Solution = statics.solve(joints, wrench)
     times, passes, checked = np.empty(solves), np.empty(solves), list[tuple[float, float, float]]()
     for index in range(solves):
-        # Reverse at the borders and sometimes in between, so that the poses differ.
+        # A joint reverses at the border of its range, and sometimes in between, so that the poses differ.
         direction = np.where(np.abs(joints + direction * stride - centre) > reach, -direction, direction)
         direction = np.where(rng.random(3) < 0.01, -direction, direction)
         direction = np.where(np.abs(joints + direction * stride - centre) > reach, -direction, direction)
@@ -86,7 +86,7 @@ def _wander(statics: Statics, solves: int) -> dict[str, Any]:
 
 
 def _passes(statics: Statics) -> tuple[float, float, int]:
-    """Median time of a pass without and with derivatives [us], and the number of sub-links."""
+    """Return the median times of a pass without and with derivatives [us], and the number of sub-links."""
     solution = statics.solve(np.array([0.0, math.pi / 2, -0.1]), np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
     durations: list[float] = []
     for with_derivatives in (False, True):
@@ -100,7 +100,7 @@ def _passes(statics: Statics) -> tuple[float, float, int]:
 
 
 def headless(seconds: float = 20.0) -> dict[str, Any]:
-    """Run the feed-forward case of `fig10` in virtual time, after a warm-up: alone, then one on each processor."""
+    """Measure the speed of the case `feedforward` of `fig10` in virtual time: one run, then one on each processor."""
     _headless(2.0, lambda _: None)
     alone = sorted(_headless(seconds, lambda _: None) for _ in range(3))
     count = processors()
@@ -114,7 +114,7 @@ def headless(seconds: float = 20.0) -> dict[str, Any]:
 
 
 def _headless(duration: float, _: Callable[[float], None]) -> float:
-    """Return the speed of the case relative to real time, with a motion of `duration` [s]."""
+    """Run the case for `duration` [s] and return its speed relative to real time."""
     case = next(case for case in load_experiment("fig10").cases if case.name == "feedforward")
     file = case.file.model_copy(update={"duration": duration})
     run = run_case(case._replace(file=file), 0, VirtualClock(), lambda _: None)
@@ -122,7 +122,7 @@ def _headless(duration: float, _: Callable[[float], None]) -> float:
 
 
 def table(title: str, result: Mapping[str, Any]) -> Table:
-    """Return a result as a table."""
+    """Return the result of a benchmark as a table for the terminal."""
     shown = Table(title=f"bench {title}", title_style="")
     shown.add_column("figure")
     shown.add_column("value", justify="right")
@@ -132,7 +132,7 @@ def table(title: str, result: Mapping[str, Any]) -> Table:
 
 
 def flat(result: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield names and values of a result; nested names are prefixed."""
+    """Yield names and values of a nested result; the name of an inner value starts with the names around it."""
     for key, value in result.items():
         if isinstance(value, Mapping):
             yield from flat(cast(Mapping[str, Any], value), f"{before}{key} ")

@@ -1,9 +1,9 @@
-"""Time of a new installation to its first result, before anything is compiled.
+"""Time that a new installation needs for its first run, while no compiled code exists.
 
     ctr-station bench cold
 
-Runs the experiment `fig7` with `ctr-station run`, first with an empty folder of compiled code, then again. Then
-counts in one process what this run compiles.
+The benchmark runs the experiment `fig7` with `ctr-station run` twice. The folder of compiled code is empty before the
+first run. Then a process runs one second of the experiment and counts the functions that numba compiles.
 """
 
 import json
@@ -19,7 +19,7 @@ EXPERIMENT = "fig7"
 
 
 def cold() -> dict[str, Any]:
-    """Return seconds of the first and second run, the number of compiled signatures, and the compile time."""
+    """Return the times of the first and second run [s], the number of compilations, and their time [s]."""
     with tempfile.TemporaryDirectory() as folder:
         shared, alone = Path(folder, "shared"), Path(folder, "alone")
         run = ["-m", "station", "run", EXPERIMENT, "--json", "--out", folder]
@@ -30,7 +30,7 @@ def cold() -> dict[str, Any]:
 
 
 def _timed(arguments: list[str], cache: Path) -> tuple[float, str]:
-    """Run Python with compiled code in `cache`; return the seconds and its last line."""
+    """Run Python with the folder `cache` for compiled code; return the time [s] and the last line of the output."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
     start = time.perf_counter()
     command = [sys.executable, *arguments]
@@ -39,7 +39,7 @@ def _timed(arguments: list[str], cache: Path) -> tuple[float, str]:
 
 
 def _count() -> dict[str, Any]:
-    """Run the experiment for one second in this process and count compilations."""
+    """Run one second of the experiment in this process; return the number and the time [s] of compilations."""
     from numba.core import event  # pyright: ignore
 
     from station.control.clock import VirtualClock

@@ -1,4 +1,4 @@
-"""Delays from a client's setpoint to the line of the stages: three parts for each setpoint and axis.
+"""Delay from the sending of a setpoint by a client to the serial line: three parts for each setpoint and axis.
 
 sent ---- hearing ----> received ---- tick ----> tick ---- line ----> first byte of the axis's next velocity
 """
@@ -14,30 +14,30 @@ from station.devices.zaber.protocol import MESSAGE_TIME_S
 
 
 class UsedSetpoint(NamedTuple):
-    """Setpoints that the ticks of the loop have used, oldest first; times of one clock [s]."""
+    """Setpoints that the ticks of the control loop have used, oldest first; all times are of the same clock [s]."""
 
-    ticks: Array  #: (m,) due time of each tick
-    setpoint: NDArray[np.int64]  #: (m,) index of the newest setpoint at this tick, -1: none
-    received: Array  #: (m,) time when the server received it
-    desired: NDArray[np.int64]  #: (m, n) desired velocities [units of the stages]
-    sent: NDArray[np.int64]  #: (m, n) velocities sent before this tick
+    ticks: Array  #: due time of each tick (m,) [s]
+    setpoint: NDArray[np.int64]  #: index of the newest setpoint at each tick (m,); -1: none
+    received: Array  #: time when the server received this setpoint (m,) [s]
+    desired: NDArray[np.int64]  #: desired velocities of the axes (m, n) [units of the stages]
+    sent: NDArray[np.int64]  #: velocities sent before each tick (m, n) [units of the stages]
 
 
 class Delays(NamedTuple):
-    """One row for each setpoint that a tick has used, and each axis [s]."""
+    """Parts of the delay, with one element for each pair of a used setpoint and an axis [s]."""
 
-    hearing: Array  #: from sending to the reception by the server
-    tick: Array  #: from the reception to the tick that uses it
-    line: Array  #: from the tick until the line transmits the axis's next velocity, six bytes in 6.25 ms
+    hearing: Array  #: time from the sending of the setpoint to its reception by the server
+    tick: Array  #: time from the reception to the tick that uses the setpoint
+    line: Array  #: time from the tick to the start of the axis's next velocity command on the line (6 bytes, 6.25 ms)
 
     @property
     def whole(self) -> Array:
-        """Delay from the sender to the line [s]."""
+        """Whole delay: the sum of the three parts [s]."""
         return self.hearing + self.tick + self.line
 
 
 def on_the_line(arrivals: Array) -> Array:
-    """Return when the line starts to transmit each message (m,) that arrived at these times [s]."""
+    """Return the times at which the serial line starts to transmit messages (m,) that reach it at `arrivals` [s]."""
     starts = np.empty_like(arrivals)
     free = -np.inf
     for number, time in enumerate(arrivals):
@@ -49,19 +49,19 @@ def on_the_line(arrivals: Array) -> Array:
 def delays(sent_at: Array, used: UsedSetpoint, transmitted: Sequence[Array]) -> Delays:
     """Return the delays of the setpoints that a tick has used.
 
-    A setpoint that was replaced before the next tick is not counted. For an axis, a setpoint that does not
-    change its velocity is not counted either: nothing is sent then.
+    A setpoint that was replaced before the next tick is not counted. A setpoint is also not counted for an axis whose
+    velocity it leaves unchanged, because no command is sent to this axis.
 
     Args:
-        sent_at: (s,) when each setpoint was sent [s].
-        used: the setpoints used by the loop.
-        transmitted: for each axis, when the line started to transmit its velocities [s].
+        sent_at: times at which the client sent the setpoints (s,) [s].
+        used: setpoints that the control loop has used.
+        transmitted: for each axis, times at which the line started to transmit velocity commands [s].
     """
     numbers, first = np.unique(used.setpoint, return_index=True)
     first = first[numbers >= 0]
     found: list[tuple[float, float, float]] = []
     for axis, times in enumerate(transmitted):
-        # A row contains the velocities sent before its tick: a new velocity was sent in the previous tick.
+        # A row has the velocities that were sent before its tick. So a changed value was sent in the previous tick.
         out = np.flatnonzero(np.diff(used.sent[:, axis]) != 0)
         right = np.flatnonzero(used.desired[:, axis] == used.sent[:, axis])
         for tick in first:
@@ -85,7 +85,7 @@ def figures(found: Delays) -> dict[str, Any]:
 
 
 def _next(among: NDArray[Any], since: float) -> Any:
-    """Return the first value of an ascending row that is not below `since`; None if all are below."""
+    """Return the first value of an ascending array that is at least `since`; None if all values are smaller."""
     index = int(np.searchsorted(among, since))
     return among[index] if index < len(among) else None
 

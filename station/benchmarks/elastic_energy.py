@@ -1,9 +1,9 @@
-"""Stability of a shape by finite differences of its elastic energy; independent of the solver except for the shape.
+"""Stability of a shape by finite differences of its elastic energy. Only the shape itself comes from the solver.
 
-The shape is divided into elements. An element has the frames at its two ends and the tubes' rotations there. From
-these follow curvature and torsion (the logarithm of the rotation between the ends), and from these its energy. Small
-changes of all variables give the second derivatives of the energy. This uses no equation of equilibrium, no analytic
-second variation, and a different discretisation than the solver.
+The shape is divided into elements. Each element has a frame at each end, and the rotations of the tubes there. The
+logarithm of the rotation between both frames gives curvature and torsion, and these give the elastic energy. Small
+changes of all variables give the second derivatives of the energy. This computation uses no equation of equilibrium and
+no analytic second variation, and its discretisation differs from that of the solver.
 """
 
 import math
@@ -14,18 +14,20 @@ from core.model.solution import Solution
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 
-#: Half step of the differences [rad].
+#: Half step of the finite differences of the energy [rad].
 HALF_STEP_RAD = 2e-3
-#: Numerical error of an eigenvalue that is zero, by elements and differences.
+#: Numerical error of an eigenvalue whose exact value is zero; elements and finite differences cause this error.
 ZERO_EIGENVALUE = 1e-6
 
 
 def lowest(robot: Robot, solution: Solution, longest: float = 0.005) -> float:
-    """Return the smallest eigenvalue of the energy's second derivatives over the stiffest entry; unstable if negative.
+    """Return the smallest eigenvalue of the energy's second derivatives, divided by their largest diagonal entry.
+
+    A negative value means that the shape is unstable.
 
     Args:
-        robot: the tubes.
-        solution: a shape under a force; a moment at the tip has no energy.
+        robot: robot with the tubes.
+        solution: shape under a force at the tip; a moment is ignored, because it has no potential energy.
         longest: length of the longest element [m].
 
     """
@@ -36,7 +38,7 @@ def lowest(robot: Robot, solution: Solution, longest: float = 0.005) -> float:
 
 
 def _bands(robot: Robot, solution: Solution, longest: float) -> tuple[Array, float]:
-    """Return second derivatives by (x, y, psi_1 ... psi_q) at every node, upper bands; and the stiffest entry."""
+    """Return the upper bands of the second derivatives by (x, y, psi_1 ... psi_q) of the nodes, and the largest."""
     q = len(robot.tubes)
     size = q + 2
     path = Statics(robot, longest, "fourth_order").shape(solution)
@@ -50,7 +52,7 @@ def _bands(robot: Robot, solution: Solution, longest: float) -> tuple[Array, flo
     force = np.where(middle[:, None] < solution.contact, solution.wrench[:3], 0.0)
 
     def energy(change: Array) -> Array:
-        """Return the energy of every element (..., m) for changes (..., 2 size) of its two ends."""
+        """Return the energy of each element (..., m) after changes (..., 2 size) of the variables at its two ends."""
         start = _product(frames[:-1], _turn(change[..., 0], change[..., 1]))
         end = _product(frames[1:], _turn(change[..., size], change[..., size + 1]))
         first, second = theta[:-1] + change[..., 2:size], theta[1:] + change[..., size + 2 :]
@@ -83,7 +85,7 @@ def _bands(robot: Robot, solution: Solution, longest: float) -> tuple[Array, flo
         bands[-1, 2 + i] += min(bend[1][0, i] / max(hidden, 1e-12), 1e3 * stiffest)
         beyond = np.flatnonzero(bend[0][:, i] == 0.0) + 1
         bands[-1, size * beyond + 2 + i] = stiffest
-    bands[-1, :2] += 1e3 * stiffest  # clamped at the plate
+    bands[-1, :2] += 1e3 * stiffest  # a stiff spring clamps the shape at the plate
     return bands, stiffest
 
 
@@ -102,7 +104,7 @@ def _tubes(robot: Robot, beta: Array, arc_lengths: Array) -> tuple[Array, Array]
 
 
 def _quaternion(rotation: Array) -> Array:
-    """(w, x, y, z) of a rotation matrix."""
+    """Return the quaternion (w, x, y, z) of a rotation matrix."""
     from scipy.spatial.transform import Rotation  # pyright: ignore  - slow to import
 
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
@@ -128,7 +130,7 @@ def _conjugate(p: Array) -> Array:
 
 
 def _turn(x: Array, y: Array) -> Array:
-    """Quaternion of the rotation vector (x, y, 0)."""
+    """Return the quaternion of the rotation vector (x, y, 0)."""
     return _exponential(np.stack((x, y, np.zeros_like(x)), axis=-1))
 
 
@@ -138,7 +140,7 @@ def _exponential(vector: Array) -> Array:
 
 
 def _logarithm(p: Array) -> Array:
-    """Rotation vector (..., 3) of a quaternion of less than half a turn."""
+    """Return the rotation vector (..., 3) of a quaternion; its angle is at most half a turn."""
     p = np.where(p[..., :1] < 0.0, -p, p)
     size = np.linalg.norm(p[..., 1:], axis=-1, keepdims=True)
     return 2.0 * np.arctan2(size, p[..., :1]) / np.maximum(size, 1e-300) * p[..., 1:]

@@ -1,4 +1,4 @@
-"""Memory growth of processes: resident size over time, and its slope."""
+"""Memory growth of processes: resident memory over time, and the slope of a fitted line."""
 
 import os
 from pathlib import Path
@@ -24,18 +24,18 @@ class Growth:
         self._sizes: list[float] = []
 
     def add(self, time: float, size: float) -> None:
-        """Add a size [bytes] at a time [s]."""
+        """Add the resident memory `size` [bytes] that was measured at `time` [s]."""
         self._times.append(time)
         self._sizes.append(size)
 
     @property
     def size(self) -> float:
-        """The last size [bytes]."""
+        """Latest resident memory [bytes]."""
         return self._sizes[-1] if self._sizes else 0.0
 
     @property
     def slope(self) -> float:
-        """Slope of a line through the second half, after all initial allocations [bytes/s]."""
+        """Slope of a line fitted to the second half of the sizes, which has no initial allocations [bytes/s]."""
         half = len(self._times) // 2
         if len(self._times) - half < 3:
             return 0.0

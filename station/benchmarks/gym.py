@@ -1,4 +1,4 @@
-"""`ctr-station bench gym`: steps per second of the environments, by Gymnasium's benchmark functions."""
+"""`ctr-station bench gym`: steps per second of the environments, measured with Gymnasium's benchmark functions."""
 
 import time
 from collections.abc import Callable
@@ -6,14 +6,15 @@ from typing import Any
 
 from station.config.strict import ConfigError
 
-#: Episodes at once in the vector environments.
+#: Number of parallel episodes in a vector environment.
 VECTOR_EPISODES = 64
 
 
 def gym(seconds: float = 5.0) -> dict[str, Any]:
-    """Measure single and vector environments with a hidden load and tube errors up to 5 %, with random actions.
+    """Measure single and vector environments with random actions, a hidden load, and tube errors up to 5 %.
 
-    `per_s` is by the clock; `per_core_and_s` by this process's processor time, independent of other programs.
+    `per_s` is the number of steps in a second of real time. `per_core_and_s` is the number of steps in a second of this
+    process's processor time, which does not depend on other programs.
 
     Raises:
         ConfigError: Gymnasium is not installed.

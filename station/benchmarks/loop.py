@@ -1,4 +1,4 @@
-"""`ctr-station bench loop`: lateness of the 500 Hz loop on this computer, in a separate process."""
+"""`ctr-station bench loop`: lateness of the control loop, which runs at 500 Hz in a separate process."""
 
 import tempfile
 import time
@@ -21,10 +21,10 @@ from station.service.supervisor import Supervisor
 
 
 def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True) -> dict[str, Any]:
-    """Run a circle under load in the virtual lab for `seconds`, recorded like any run, and measure its lateness.
+    """Run a recorded circle under load in the virtual lab for `seconds`, and measure the lateness of the control loop.
 
-    `computer` has the same figures of an idle timer on the loop's processor, which are the lower bound of the
-    loop's lateness.
+    `computer` has the same numbers for a timer without work on the processor of the control loop. They are the lower
+    bound of the loop's lateness.
 
     Raises:
         CtrError: the control process failed during the measurement.
@@ -58,13 +58,13 @@ def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True
 
 
 def figures(ring: Ring, seconds: float, stolen_s: float) -> dict[str, Any]:
-    """Return the loop's counters over `seconds` [s], with the processor time stolen by the hypervisor [s]."""
+    """Return the timing of the control loop over `seconds` [s]; `stolen_s` is time taken by the hypervisor [s]."""
     late = ring.later_than(PERIOD_S)
     return {**ring.timing()._asdict(), "a_period_late": late, "seconds": seconds, "stolen_s": round(stolen_s, 3)}
 
 
 def stolen_seconds() -> float:
-    """Return the processor time that the hypervisor gave to others, over all processors [s]; 0 if not reported."""
+    """Return the time that the hypervisor took from all processors of this computer [s]; 0 if it is not reported."""
     try:
         fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
     except OSError:

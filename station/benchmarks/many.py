@@ -1,7 +1,7 @@
-"""Part of `ctr-station bench model`: cost of the model in batches, compared with single solves.
+"""Part of `ctr-station bench model`: speed of the model in batches, compared with single solves.
 
-The rate of one core refers to its processor time, which is independent of other programs. The rate of all cores
-together refers to the clock.
+The rate of one core is the number of solves in a second of processor time, which does not depend on other programs. The
+rate of several cores is the number of solves in a second of real time.
 """
 
 import time
@@ -17,14 +17,15 @@ from station.benchmarks.accuracy import cases, draw, telescope
 from station.experiments.job_pool import processors
 from station.solve_many import solve_many
 
-#: Largest force of the cold rows, in any direction [N], as in `bench accuracy`.
+#: Largest force at the tip in the rows without a warm start, in any direction [N]; equal to that of `bench accuracy`.
 MAX_FORCE_N = 0.6
 
 
 def many(rows: int = 20_000, tubes: int = 5) -> dict[str, Any]:
-    """Measure cold rows at random poses and warm rows along a path; by cores; and for 1 to `tubes` tubes (0: none).
+    """Measure cold solves at random poses and warm solves along a path; by cores, and for 1 to `tubes` tubes.
 
-    `ratio`: relative to single calls of `solve` at some of the same rows, in the same run.
+    `ratio` is the speed of a batch relative to single calls of `solve` at some of the same rows. With `tubes` 0 the
+    measurement by tubes is omitted.
     """
     model = Statics(cases()["paper"].robot)
     cold, warm = random_rows(rows), wandering_rows(rows)
@@ -46,7 +47,7 @@ def many(rows: int = 20_000, tubes: int = 5) -> dict[str, Any]:
 
 
 def random_rows(rows: int, seed: int = 0) -> tuple[Array, Array]:
-    """Return joints (k, 3) and wrenches (k, 6) as in `bench accuracy`: in the whole travel, up to `MAX_FORCE_N`."""
+    """Return random joints (k, 3) in the whole travel and wrenches (k, 6), drawn as in `bench accuracy`."""
     poses = draw(cases()["paper"]._replace(force=MAX_FORCE_N, moment=0.0), np.random.default_rng(seed))
     joints, wrenches = zip(*(next(poses) for _ in range(rows)), strict=True)
     return np.array(joints), np.array(wrenches)
@@ -64,7 +65,7 @@ def _there_and_back(rows: int) -> Array:
 
 
 def _telescope(tubes: int, rows: int) -> int:
-    """Return warm solves per second and core of a robot with `tubes` tubes."""
+    """Return the number of warm solves in a second of processor time for a robot with `tubes` tubes."""
     model = Statics(telescope(tubes))
     joints = np.array(
         [0.3 if joint.motion == "rotation" else -0.02 * (tubes - joint.tube) for joint in model.robot.joints]
@@ -89,7 +90,7 @@ def _one_by_one(model: Statics, joints: Array, wrenches: Array, along: bool) -> 
 
 
 def _spent(work: Callable[[], Any], times: int) -> float:
-    """Return the median of this thread's processor time [s]."""
+    """Call `work` several times, and return the median of the processor time that this thread needed for a call [s]."""
     spent: list[float] = []
     for _ in range(times):
         start = time.thread_time()

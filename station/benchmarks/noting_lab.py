@@ -1,4 +1,4 @@
-"""The virtual lab in a separate process, which records the arrival times of messages on the stages' line."""
+"""Virtual lab in a separate process that records when messages arrive at the stages' end of the serial line."""
 
 import signal
 from multiprocessing.connection import Connection
@@ -16,23 +16,23 @@ from station.service.rig import Rig
 
 
 class Note(NamedTuple):
-    """A message that has arrived at the stages' end of the line."""
+    """Message that has arrived at the stages' end of the serial line."""
 
-    time: float  #: station's clock [s]
+    time: float  #: time of arrival on the station's clock [s]
     device: int  #: number or alias of the addressed unit
     command: int
     data: int
 
 
 class NotingLab:
-    """Owner of the process; the stages are homed and at the parking pose of the bench. Use it as a context."""
+    """Owner of the lab's process, used in a `with` block; the stages start homed and at the rig's parking pose."""
 
     def __init__(self, bench: Rig) -> None:
         self._child = ChildProcess(_run, bench, name="noting lab")
         self.devices: BenchFile = devices_at(self._child.pipe.recv(), bench.lab, bench.clock)
 
     def notes(self) -> list[Note]:
-        """Return the notes since the last call."""
+        """Return the messages that have arrived since the previous call."""
         self._child.pipe.send("notes")
         return self._child.pipe.recv()
 
@@ -44,7 +44,7 @@ class NotingLab:
 
 
 def _run(bench: Rig, pipe: Connection, _parent: int) -> None:
-    """Main function of the process; ends with its pipe."""
+    """Main function of the lab's process, which ends when the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the measuring process ends it
     set_process_name("ctr-lab")
     notes: list[Note] = []
@@ -69,9 +69,9 @@ def _run(bench: Rig, pipe: Connection, _parent: int) -> None:
             return False
 
         lab.lab.chain.receive = receive_and_note
-        lab.lab.advance(bench.clock.now() - lab.start_time)  # compiles here, not during the measurement
+        lab.lab.advance(bench.clock.now() - lab.start_time)  # compile the code now, not during the measurement
         freeze_garbage_collection()
-        request_fifo(PRIORITY, in_turns=True)  # like the lab of a station
+        request_fifo(PRIORITY, in_turns=True)  # as the process of a station's lab does
         pipe.send(lab.endpoints)
         lab.run(answer_requests)
 

@@ -1,7 +1,7 @@
-"""`ctr-station bench recorder`: processor time of recording, per row.
+"""`ctr-station bench recorder`: processor time that the recording of a telemetry row needs.
 
-In virtual time the loop itself records. Live, a separate process records, which is
-measured while it reads a ring that is written at 500 Hz.
+In virtual time the control loop itself records the rows. In live operation a separate process records them. This
+process is measured while it reads a telemetry ring to which 500 rows a second are written.
 """
 
 import tempfile
@@ -29,7 +29,7 @@ RECORDED_SPAN_S = 4.0
 
 
 def recorder(seconds: float) -> dict[str, Any]:
-    """Record rows of `fig10` in both modes, live for `seconds`; return microseconds of processor time per row."""
+    """Record rows of `fig10` in both modes, live for `seconds`; return the processor time for a row [us]."""
     case = next(case for case in load_experiment("fig10").cases if case.name == "feedforward")
     case = case._replace(file=case.file.model_copy(update={"duration": RECORDED_SPAN_S}))
     run = run_case(case, 0, VirtualClock(), lambda _: None)
@@ -45,7 +45,7 @@ def recorder(seconds: float) -> dict[str, Any]:
 
 
 def _in_loop(case: Case, rows: Array, folder: Path) -> tuple[float, int]:
-    """Return the median of several recordings of the same rows [us per row], and the size of the last [bytes]."""
+    """Return the median time for a row over several recordings [us], and the size of the last recording [bytes]."""
     channels = Channels(case.robot.robot())
     taken: list[float] = []
     size = 0
@@ -58,7 +58,7 @@ def _in_loop(case: Case, rows: Array, folder: Path) -> tuple[float, int]:
         taken.append(1e6 * (time.process_time() - start) / len(rows))
         recorder.close(RunOutcome.COMPLETE)
         size = writer.path.stat().st_size
-    # The first one loads the model's code.
+    # The first recording also loads the code of the model, so it is not counted.
     return float(np.median(taken[1:])), size
 
 

@@ -1,8 +1,8 @@
-"""`ctr-station bench report`: performance of this computer, in one file with computer and date.
+"""`ctr-station bench report`: results of the benchmarks in one file, with the date and the computer.
 
     ctr-station bench report --out station/benchmarks/MEASURED.md
 
-The READMEs contain no times and refer to this file.
+READMEs refer to this file for the computing times.
 """
 
 import os
@@ -23,9 +23,9 @@ from station.benchmarks.tick import tick
 from station.benchmarks.wire import wire
 from station.experiments.job_pool import processors
 
-#: Durations of the benchmarks with a fixed duration [s].
+#: Durations of those benchmarks that run for a given time [s].
 LOOP_SECONDS, RECORDER_SECONDS, SETPOINTS_SECONDS = 60.0, 20.0, 60.0
-#: By name: description and function of each benchmark.
+#: Description and function of each benchmark, by its name.
 MEASURES: Mapping[str, tuple[str, Callable[[], dict[str, Any]]]] = {
     "model": ("The loaded model with J and C, warm, two tubes and three joints", model),
     "cost": ("Time of a warm solve by tubes and sub-links [us]", cost),
@@ -46,14 +46,14 @@ MEASURES: Mapping[str, tuple[str, Callable[[], dict[str, Any]]]] = {
 
 
 def measure_all(starting: Callable[[str], None]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Run each of `MEASURES`; `starting` receives the name of the next one."""
+    """Run all `MEASURES` and yield name and result of each; `starting` receives each name before its benchmark."""
     for name, (_, measure) in MEASURES.items():
         starting(name)
         yield name, measure()
 
 
 def measured_markdown(machine: str, found: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the file in Markdown; `machine` is the result of `describe_machine` before the measurements."""
+    """Return the Markdown text of the report; `machine` is what `describe_machine` returned before the benchmarks."""
     lines = [
         "# Measured",
         "",
@@ -69,7 +69,7 @@ def measured_markdown(machine: str, found: Mapping[str, Mapping[str, Any]]) -> s
 
 
 def describe_machine() -> str:
-    """Return processor, system, versions and load of the computer."""
+    """Return a text with date, processor, operating system, versions and load average of this computer."""
     libraries = ", ".join(f"{name} {version(name)}" for name in ("numpy", "numba"))
     load = f"; load average {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
     return (

@@ -1,4 +1,4 @@
-"""A station started by `ctr-station serve` in a separate process, and a browser that shows its page."""
+"""Start `ctr-station serve` in a separate process, and a browser that shows the page of this station."""
 
 import shutil
 import signal
@@ -18,11 +18,11 @@ from station.config.toml_text import toml_lines
 from station.control.process import ring_width
 from station.control.ring import SEGMENT_FOLDER, SEGMENT_PREFIX, Ring
 
-#: Limit of the first start of a new installation, which compiles, and of the shutdown [s].
+#: Longest time for the start of a station, which compiles on a new installation, and for its shutdown [s].
 START_TIMEOUT_S = 300.0
-#: Time until a browser has started and drawn its first frames [s].
+#: Waiting time after the start of the browser, in which the browser draws its first frames [s].
 BROWSER_WARMUP_S = 10.0
-#: Possible names of the browser.
+#: Program names under which a Chromium browser may be installed.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 BROWSER_FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -32,23 +32,23 @@ BROWSER_FLAGS = (
 
 
 class ServedStation:
-    """A running station."""
+    """Station that runs in a separate process."""
 
     def __init__(self, url: str, pid: int) -> None:
         self.url, self._pid = url, pid
 
     @contextmanager
     def ring(self, robot: RobotFile) -> Iterator[Ring]:
-        """Open the station's telemetry.
+        """Open the telemetry ring of the station; `robot` is the station's robot.
 
         Raises:
-            CtrError: this system does not list shared memory by name.
+            CtrError: the operating system does not list shared memory by name, so the ring was not found.
         """
         names = [path.name for path in SEGMENT_FOLDER.glob(f"{SEGMENT_PREFIX}{self._pid}_*")]
         if len(names) != 1:
             raise CtrError(f"no telemetry of a station in {SEGMENT_FOLDER}: this needs Linux")
         ring = Ring(ring_width(robot), names[0])
-        # The station removes it: without this, Python would remove it at the end of this process.
+        # The station removes the shared memory. Without this call, Python would also do so at the end of this process.
         resource_tracker.unregister(f"/{names[0]}", "shared_memory")
         try:
             yield ring
@@ -58,14 +58,14 @@ class ServedStation:
 
 @contextmanager
 def serve_station(folder: Path, settings: Mapping[str, Any]) -> Iterator[ServedStation]:
-    """Start a station with these keys of its file and its data in `folder`; yield it when it is READY.
+    """Start a station with `settings` as its station file and data in `folder`; yield the station when it is READY.
 
     Raises:
-        CtrError: it does not start; the text is its output.
+        CtrError: the station does not start; the message has its output.
     """
     config, output = folder / "station.toml", folder / "output.txt"
     config.write_text("\n".join(toml_lines(settings)) + "\n", encoding="utf-8")
-    # As text: this package must not import `web`, which is above it.
+    # `web` is imported in the child process only: the package `station` must not import `web`, a higher layer.
     command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", "0"]
     with output.open("w", encoding="utf-8") as out:
         process = subprocess.Popen(  # noqa: S603 - ourselves
@@ -82,13 +82,13 @@ def serve_station(folder: Path, settings: Mapping[str, Any]) -> Iterator[ServedS
 
 
 def browser() -> str | None:
-    """Return the path of this computer's browser, or None."""
+    """Return the path of a Chromium browser on this computer; None if there is none."""
     return next((path for name in BROWSERS if (path := shutil.which(name))), None)
 
 
 @contextmanager
 def open_page(station: ServedStation, browser: str, folder: Path) -> Iterator[None]:
-    """Show the station's page in a browser without a window."""
+    """Show the page of the station in a browser without a window (headless)."""
     command = [browser, *BROWSER_FLAGS, f"--user-data-dir={folder}", station.url]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:  # noqa: S603
         try:

@@ -1,9 +1,9 @@
-"""`ctr-station bench setpoints`: delay of a setpoint from a script to the stages' line, on a running station.
+"""`ctr-station bench setpoints`: delay of a setpoint from a script to the serial line of a running station.
 
     ctr-station bench setpoints
 
-A script streams setpoints of the tip along a circle. A separate lab records when the bytes arrive. Measured with
-and without a browser that draws the page.
+A script streams setpoints of the tip along a circle. A virtual lab in a separate process records when the bytes arrive
+at the stages. The delay is measured without and with a browser that draws the page.
 """
 
 import contextlib
@@ -30,27 +30,28 @@ from station.devices.zaber.protocol import SPEED_UNIT, ZaberCommand
 from station.service.rig import Rig
 from station.service.station_file import load_station
 
-#: Rates of the setpoints [1/s].
+#: Rates at which the script sends setpoints [1/s].
 SETPOINT_RATES_HZ = (50.0, 100.0, 500.0)
-#: Radius and period of the circle [m], [s].
+#: Radius [m] and period [s] of the circle.
 CIRCLE_RADIUS_M, CIRCLE_PERIOD_S = 0.010, 20.0
-#: Interval of reading the rows, which are kept for 8 s [s].
+#: Interval at which the script reads the telemetry ring, which keeps the rows of the last 8 s [s].
 POLL_INTERVAL_S = 1.0
-#: A run ends without a setpoint for this long; long enough for a busy computer [s].
+#: Time without a setpoint after which the tip comes to rest; a busy computer may delay a setpoint so long [s].
 SILENCE_TIMEOUT_S = 2.0
 VELOCITY_COMMANDS = (ZaberCommand.MOVE_SPEED, ZaberCommand.STOP)
-#: Limits that keep a late loop running: lateness is measured here.
+#: Limits for late ticks that never end a run, because this benchmark measures delays on slow computers, too.
 TOLERANT_OVERRUNS = {"hold_in_a_row": 1000, "hold_share": 1.0, "fault_in_a_row": 5000}
 
 
 def setpoints(seconds: float, progress: Callable[[float], None]) -> dict[str, Any]:
-    """Measure delays at each of `SETPOINT_RATES_HZ`, without and then with the page open, `seconds` in total.
+    """Measure delays at each of `SETPOINT_RATES_HZ`, without and then with the page open, for `seconds` in total.
 
-    `hearing` lasts until the server has received the message, `tick` until the next tick, `line` until the line sends
-    the next velocity of the axis: each axis gets one every 25 ms. Milliseconds.
+    The parts of a delay [ms] are `hearing`, from the sending to the reception by the server; `tick`, from the reception
+    to the next tick; and `line`, from the tick to the next velocity command of the axis on the serial line. The line
+    carries a command for each axis every 25 ms.
 
     Raises:
-        CtrError: the station does not start, or a run ends early.
+        CtrError: the station does not start, or one of its runs ends early.
     """
     bench = load_station(None).bench()
     showing = browser()
@@ -83,9 +84,9 @@ def setpoints(seconds: float, progress: Callable[[float], None]) -> dict[str, An
 def _streamed_run(
     bench: Rig, station: ServedStation, lab: NotingLab, ring: Ring, rate: float, seconds: float
 ) -> dict[str, Any]:
-    """Measure one run at `rate` setpoints per second."""
+    """Stream `rate` setpoints a second for `seconds`, and return the delays of this run."""
     with Station(station.url) as script:
-        script.goto()  # a partial turn ends at another position: repeated runs would move the tip out of its reach
+        script.goto()  # otherwise runs that end within a turn would move the tip out of its reach
     lab.notes()
     since, rows, sent_at, angles = ring.written, list[Array](), list[float](), list[float]()
     with (
@@ -97,13 +98,13 @@ def _streamed_run(
             angle = 2.0 * math.pi * now / CIRCLE_PERIOD_S
             angles.append(angle)
             sent_at.append(bench.clock.now())
-            # Without the sender's time: then the server records the time of reception.
+            # The message has no time of the sender, so the server records the time of reception.
             tip.send({"tip": [CIRCLE_RADIUS_M * (math.cos(angle) - 1.0), CIRCLE_RADIUS_M * math.sin(angle), 0.0]})
             if now - last_read > POLL_INTERVAL_S:
                 last_read = now
                 more, since, _ = ring.read(since)
                 rows.append(more)
-        time.sleep(0.1)  # by then the last setpoint was used and the line has sent to every axis
+        time.sleep(0.1)  # in this time a tick uses the last setpoint, and the line carries a command to every axis
         rows.append(ring.read(since)[0])
         loop_start, missed = _loop_start(ring, bench), int(ring.counters[MISSED]) - missed
         start = np.array(tip.start)
@@ -121,7 +122,7 @@ def _streamed_run(
 
 
 def _loop_start(ring: Ring, bench: Rig) -> float:
-    """Return when the loop's time was 0, on the station's clock [s]: the last setpoint has both times."""
+    """Return the start of the loop's time on the station's clock [s]: the last setpoint has its time on both clocks."""
     latest, row = ring.request(int(ring.counters[RUN])), ring.latest()
     assert latest is not None  # noqa: S101 - the tip has just been streamed
     assert latest.setpoint is not None  # noqa: S101
@@ -130,7 +131,7 @@ def _loop_start(ring: Ring, bench: Rig) -> float:
 
 
 def _used_setpoints(bench: Rig, rows: Array, start: Array, angles: Array, loop_start: float) -> UsedSetpoint:
-    """Return the setpoint that each row's tick has used, identified by the angle of its request."""
+    """Return the setpoint that each tick of `rows` has used; the angle on the circle identifies a setpoint."""
     channels = Channels(bench.robot.robot())
     away = channels.of(rows, "request") - start
     requested = channels.of(rows, "request_kind")[:, 0] == 1.0
@@ -147,7 +148,7 @@ def _used_setpoints(bench: Rig, rows: Array, start: Array, angles: Array, loop_s
 
 
 def _velocity_times(bench: Rig, notes: list[Note]) -> list[Array]:
-    """Return when the line started to send the velocities of each axis."""
+    """Return for each axis the times at which the serial line started to transmit its velocity commands [s]."""
     starts = on_the_line(np.array([note.time for note in notes]))
     return [
         np.array(

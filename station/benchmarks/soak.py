@@ -1,8 +1,8 @@
-"""A soak test: the whole station with random actions of an operator and random faults of the devices.
+"""Soak test: a complete station with random actions of a simulated operator and random faults of the devices.
 
-All processes run as in live use: virtual lab, control, recorder. An operator starts, stops, jogs, tares, homes
-and resets, and one device after the other fails. The test detects processes that end, memory that grows, states
-without a cause, and faults that are not reported exactly once.
+The processes are those of live operation: virtual lab, control process and recorder. The operator starts runs, stops,
+jogs, tares, homes and resets, and one device after the other fails. The test detects processes that end, memory that
+grows, unexplained HOLD and FAULT states, and faults that are not reported exactly once.
 """
 
 import math
@@ -25,19 +25,19 @@ from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 
-#: Limit of the station's start, which may compile everything on a busy computer [s].
+#: Longest time for the start of the station, which may compile all code on a busy computer [s].
 START_TIMEOUT_S = 300.0
-#: Limits of the report of a fault, and of READY after repair and reset [s].
+#: Longest time until the station reports a fault, and until the station is READY after repair and reset [s].
 FAULT_REPORT_TIMEOUT_S, RECOVERY_TIMEOUT_S = 3.0, 400.0
-#: Tolerated growth of a process's memory [bytes], and the slope above which it counts as a leak [bytes/s].
+#: Growth of a process's memory that is not yet a failure [bytes], and largest slope that is no leak [bytes/s].
 MEMORY_TOLERANCE_BYTES, LEAK_BYTES_PER_S = 8e6, 2e3
-#: Words in causes for which the computer is responsible.
+#: Words in a cause about the control loop that mean that the computer, not the station, is responsible.
 COMPUTER_CAUSES = ("late", "missed")
 RESTING_STATES = (State.HOLD, State.STOPPED, State.FAULT)
 
 
 class FaultChance(NamedTuple):
-    """A possible fault, and the state that it must cause."""
+    """Fault that the test may inject, and the state that this fault must cause."""
 
     kind: FaultKind
     device: str
@@ -72,7 +72,7 @@ class SoakResult:
     growth: dict[str, Growth] = field(default_factory=dict)
 
     def summary(self) -> dict[str, Any]:
-        """Return the result as plain numbers and texts."""
+        """Return the result as a JSON object; its list `wrong` has all failures, including memory leaks."""
         leaks = [
             f"memory of {name} grows by {slope / 1e3:.1f} kB/s"
             for name, growth in self.growth.items()
@@ -136,7 +136,7 @@ class _Soak:
         progress(1.0)
 
     def _one(self) -> None:
-        """Execute one random action of an operator or a device, valid in this state or not."""
+        """Carry out one random action of the operator, or inject a fault; the station may refuse the action."""
         state, chance = self._supervisor.status().state, self._chance
         if state in (*RESTING_STATES, State.CONNECTED):
             self._recover()
@@ -147,7 +147,7 @@ class _Soak:
             getattr(self, f"_{action}")()
         self._pause(chance.uniform(0.05, 1.0))
 
-    # Actions of an operator
+    # Actions of the operator
 
     def _start(self) -> None:
         motion = self._chance.choice((
@@ -179,7 +179,7 @@ class _Soak:
         self._try("pull", lambda: self._service.apply_load(ConstantLoad(magnitude=size)))
 
     def _wait(self, reached: Callable[[State], bool] | None = None, timeout: float = 0.0) -> bool:
-        """Wait until `reached` holds for the state, for at most `timeout` [s]; without arguments pause briefly."""
+        """Wait up to `timeout` [s] until `reached` returns True for the state; without arguments pause up to 2 s."""
         if reached is None:
             self._pause(self._chance.uniform(0.1, 2.0))
             return True
@@ -195,12 +195,12 @@ class _Soak:
         try:
             action()
         except CtrError:
-            self.result.refused += 1  # not allowed in this state
+            self.result.refused += 1  # the station refused the action in its present state
 
     # Faults
 
     def _fail(self, fault: FaultChance) -> None:
-        """Inject a fault, check that it is reported once, and repair it."""
+        """Inject a fault, check that the station reports the fault exactly once, and repair the device."""
         name = f"{fault.kind} {fault.device}"
         before = self._supervisor.entered(fault.leads_to)
         if self._supervisor.status().state is not State.RUNNING:
@@ -213,7 +213,7 @@ class _Soak:
         times = self._supervisor.entered(fault.leads_to) - before
         self._supervisor.inject([])
         if not shown:
-            if self._supervisor.status().state is not State.READY:  # the run ended before
+            if self._supervisor.status().state is not State.READY:  # READY: the run had ended before the fault
                 self.result.wrong.append(f"{name}: not reported within {FAULT_REPORT_TIMEOUT_S:g} s")
         elif self._is_machine(status.cause):
             self.result.machine += 1
@@ -224,7 +224,7 @@ class _Soak:
         self._last_state = self._supervisor.status().state
 
     def _recover(self) -> None:
-        """Act as an operator does after HOLD, STOPPED or FAULT."""
+        """Reset the station, and home its stages if necessary, until the station is READY."""
         deadline = time.monotonic() + RECOVERY_TIMEOUT_S
         while (state := self._supervisor.status().state) is not State.READY:
             if time.monotonic() > deadline:
@@ -239,13 +239,13 @@ class _Soak:
             time.sleep(0.2)
 
     def _what_is_wrong(self) -> str:
-        """Return the cause and the devices' faults as the station reports them."""
+        """Return a text with the cause of the state and the reported faults of the devices."""
         status = self._supervisor.status()
         texts = [status.cause, *(f"{device.name} {device.condition}: {device.text}" for device in status.devices)]
         return "; ".join(text for text in texts if text)
 
     def _explain(self) -> None:
-        """Check that every unrequested change of state has a cause."""
+        """Count a HOLD or FAULT that no injected fault caused as a failure, unless a late computer is its cause."""
         status = self._supervisor.status()
         if status.state is self._last_state:
             return
@@ -280,7 +280,7 @@ class _Soak:
 
 
 def rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the summary as rows of name and value."""
+    """Return the rows of the summary's table: name and value."""
 
     def listed(numbers: Mapping[str, Any]) -> str:
         return ", ".join(f"{name} {number}" for name, number in numbers.items())

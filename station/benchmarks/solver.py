@@ -1,9 +1,10 @@
-"""`ctr-station bench solver`: cold solves of many kinds of robots, without load and loaded.
+"""`ctr-station bench solver`: solves without a warm start for many kinds of robots, unloaded and loaded.
 
-Robots of two, three and four random tubes, and published three-tube robots, with EI / GJ from 1.0 to 2.0, at random
-valid poses. Every pose without load must have a solution, and nearly every pose under a force. Each solution must be
-stable, which `elastic_energy` checks. It must be the solution that the robot reaches from rest, which is checked by
-moving the exact rod in small steps. All poses are drawn from a seed. The tests run a part.
+The robots have two, three or four random tubes, or three published tubes, with EI / GJ from 1.0 to 2.0 or as
+published. Their poses are random and valid. Every pose without load must have a solution, and nearly every pose under a
+force. Each solution must be stable, which `elastic_energy` checks. Each solution must also be the shape that the robot
+reaches from rest: the exact rod, moved in small steps, shows this shape. All poses are drawn from a seed. The
+unit tests run a part of these poses.
 """
 
 import math
@@ -20,35 +21,35 @@ from core.model.statics import Statics
 from core.robot.robot import Array, Joint, Robot, Section, Tube
 from station.benchmarks.elastic_energy import ZERO_EIGENVALUE, lowest
 
-#: Largest force at the tip, in N and relative to EI / length^2 of the innermost tube.
+#: Largest force at the tip [N], and as a multiple of EI / L^2 of the innermost tube (L: its length past the plate).
 MAX_FORCE_N, MAX_RELATIVE_FORCE = 0.5, 20.0
-#: Every n-th solution is checked for minimal energy, every m-th against the exact rod continued from rest.
+#: One of so many solutions is checked for minimal energy; one of so many is compared with the exact rod.
 ENERGY_CHECK_EVERY, BRANCH_CHECK_EVERY = 4, 25
-#: Steps of the exact rod continued from rest: rotation [rad], and fraction of the load.
+#: Largest steps in which the exact rod moves from rest: rotation [rad], and fraction of the load.
 REFERENCE_TURN_RAD, REFERENCE_LOAD_SHARE = 0.03, 0.02
-#: Tips further apart than this belong to different shapes [m]; near a fold the paper's sub-links err by up to 3 mm.
+#: Tips further apart than this are different shapes [m]; near a fold the error of the paper's sub-links is up to 3 mm.
 OTHER_SHAPE_M = 5e-3
 
 
 class TubeRow(NamedTuple):
-    """A published tube: straight, then curved."""
+    """Published tube, which is straight from its base and curved up to its end."""
 
-    length: float  #: total [m]
+    length: float  #: total length [m]
     curved: float  #: length of the curved part [m]
-    bending: float  #: EI [N m^2]
-    ratio: float  #: EI / GJ
-    curvature: float  #: [1/m]
+    bending: float  #: bending stiffness EI [N m^2]
+    ratio: float  #: ratio EI / GJ of bending to torsional stiffness
+    curvature: float  #: curvature of the curved part [1/m]
 
 
 def _annulus(modulus: float, shear: float, outer: float, inner: float) -> tuple[float, float]:
-    """Return EI [N m^2] and EI / GJ of a tube from its moduli [Pa] and diameters [m]."""
+    """Return EI [N m^2] and EI / GJ of a tube from its elastic moduli [Pa] and its diameters [m]."""
     return modulus * math.pi / 64.0 * (outer**4 - inner**4), 0.5 * modulus / shear
 
 
-#: Three-tube robots, innermost tube first.
+#: Published robots with three tubes, innermost tube first.
 PUBLISHED_ROBOTS: Mapping[str, tuple[TubeRow, ...]] = {
     # Khadem, Da Cruz, Bergeles, "Force/Velocity Manipulability Analysis for 3D Continuum Robots", IROS 2018,
-    # doi 10.1109/IROS.2018.8593874: l, l_k, E, I, G, J and U_x of the code published with it.
+    # doi 10.1109/IROS.2018.8593874: values l, l_k, E, I, G, J and U_x of the code published with that paper.
     "khadem": (
         TubeRow(0.431, 0.103, 6.4359738368e10 * 0.0601e-12, 1.2847, 21.3),
         TubeRow(0.332, 0.113, 5.2548578304e10 * 0.3267e-12, 1.2246, 13.108),
@@ -82,7 +83,7 @@ ROBOT_KINDS: tuple[int | str, ...] = (2, 3, 4, *PUBLISHED_ROBOTS)
 
 
 class Pose(NamedTuple):
-    """A test case: robot, joints and load."""
+    """Test case of the solver: robot, joint positions and load."""
 
     kind: str
     robot: Robot
@@ -96,7 +97,7 @@ def published(name: str, ratio: float | None = None) -> Robot:
 
 
 def draw(seed: int, force: float = MAX_FORCE_N) -> Iterator[Pose]:
-    """Yield robots at valid poses, one kind after the other, under forces up to `force` [N], endlessly."""
+    """Yield robots at random valid poses under forces up to `force` [N], all kinds in turn, without an end."""
     rng = np.random.default_rng(seed)
     while True:
         for kind in ROBOT_KINDS:
@@ -108,7 +109,7 @@ def draw(seed: int, force: float = MAX_FORCE_N) -> Iterator[Pose]:
             joints = _random_joints(robot, rng)
             direction = rng.normal(size=3)
             wrench = np.zeros(6)
-            # Less force for thin tubes: at this limit any tube bends over completely.
+            # Thin tubes get less force: at this limit any tube bends over completely.
             reach = float(robot.tube_poses(joints)[1][0]) + robot.tubes[0].length
             limit = min(force, MAX_RELATIVE_FORCE * robot.tubes[0].bending_stiffness / reach**2) if force > 0.0 else 0.0
             wrench[:3] = direction / np.linalg.norm(direction) * rng.uniform(0.0, 1.0) * limit
@@ -116,7 +117,7 @@ def draw(seed: int, force: float = MAX_FORCE_N) -> Iterator[Pose]:
 
 
 def solver(poses: int = 10_000, seed: int = 0, done: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
-    """Solve unloaded and loaded poses with the paper's integrator."""
+    """Solve random unloaded poses and random loaded poses with the paper's integrator, and return the results."""
     return {
         "unloaded": solve_random_poses(poses, seed, 0.0, lambda part: done(0.5 * part)),
         "loaded": solve_random_poses(poses, seed, MAX_FORCE_N, lambda part: done(0.5 + 0.5 * part)),
@@ -126,10 +127,11 @@ def solver(poses: int = 10_000, seed: int = 0, done: Callable[[float], None] = l
 def solve_random_poses(
     poses: int, seed: int, force: float, done: Callable[[float], None] = lambda _: None
 ) -> dict[str, Any]:
-    """Solve `poses` random poses cold.
+    """Solve `poses` random poses without a warm start.
 
-    `other_branch`: the exact rod, continued from rest in small steps, reaches another shape. `snapped`: it
-    snaps on this path or has no solution at its end; such poses are not compared.
+    For some poses the exact rod moves from rest in small steps. `other_branch` counts poses at which the rod reaches
+    another shape. `snapped` counts poses for which the rod snaps on the path or has no solution; such poses are not
+    compared.
     """
     failed, unstable, checked, compared, other, snapped = 0, 0, 0, 0, 0, 0
     times, worst = np.empty(poses), 0.0
@@ -174,7 +176,7 @@ def solve_random_poses(
 
 
 def continued_from_rest(pose: Pose) -> tuple[Rod | None, bool]:
-    """Rotate the exact rod from aligned tubes, then load it, in small steps; return it and whether it never snapped."""
+    """Rotate the exact rod from aligned tubes in small steps, then load it; return it and whether no step snapped."""
     exact, robot = ExactRod(pose.robot, step=0.004), pose.robot
     alpha, beta = robot.tube_poses(pose.joints)
     turns = np.array([math.remainder(angle - alpha[-1], math.tau) for angle in alpha])
@@ -189,7 +191,7 @@ def continued_from_rest(pose: Pose) -> tuple[Rod | None, bool]:
         except NoSolution:
             return None, False
         moved = now.tip - (before if rod is None else rod.tip)
-        # A snap moves the tip at once, by much more than the neighbouring steps.
+        # In one step a snap moves the tip much further than the steps before and after.
         calm = calm and (rod is None or float(np.linalg.norm(moved)) < 0.1 * robot.tubes[0].length)
         before, rod = now.tip, now
     return rod, calm and rod is not None and exact.stability(pose.joints, pose.wrench, rod) > 0.0
@@ -209,7 +211,7 @@ def _robot(name: str, rows: tuple[TubeRow, ...], ratio: float | None) -> Robot:
         straight = row.length - row.curved
         curve = Section(row.curved, (row.curvature, 0.0))
         sections = (Section(straight), curve) if straight > 1e-9 else (curve,)
-        inner = 0.4e-3 + 0.6e-3 * i  # arbitrary diameters that fit
+        inner = 0.4e-3 + 0.6e-3 * i  # arbitrary diameters with which each tube fits into the next one
         gj = row.bending / (row.ratio if ratio is None else ratio)
         tubes.append(Tube(f"tube{i}", sections, row.bending, 0.3, inner + 0.5e-3, inner, gj))
         joints += [Joint(f"turn{i}", i, "rotation"), Joint(f"slide{i}", i, "translation")]
@@ -217,14 +219,14 @@ def _robot(name: str, rows: tuple[TubeRow, ...], ratio: float | None) -> Robot:
 
 
 def _random_rows(count: int, rng: np.random.Generator) -> tuple[TubeRow, ...]:
-    """Return realistic tubes: mostly shorter, stiffer and less curved towards the outside."""
+    """Return random realistic tubes, innermost first: an outer tube is shorter, stiffer and mostly less curved."""
     rows = list[TubeRow]()
     bending, straight = float(rng.uniform(0.004, 0.02)), 0.04
     for i in range(count):
         curved = float(rng.uniform(0.04, 0.15))
         rows.append(TubeRow(0.0, curved, bending, 1.0, float(rng.uniform(2.0, 20.0)) / (1.0 + 0.7 * i)))
         bending *= float(rng.uniform(1.2, 3.5))
-    for i in range(count - 1, -1, -1):  # from the outermost inward
+    for i in range(count - 1, -1, -1):  # from the outermost tube to the innermost
         straight += float(rng.uniform(0.02, 0.08))
         rows[i] = rows[i]._replace(length=straight + rows[i].curved)
         straight = rows[i].length
@@ -232,7 +234,7 @@ def _random_rows(count: int, rng: np.random.Generator) -> tuple[TubeRow, ...]:
 
 
 def _random_joints(robot: Robot, rng: np.random.Generator) -> Array:
-    """Return random valid joints (n,), with each tube at least 5 mm out of the next outer one."""
+    """Return random valid joints (n,); each tube ends at least 5 mm beyond the end of the tube around it."""
     q = len(robot.tubes)
     joints = np.empty(2 * q)
     joints[0::2] = rng.uniform(-math.pi, math.pi, q)

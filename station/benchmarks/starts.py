@@ -1,9 +1,10 @@
-"""Holds the tip at random start poses: two hundred plants, poses and loads.
+"""Benchmark: the controller keeps the tip in position from 200 random start poses, with random plants and loads.
 
-Every seed draws a plant (EI and curvature within +-8 %), a start pose from the whole travel and the
-direction of a load that rises and falls. The tip must stay at its position. At some poses this is impossible: a
-reference inverse on the *true* plant determines them, by a bounded least-squares search from 20 start values
-at each of four loads. At these poses the run should end in HOLD with the limit named.
+Every seed draws a plant, i.e. a simulated real robot whose EI and curvatures differ by up to 8 % from the model. It
+also draws a start pose in the whole travel and the direction of a load that rises and falls. The tip must keep its
+position. At some poses no joint positions exist that keep the tip there. A bounded least-squares search on the *true*
+plant, from 20 start values at each of four loads, finds these poses; their runs should end in HOLD with the limit
+named.
 
     python -m station.benchmarks.starts --seeds 200 --jobs 2
     python -m station.benchmarks.starts --seeds 200 --experiment points   # six joints, position and direction, 0.3 N
@@ -34,45 +35,45 @@ from station.experiments.runner import run_case
 from station.lab.loads import RaisedCosineLoad
 from station.lab.plant import true_robot
 
-#: Experiment whose first case gives controller and lab, and the peak of the load [N].
+#: Default experiment, whose first case has the controller and the lab; and the peak of the load by experiment [N].
 EXPERIMENT = "fig8"
 PEAK_FORCES_N = {EXPERIMENT: 0.5, "points": 0.3}
-DURATION_S = 20.0  # [s], one period of the load
-SETTLING_S = 2.0  # [s]
-PLANT_VARIATION = 0.08  # of EI and curvature
+DURATION_S = 20.0  # duration of a run, one period of the load [s]
+SETTLING_S = 2.0  # errors count from this time on [s]
+PLANT_VARIATION = 0.08  # largest relative deviation of the plant's EI and curvature
 MAX_ROTATION_RAD, TRAVEL_MARGIN_M = (
     math.pi,
     0.005,
-)  # both signs [rad], and margin at both ends of a translation's travel [m]
-#: A tip counts as holdable if the reference is at most this far from it at each load.
-HOLDABLE_ERROR_M = 1e-4  # [m]
-LOAD_LEVELS = (0.25, 0.5, 0.75, 1.0)  # fractions of the peak
+)  # largest rotation to either side [rad], and margin at both ends of a translation's travel [m]
+#: A start is holdable if the search brings the true tip at least this near to its start position under each load [m].
+HOLDABLE_ERROR_M = 1e-4
+LOAD_LEVELS = (0.25, 0.5, 0.75, 1.0)  # loads of the search, as fractions of the peak
 SEARCH_COUNT = 20
 
 
 class RandomStart(NamedTuple):
-    """Random values of a seed."""
+    """Start pose and load that a seed draws."""
 
-    joints: Array  #: (n,) [rad or m]
-    direction: tuple[float, float, float]  #: of the load
+    joints: Array  #: start pose (n,) [rad or m]
+    direction: tuple[float, float, float]  #: direction of the load, a unit vector
     peak: float  #: peak of the load [N]
 
 
 class StartOutcome(NamedTuple):
-    """Result of one start."""
+    """Result of the run from one start pose."""
 
     seed: int
     joints: tuple[float, ...]
     direction: tuple[float, ...]
     holdable: bool
-    reference_mm: float  #: error of the reference inverse at the worst load
+    reference_mm: float  #: result of `reference_error` [mm]
     completed: bool
     cause: str
-    error_mm: float  #: largest true error of any axis after settling, until the end of the run
+    error_mm: float  #: largest true error of an axis from the settling time to the end of the run [mm]
 
 
 def bounds(case: Case) -> tuple[Array, Array]:
-    """Return the range (n,) of random start joints [rad or m]."""
+    """Return lower and upper bound (n,) of random start joints [rad or m]."""
     turns = np.array([joint.motion == "rotation" for joint in case.controller.statics.robot.joints])
     lower, upper = case.controller.limits.packed[:2]
     return np.where(turns, -MAX_ROTATION_RAD, lower + TRAVEL_MARGIN_M), np.where(
@@ -91,7 +92,7 @@ def draw(seed: int, case: Case, peak: float) -> RandomStart:
 
 
 def prepare_case(case: Case, start: RandomStart) -> Case:
-    """Return the case with this start, this load and a varied plant."""
+    """Return the case with the pose and load of `start`, a tip that keeps its position, and a varied plant."""
     file = case.file.model_copy(
         update={
             "start": dict(zip(case.controller.statics.robot.joint_names, start.joints.tolist(), strict=True)),
@@ -107,11 +108,11 @@ def prepare_case(case: Case, start: RandomStart) -> Case:
 
 
 def reference_error(case: Case, seed: int, start: RandomStart) -> float:
-    """Return the smallest possible distance of the true tip from its start at the worst load [m].
+    """Return the smallest distance of the true tip from its start that any joints reach, under the worst load [m].
 
-    An error of a controlled direction counts as a distance at its lever arm.
+    If the controller also controls the direction of the tip, an error of the direction is converted to a distance.
     """
-    # The plant draws from the first of the lab's streams.
+    # The simulated lab draws its plant with the first of three random streams of the seed, so this plant is the same.
     plant = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
     rod = ExactRod(true_robot(case.controller.statics.robot, case.lab.plant, plant), step=0.02, tolerance=1e-8)
     target, aim = rod.solve(start.joints, np.zeros(6)), case.controller.aim
@@ -146,7 +147,7 @@ def reference_error(case: Case, seed: int, start: RandomStart) -> float:
 
 
 def run_start(seed: int, experiment: str = EXPERIMENT) -> StartOutcome:
-    """Run one seed."""
+    """Draw the start of a seed, run the simulation, and return the result."""
     case = load_experiment(experiment).cases[0]
     start = draw(seed, case, PEAK_FORCES_N[experiment])
     case = prepare_case(case, start)
@@ -161,7 +162,7 @@ def run_start(seed: int, experiment: str = EXPERIMENT) -> StartOutcome:
 def sweep(
     seeds: Sequence[int], jobs: int, report: Callable[[StartOutcome], None], experiment: str = EXPERIMENT
 ) -> list[StartOutcome]:
-    """Run all seeds, `jobs` in parallel."""
+    """Run all seeds in `jobs` processes and return their results; `report` receives each result."""
     outcomes: list[StartOutcome] = []
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         for outcome in pool.map(run_start, seeds, [experiment] * len(seeds)):
@@ -171,7 +172,7 @@ def sweep(
 
 
 def summary(outcomes: Sequence[StartOutcome]) -> dict[str, Any]:
-    """Return largest axis errors [mm] of the holdable starts (infinite after HOLD), and results of the others."""
+    """Return statistics of the largest axis errors of holdable starts [mm] (infinite after HOLD), and other results."""
     holdable = [outcome for outcome in outcomes if outcome.holdable]
     others = [outcome for outcome in outcomes if not outcome.holdable]
     errors = sorted(outcome.error_mm if outcome.completed else math.inf for outcome in holdable)
@@ -194,7 +195,7 @@ def summary(outcomes: Sequence[StartOutcome]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run the sweep and print its results."""
+    """Run the seeds that the command line requests, and print their results."""
     parser = argparse.ArgumentParser(
         prog="python -m station.benchmarks.starts", description="hold the tip at many start poses"
     )

@@ -1,9 +1,10 @@
-"""`ctr-station bench tick`: time of one whole tick of the controller, measured in the loop.
+"""`ctr-station bench tick`: computing time of one whole tick of the controller, measured in the control loop.
 
     ctr-station bench tick
 
-A tick fuses, filters, observes, solves twice, controls and limits. Between two ticks the virtual lab and the
-telemetry use the caches, as on a bench.
+In a tick the controller fuses and filters the forces, observes the tip, solves the model twice, and computes and
+limits the joint velocities. Between two ticks the virtual lab and the telemetry run, so they displace data from the
+processor's cache, as the drivers and the telemetry of a real rig do.
 """
 
 import time
@@ -19,7 +20,7 @@ from station.control.clock import VirtualClock
 from station.experiments.experiment import Case, load_experiment
 from station.experiments.runner import run_case
 
-#: Timed cases: three joints for position; six for position, for position and direction, and with a null-space task.
+#: Timed cases, by result: three joints; six joints: position only, with direction, and with null-space objectives.
 CASES = {
     "step_us": ("fig10", "feedforward"),
     "six_joints_step_us": ("points", "position_alone"),
@@ -29,7 +30,7 @@ CASES = {
 
 
 def tick(seconds: float = 20.0) -> dict[str, Any]:
-    """Run each of `CASES` for `seconds` after a warm-up; return microseconds per step."""
+    """Run each of `CASES` for `seconds` after a warm-up; return the times of a tick [us]."""
     found: dict[str, Any] = {"ticks": round(seconds * 500)}
     for key, (experiment, name) in CASES.items():
         found[key] = _tick(next(case for case in load_experiment(experiment).cases if case.name == name), seconds)
@@ -53,7 +54,7 @@ def _tick(case: Case, seconds: float) -> dict[str, float]:
             run_case(case._replace(file=file), 0, VirtualClock(), lambda _: None)
     finally:
         loop.step = control_step.step
-    # Only the motion uses the inverse, not the preparation.
+    # Only ticks of the motion count: during its preparation the controller does not compute the inverse kinematics.
     moving = 1e6 * np.array(taken[-int(seconds * 500) :])
     part = np.percentile(moving, [50, 99, 99.9])
     return dict(zip(("median", "p99", "p99_9"), np.round(part, 1).tolist(), strict=True))

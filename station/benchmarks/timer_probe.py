@@ -1,7 +1,7 @@
-"""Lateness of the computer itself: an idle timer on the control loop's processor, with a higher priority.
+"""Lateness of the computer itself: a timer without work on the control loop's processor, with a higher priority.
 
-No program on the computer can prevent what delays this timer (the kernel, the host of a virtual machine).
-It is the lower bound of the loop's lateness.
+The kernel or the host of a virtual machine delays this timer, and no program on the computer can prevent such a delay.
+The lateness of the timer is the lower bound of the loop's lateness.
 """
 
 import os
@@ -15,17 +15,17 @@ from station.control.child_process import ChildProcess
 from station.control.realtime import request_fifo, request_realtime, set_process_name
 from station.control.ring import SCHEDULER, Ring
 
-#: Above the control loop and its other threads.
+#: Real-time priority of the timer, above that of the control loop and of its other threads.
 PRIORITY = 90
-#: Interval of checks whether the parent process is alive [periods].
+#: Interval at which the timer checks whether its parent process is alive [periods of 2 ms].
 PARENT_CHECK_PERIODS = 500
 
 
 class TimerProbe:
-    """A process that wakes every 2 ms on one processor and records its lateness. Use it as a context."""
+    """Process that wakes every 2 ms on one processor and records its lateness; used in a `with` block."""
 
     def __init__(self, core: int | None) -> None:
-        """`core`: processor of the control loop; None: any."""
+        """Start the process on `core`, the processor of the control loop; None: on any processor."""
         self._ring = Ring(1)
         self._child = ChildProcess(_watch, self._ring.name, core, name="timer probe")
 
@@ -39,11 +39,11 @@ class TimerProbe:
         self._ring.close(remove=True)
 
     def clear(self) -> None:
-        """Clear the counters."""
+        """Clear the recorded lateness."""
         self._ring.clear_timing()
 
     def figures(self) -> dict[str, Any]:
-        """Return the same figures as for the loop: lateness, and how often it was a period or more."""
+        """Return the lateness of the timer, and the number of its ticks that were a period late or more."""
         timing = self._ring.timing()
         return {
             "ticks": timing.ticks,
@@ -54,14 +54,14 @@ class TimerProbe:
 
 
 def _watch(ring_name: str, core: int | None, _pipe: Connection, parent: int) -> None:
-    """Main function of the process."""
+    """Main function of the timer's process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process ends it
     set_process_name("ctr-probe")
     ring = Ring(1, ring_name)
     request_realtime(fifo=False, core=core)
     ring.counters[SCHEDULER] = request_fifo(PRIORITY)
     start, tick = time.monotonic(), 0
-    while tick % PARENT_CHECK_PERIODS or os.getppid() == parent:  # skipped ticks delay this check
+    while tick % PARENT_CHECK_PERIODS or os.getppid() == parent:  # a late timer skips ticks, which may delay this check
         due = start + tick * PERIOD_S
         left = due - time.monotonic()
         if left > 0.0:

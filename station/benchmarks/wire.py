@@ -1,8 +1,8 @@
-"""`ctr-station bench wire`: time of a tick of plant, simulated devices and drivers, without the controller.
+"""`ctr-station bench wire`: computing time of plant, simulated devices and drivers in a tick, without the controller.
 
     ctr-station bench wire
 
-The stages move as in `fig10` under its load. Garbage collection is off.
+The stages move under the load of the experiment `fig10`. Python's garbage collection is off.
 """
 
 import gc
@@ -23,19 +23,20 @@ from station.lab.simulated_bench import SimulatedBench
 from station.lab.virtual_bench import drivers
 
 TICK_S = 0.002
-#: A result is the median of means over this number of ticks.
+#: Number of ticks over which a time is averaged; a result is the median of these averages.
 CHUNK_TICKS = 50
 START_JOINTS = np.array([0.0, 0.5 * math.pi, -0.1])
 LOAD = RaisedCosineLoad(peak=0.5, period=20.0)
 
 
 def wire(seconds: float = 20.0) -> dict[str, Any]:
-    """Return microseconds per tick of each part and of all, over `seconds` of simulated time.
+    """Return the times for a tick of each part and of all parts [us], over `seconds` of simulated time.
 
-    `plant` is measured alone and contained in `lab`, which is plant and simulated devices; `all` is lab and drivers.
+    `lab` is the plant with the simulated devices. `plant` is measured a second time, alone. `all` is the sum of the lab
+    and the drivers.
 
     Raises:
-        CtrError: the stages did not connect.
+        CtrError: the simulated stages did not connect.
     """
     robot, config = load_robot("paper"), LabConfig()
     lab = SimulatedBench(robot, config, 0, START_JOINTS, homed=True)
@@ -77,7 +78,7 @@ def wire(seconds: float = 20.0) -> dict[str, Any]:
                 now += TICK_S
     finally:
         gc.enable()
-    means = 1e6 / CHUNK_TICKS * taken[round(1.0 / TICK_S / CHUNK_TICKS) :]  # the first second warms up
+    means = 1e6 / CHUNK_TICKS * taken[round(1.0 / TICK_S / CHUNK_TICKS) :]  # the first second is a warm-up
     medians = np.median(means, axis=0)
     us = dict(zip(parts, np.round(medians, 1).tolist(), strict=True))
     return {"ticks": len(means) * CHUNK_TICKS, "us": us | {"all": round(float(medians[:5].sum()), 1)}}

@@ -74,7 +74,7 @@ def start_procedure(
     Args:
         what: name of the procedure in `PROCEDURES`.
         subject: the robot with its assumed parameters.
-        effort: factor of the default number of poses.
+        effort: factor that multiplies the default number of poses.
         weights: known weights that the operator hangs at the tip [N].
     """
     return PROCEDURES[what].start_procedure(subject, replace(Effort().scaled(effort), weights=weights))

@@ -1,6 +1,6 @@
 """The procedures `axes` and `latency`, the first on a new bench.
 
-They find signs and zeros of the axes, and the latency of the tracker.
+`axes` finds signs and zeros of the axes; `latency` finds the latency of the tracker.
 """
 
 from collections.abc import Mapping
@@ -24,11 +24,12 @@ from station.calibration.procedure import AbortedError, GoToPose, Procedure, Swi
 #: Sizes of the small moves about the start pose that determine the signs, and of the larger moves that determine the
 #: zeros [rad, m].
 SMALL_MOVES, LARGE_MOVES = {"rad": 0.25, "m": 0.010}, {"rad": 1.2, "m": 0.015}
-#: Shares of a move, tried in this order where limits (short travels, ends of tubes) leave no room for the whole move.
+#: Shares of a move, tried in this order if limits (joint travel, ends of the tubes) do not allow the whole move.
 MOVE_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
 #: Assumed error of the model before the tubes are calibrated [m].
 MODEL_ERROR_M = 1e-3
-#: Oscillation of the joints that determines the latency: amplitudes [rad, m], period and duration [s].
+#: Oscillation of the joints that determines the latency: distance between its turning points [rad, m], period and
+#: duration [s].
 SWING_AMPLITUDES, SWING_PERIOD_S, SWING_DURATION_S = {"rad": 0.25, "m": 0.006}, 8.0, 16.0
 
 
@@ -36,7 +37,7 @@ class AxesResult(NamedTuple):
     """Result of the procedure `axes`."""
 
     signs: Signs
-    zeros: tuple[tuple[Quantity, float, float], ...]  #: zero angle of a tube and half its 95 % interval [rad]
+    zeros: tuple[tuple[Quantity, float, float], ...]  #: quantity, zero angle, half width of 95 % interval [rad]
     measurements: tuple[Measurement, ...]
 
 
@@ -52,7 +53,7 @@ def axes(subject: PlanSubject) -> Procedure[AxesResult]:
 
     Raises:
         Unobservable: the signs are ambiguous.
-        Unreachable: a joint has no room to move.
+        Unreachable: the limits allow no move of a joint.
     """
     measurements: list[Measurement] = []
     yield from _moves(subject, SMALL_MOVES, 0.0, measurements)
@@ -79,7 +80,7 @@ def _moves(
 ) -> Procedure[None]:
     """Move each joint in both directions from the start pose.
 
-    These moves are half of the procedure; `done` is the share of the procedure that is done before them.
+    These moves are half of the procedure; `done` is the share of the procedure that is done before the moves.
     """
     moves: list[Array] = []
     for k, joint in enumerate(subject.robot.joints):

@@ -8,7 +8,7 @@ class CheckItem(Strict):
     """One line of the checklist."""
 
     procedure: str
-    """to be run; empty: a task for the operator"""
+    """name of the procedure to run; empty: a task for the operator"""
     text: str
 
 

@@ -45,7 +45,7 @@ def write_registration(
     folder: Path, robot: Robot, frames: Frames, fit: Fit, errors: Array, assumed: TrackerMounting, made: str,
     axis: CoilAxis | None = None,
 ) -> Path:  # fmt: skip
-    """Write the registration: the fitted rigid motion, combined with the assumed one that the measurements contain."""
+    """Write the registration: the fitted rigid motion, combined with the assumed mounting in the measurements."""
     whole = frames.registration.after(RigidTransform(assumed.rotation, assumed.position))
     names = [parameter.name for parameter in fit.parameters]
     first = names.index("frame rotation x")
@@ -156,7 +156,7 @@ def _tube(described: RobotFile, found: TubeCalibration, index: int) -> list[str]
 
 
 def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Round calibrated numbers to nine digits; numbers that people write in files have fewer digits."""
+    """Round calibrated numbers to nine digits, which keeps the shorter numbers that people write in files."""
 
     def nine(value: Any) -> Any:
         if isinstance(value, tuple):

@@ -11,7 +11,8 @@ from station.calibration.validation import ErrorBin, Validation, by_direction
 
 #: Share of the robot's length above which a finding questions the median error.
 LARGE_ERROR_SHARE = 0.05
-#: Share of the median error above which a finding reports the difference between rising and falling joints.
+#: Share of the median error above which a finding reports that errors differ between arrivals from below and
+#: from above.
 MIN_DIRECTION_DIFFERENCE = 0.25
 #: Correlation of neighbouring errors above which a finding reports the correlation.
 MIN_CORRELATION = 0.3
@@ -102,7 +103,7 @@ def _percent(part: float) -> str:
 
 
 def _direction_sentences(validation: Validation) -> Iterator[str]:
-    """Report joints whose direction of arrival matters."""
+    """Report joints whose direction of arrival at a pose changes the mean error."""
     for joint, apart in _direction_differences(by_direction(validation)):
         if apart > MIN_DIRECTION_DIFFERENCE * ErrorStatistics.of(validation.errors[-1]).median:
             yield f"{joint}: between rising and falling the mean error differs by {1e3 * apart:.2f} mm" + (
@@ -147,14 +148,14 @@ def _prior_sentences(best: PoseFit) -> Iterator[str]:
 
 
 def undetermined_parameters(best: PoseFit) -> list[str]:
-    """Return the parameters that the priors determine, and the combinations that the data leave open."""
+    """Return the parameters that the priors determine, and the combinations that the data do not determine."""
     return [f"{name.replace('_', ' ')}: determined by the prior" for name in best.fixed_by_prior] + _open_combinations(
         best
     )
 
 
 def _open_combinations(best: PoseFit) -> list[str]:
-    """Return the combinations that the data leave open, weakest first, in units of their parameters' relevant sizes."""
+    """Return combinations that the data do not determine, weakest first, in units of the parameters' relevant sizes."""
     texts: list[str] = []
     for combination in () if best.fit is None else best.fit.weak:
         shares = " ".join(f"{share:+.2f} {name.replace('_', ' ')}" for name, share in combination.parts)
@@ -164,7 +165,7 @@ def _open_combinations(best: PoseFit) -> list[str]:
 
 
 def _direction_differences(bins: Sequence[ErrorBin]) -> list[tuple[str, float]]:
-    """Return joints with the difference of the mean errors of both directions [m], where both directions occur."""
+    """Return joints with the difference of mean errors between both directions [m]; omit joints with one direction."""
     found: list[tuple[str, float]] = []
     for first, second in pairwise(bins):
         if first.joint == second.joint:

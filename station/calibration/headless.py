@@ -37,7 +37,7 @@ def run_headless(
         lab: configuration of the virtual lab.
         seed: seed of everything random in the lab.
         clock: real or virtual clock.
-        progress: function that receives the share done and the prompt for the operator.
+        progress: function that receives the completed share and the prompt for the operator.
         registration: assumed pose of the tracker.
 
     Raises:

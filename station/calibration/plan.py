@@ -37,7 +37,7 @@ class PlanSubject:
     ) -> tuple[Array, Array]:
         """Return the `count` most informative poses (m, n) under a tip force (3,), in an order of short moves.
 
-        `known` is the information (p, p) of earlier tours; the second result is that of all tours.
+        `known` is the information (p, p) of earlier tours; the second result is the information of all tours.
 
         Raises:
             Unreachable: no pose is inside all limits.

@@ -1,7 +1,7 @@
 """Poses measured elsewhere, read from a CSV file: named columns, SI units, one row per pose.
 
-An invalid file is refused; the message names the column or the line. An unusable row (no number, a joint beyond its
-travel, no shape under that load) is left out and reported.
+An invalid file is refused; the message names the column or the line. An unusable row (missing number, a joint
+beyond its travel, no shape under the load) is left out and reported.
 """
 
 import csv
@@ -34,7 +34,8 @@ COLUMNS_HELP = (
 )
 #: Share of a column's values beyond the joint's travel above which the column is refused as having a wrong unit.
 WRONG_UNIT_SHARE = 0.2
-#: A tube that ends behind its outer neighbour by less than this counts as flush: joints and lengths are rounded [m].
+#: Largest distance by which a tube may end behind its outer neighbour and still count as flush, because joint positions
+#: and lengths in files are rounded [m].
 FLUSH_TOLERANCE_M = 0.5e-3
 #: Texts of cells (in lower case) that mean a missing number.
 MISSING_CELLS = frozenset(("", "nan", "na", "n/a", "null", "none"))
@@ -75,8 +76,8 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
     """Read the poses of a file.
 
     Raises:
-        PosesError: no such file, not a table, a missing or unknown column, text for a number, wrong units, or no
-            usable pose.
+        PosesError: the file is missing or no table, a column is missing, unknown or in a wrong unit, a cell is text in
+            place of a number, or no pose is usable.
     """
     header, lines = _table(path)
     names = [joint.name for joint in robot.joints]
@@ -224,7 +225,7 @@ def _is_feasible(row: _Row, limits: Sequence[JointLimit], left: list[RejectedPos
 
 
 def _flush(row: _Row, robot: Robot) -> _Row:
-    """Return the row with each tube flush that ends behind its outer neighbour by less than the tolerance."""
+    """Return the row with translations shifted so that tubes within `FLUSH_TOLERANCE_M` end flush."""
     joints = row.joints.copy()
     sliding = {joint.tube: k for k, joint in enumerate(robot.joints) if joint.motion == "translation"}
     for i in range(len(robot.tubes) - 2, -1, -1):
@@ -245,7 +246,7 @@ def _has_shape(row: _Row, model: Statics, left: list[RejectedPose]) -> bool:
 
 
 def _first(left: Sequence[RejectedPose]) -> str:
-    """Return the first reason in brackets."""
+    """Return line and reason of the first rejected pose in brackets."""
     return f" (line {left[0].line}: {left[0].reason})" if left else ""
 
 

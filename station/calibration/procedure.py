@@ -24,7 +24,7 @@ class GoToPose(NamedTuple):
 
 
 class OperatorPrompt(NamedTuple):
-    """Step that prompts the operator for a task while the robot rests; its answer is None when the task is done."""
+    """Step that prompts the operator for a task while the robot rests; its answer, after the task is done, is None."""
 
     text: str
     weight: float  #: weight at the tip after the task [N]
@@ -34,7 +34,7 @@ class OperatorPrompt(NamedTuple):
 class SwingMotion(NamedTuple):
     """Step that oscillates all joints from their present positions; its answer is a `SwingRecord`."""
 
-    amplitudes: Array  #: (n,) amplitude of each joint [rad or m]
+    amplitudes: Array  #: (n,) largest displacement of each joint from its start position [rad or m]
     period: float  #: period of the oscillation [s]
     duration: float  #: duration of the oscillation [s]
     done: float

@@ -32,7 +32,7 @@ UNCALIBRATED_TIP_STD_M, CALIBRATED_TIP_STD_M = 3e-3, 0.1e-3
 
 @dataclass(frozen=True)
 class Effort:
-    """Number of poses to visit."""
+    """Number of poses that a procedure visits, and known weights."""
 
     unloaded: int = 28
     loaded: int = 20  #: number of poses under each weight
@@ -67,7 +67,7 @@ class ForceResult(NamedTuple):
     """Result of the procedure `force`."""
 
     calibration: SensorCalibration
-    checks: tuple[tuple[float, WeightCheck], ...]  #: each known weight, as measured
+    checks: tuple[tuple[float, WeightCheck], ...]  #: each known weight [N] with its measurement
     registration: Registration
     measurements: tuple[Measurement, ...]
 
@@ -83,7 +83,7 @@ class TubesResult(NamedTuple):
     held_out_believed: Array  #: (k,) errors under load with the frames and tubes assumed before the calibration [m]
     measurements: tuple[Measurement, ...]
     check_measurements: tuple[Measurement, ...]
-    axis: CoilAxis | None = None  #: None: the tracker does not report it
+    axis: CoilAxis | None = None  #: axis of the coil; None: the tracker does not report it
 
 
 def tracker(subject: PlanSubject, effort: Effort) -> Procedure[TrackerResult]:
@@ -169,7 +169,7 @@ def tubes(subject: PlanSubject, effort: Effort) -> Procedure[TubesResult]:
 
 
 def _visits(subject: PlanSubject, effort: Effort) -> Procedure[tuple[list[Measurement], list[Measurement]]]:
-    """Visit poses without load, then for each weight under load and without load; return fit and check measurements."""
+    """Visit poses without load, then loaded and unloaded poses for each weight; return fit and check measurements."""
     what = quantities(subject.robot)
     total, number, position = effort.steps(), 0, subject.start
     measurements: list[Measurement] = []
@@ -221,7 +221,7 @@ def _forces(subject: PlanSubject, sensors: SensorCalibration, measurements: Sequ
 
 
 def _sags(subject: PlanSubject, measurements: Sequence[Measurement]) -> Array:
-    """Return tip forces (m, 3) that bend the model as the tubes' weight does [N].
+    """Return tip forces (m, 3) [N] that bend the model as the weight of the tubes would bend it.
 
     Without these forces the fit would explain the sag by rotated frames.
     """

@@ -121,7 +121,7 @@ def _errors(errors: Array, when: str) -> ReportFigure:
 
 
 def intervals(fit: Fit, count: int) -> ReportFigure:
-    """Return the figure of the first `count` parameters, those of the tubes, in units of their priors."""
+    """Return the figure of the first `count` parameters, which are those of the tubes, in units of their priors."""
     figure = Figure(figsize=(style.WIDTH_INCH, 0.8 + 0.27 * count))
     axes = figure.subplots()
     names = [parameter.name.replace("_", " ") for parameter in fit.parameters[:count]]

@@ -33,7 +33,7 @@ class CalibrationNumbers(BaseModel):
 
 
 class NoResultError(CtrError):
-    """A calibration, or a file of it, that does not exist."""
+    """Error: the requested calibration, or the requested file of a calibration, does not exist."""
 
 
 class CalibrationUse(Strict):
@@ -70,7 +70,7 @@ class Results:
         """Return the calibration with a name.
 
         Raises:
-            NoResultError: there is none.
+            NoResultError: there is no calibration with this name.
         """
         kept = _read(self._find(name))
         if kept is None:

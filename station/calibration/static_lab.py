@@ -26,7 +26,7 @@ from station.lab.true_plant import true_plant
 from station.lab.unmodelled_errors import UnmodelledErrors
 
 Result = TypeVar("Result")
-#: Number of steps of a move to a pose, so that play and friction reverse along the move as on the bench.
+#: Number of simulated steps of a move to a pose, so that play and friction follow the motion as on the bench.
 PATH_STEPS = 20
 #: Time in which the operator hangs or removes a weight [s].
 HANDLING_TIME_S = 20.0
@@ -50,7 +50,7 @@ class StaticLab:
         self._offset = np.repeat([settings.force_offset, settings.moment_offset], 3) * sensors.uniform(
             -1.0, 1.0, (q, 6)
         )
-        # Each force sensor uses the same random stream as at wire level, which follows the stream of its line.
+        # The wire-level lab gives each force sensor three random streams, the first for its line. Use the other two.
         boxes = [box.spawn(3)[1:] for box in sensors.spawn(q)]
         self._skew = np.array([gain_errors(settings.gain, BoxSettings(), crossed) for crossed, _ in boxes])
         self._wobble = sensors.spawn(1)[0]  # a separate random stream, so that the other draws do not change
@@ -90,7 +90,7 @@ class StaticLab:
         return self.reported_position(tip + self._plant.rotation @ self.hidden.coil) + error
 
     def _axes(self) -> Array | None:
-        """Return the mean of the coil's axes (1, 3), for the assumed pose of the tracker; None if it reports none."""
+        """Return the mean of the coil's axes (1, 3), for the assumed pose of the tracker; None without an axis."""
         tracker = self._config.tracker
         if tracker.direction_noise is None:
             return None
@@ -122,7 +122,7 @@ class StaticLab:
 def run_static(
     procedure: Procedure[Result], lab: StaticLab, progress: Callable[[float, str], None] | None = None
 ) -> Result:
-    """Run a procedure to its end; `progress` receives the share done and the prompt for the operator.
+    """Run a procedure to its end; `progress` receives the completed share and the prompt for the operator.
 
     Raises:
         CtrError: the procedure rejects the measurements.

@@ -19,7 +19,8 @@ from station.calibration.plan import PlanSubject
 from station.calibration.procedures import SUSPICIOUS_CHI_SQUARE, ForceResult, TrackerResult, TubesResult
 
 Result = TrackerResult | ForceResult | TubesResult | AxesResult | LatencyResult
-#: Ratio of the errors after and before, at held-out poses, above which a calibration is not worth using.
+#: Ratio of the error after the calibration to the error before, at held-out poses; above this ratio the findings advise
+#: against using the calibration.
 MIN_IMPROVEMENT_RATIO = 0.7
 MODEL_MISMATCH = (
     "tubes of this model do not describe the robot (friction between stiff tubes, or a wrong description); do not use"
@@ -33,7 +34,7 @@ class Row(NamedTuple):
     name: str
     before: str
     found: str
-    interval: str  #: half of the 95 % interval, with the unit
+    interval: str  #: half width of the 95 % interval, with the unit
 
 
 def rows(result: Result, subject: PlanSubject) -> list[Row]:

@@ -1,7 +1,7 @@
 """Validation: compares a robot's model with measured poses, before and after fits of frames and tubes.
 
-The errors are given at the poses of the fit and at held-out poses, which no fit used. Held-out poses are those of
-another file, or every second pose after a fit to the others.
+The errors are given at the poses of the fit and at held-out poses, which no fit used. Held-out poses are the
+poses of another file, or every second pose after a fit to the other poses.
 """
 
 import math
@@ -38,7 +38,7 @@ EXTENT_LABELS = {
     "tubes": "tubes fitted",
     "friction": "tubes and friction fitted",
 }
-#: Largest number of distinct values of a joint that are listed individually, and number of ranges (bins) otherwise.
+#: Largest number of distinct values of a joint with one bin for each value; number of bins of a joint with more values.
 MAX_DISTINCT_VALUES, BIN_COUNT = 12, 6
 #: Largest number of poses for a fit; of more poses only every k-th is fitted. Errors are computed at all poses.
 MAX_FITTED_POSES = 1500
@@ -95,12 +95,12 @@ def validate(file: RobotFile, poses: Poses, extent: Extent, *, test: Poses | Non
         file: the robot file.
         poses: poses for the fits.
         extent: the largest set of parameters to fit.
-        test: held-out poses; None: every second of `poses` after a fit to the others.
-        hysteresis: whether to fit a lag of each joint behind its direction of arrival.
+        test: held-out poses; None: every second pose of `poses`, while the model is fitted to the other poses.
+        hysteresis: whether to fit a lag of each joint, opposite to its direction of arrival.
 
     Raises:
-        NoOrderError: a lag or friction needs times of the poses.
-        Unobservable: too few poses even for the frames.
+        NoOrderError: the fit of a lag or of friction needs the times of the poses, which are missing.
+        Unobservable: the poses are too few to fit even the frames.
     """
     if hysteresis and not all(each.timed for each in (poses, test) if each is not None):
         raise NoOrderError(
@@ -141,7 +141,7 @@ def validate(file: RobotFile, poses: Poses, extent: Extent, *, test: Poses | Non
 
 
 def _residual(robot: Robot, poses: Poses, errors: Array, requested: FitParameters) -> Residual:
-    """Return the analysis of the errors (m, 3) [m], without outliers, which would dominate the squares."""
+    """Return the analysis of the errors (m, 3) [m], without outliers, which would dominate the squared error."""
     lengths = np.linalg.norm(errors, axis=1)
     inliers = errors.copy()
     inliers[~(lengths <= OUTLIER_RATIO * np.nanmedian(lengths))] = math.nan
@@ -168,7 +168,7 @@ def _held_out(
     try:
         half = fit_poses(robot, *first, found.extent, requested)
     except CtrError:
-        return []  # the findings report it
+        return []  # the findings report that half of the poses are too few
     return [HeldOutResult(found.extent, *(ErrorStatistics.of(half.errors(*each)) for each in (first, second)))]
 
 

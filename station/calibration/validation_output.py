@@ -62,7 +62,7 @@ def write_calibration(folder: Path, validation: Validation, when: str) -> dict[s
 def _written(
     folder: Path, title: str, validation: Validation, when: str, more: dict[str, Any], names: Sequence[str]
 ) -> dict[str, Any]:
-    # Imported here because importing the figures' library takes a second.
+    # Imported here because importing the library for figures takes a second.
     from station.calibration.validation_report import write_report
 
     values = {**numbers(validation), **more, "folder": str(folder), "files": [*names, ERRORS_FILE]}
@@ -114,7 +114,7 @@ def tables(validation: Validation) -> list[Table]:
 
 
 def sentences(validation: Validation) -> list[str]:
-    """Return the findings, and the first of the left-out rows."""
+    """Return the findings, and sentences about the first rows that were left out."""
     lines = findings(validation)
     for poses in (validation.poses, validation.test):
         left = () if poses is None else poses.left_out

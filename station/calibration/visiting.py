@@ -1,6 +1,6 @@
 """Converts a step of a procedure to a task of the control loop, and its telemetry to a measurement.
 
-Both virtual time and a running station use it.
+Calibrations in virtual time and on a running station use this module.
 """
 
 import math
@@ -20,8 +20,8 @@ from station.control.states import State
 from station.control.task import MotionTask
 from station.control.telemetry import Channels
 
-#: Distance between tip and model above which a procedure is stopped [m]. It is very large, because nothing is
-#: calibrated yet and each rest tares the sensors with the hanging weight, so that the model does not know this weight.
+#: Margins against a snap during a procedure. The difference between tracker and model may change by 0.12 m, because
+#: nothing is calibrated yet, and because each rest tares the hanging weight, so that the model does not contain it.
 VISITING_MARGINS = Margins(apart=0.12)
 #: Time for a weight to stop swinging after it was hung or removed [s].
 SWING_DECAY_S = 2.0
@@ -38,18 +38,18 @@ class SwayMotion:
     def at(self, time: float) -> JointMotion:
         """Return the joint velocities at `time` [s] after the start.
 
-        The path (1 - cos) / 2 starts and ends at rest at the start positions.
+        The displacement, amplitude times (1 - cos) / 2, starts and ends at rest at the start positions.
         """
         return JointMotion(0.5 * self._rate * math.sin(self._rate * time) * self._amplitudes)
 
 
 def rest_orders(joints: int) -> SwayMotion:
-    """Return orders to rest."""
+    """Return orders that keep all joints at rest."""
     return SwayMotion(np.zeros(joints), 1.0)
 
 
 def task(step: GoToPose | SwingMotion, controller: Controller) -> MotionTask:
-    """Return the task that executes a step: a pose is a move and a rest without motion, a swing is a motion.
+    """Return the task for a step: a move and a rest for a pose, an oscillation for a swing.
 
     The task records the direction of the coil.
     """
@@ -72,7 +72,7 @@ def measurement_of(
         controller: controller of the task.
 
     Raises:
-        AbortedError: too few rows were recorded, or no tracker frame.
+        AbortedError: too few rows were recorded, or the tracker sent no frame.
     """
     running = rows[channels.of(rows, "state")[:, 0] == State.RUNNING]
     times = channels.of(running, "time")[:, 0]

@@ -30,7 +30,7 @@ class CalibrationJob(NamedTuple):
     what: str  #: name of the procedure in the catalogue
     effort: float
     weights: tuple[float, ...]  #: known weights that the operator hangs at the tip [N]
-    robot: RobotFile  #: with its assumed parameters
+    robot: RobotFile  #: robot with its assumed parameters
     start: Array  #: (n,) rest position before and after the procedure [rad or m]
     assumed: TrackerMounting  #: assumed pose of the tracker
     bench: str  #: human-readable name of the bench
@@ -56,7 +56,7 @@ WorkerMessage = Step | JobFinished | JobFailed
 
 def run_worker(job: CalibrationJob, pipe: Connection, _parent: int) -> None:
     """Main function of the process: it sends steps through `pipe` and receives an answer to each."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the station process decides when it ends
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the station process decides when the worker ends
     set_process_name("ctr-calibrate")
     if hasattr(os, "nice"):
         os.nice(NICENESS)

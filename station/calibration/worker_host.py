@@ -21,7 +21,7 @@ class WorkerHost:
     """Owner of one worker process."""
 
     def __init__(self, job: CalibrationJob, stalled: float = STALLED_S) -> None:
-        """Start the worker; its first step takes a while.
+        """Start the worker, which takes a while to send its first step.
 
         `stalled`: time without processor use after which the worker counts as stalled [s].
         """
@@ -32,7 +32,7 @@ class WorkerHost:
         """Return the next step, or `JobFinished`; None if neither arrives within `timeout` [s].
 
         Raises:
-            FailedError: there will be no result.
+            FailedError: the procedure has failed and has no result.
             AbortedError: the process has ended or is stalled.
         """
         try:
@@ -48,7 +48,7 @@ class WorkerHost:
 
     def answer(self, answer: Answer) -> None:
         """Send the answer to the current step."""
-        self._since = time.monotonic()  # the worker's time starts now, because it had nothing to compute before
+        self._since = time.monotonic()  # count the time from now, because the worker had nothing to compute before
         self._child.send(answer)  # if the process has ended, `receive` reports it
 
     def close(self) -> None:
@@ -58,7 +58,7 @@ class WorkerHost:
         self._child.pipe.close()
 
     def _check_progress(self) -> None:
-        """Raise AbortedError when the process has used no processor time for too long."""
+        """Raise AbortedError when the worker process has used no processor time for longer than `stalled`."""
         used, now = processor_time(self._child.pid), time.monotonic()
         if used is None or used != self._used:
             self._used, self._since = used or 0.0, now

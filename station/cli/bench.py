@@ -89,7 +89,7 @@ def _report(out: Path) -> int:
 
     where = (
         describe_machine()
-    )  # describe the computer first: the benchmark of the loop binds to one processor and raises the load
+    )  # describe the computer before the benchmarks: they raise its load, and one binds this process to one processor
     with progress_bar() as bar:
         task = bar.add_task("bench report", total=len(MEASURES))
         found = dict(measure_all(lambda name: bar.update(task, advance=1.0, description=f"bench {name}")))

@@ -4,19 +4,19 @@ import numpy as np
 
 from core.robot.robot import Array
 
-#: Speed of the joint that takes longest, as a fraction of its top speed. The other joints move slower, so that all
-#: joints arrive together.
+#: Speed of the joint with the longest travel time, as a fraction of its top speed. The other joints move slower, so
+#: that all joints arrive together.
 SPEED_SHARE = 0.5
 #: Rate at which the remaining distance to the start pose decays near the end of the approach [1/s].
 APPROACH_RATE_HZ = 2.0
-#: Largest remaining distance that counts as arrived, as travel time at top speed [s]: about a hundred microsteps.
+#: Largest remaining travel time at top speed at which a joint counts as arrived [s]: about a hundred microsteps.
 ARRIVAL_TOLERANCE = 2e-3
 
 
 def approach(joints: Array, start: Array, top: Array) -> Array | None:
-    """Return the joint velocities (n,) from `joints` (n,) toward `start` (n,), or None after arrival.
+    """Return the joint velocities (n,) [rad/s or m/s] from `joints` (n,) toward `start` (n,), or None after arrival.
 
-    `top` (n,) are the top speeds. Units: rad or m, rad/s or m/s.
+    `joints` and `start` are joint positions [rad or m]; `top` (n,) are the top speeds [rad/s or m/s].
     """
     distance = (start - joints) / top
     longest = np.abs(distance).max()

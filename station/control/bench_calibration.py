@@ -29,7 +29,7 @@ class RegistrationFile(Strict):
     robot: str
     """name of the robot that the coil belongs to"""
     made: str
-    """date and source"""
+    """date and source of the calibration"""
     rotation_vector: Vector
     """rotation from the tracker's frame to the robot's: p_robot = R(rotation_vector) p_tracker + position [rad]"""
     position: Vector
@@ -37,13 +37,13 @@ class RegistrationFile(Strict):
     coil: Vector = (0.0, 0.0, 0.0)
     """position of the coil in the frame of the innermost tube's tip [m]"""
     axis: Vector | None = None
-    """axis of the coil in that frame, a unit vector; without this key the axis is that of the tip"""
+    """axis of the coil in the frame of the innermost tube's tip, a unit vector; without this key the tip's axis (z)"""
     rms_error: NotNegative
-    """RMS distance of the measured coil from the model's, over the poses of the calibration [m]"""
+    """RMS distance of the measured coil from the model's coil, over the poses of the calibration [m]"""
     rotation_interval: Vector
-    """half width of the 95 % interval about x, y, z [rad]"""
+    """half width of the 95 % interval of the rotation about x, y, z [rad]"""
     position_interval: Vector
-    """half width of the 95 % interval along x, y, z [m]"""
+    """half width of the 95 % interval of the position along x, y, z [m]"""
 
 
 Six = Annotated[tuple[float, float, float, float, float, float], Row]
@@ -53,11 +53,11 @@ class SensorFile(Strict):
     """Calibration of one base sensor."""
 
     mounting: Vector
-    """rotation vector from the sensor's axes to its tube's [rad]"""
+    """rotation vector from the sensor's axes to the axes of its tube [rad]"""
     weight: float
-    """weight that hangs on the sensor, of any sign because it is fitted [N]"""
+    """weight that hangs on the sensor [N]; the fit may also give a negative value"""
     first_moment: Vector
-    """weight times the position of its centre of mass in the tube's axes [N m]"""
+    """weight times the position of the weight's centre of mass, in the tube's axes [N m]"""
     skew: Annotated[tuple[Six, Six, Six, Six, Six, Six], Row] | None = None
     """errors of gain and cross-talk: one row for each of Fx Fy Fz Tx Ty Tz, one column for each true component
     [N, N m by N, N m]"""
@@ -71,7 +71,7 @@ class SensorsFile(Strict):
     robot: str
     """name of the robot whose tubes carry the sensors"""
     made: str
-    """date and source"""
+    """date and source of the calibration"""
     gravity: Vector
     """direction of gravity in the frame of the plate"""
     tubes: Mapping[str, SensorFile]
@@ -82,7 +82,7 @@ class SensorsFile(Strict):
 class BenchCalibration:
     """Calibrated parameters of a bench: tubes, pose of the tracker, and corrections of the sensors."""
 
-    robot: RobotFile  #: robot with the calibrated tubes; without such a calibration it is the robot's file
+    robot: RobotFile  #: robot with the calibrated tubes; the robot's file if the tubes were not calibrated
     registration: TrackerMounting | None
     corrections: Corrections
     folder: Path | None = None  #: folder that the calibration was read from
@@ -92,7 +92,7 @@ class BenchCalibration:
         """Load a calibration from a folder; every file is optional.
 
         Raises:
-            ConfigError: no such folder, no calibration file in it, or a file is invalid or of another robot.
+            ConfigError: the folder is missing or has no calibration file, or a file is invalid or for another robot.
         """
         if not folder.is_dir():
             raise ConfigError(f"{folder}: no such folder; make one with 'ctr-station calibrate'")
@@ -125,7 +125,7 @@ class BenchCalibration:
         return {"position": self.registration.position.tolist(), "rotation_vector": turn.tolist()}
 
     def applied(self, controller: Controller) -> Controller:
-        """Return the controller with corrections of coil and sensors, and the remaining errors of the sensors."""
+        """Return the controller with corrections of coil and sensors; calibrated gains get a smaller assumed error."""
         estimator = controller.estimator
         skew = self.corrections.sensors.skew
         if skew is not None and skew.any():

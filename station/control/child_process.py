@@ -1,4 +1,4 @@
-"""Start, message and end a child process of the station through a pipe."""
+"""Start a child process of the station, exchange messages with it through a pipe, and end it."""
 
 import contextlib
 import multiprocessing
@@ -22,17 +22,17 @@ class ChildProcess:
         """Start `main(*arguments, pipe, parent)` in a new interpreter.
 
         Args:
-            main: function that the child executes. It receives its end of the pipe, and this process's pid to detect
-                when this process is gone.
-            arguments: arguments of `main` before those two.
+            main: function that the child executes. Its last arguments are the child's end of the pipe, and the
+                parent's pid, with which the child detects the end of the parent.
+            arguments: first arguments of `main`, before pipe and pid.
             name: name of the child process.
-            daemon: the child ends with this process; False: it may outlive it.
+            daemon: True: the child ends with the parent; False: the child may outlive the parent.
         """
         context: Any = multiprocessing.get_context("spawn")
         self.pipe, end = context.Pipe()  #: end of the pipe to the child; readable when the child has sent a message
         self._process = context.Process(target=main, args=(*arguments, end, os.getpid()), name=name, daemon=daemon)
-        # Ctrl-C in a terminal reaches the whole group: the parent decides when the child ends, so the
-        # child blocks the signal from its first instruction on.
+        # Ctrl-C in a terminal sends SIGINT to the whole process group, but the parent decides when the child ends. So
+        # the child blocks SIGINT from its first instruction on.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             self._process.start()
@@ -51,15 +51,15 @@ class ChildProcess:
         return self._process.pid or 0
 
     def send(self, message: Any) -> None:
-        """Send a message to the child process; this has no effect after its end."""
+        """Send a message to the child process; do nothing if the child has ended."""
         with contextlib.suppress(OSError):
             self.pipe.send(message)
 
     def ended(self, patience: float | None = None) -> str:
-        """Wait for the end of the process, at most `patience` [s]; return how it ended, human-readable."""
+        """Wait at most `patience` [s] for the end of the child; return a text with its signal or exit status."""
         if wait([self._process.sentinel], patience):
-            # Only one thread gets the exit status from the system. For another thread that queries it at the same time
-            # the process still runs, until the first thread has stored the status.
+            # Only one thread gets the exit status from the system. Until this thread has stored the status, the process
+            # seems to run for every other thread.
             deadline = time.monotonic() + EXIT_TIME
             while self._process.exitcode is None and time.monotonic() < deadline:
                 time.sleep(EXIT_INTERVAL)
@@ -77,13 +77,13 @@ class ChildProcess:
         self._process.kill()
 
     def end(self, patience: float) -> None:
-        """Send None, on which the process should end; kill it if it has not ended after `patience` [s]."""
+        """Request the child's end by the message None; kill the child if it still runs after `patience` [s]."""
         self.send(None)
         if not wait([self._process.sentinel], patience):
             self._process.kill()
         self.ended()
 
     def close(self, patience: float) -> None:
-        """End the child process and close the pipe to it; kill it after `patience` [s]."""
+        """End the child process as `end` does, then close the pipe to it."""
         self.end(patience)
         self.pipe.close()

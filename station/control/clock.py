@@ -12,7 +12,7 @@ class Clock(Protocol):
     """Clock that paces the ticks of the control loop."""
 
     def wait_until(self, due: float) -> None:
-        """Return at the time `due` after the start [s]."""
+        """Wait until `due` [s], counted from the start."""
         ...
 
 
@@ -30,7 +30,7 @@ class RealClock:
         self._start: float | None = None
 
     def wait_until(self, due: float) -> None:
-        """Sleep until the deadline; the deadlines are absolute, so that lateness does not add up."""
+        """Sleep until `due` [s]; deadlines are absolute, so that the delays of single ticks do not add up."""
         if self._start is None:
             self._start = time.perf_counter() - due
         left = self._start + due - time.perf_counter()
@@ -43,8 +43,8 @@ class StationClock:
     """Clock of a live station, which shows the same time in every process of the computer."""
 
     rate: float = 1.0  #: station seconds per real second
-    #: Extra time allowed for replies of simulated devices [s]. They share the computer's processors, so a busy
-    #: computer delays their replies but does not lose them.
+    #: Longest silence of simulated stages and force sensors before they count as lost [s]. Simulated devices share the
+    #: computer's processors, so a busy computer delays their replies but does not lose them.
     patience: float = 0.15
 
     def now(self) -> float:
@@ -52,7 +52,7 @@ class StationClock:
         return self.rate * time.monotonic()
 
     def real(self, seconds: float) -> float:
-        """Return how long `seconds` of the station's clock last in real time [s]."""
+        """Convert `seconds` of the station's clock to real time [s]."""
         return seconds / self.rate
 
     def sleep(self, seconds: float) -> None:

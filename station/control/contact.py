@@ -1,8 +1,8 @@
 """Contact estimation: find the contact on the shaft that explains half a second of telemetry.
 
-The moment that the base sensors measure is redundant for a load at the tip, so it shows whether the load acts
-elsewhere. Single samples are too noisy for that; half a second of samples is enough. The station displays the
-result. An estimate takes some ten milliseconds, so the control loop does not compute it.
+For a load at the tip, the measured force determines the moment at the base sensors. A different measured moment shows
+that the load acts elsewhere. Single samples are too noisy for this test; half a second of samples is enough. The
+station displays the result. One estimate takes about ten milliseconds, so the control loop does not compute it.
 """
 
 import math
@@ -28,8 +28,8 @@ from station.control.telemetry import Channels
 
 #: Error of force and moment that averaging does not reduce: drift since the tare, mounting, quantisation [N, N m].
 NOISE_FLOOR = Noise(force=5e-3, moment=0.2e-3)
-#: 99 % quantile of the chi-square distribution with two degrees of freedom. If the best contact fits worse, the noise
-#: is larger than assumed.
+#: 99 % quantile of the chi-square distribution with two degrees of freedom. If the chi square of the
+#: best contact is larger, the noise is larger than assumed.
 CHI_SQUARE_99_TWO_DOF = 9.21
 NO_SINGLE_CONTACT = "the moments fit no single contact well: there are two contacts, or drift (tare again without load)"
 #: Smallest number of telemetry rows from which the noise can be estimated.
@@ -47,7 +47,7 @@ class ContactReport(NamedTuple):
 
 
 def estimate_contact(statics: Statics, channels: Channels, rows: Array) -> ContactReport | None:
-    """Return the load of telemetry rows (m, channels), half a second of slow motion; None for too few rows.
+    """Return load and contact from half a second of telemetry (m, channels) in slow motion; None for too few rows.
 
     Raises:
         CtrError: the model has no shape under this load.
@@ -59,12 +59,12 @@ def estimate_contact(statics: Statics, channels: Channels, rows: Array) -> Conta
     # The moments are about the plate, so they contain noise of the forces at the proximal ends of the tubes.
     noise = Noise(force=_error(forces, NOISE_FLOOR.force), moment=_error(moments, NOISE_FLOOR.moment))
     load = FusedLoad(forces.mean(axis=0), moments.mean(axis=0))
-    # Test the model's tip and the tracker's: an error of one of them must not appear as a contact.
+    # Test with the model's tip and with the tracker's tip: an error of either tip must not appear as a contact.
     modelled = statics.solve(joints, pure_force(load.force)).tip
     tips = modelled, channels.of(rows, "tip_measured").mean(axis=0)
     touch = _explain(statics, joints, load, tips, noise)
     if touch.contact is not None and touch.contact.statistic > CHI_SQUARE_99_TWO_DOF:
-        # The noise is larger than assumed, for example by drift since the tare: repeat both tests with it.
+        # The noise is larger than assumed, for example by drift since the tare: repeat with larger noise.
         more = math.sqrt(touch.contact.statistic / 2.0)
         touch = _explain(statics, joints, load, tips, Noise(force=more * noise.force, moment=more * noise.moment))
         contact = touch.contact
@@ -84,6 +84,6 @@ def _explain(statics: Statics, joints: Array, load: FusedLoad, tips: Sequence[Ar
 
 
 def _error(values: Array, floor: float) -> float:
-    """Return the standard deviation of the mean of rows (m, 3), at least `floor`, which averaging cannot reduce."""
+    """Return the standard deviation of the mean of rows (m, 3), combined with the error `floor` of any average."""
     spread = float(np.sqrt(values.var(axis=0).mean() / len(values)))
     return math.hypot(spread, floor)

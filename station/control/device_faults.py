@@ -24,7 +24,7 @@ def device_faults(devices: Devices, now: float) -> Troubles:
 
 
 def worst_fault(found: Troubles) -> DeviceFault | None:
-    """Return the fault with the highest severity, the first of equal ones; None without a fault."""
+    """Return the fault with the highest severity, of equal faults the first; None without a fault."""
     result = None
     for trouble in found:
         if trouble is not None and (result is None or trouble.severity > result.severity):
@@ -44,7 +44,7 @@ def blocks_motion(trouble: DeviceFault | None) -> bool:
 
 
 def not_finite(joints: JointReading, frame: TipReading | None, wrenches: WrenchReading) -> str:
-    """Return which device has sent NaN or infinity, with an instruction; empty if no device has."""
+    """Return a text that names the device with a NaN or infinite reading; empty if all readings are finite."""
     readings = (
         ("stages: positions", joints.positions),
         ("tracker: position", None if frame is None else frame.position),

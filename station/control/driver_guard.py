@@ -1,7 +1,7 @@
 """Guards for custom code in the control process: installed drivers and custom control loops.
 
 Errors and slow calls are reported with the name of the driver or loop. Built-in drivers and loops never raise and never
-wait; they are used directly.
+wait, so the control process calls them without a guard.
 """
 
 import pickle
@@ -72,7 +72,7 @@ class DriverCalls:
             return self.timed(index, f"{driver}: {name}", method, *arguments)
         except CtrError as error:
             if name == "home":
-                raise  # this is no error of the driver: stages may refuse to home
+                raise  # stages may refuse to home, which is no error of the driver
             raise DriverError(f"{driver}: {name} raised {error}") from error
         except BaseException as error:  # an installed driver may raise anything, even SystemExit
             raise DriverError(f"{driver}: {name} raised {type(error).__name__}: {error}") from error
@@ -112,7 +112,7 @@ class _Loop:
 
 
 def driver_in_call(ring: Ring, bench: BenchFile) -> str:
-    """Return the custom code that the loop is waiting for; empty if there is none."""
+    """Return the name of the custom code that the control loop is waiting for; empty if it waits for none."""
     index = int(ring.counters[DRIVER_IN_CALL]) - 1
     if index in (OUTER, INNER):
         return f"the controller's custom {'outer' if index == OUTER else 'inner'} loop"
@@ -147,7 +147,7 @@ class _GuardedDriver:
 
     def __getattr__(self, name: str) -> Any:
         value = self._call(self._driver, name, lambda: getattr(self._device, name))
-        if name in _PROPERTIES:  # check the type: if this were a method instead of a property, it would count as true
+        if name in _PROPERTIES:  # check the type: a method in place of this property would count as true
             return self._checked(name, value)
         if not callable(value):
             raise DriverError(f"{self._driver}: {name} must be a method; it is a {type(value).__name__}")
@@ -190,7 +190,7 @@ def _details(value: Any) -> Mapping[str, Any]:
 
 
 def _joints(value: Any, robot: RobotFile) -> JointReading:
-    """Return a checked reading of the stages. NaN is accepted, because the loop then enters HOLD and names them."""
+    """Return a checked reading of the stages. NaN is accepted, because the control loop reports NaN and enters HOLD."""
     shape = (len(robot.joints),)
     positions, sent = _fields(value, JointReading)
     return JointReading(

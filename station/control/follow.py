@@ -1,7 +1,7 @@
 """Target following: estimate of a moving target from tracker frames, and the setpoint that follows it.
 
-The target is tracked from the first frame on, so that its rhythms are known before a motion starts. The setpoint looks
-ahead: it is the target's predicted position at the time when a velocity commanded now takes effect at the tip.
+The target is tracked from the first frame on, so that the periods of its motion are known before a run starts. The
+setpoint is the target's predicted position at the time when a velocity commanded now takes effect at the tip.
 """
 
 from typing import NamedTuple
@@ -78,7 +78,7 @@ class TargetTrack:
         )
 
     def follow(self, motion: FollowMotion, controller: Controller, tip: Array) -> None:
-        """Start following with the tip at rest at `tip` (3,) [m], the origin of setpoints."""
+        """Start to follow the target; the tip is at rest at `tip` (3,) [m], which is the origin of the setpoints."""
         target = self._target_at(self._now)
         self._following = Following(
             motion,
@@ -96,9 +96,9 @@ class TargetTrack:
         blind: float = 0.0,  # noqa: ARG002
         request: StreamRequest | None = None,  # noqa: ARG002
     ) -> Setpoint | DeviceFault:
-        """Return the setpoint of this tick, from the tip at the start; it comes to rest while the target is lost.
+        """Return this tick's setpoint relative to the start tip; the setpoint comes to rest while the target is lost.
 
-        A target that is lost for too long is a fault that ends the run.
+        After the run's `patience` without the target, return a fault that ends the run.
 
         Raises:
             RefusedError: no target is followed.

@@ -24,7 +24,7 @@ class Jog:
     )
     renewed: float  #: time of the last renewal [s]
     offset: Array  #: (3,) displacement of the tip's setpoint since the start [m]
-    direction: Array | None  #: (3,) desired direction of the tip; None keeps that of the start
+    direction: Array | None  #: (3,) desired direction of the tip; None: keep the direction of the start
 
     @classmethod
     def start(cls, space: Space, velocity: Array, now: float, pointing: Array | None = None) -> "Jog":
@@ -32,14 +32,14 @@ class Jog:
         return cls(space, velocity, now, np.zeros(3), pointing if space == "direction" else None)
 
     def renew(self, space: Space, velocity: Array, now: float) -> bool:
-        """Renew the jog with a velocity; return False if `space` differs, because that needs a new jog."""
+        """Renew the jog with a velocity; return False if `space` differs, because another space needs a new jog."""
         if space != self.space:
             return False
         self.velocity, self.renewed = velocity, now
         return True
 
     def order(self, now: float, period: float) -> JointMotion | Setpoint | None:
-        """Return the order of this tick; None after the client has stopped renewing the jog."""
+        """Return this tick's joint velocities or setpoint; None after the client has stopped renewing the jog."""
         if now - self.renewed > JOG_TIMEOUT_S:
             return None
         if self.space == "joints":

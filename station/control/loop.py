@@ -49,7 +49,7 @@ from station.devices.interfaces import (
     WrenchReading,
 )
 
-#: Text that refuses a jog of the tip's direction.
+#: Error text for a jog of the tip's direction while this direction is not controlled.
 NO_DIRECTION_CONTROL = (
     "the tip's direction is not controlled here; the station file's [controller] needs task ="
     " 'position_and_direction', and the robot five joints or more"
@@ -106,7 +106,7 @@ class ControlLoop:
         """Change the state by an event; `cause` is the reason of a HOLD, STOP or FAULT.
 
         Raises:
-            RefusedError: the present state does not allow it.
+            RefusedError: the present state does not allow the event.
         """
         before, self.state = self.state, next_state(self.state, event)
         if event in (Transition.STOP, Transition.FAULT, Transition.HOLD):
@@ -127,7 +127,7 @@ class ControlLoop:
         self._connect(now)
 
     def reset(self, now: float) -> None:
-        """Reset a HOLD, STOPPED or FAULT, as acknowledged by a person.
+        """Leave HOLD, STOPPED or FAULT after a person has acknowledged the cause.
 
         A device with a fault is connected again; meanwhile the station is CONNECTING and nothing moves.
 
@@ -163,7 +163,7 @@ class ControlLoop:
         self.request(event, cause)
 
     def start(self, task: MotionTask) -> None:
-        """Start a task: approach its start pose, rest for tare and start tip, then carry out the motion.
+        """Start a task: approach the start pose, rest to tare the sensors and measure the tip, then execute the motion.
 
         Raises:
             RefusedError: the state is not READY, or the target to follow is not measured.
@@ -195,7 +195,7 @@ class ControlLoop:
             velocity: (n,) [rad/s or m/s] of the joints, (3,) [m/s] of the tip, or (3,) [rad/s] of its direction.
 
         Raises:
-            RefusedError: the state is not READY, or the jog turns the tip's direction and that is not controlled.
+            RefusedError: the state is not READY, or the jog turns a direction that is not controlled.
         """
         if self._jog is not None and self._jog.renew(space, velocity, now):
             return
@@ -221,8 +221,8 @@ class ControlLoop:
 
         Returns:
             The row of telemetry, with the columns of `channels`. Its estimates are frozen while joint positions are
-            unknown, and in a tick whose samples the controller could not use (the axes then receive a stop). None
-            until the controller has started.
+            unknown, and in a tick whose samples the controller could not use (the axes then receive a stop). The
+            result is None until the controller has started.
         """
         devices, stages = self.devices, self.devices.stages
         if self.state is State.OFF and stages.condition is Condition.CLOSED:
@@ -260,7 +260,7 @@ class ControlLoop:
             return self._frozen_row(now, joints, wrenches)
         self._memory = tick.memory
         snap = self._snap.check(tick, frame is not None, now) if self.state in (State.RUNNING, State.HOLD) else None
-        # After a snap the tracker rejects frames as outliers at first: STOP may follow a HOLD.
+        # The first tracker frames after a snap are rejected as outliers, so this STOP may follow a HOLD.
         if snap is not None and (self.state is State.RUNNING or snap.severity is Severity.STOP):
             self._act_on(snap, now)
         if self.state is State.RUNNING and isinstance(order, Setpoint) and frame is not None:
@@ -280,7 +280,7 @@ class ControlLoop:
             device.connect(now)
 
     def _check_devices(self, now: float) -> DeviceFault | None:
-        """Return the worst fault that forbids motion, after acting on it; None without one."""
+        """Change the state after a fault that forbids motion; return the worst such fault, None without one."""
         found = device_faults(self.devices, now)
         fault = worst_fault(found)
         if fault is None:
@@ -336,7 +336,7 @@ class ControlLoop:
     def _order(
         self, now: float, joints: JointReading, wrenches: Array, frame: TipReading | None, request: StreamRequest | None
     ) -> Setpoint | JointMotion | None:
-        """Return this tick's order (setpoint or joint velocities), and update the progress of the run."""
+        """Return this tick's setpoint or joint velocities, and update the progress of the run; None without motion."""
         if self._jog is not None:
             order = self._jog.order(now, self.controller.period)
             if order is None:

@@ -1,7 +1,7 @@
 """Safety margins against a snap: elastic stability, and the difference of tracker and model.
 
 A tube that snaps jumps by centimetres, independent of the motors. The loaded model predicts most snaps: its stability
-falls to zero. Other snaps appear as a sudden difference between the measured tip and the model's.
+falls to zero. Other snaps appear as a sudden difference between the measured tip and the model's tip.
 """
 
 from typing import Annotated, Literal
@@ -17,10 +17,10 @@ from station.config.robots import RobotFile
 from station.config.strict import ConfigError, Positive, Strict
 from station.devices.interfaces import DeviceFault, Severity
 
-#: Number of consecutive tracker frames that must show a jump before it counts as a snap; one frame may be an outlier.
+#: Number of consecutive tracker frames that must show the jump of a snap; one frame may be an outlier.
 CONFIRMING_FRAMES = 3
-#: Time constant of the reference, which follows slow changes of the difference of tracker and model [s]. A snap takes
-#: milliseconds. The sensors' drift of 5 mN a minute moves the model's tip by only 0.3 mm in this time.
+#: Time constant [s] of the reference difference between tracker and model, which follows slow changes. A snap takes
+#: milliseconds. Sensor drift of 5 mN a minute moves the model's tip by only 0.3 mm in this time.
 FORGETS_S = 60.0
 
 
@@ -30,7 +30,7 @@ class Margins(Strict):
     stability: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.1
     """stability of the loaded shape below which a motion ends in HOLD; 1: straight tubes without load, 0: snap"""
     apart: Positive = 0.030
-    """change of the difference of tracker and model within a minute above which every axis is stopped [m]"""
+    """change of the tip's difference between tracker and model within a minute; a larger change stops every axis [m]"""
     design: Literal["warn", "refuse"] = "warn"
     """reaction to a robot whose tubes snap somewhere within their travel without load: show a warning, or refuse it"""
 
@@ -45,7 +45,7 @@ class SnapMonitor:
         self._frame_at = 0.0
 
     def check(self, tick: Tick, frame: bool, now: float) -> DeviceFault | None:
-        """Return the fault by a snap at `now` [s], if any; `frame` states whether the tick has a new tracker frame."""
+        """Return the fault after a snap at `now` [s], or None; `frame`: whether the tick has a new tracker frame."""
         loaded = tick.memory.estimate.loaded
         if loaded.stability < self._margins.stability:
             return DeviceFault(

@@ -24,7 +24,7 @@ class Command(NamedTuple):
     cause: str = ""  #: reason of a HOLD or STOP
     until: float = math.inf  #: deadline after which the command is rejected, by the station's clock [s]
     generation: int | None = (
-        None  #: number of STOPs and resets when the command was requested; a later one voids it; None: never void
+        None  #: number of STOPs and resets before the request; a later one voids the command; None: never void
     )
 
 
@@ -55,7 +55,7 @@ DeviceName = Literal["stages", "tracker", "sensors"]
 
 @dataclass(frozen=True)
 class DeviceStatus:
-    """Status of one device; the control process does not check the `details` of an installed driver."""
+    """Status of one device; `details` of an installed driver may be any picklable mapping."""
 
     name: DeviceName
     condition: Condition

@@ -21,7 +21,8 @@ class RunMotion(Protocol):
 
         Args:
             now: time [s].
-            blind: time since the last tracker frame [s]; 0 if it is shorter than `FREEZE_AFTER_S`.
+            blind: time since the last tracker frame [s]; 0 if this time is at most `FREEZE_AFTER_S`, or if the
+                controller has an observer.
             request: latest setpoint request for this run's streamed tip.
 
         Returns:
@@ -51,7 +52,7 @@ class TimedMotion:
         blind: float,
         request: StreamRequest | None = None,  # noqa: ARG002
     ) -> Setpoint | JointMotion:
-        """Return the order of this tick; without frames the setpoint is frozen, because the tip is not measured."""
+        """Return this tick's order; without frames the setpoint keeps the position at the last frame."""
         time = now - self.start
         order = self.orders.at(time)
         if blind == 0.0 or not isinstance(order, Setpoint):

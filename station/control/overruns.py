@@ -1,7 +1,7 @@
 """Overruns: ticks of the control loop that start too late, and the faults that follow from too many of them.
 
-A tick that starts a period or more after its deadline is an overrun; the periods that it has missed are skipped, never
-caught up. The thresholds are set in the station file.
+A tick that starts a period or more after its deadline is an overrun; the loop skips the missed periods and never
+catches up. The thresholds are set in the station file.
 """
 
 from collections import deque
@@ -17,12 +17,12 @@ OVERRUN_WINDOW_S = 10.0
 
 
 class OverrunLimits(Strict):
-    """Limits of the number of late ticks; a number above a limit ends a motion."""
+    """Limits of the number of late ticks; too many late ticks end a motion."""
 
     hold_in_a_row: Annotated[int, Field(ge=1)] = 5
     """number of consecutive overruns that ends a motion in HOLD"""
     hold_share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
-    """share of the periods in 10 s that may be missed; above it a motion ends in HOLD"""
+    """largest share of missed periods in 10 s; a motion with a larger share ends in HOLD"""
     fault_in_a_row: Annotated[int, Field(ge=1)] = 20
     """number of consecutive overruns that causes FAULT"""
 
@@ -44,7 +44,7 @@ class Overruns:
             self._recent.clear()
 
     def check(self, now: float, skipped: int, slow: str = "") -> DeviceFault | None:
-        """Return the fault that follows from a tick at `now` [s] that skipped `skipped` periods; None without one.
+        """Return the fault that follows from a tick at `now` [s] that skipped `skipped` periods; None without a fault.
 
         `slow` names the custom code that made the tick late; it is empty if no custom code was slow.
         """

@@ -34,7 +34,8 @@ from station.devices.interfaces import Devices, Severity
 from station.devices.open_devices import open_devices
 from station.devices.registry import emergency_stop
 
-#: Time without a sign of life after which the station process counts as stalled and motion is stopped [s].
+#: Time without heartbeat and without use of a processor after which the station process counts as stalled, so that
+#: motion is stopped [s].
 STATION_TIMEOUT_S = 1.0
 #: Time without a heartbeat after which motion is stopped even if the station process uses processor time [s]. A station
 #: process that is so busy could not execute a STOP either.
@@ -43,7 +44,7 @@ STATION_BUSY = 10.0
 STATION_CHECK_AFTER_S = 0.045
 #: Time at the end of this process for the last stop commands to be transmitted and answered [s].
 FINAL_STOP_TIME_S = 0.25
-#: Largest time until this process ends without a station process, even if an installed driver blocks [s].
+#: Time after the end of the station process at which this process ends, too, even if an installed driver blocks [s].
 ORPHAN_TIME = 10
 #: Interval between two `DeviceReport` messages [ticks].
 REPORT_TICKS = 250
@@ -64,7 +65,7 @@ class ControlSetup:
 
 
 def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: int) -> None:
-    """Main function of the control process; the first message through `pipe` describes the devices."""
+    """Main function of the control process, which waits for the description of the devices in `pipe`."""
     # Ctrl-C in a terminal reaches every process of its group, but the station process decides when this process ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     set_process_name("ctr-control")
@@ -103,7 +104,7 @@ def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: i
 
 
 def _apply_command(pipe: Connection) -> tuple[BenchFile | None, bool]:
-    """Wait for the description of the bench; return it (None: end the process), and whether a STOP came first.
+    """Return the description of the bench from the pipe (None: end the process), and whether a STOP came first.
 
     Other commands are refused, because the process is still starting.
     """
@@ -122,7 +123,7 @@ def ring_width(robot: RobotFile) -> int:
 
 
 def _final_stop(bench: BenchFile, setup: ControlSetup) -> None:
-    """Stop every axis, also one that is homing, because the station process is gone and cannot do it."""
+    """Stop every axis, homing axes included, because the station process is gone and cannot stop them."""
     stop = emergency_stop(bench.stages, setup.robot)
     if stop is not None:
         with contextlib.suppress(
@@ -146,7 +147,7 @@ class _LiveLoop:
         self._sent_notice = StateNotice(State.OFF, "", 0)
 
     def run(self, stopped: bool) -> None:
-        """Tick until the station process closes the pipe or is gone; start OFF after an early STOP (`stopped`)."""
+        """Tick until the station process closes the pipe or is gone; stop at once if a STOP came early (`stopped`)."""
         self._started = self._clock.now()
         self._loop.connect(0.0)
         if stopped:
@@ -168,7 +169,7 @@ class _LiveLoop:
             if left > 0.0:
                 clock.sleep(left)
             start = clock.now()
-            # Too late by a period or more: skip whole periods, never catch up in a burst.
+            # A tick that starts a period or more too late skips whole periods; the loop never catches up in a burst.
             skipped = int((start - due) / PERIOD_S)
             self._ring.time_late(start - due, skipped)
             tick += skipped
@@ -180,7 +181,7 @@ class _LiveLoop:
             tick += 1
 
     def _judge_lateness(self, now: float, skipped: int) -> None:
-        """End a motion after too many overruns; only those during the motion count."""
+        """End a motion after too many overruns; overruns count only during a motion or homing."""
         slow = self._calls.longest()  # slow call in the previous tick, which may have made this tick late
         if self._loop.state not in (State.RUNNING, State.HOMING):
             self._overruns.forget()
@@ -200,7 +201,7 @@ class _LiveLoop:
         self._notice()
         standstill = (
             self._station.standstill()
-        )  # call it at every tick: the kernel's count is compared with that of an earlier query
+        )  # call this at every tick: the processor time is compared with that of an earlier query
         if self._station.silence < STATION_TIMEOUT_S:
             if tick % REPORT_TICKS == 0:
                 self._pipe.send(DeviceReport(_statuses(loop.devices, now)))
@@ -258,7 +259,7 @@ class _LiveLoop:
                 if command is None:
                     return False
                 refused = self._obey(command, now)
-                # The new state is visible before the reply.
+                # Publish the new state before the reply.
                 self._report(now)
                 self._pipe.send(Reply(command.number, refused))
         except (EOFError, OSError):

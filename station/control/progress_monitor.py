@@ -1,8 +1,8 @@
 """Progress monitor: ends a motion on overload, or when the tip stalls at a limit or a singular pose.
 
-Near a singular pose the joints are damped; at a limit they stop. Both may be temporary, because the load changes. If
-the condition lasts, the motion ends in HOLD with the reason. A force on the tip that the tubes and their sensors do not
-bear (`Limits.overload`) ends the motion at once.
+Near a singular pose the controller damps the joints; at a limit the joints stop. Both may be temporary, because the
+load changes. If the tip makes no progress for 5 s under such a condition, the motion ends in HOLD with the reason. A
+force on the tip above the bound of tubes and sensors (`Limits.overload`) ends the motion after 0.1 s.
 """
 
 import math
@@ -13,20 +13,20 @@ from core.control.velocity_ik import SIGMA_FLOOR_M_S
 from core.robot.limits import Limits
 
 STALL_TIME_S = 5.0  #: time without progress of the tip after which a motion ends [s]
-MIN_ERROR_M = 5e-4  #: tip errors below this are ignored [m]
+MIN_ERROR_M = 5e-4  #: smaller tip errors are ignored [m]
 PROGRESS_RATIO = 0.9  #: the tip makes progress if its error is below this fraction of its error `STALL_TIME_S` ago
 OVERLOAD_TIME_S = 0.1  #: time with a force above its bound after which the motion ends [s]; noise and a tap are shorter
-FREE_SIGMA_RATIO = 0.5  #: time without an active limit after which the stall time restarts [s]
+FREE_SIGMA_RATIO = 0.5  #: time without an active limit or singular pose after which the stall time restarts [s]
 
 
 class ProgressMonitor:
-    """Monitor of one motion, which is checked at every tick with a tracker frame."""
+    """Monitor of one motion; the control loop calls `check` at every tick with a tracker frame."""
 
     def __init__(self) -> None:
-        self._blocked_at = -math.inf  # last time at which a limit was active [s]
-        self._reason = ""  # description of that limit
+        self._blocked_at = -math.inf  # last time at a limit or near a singular pose [s]
+        self._reason = ""  # description of the limit or singular pose
         self._borne = math.inf  # last time at which the force was below its bound [s]
-        self._errors: deque[tuple[float, float]] = deque()  # times and tip errors while a limit is active
+        self._errors: deque[tuple[float, float]] = deque()  # times [s] and tip errors [m] while a limit is active
 
     def check(self, now: float, tick: Tick, limits: Limits, floor: float = SIGMA_FLOOR_M_S) -> str:
         """Return why the motion should end, in one line; empty if it may continue.
@@ -34,8 +34,8 @@ class ProgressMonitor:
         Args:
             now: time [s].
             tick: a tick that followed a setpoint.
-            limits: limits of its controller.
-            floor: singular value above which nothing is damped [m/s].
+            limits: limits of the controller.
+            floor: singular value above which the controller does not damp the joints [m/s].
 
         """
         if overload := self._overload(now, tick, limits):

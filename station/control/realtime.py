@@ -44,8 +44,8 @@ def request_realtime(*, fifo: bool, core: int | None) -> RealtimeRights:
 def request_fifo(priority: int = 50, *, in_turns: bool = False) -> bool:
     """Request real-time scheduling of the calling thread; return False if the system refuses or does not support it.
 
-    Threads and processes that it starts later do not inherit it. `in_turns`: share the processor with threads of the
-    same priority in turns (SCHED_RR).
+    Threads and processes that the thread starts later do not inherit the scheduling. `in_turns`: share
+    the processor with threads of the same priority in turns (SCHED_RR).
     """
     if not hasattr(os, "sched_setscheduler"):
         return False
@@ -104,7 +104,8 @@ def last_core() -> int | None:
 def move_off_core(core: int | None, pids: Iterable[int]) -> None:
     """Move the processes `pids`, with all present and future threads, off processor `core`; None: do nothing.
 
-    Call it after their start, which may use every processor. Processes that have ended are skipped.
+    Call this function after the processes have started, because their start may use every processor. Processes that
+    have ended are skipped.
     """
     if core is None:
         return
@@ -122,7 +123,7 @@ def _threads(pid: int) -> list[Path]:
 
 
 def _moved(thread: int, core: int) -> bool:
-    """Move a thread off a processor; return whether it had to be moved and could be."""
+    """Move a thread off a processor; return whether the thread was moved."""
     try:
         cores = os.sched_getaffinity(thread)
         if core not in cores:
@@ -134,7 +135,7 @@ def _moved(thread: int, core: int) -> bool:
 
 
 def processor_time(pid: int) -> float | None:
-    """Return the processor time that a process has used [s]; None when it is gone or the system does not report it."""
+    """Return the processor time used by a process [s]; None if the process is gone or the system reports no time."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -145,8 +146,8 @@ def processor_time(pid: int) -> float | None:
 def is_dying(pid: int) -> bool:
     """Return whether a process has been killed or has ended, as far as the system reports it.
 
-    Its children and the other ends of its pipes detect the end only after its last thread has ended. On a busy
-    computer this takes a tenth of a second.
+    Children of the process and the other ends of its pipes detect the end only after its last thread has ended. On a
+    busy computer this takes a tenth of a second.
     """
     try:
         lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8", errors="replace").splitlines()

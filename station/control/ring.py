@@ -24,7 +24,7 @@ SEGMENT_PREFIX = "psm_ctr_"  #: start of a segment's name; the pid of the proces
 SEGMENT_FOLDER = Path("/dev/shm")  # noqa: S108 - folder in which Linux shows segments as files
 
 RING_ROWS = 4096  #: number of rows in the ring: about 8 s at 500 Hz
-HISTOGRAM_BINS = 5001  #: number of bins of 1 us in a histogram; the last one counts everything from 5 ms on
+HISTOGRAM_BINS = 5001  #: number of bins of 1 us in a histogram; the last bin counts all values from 5 ms on
 
 #: Indices of the counters. DRIVER_IN_CALL is the number of the custom driver or loop that is being called, from 1; 0 if
 #: there is none. GENERATION is the number of requested STOPs and resets; only the station process writes it. DRIVEN is
@@ -35,11 +35,11 @@ COUNTERS = 10
 #: the station's clock [s].
 LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECORDER_HEARTBEAT = range(7)
 NUMBERS = 8
-#: Number of cells of the lab's ground truth: a count that is odd during a write, tip, force, whether there is a target,
-#: position of the target, direction of the tip.
+#: Number of cells of the lab's ground truth. The cells are: write count (odd during a write), tip, force, whether there
+#: is a target, position of the target, direction of the tip.
 TRUTH = 14
-#: Number of cells of a setpoint request: a count that is odd during a write, run, whether it has a position, position,
-#: velocity, time, extrapolation, whether it has a direction, direction.
+#: Number of cells of a setpoint request. The cells are: write count (odd during a write), run, whether there is a
+#: position, position, velocity, time, extrapolation, whether there is a direction, direction.
 SETPOINT_REQUEST = 15
 
 
@@ -154,7 +154,7 @@ class Ring:
         return int(self.counters[WRITTEN])
 
     def read(self, since: int) -> tuple[Array, int, int]:
-        """Return rows from number `since` on, the number to continue from, and the number of missed rows."""
+        """Return the rows from number `since` on, the number to pass next time, and the number of missed rows."""
         written = self.written
         # Exclude the slot that the writer may be filling now.
         first = max(since, written - RING_ROWS + 1, 0)

@@ -7,7 +7,7 @@ from core.robot.robot import Array
 #: Time at rest in which the filters settle [s].
 SETTLE_S = 0.5
 #: Time after the settling in which readings are averaged for the tare and the start tip [s]; the tracker sends 60
-#: frames in it.
+#: frames in this time.
 AVERAGE_S = 1.5
 
 

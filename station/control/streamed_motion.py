@@ -21,7 +21,7 @@ class StreamRequest(NamedTuple):
 
 @dataclass(frozen=True)
 class StreamLimits:
-    """Bounds and timeouts of a streamed motion, fixed at its start; used instead of timed orders."""
+    """Bounds and timeouts of a streamed motion, fixed at its start; a streamed task has them in place of orders."""
 
     bounds: MotionBounds = DEFAULT_MOTION_BOUNDS
     silence: float = 0.2  #: time without a message after which the tip comes to rest [s]

@@ -16,7 +16,7 @@ from station.control.streamed_motion import StreamRequest
 from station.devices.interfaces import GroundTruth, JointReading, TipReading, WrenchReading
 
 XYZ = ("x", "y", "z")
-#: Number of columns of the tip's direction, and of a target; they are the last columns of a row.
+#: Number of columns of the tip's direction, and of a target. Both groups are the last columns of a row.
 DIRECTION_COLUMNS, TARGET_COLUMNS = 12, 14
 
 
@@ -115,7 +115,7 @@ class Channels:
         wrenches: WrenchReading,
         troubles: tuple[int, int, int] = (0, 0, 0),
     ) -> Array:
-        """Return a copy of the row `last` with new readings; its estimates stay, and `estimates_frozen` is 1."""
+        """Return a copy of the row `last` with new readings, unchanged estimates, and `estimates_frozen` = 1."""
         row = last.copy()
         row[0], row[1], row[2], row[3] = time, state, phase, 1.0
         if np.isfinite(joints.positions).all():

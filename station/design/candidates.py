@@ -1,7 +1,7 @@
-"""Stored candidates of a design search: a line of JSON for each evaluated robot, so that a stopped search can continue.
+"""Stored candidates of a design search: one JSON line for each evaluated robot, so that a stopped search can continue.
 
-The first line identifies the search. A kill or a full disk may leave an incomplete last line: it is dropped, and its
-candidate is evaluated again.
+The first line of the file identifies the search. A kill or a full disk may leave an incomplete last line; the next
+search drops this line and evaluates its candidate again.
 """
 
 import hashlib

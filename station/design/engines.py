@@ -1,4 +1,4 @@
-"""Engines that evaluate a generation of candidate robots: local processes, or a Dask cluster as for a sweep."""
+"""Engines that evaluate a generation of candidate robots: local processes, or a Dask cluster as in a sweep."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ WORKER_LOST = "its worker ended before the evaluation was done, repeatedly: too 
 
 @contextmanager
 def search_engine(jobs: int, scheduler: str | None, report: Callable[[str], None]) -> Iterator[SearchEngine]:
-    """Return a search engine: `jobs` processes, or a Dask cluster at an address (`local`: `jobs` local workers).
+    """Yield a search engine: `jobs` processes, or a Dask cluster at the address `scheduler` (`local`: `jobs` workers).
 
     `report` receives a line with the address of the cluster.
 

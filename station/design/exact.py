@@ -12,7 +12,7 @@ from station.design.task import HeldLoad
 
 
 class ExactCheck(NamedTuple):
-    """Result of the exact rod at the joint positions that the search has found with the sub-link model."""
+    """Numbers of the exact rod at the joint positions that the evaluation has found with the sub-link model."""
 
     distance: float  #: largest distance of the exact rod's tip from the task's points [m]
     margin: float  #: smallest margin of stability of the exact rod [1]

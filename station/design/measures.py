@@ -8,8 +8,8 @@ from core.robot.robot import Array
 def dexterity(jacobian: Array, speed: Array) -> Array:
     """Return the dexterity (k,) [m/s]: speed of the tip in its slowest direction while the joints move at full speed.
 
-    It is the smallest singular value of the position rows of J diag(speed). Scaling the Jacobian J with the top speeds
-    makes joints in radians and in metres comparable.
+    The dexterity is the smallest singular value of the position rows of J diag(speed). Scaling the Jacobian J with the
+    top speeds makes joints in radians and in metres comparable.
 
     Args:
         jacobian: Jacobians of the tip at k poses (k, 6, n) [m/rad or m/m].
@@ -22,5 +22,5 @@ def dexterity(jacobian: Array, speed: Array) -> Array:
 
 
 def stiffness(compliance: Array) -> Array:
-    """Return the tip's stiffness in its softest direction (k,) [N/m], from compliances (k, 6, 6)."""
+    """Return the tip's stiffness in its softest direction at k poses (k,) [N/m], from compliances (k, 6, 6)."""
     return 1.0 / np.asarray(np.linalg.svd(compliance[:, :3, :3], compute_uv=False)[:, 0], np.float64)

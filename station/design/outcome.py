@@ -1,4 +1,4 @@
-"""Outcome of a design search: complete evaluation of the start robot and of the found robot."""
+"""Outcome of a design search: evaluation of start robot and found robot, also under growing loads and as exact rods."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from station.design.task import HeldLoad, TaskResult, evaluate
 
 @dataclass(frozen=True)
 class EvaluatedDesign:
-    """Robot with the result of its evaluation for the task."""
+    """Robot, the result of its evaluation for the task, and the checks with the exact rod."""
 
     file: RobotFile
     outcome: TaskResult
@@ -56,7 +56,7 @@ def named(study: Study, line: Line) -> RobotFile:
 def _evaluate(study: Study, file: RobotFile) -> EvaluatedDesign:
     task = study.file.task
     outcome = evaluate(file, task, study.file.objective)
-    if outcome.nominal is not None:  # the working pose is in the middle of the task, under the smallest force
+    if outcome.nominal is not None:  # working pose: at the point in the middle of the task, under the smallest force
         least = min(range(len(task.forces)), key=lambda row: largest([task.forces[row]]))
         pose = outcome.nominal.joints[least, len(task.points) // 2]
         names = [joint.name for joint in file.joints]

@@ -7,15 +7,15 @@ from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
 
-#: Largest number of joint positions that are tried for each requested pose. A robot that needs more has almost no valid
-#: pose and is refused.
+#: Largest number of joint positions that are drawn for each requested pose. If a robot needs more, almost no pose is
+#: valid, and the robot is refused.
 MAX_DRAWS = 1000
 
 
 def spread_poses(file: RobotFile, count: int, seed: int) -> Array:
-    """Return valid poses (count, n), evenly spread (Halton) over the joints' travel [rad or m].
+    """Return valid poses (count, n) that a Halton sequence spreads evenly over the travel of the joints [rad or m].
 
-    Only the turn in the middle of a rotation's travel is used: other turns have the same shapes.
+    Of a rotation only the turn in the middle of the travel is used, because other turns give the same shapes.
 
     Raises:
         ConfigError: almost no joint position of the robot is valid.

@@ -1,8 +1,8 @@
 """Search over the parameters of a study with the differential evolution of scipy.
 
 An engine evaluates the candidate robots of each generation in parallel. With the same seed a search requests the same
-candidates in the same order. So a search that was stopped takes the stored candidates from their file and continues
-after them.
+candidates in the same order. So a search that was stopped reads the stored candidates from their file and
+evaluates only the missing ones.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -18,12 +18,12 @@ from station.design.candidates import Candidates, Line
 from station.design.study import Objective, Study, StudyTaskFile
 from station.design.task import MAX_LOAD_RATIO, cost, evaluate
 
-#: Cost of a candidate that is not a valid robot: larger than the cost of any valid one.
+#: Cost of a candidate that is not a valid robot or fails; it is larger than the cost of any evaluated robot.
 IMPOSSIBLE_COST = 2e3
 
 
 class Candidate(NamedTuple):
-    """Candidate robot that is to be evaluated, on this or another computer."""
+    """Candidate robot with everything that its evaluation needs, on this or another computer."""
 
     parameters: tuple[float, ...]
     robot: RobotFile | None  #: candidate robot; None if its parameters give no valid robot
@@ -33,17 +33,17 @@ class Candidate(NamedTuple):
 
 
 class SearchEngine(Protocol):
-    """Function that evaluates candidates in parallel; `keep` receives each result. After Ctrl-C some are missing."""
+    """Function that evaluates candidates in parallel; `keep` receives each result. Ctrl-C ends it early."""
 
     def __call__(self, candidates: Sequence[Candidate], keep: Callable[[Line], None]) -> None: ...  # noqa: D102
 
 
 class SearchStopped(CtrError):
-    """Ctrl-C ended the search; the candidates that were evaluated are stored."""
+    """Ctrl-C ended the search; all evaluated candidates are stored."""
 
 
 def evaluate_candidate(candidate: Candidate, progress: Callable[[float], None] = lambda _: None) -> Line:
-    """Return the line of a candidate with its cost; the line of a candidate that fails has the reason."""
+    """Evaluate a candidate and return its line with its cost; if the evaluation fails, the line has the reason."""
     about: dict[str, Any] = {"parameters": list(candidate.parameters)}
     if candidate.robot is None:
         return {**about, "cost": IMPOSSIBLE_COST, "why": candidate.why}
@@ -64,12 +64,12 @@ def evaluate_candidate(candidate: Candidate, progress: Callable[[float], None] =
 
 
 def search(study: Study, candidates: Candidates, engine: SearchEngine, report: Callable[[int], None]) -> list[Line]:
-    """Carry out a search and return all candidates in its order; the first candidate is the start robot.
+    """Carry out a search and return the lines of its candidates in its order; the first candidate is the start robot.
 
     Args:
         study: study to search.
         candidates: stored candidates; new ones are added.
-        engine: evaluates candidates.
+        engine: function that evaluates candidates.
         report: receives the number of evaluated candidates.
 
     Raises:

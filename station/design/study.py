@@ -24,7 +24,7 @@ from station.config.strict import (
     read_toml,
 )
 
-#: Quantity to maximise: the largest held load, or the smallest margin or stiffness along the task under its forces.
+#: Quantity to maximise: largest load that the robot holds, or smallest margin or stiffness along the loaded task.
 Objective = Literal["load", "margin", "stiffness"]
 
 
@@ -113,7 +113,7 @@ class Study:
         return np.array([_inner(table, path)[path[-1]] for path in self._paths])
 
     def changed(self, values: Sequence[float]) -> RobotFile:
-        """Return the start robot with other values (p,) of the searched parameters.
+        """Return the start robot with the new values (p,) of the searched parameters.
 
         Raises:
             ConfigError: these values give no valid robot.

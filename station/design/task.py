@@ -1,8 +1,8 @@
-"""Evaluation of a study's task: whether a robot holds its tip at every point under every load, and how well.
+"""Evaluation of a study's task: whether a robot keeps its tip at every point under every load, and how well.
 
-The controller's inverse kinematics, which respects all limits, finds the joint positions on the model: from poses all
-over the joint space to the first point, then from point to point without load, then under each force in steps. The
-result is quasi-static. It does not include noise, delay and friction, which only the virtual lab simulates.
+The inverse kinematics of the controller respects the limits of joints and tubes. With the model it moves the tip from
+poses all over the joint space to the first point, then from point to point without load, then under each force in
+steps. The result is quasi-static and does not include noise, delay and friction; only the virtual lab simulates them.
 """
 
 import math
@@ -23,30 +23,30 @@ from station.design.poses import spread_poses
 from station.design.study import Objective, StudyTaskFile
 from station.solve_many import solve_many
 
-#: Number of start poses that are compared, and number of the best of them from which a path to the first point of the
-#: task is computed.
+#: Number of compared start poses. From the poses with the tip nearest to the first point of the task, a path to this
+#: point is computed; the second constant is their largest number.
 START_POSES, MAX_WALKS = 96, 6
-#: Two paths end at the same pose if every joint differs by less than its travel in this time at full speed [s].
+#: Two poses count as equal if each joint moves from one to the other in at most this time at full speed [s].
 SAME_POSE_S = 1e-2
-#: Largest travel of the tip in one step of a path [m], and largest travel of a joint, as time at its full speed [s].
+#: Largest motion of the tip in a step of a path [m]; largest motion of a joint, as its duration at full speed [s].
 MAX_TIP_STEP_M, MAX_JOINT_STEP_S = 0.01, 0.5
-#: Largest number of steps of a path to a point of the task, and distance from the point at which the tip has arrived,
-#: as a fraction of the task's tolerance.
+#: Largest number of steps to a point of the task. The steps end when the distance of the tip from the point is at most
+#: the second constant times the tolerance of the task.
 MAX_STEPS, ARRIVAL_SHARE = 60, 0.1
-#: First step of a growing load, as a fraction of the task's load, and largest multiple of the task's load.
+#: First step in which the load grows, and largest load, both as multiples of the forces of the task.
 LOAD_STEP_SHARE, MAX_LOAD_RATIO = 0.25, 20.0
-#: Resolution of the largest load, as a fraction of the task's load.
+#: Smallest step of the load, as a multiple of the forces of the task; it is the resolution of the largest load.
 LOAD_RESOLUTION = 0.01
 
 
 class HeldLoad(NamedTuple):
     """Joint positions and quality measures at the points of a task, under a multiple of its forces."""
 
-    load: float  #: multiple of the task's forces
-    joints: Array  #: (forces, points, n) [rad or m]
-    margins: Array  #: (forces, points) margins of stability [1]
-    dexterities: Array  #: (forces, points) [m/s]
-    stiffnesses: Array  #: (forces, points) [N/m]
+    load: float  #: multiple of the task's forces [1]
+    joints: Array  #: joint positions (forces, points, n) [rad or m]
+    margins: Array  #: margins of stability (forces, points) [1]
+    dexterities: Array  #: dexterities (forces, points) [m/s]
+    stiffnesses: Array  #: stiffnesses (forces, points) [N/m]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class TaskResult:
     """Result of the evaluation of a robot for a task."""
 
     distance: float  #: largest distance of the tip from the points, without load [m]
-    load: float  #: largest multiple of the forces that is held; 0: the points are not reached without load
+    load: float  #: largest multiple of the forces that the robot holds; 0: it misses a point or a minimum without load
     why: str  #: limit that prevents a larger load
     nominal: HeldLoad | None  #: poses under the task's forces; None if the robot does not hold them
     largest: HeldLoad | None  #: poses under the largest multiple of the forces that is held
@@ -63,7 +63,7 @@ class TaskResult:
 def evaluate(
     file: RobotFile, task: StudyTaskFile, objective: Objective, max_ratio: float = MAX_LOAD_RATIO
 ) -> TaskResult:
-    """Return the best result for a task over several paths; loads grow up to `max_ratio` times the task's.
+    """Return the best result of several paths through a task; the load grows up to `max_ratio` times the task's forces.
 
     Raises:
         ConfigError: almost no joint position is valid.
@@ -77,7 +77,7 @@ def evaluate(
 
 
 def cost(outcome: TaskResult, objective: Objective) -> float:
-    """Return the cost to minimise; it also ranks robots that fail, so that a search can improve them."""
+    """Return the cost to minimise. The cost also ranks robots that fail the task, so that a search can improve them."""
     if outcome.load == 0.0:
         return 3.0 + min(100.0 * outcome.distance, 1e3)
     if objective == "load":
@@ -88,13 +88,13 @@ def cost(outcome: TaskResult, objective: Objective) -> float:
 
 
 def _walk_path(walker: "_Walker", start: Solution, max_ratio: float) -> TaskResult:
-    """Return the result of a path from a pose through all points, then under growing loads."""
+    """Move the robot from a pose through all points, then under growing loads; return the result."""
     unloaded: list[Solution] = []
     at, distance = start, 0.0
     for number, point in enumerate(walker.points):
         at, off, why = walker.go(at, point, np.zeros(6))
         if why:
-            # The remaining distance is part of the cost, so a search prefers a robot that comes closer to the end.
+            # This distance is part of the cost, so a search prefers robots that come nearer to all points.
             remaining = float(np.linalg.norm(walker.points[number:] - at.tip, axis=1).max())
             return TaskResult(max(off, remaining), 0.0, f"at point {number + 1} without load: {why}", None, None)
         unloaded.append(at)
@@ -126,11 +126,11 @@ class _Walker:
         self.model = Statics(file.robot())
         self.points, self.forces = np.array(task.points), np.array(task.forces)
         self._lower, self._upper, self._speed = self.limits.packed[:3]
-        # Only the limits of joints and tubes apply. The workspace limit in the robot's file is for operation and does
-        # not restrict the points of a design task.
+        # Only the limits of joints and tubes apply. The workspace limit in the robot's file is for the operation of
+        # a robot and does not restrict the points of a design task.
 
     def starts(self) -> Iterator[Solution]:
-        """Yield different poses with the tip at the first point of the task, or as near to it as possible."""
+        """Yield different poses with the tip at the first point of the task, or as near to this point as possible."""
         poses = spread_poses(self.file, START_POSES, 0)
         found = solve_many(self.model, poses, np.zeros((START_POSES, 6)), threads=1)
         distances = np.linalg.norm(found.tip - self.points[0], axis=1)
@@ -142,7 +142,7 @@ class _Walker:
                 yield at
 
     def go(self, at: Solution, point: Array, wrench: Array) -> tuple[Solution, float, str]:
-        """Move to a point (3,) under a wrench (6,); return the last pose, its distance [m] and the limit."""
+        """Move to a point (3,) under a wrench (6,); return the last pose, its distance [m], and why it fails or ''."""
         close, reasons = ARRIVAL_SHARE * self.task.tolerance, ""
         try:
             at = self.model.solve(at.joints.copy(), wrench, at)
@@ -178,7 +178,7 @@ class _Walker:
         return at, distance, self._violated_minimum(at)
 
     def _violated_minimum(self, at: Solution) -> str:
-        """Return a text about the task's minimum (margin, dexterity, stiffness) that a pose violates; empty if none."""
+        """Return a text about the task's minimum (margin, dexterity, stiffness) that a pose violates; empty: none."""
         if at.stability < self.task.margin:
             return f"margin {at.stability:.3g} is below {self.task.margin:g}"
         slowest = float(dexterity(at.jacobian[None], self._speed)[0])
@@ -211,7 +211,7 @@ class _Walker:
         return found, ""
 
     def numbers(self, load: float, rows: list[list[Solution]]) -> HeldLoad:
-        """Return the joints and quality measures of the poses."""
+        """Return joint positions and quality measures of the poses `rows` under `load`."""
         jacobians = np.array([[at.jacobian for at in row] for row in rows])
         compliances = np.array([[at.compliance for at in row] for row in rows])
         shape = jacobians.shape[:2]

@@ -25,16 +25,16 @@ PERCENTILES = {"least": 0.0, "p5": 5.0, "median": 50.0, "p95": 95.0, "most": 100
 
 @dataclass(frozen=True)
 class WorkspaceStudy:
-    """Result of a workspace study: k poses with a model solution, and their quality measures."""
+    """Result of a workspace study: the k poses for which the model has a solution, and their quality measures."""
 
     file: RobotFile
-    force: Array  #: (3,) at the tip, world frame [N]
+    force: Array  #: force at the tip (3,) in the world frame [N]
     requested: int  #: number of evaluated poses
-    joints: Array  #: (k, n) [rad or m]
-    tips: Array  #: (k, 3) world frame [m]
-    dexterity: Array  #: (k,) [m/s]
-    stiffness: Array  #: (k,) [N/m]
-    margin: Array  #: (k,) 1: straight and unloaded, 0: snaps
+    joints: Array  #: joint positions (k, n) [rad or m]
+    tips: Array  #: tip positions (k, 3) in the world frame [m]
+    dexterity: Array  #: dexterity of the tip (k,) [m/s]
+    stiffness: Array  #: stiffness of the tip (k,) [N/m]
+    margin: Array  #: margin of stability (k,); 1: straight and unloaded, 0: the tubes snap
 
 
 def workspace(file: RobotFile, force: Array, count: int, seed: int, report: Callable[[float], None]) -> WorkspaceStudy:
@@ -67,7 +67,7 @@ def workspace(file: RobotFile, force: Array, count: int, seed: int, report: Call
 
 
 def summary(found: WorkspaceStudy) -> dict[str, Any]:
-    """Return the numbers of a workspace in mm as a JSON object."""
+    """Return the numbers of a workspace as a JSON object, with lengths in mm."""
     cells = np.unique(np.floor(found.tips / CELL_SIZE_M).astype(np.int64), axis=0)
     smallest_margin = Margins().stability
     return {

@@ -1,4 +1,4 @@
-"""Report of a workspace study: where the tip reaches, and its quality measures over this region and over each joint."""
+"""Report of a workspace study: region that the tip reaches, and quality measures over this region and each joint."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -113,7 +113,7 @@ def _joints(found: WorkspaceStudy) -> ReportFigure:
 
 
 def _coordinates(found: WorkspaceStudy) -> Iterator[tuple[str, Array]]:
-    """Yield name with unit, and values in all poses (k,), of each joint coordinate that changes the tubes' shape."""
+    """Yield name with unit, and values at all poses (k,), of each joint coordinate that changes the tubes' shape."""
     joints = found.file.robot().joints
     turning = [j for j, joint in enumerate(joints) if joint.motion == "rotation"]
     outermost = max(turning, key=lambda j: joints[j].tube, default=None)
@@ -128,7 +128,7 @@ def _coordinates(found: WorkspaceStudy) -> Iterator[tuple[str, Array]]:
 
 
 def _bands(positions: Array, values: Array) -> tuple[Array, Array]:
-    """Return the centres (p,) of bins along an axis, and the 5 %, 50 % and 95 % percentiles (3, p) in each bin."""
+    """Return the centres of bins along an axis (p,), and 5th, 50th and 95th percentile of the values in each (3, p)."""
     edges = np.linspace(positions.min(), positions.max(), TRAVEL_BINS + 1)
     piece = np.clip(np.digitize(positions, edges) - 1, 0, TRAVEL_BINS - 1)
     filled = [number for number in range(TRAVEL_BINS) if (piece == number).any()]

@@ -1,4 +1,4 @@
-"""The built-in drivers: checks their tables of the station file and returns openers."""
+"""The built-in drivers: checks the devices' tables of the station file, and returns functions that open the devices."""
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The `[devices]` part of a station file: the driver of each device, and the driver's options.
+"""The table `[devices]` of a station file: the driver of each device, and the driver's options.
 
 ```toml
 [devices.stages]
@@ -55,7 +55,7 @@ class BenchFile(Strict):
 
     @property
     def can_measure_target(self) -> bool:
-        """Whether frames may have a target's position: those of an Aurora with a second coil, or of a custom driver."""
+        """Whether the tracker may measure a target: true for an Aurora with a second coil and for custom drivers."""
         return self.tracker["driver"] != "aurora" or bool(self.tracker.get("target"))
 
 
@@ -65,7 +65,7 @@ def _is_either(value: object) -> object:
     return value
 
 
-#: The virtual lab, or a bench.
+#: Value of `devices` in a station file: "virtual" for the virtual lab, or the tables of a bench.
 DevicesFile = Annotated[
     Annotated[Literal["virtual"], Tag("virtual")] | Annotated[BenchFile, Tag("bench")],
     Discriminator(lambda value: "virtual" if value == "virtual" else "bench"),
@@ -77,13 +77,13 @@ class Mount(Strict):
     """Pose of a device's frame in another frame."""
 
     position: Vector = (0.0, 0.0, 0.0)
-    """position of its origin [m]"""
+    """position of the device frame's origin [m]"""
     rotation_vector: Vector = (0.0, 0.0, 0.0)
-    """axis times angle [rad]"""
+    """orientation of the device's frame: rotation axis times angle [rad]"""
 
     @property
     def rotation(self) -> Array:
-        """Rotation matrix (3, 3) from its axes to those of the other frame."""
+        """Rotation matrix (3, 3) from the axes of the device's frame to those of the other frame."""
         return Base(self.position, self.rotation_vector).rotation
 
 
@@ -93,13 +93,14 @@ class StageFile(Strict):
     port: Serial | None = None
     """port of this stage alone; default: the chain's port"""
     device: Annotated[int, Field(ge=1, le=254)]
-    """its number on the chain"""
+    """device number of the unit on the chain"""
     home_at: float | None = None
-    """joint position at its home sensor; default: 0 of a rotation, the end where a translation counts 0 [rad or m]"""
+    """joint position at the home sensor [rad or m]; default: 0 for a rotation, and for a translation the end of the
+    travel at which the unit counts 0"""
     backwards: bool = False
-    """its count increases when the joint's position decreases"""
+    """whether the unit's count increases when the joint's position decreases"""
     home_speed: Positive | None = None
-    """default: a quarter of the joint's speed [rad/s or m/s]"""
+    """speed of homing [rad/s or m/s]; default: a quarter of the joint's speed"""
     device_id: Annotated[int, Field(ge=0)] | None = None
     """device id that the unit must report"""
     serial: Annotated[int, Field(ge=0)] | None = None
@@ -107,34 +108,35 @@ class StageFile(Strict):
 
 
 class ZaberFile(Strict):
-    """Zaber T-series stages: one chain, or a port for each."""
+    """Zaber T-series stages on one chain, or with a separate port for each stage."""
 
     port: Serial | None = None
-    """of the chain"""
+    """port of the chain"""
     joints: Mapping[Name, StageFile] = {}
-    """the unit of each joint; default: numbered from the computer in the robot's order"""
+    """the unit of each joint; default: device numbers 1, 2, ... in the order of the robot's joints"""
     deadline: Annotated[float, Field(ge=0.02, le=10.0)] = LineSettings.deadline
-    """for a reply, from the start of its request; a stage without two replies in a row is lost [s]"""
+    """longest time from the start of a request to its reply [s]; a stage is lost after two missing replies in a row"""
 
 
 class AuroraFile(Strict):
-    """NDI Aurora."""
+    """NDI Aurora tracker."""
 
     port: Serial
+    """serial port of the tracker"""
     tool: str = ""
-    """serial number of the tip's coil, as the unit reports it; "": the first tool"""
+    """serial number of the coil at the tip, as the tracker reports it; "": the first tool"""
     target: str = ""
     """serial number of a second coil, on the target of the motion `follow`; "": no second coil"""
     baud: int = AuroraSettings.baud
-    """rate to switch to; must be supported by the unit [bit/s]"""
+    """baud rate to which the driver switches; the tracker must support this rate [bit/s]"""
     frame_rate: Annotated[float, Field(gt=0.0, le=1000.0)] = AuroraSettings.frame_rate
-    """[1/s]"""
+    """number of frames that the tracker measures per second [1/s]"""
     latency: NotNegative = AuroraSettings.latency
-    """shortest time from a measurement to the arrival of its reply at 115200 baud [s]"""
+    """shortest time from a measurement to the arrival of the reply with this measurement at 115200 baud [s]"""
     always_tx: bool = False
-    """request frames as text, for very old firmware"""
+    """request frames as text (TX), for very old firmware"""
     fault_bits: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    """port status bits that invalidate a measurement, in addition to those of the volume"""
+    """port status bits that invalidate a measurement, in addition to the two out-of-volume bits"""
     mount: Mount = Mount()
     """pose of the field generator in the world, from a registration"""
     coil_to_tip: float = 0.0
@@ -145,7 +147,7 @@ class ForceBoxFile(Strict):
     """One ATI Net F/T box."""
 
     host: Annotated[str, Field(min_length=1)]
-    """name or address"""
+    """host name or IP address of the box"""
     rdt_port: TcpPort = RDT_PORT
     """UDP port of its datagrams"""
     http_port: TcpPort = 80
@@ -153,7 +155,7 @@ class ForceBoxFile(Strict):
     serial: str | None = None
     """serial number of the calibration that the box must report; default: any"""
     mount: Mount = Mount()
-    """pose of the sensor's frame at its tube's proximal end, where x is the tube's alpha = 0 and z its axis"""
+    """pose of the sensor's frame in the frame at its tube's proximal end (x along alpha = 0, z along the tube)"""
 
 
 class NetftFile(Strict):
@@ -161,11 +163,11 @@ class NetftFile(Strict):
 
     tubes: Mapping[Name, ForceBoxFile]
     stale_after: Positive = NetftSettings.stale_after
-    """time without a usable record until a sensor is stale [s]"""
+    """time without a usable record after which a sensor counts as stale [s]"""
     latency: NotNegative = NetftSettings.latency
-    """time from the measurement to the Ethernet [s]"""
+    """time from a measurement until the box sends its record [s]"""
     ranges: Annotated[tuple[Positive, Positive, Positive, Positive, Positive, Positive], Row] = NetftSettings.ranges  # pyright: ignore[reportAssignmentType] - six numbers
-    """Fx Fy Fz Tx Ty Tz of the calibration, if the page has none [N, N m]"""
+    """calibrated ranges of Fx Fy Fz Tx Ty Tz, used if the box's configuration page has none [N, N m]"""
 
 
 class CardFile(Strict):
@@ -174,11 +176,11 @@ class CardFile(Strict):
     channels: Annotated[str, Field(min_length=1)]
     """six differential inputs in the order of the gauges, as NI names them: Dev1/ai0:5"""
     calibration: str
-    """ATI's .cal file"""
+    """path of ATI's .cal file for this sensor"""
     serial: str | None = None
-    """serial number of the sensor that the file must contain; default: any"""
+    """serial number of the sensor that the .cal file must contain; default: any"""
     mount: Mount = Mount()
-    """pose of the sensor's frame at its tube's proximal end, where x is the tube's alpha = 0 and z its axis"""
+    """pose of the sensor's frame in the frame at its tube's proximal end (x along alpha = 0, z along the tube)"""
 
 
 class NidaqFile(Strict):
@@ -188,14 +190,14 @@ class NidaqFile(Strict):
     rate: Annotated[float, Field(ge=100.0, le=100_000.0)] = 5000.0
     """sampling rate of each input [1/s]"""
     stale_after: Positive = 0.05
-    """time without a usable sample until a sensor is stale [s]"""
+    """time without a usable sample after which a sensor counts as stale [s]"""
 
 
 Part = TypeVar("Part")
 
 
 def in_order(parts: Mapping[str, Part], names: Sequence[str], key: str) -> list[Part]:
-    """Return the parts in the robot's order.
+    """Return the parts, which are joints' or tubes' tables by name, in the robot's order `names`.
 
     Raises:
         ConfigError: a part is missing, or the robot has no part of that name.

@@ -1,8 +1,8 @@
-"""Interfaces of the devices: the control loop polls them at every tick and never waits for them.
+"""Interfaces of the device drivers: the control loop polls the drivers at every tick and never waits for them.
 
-A device returns the data that have arrived by `now`. Drivers on a serial port, a socket or a simulated
-bench implement the same few methods. Only opening a device may raise. From then on a
-device reports a fault by `trouble`, and the loop acts on its severity.
+A driver returns the data that have arrived by `now`. Drivers for serial ports, sockets and simulated benches implement
+the same few methods. Only the opening of a device may raise. Afterwards a driver reports a fault by `trouble`, and the
+loop reacts according to the severity of the fault.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,16 +21,16 @@ class Condition(StrEnum):
     CONNECTING = "connecting"
     HOMING = "homing"  #: stages only
     CONNECTED = "connected"
-    FAULT = "fault"  #: until `connect` is called again
+    FAULT = "fault"  #: the device has failed; this state ends when `connect` is called again
 
 
 class Severity(IntEnum):
-    """Reaction of the station to a device fault; the highest one counts."""
+    """Reaction of the station to a device fault; with several faults the strongest reaction applies."""
 
-    WARN = 1  #: reported only
-    HOLD = 2  #: a motion ends at its present position
+    WARN = 1  #: the station only reports the fault
+    HOLD = 2  #: a running motion ends at the present position of the robot
     STOP = 3  #: every axis stops
-    FAULT = 4  #: every axis that can be reached is stopped; latched until the operator resets it
+    FAULT = 4  #: every axis that can be reached stops; the state stays until the operator resets it
 
 
 class DeviceFault(NamedTuple):
@@ -51,22 +51,22 @@ class TipReading(NamedTuple):
     """One tracker frame with a valid position."""
 
     frame: int  #: number counted by the tracker
-    time: float  #: time of the measurement, from the frame number, not from its arrival [s]
+    time: float  #: time of the measurement, computed from the frame number instead of the arrival [s]
     position: Array  #: (3,) world frame [m]
-    target: Array | None = None  #: (3,) position of the target's coil, same frame [m]; None: not visible
+    target: Array | None = None  #: (3,) position of the target's coil, world frame [m]; None: not visible
     direction: Array | None = None  #: (3,) unit vector along the tip; None: not measured by this tracker
 
 
 class WrenchReading(NamedTuple):
     """One sample of every base sensor."""
 
-    time: float  #: [s]
-    wrenches: Array  #: (q, 6) force and moment in each sensor's own axes, untared [N, N m]
-    usable: bool = True  #: False: a sensor has no valid sample; its last valid wrench is repeated
+    time: float  #: time of the measurement [s]
+    wrenches: Array  #: (q, 6) force and moment in the axes of each sensor, untared [N, N m]
+    usable: bool = True  #: False: a sensor has no valid sample, and the reading repeats its last valid wrench
 
 
 class GroundTruth(NamedTuple):
-    """True values of the virtual lab: recorded, never used by the controller."""
+    """True values of the virtual lab, which are recorded but never used by the controller."""
 
     tip: Array  #: (3,) [m]
     force: Array  #: (3,) at the tip [N]
@@ -79,23 +79,23 @@ class Device(Protocol):
 
     @property
     def condition(self) -> Condition:
-        """Connection state."""
+        """Connection state of the device."""
         ...
 
     def connect(self, now: float) -> None:
-        """Start to connect, also after a FAULT; `poll` continues until `condition` is CONNECTED or FAULT."""
+        """Start to connect, also after a FAULT; `poll` continues to connect until the state is CONNECTED or FAULT."""
         ...
 
     def trouble(self, now: float) -> DeviceFault | None:
-        """Return the most severe fault at `now` [s], or None. Must be fast: called at every tick."""
+        """Return the most severe fault at `now` [s], or None. Must be fast, because every tick calls this method."""
         ...
 
     def details(self) -> Mapping[str, Any]:
-        """Return identity and counters as numbers and human-readable texts, for the page and the report."""
+        """Return identity and counters of the device as numbers and texts, for the web page and the report."""
         ...
 
     def close(self) -> None:
-        """Close its ports."""
+        """Close the device's ports."""
         ...
 
 
@@ -104,19 +104,19 @@ class Stages(Device, Protocol):
 
     @property
     def ready(self) -> bool:
-        """Connected, homed, and every position is known."""
+        """Whether the stages are connected and homed, and every position is known."""
         ...
 
     def home(self, now: float) -> None:
-        """Start to home every stage; `poll` continues while `condition` is HOMING.
+        """Start to home every stage; `poll` continues the homing while `condition` is HOMING.
 
         Raises:
-            CtrError: not connected, or busy.
+            CtrError: the stages are not connected, or busy.
         """
         ...
 
     def poll(self, now: float) -> JointReading:
-        """Positions at `now` [s]."""
+        """Return the positions at `now` [s], and the velocities sent."""
         ...
 
     def command(self, velocities: Array, now: float) -> None:
@@ -141,13 +141,13 @@ class Clock(Protocol):
 
 
 class NotStopped(CtrError):
-    """Stages have not confirmed their stop: names them, the reason, and what the operator must do."""
+    """Stages have not confirmed their stop; the text names the stages, the reason and what the operator must do."""
 
 
-#: Stops every stage from another process than the one that drives them. That process may still have the ports open for
-#: some milliseconds. Returns a human-readable result, which is the evidence that every axis stops. Raises NotStopped
-#: unless every axis has confirmed its stop. It should end within 2 s: a call that lasts longer, returns no
-#: text or raises anything else counts as not stopped.
+#: Function that stops every stage after the control process has died; another process calls it. The dying process may
+#: keep the ports open for some milliseconds. The function returns a human-readable text, which confirms that every axis
+#: stops, and raises NotStopped unless every axis has confirmed its stop. It should end within 2 s: if it takes longer,
+#: returns no text or raises anything else, the station treats the stages as not stopped.
 EmergencyStop = Callable[[Clock], str]
 
 

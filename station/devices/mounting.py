@@ -11,9 +11,9 @@ from station.devices.interfaces import BaseSensors, Condition, DeviceFault, Wren
 
 
 def transport(mount: Mount) -> Array:
-    """Return the matrix (6, 6) that transforms a wrench from the sensor's frame into the frame of its mount.
+    """Return the matrix (6, 6) from wrenches in the sensor's frame to wrenches in the frame at the tube's proximal end.
 
-    f' = R f and m' = R m + p x R f.
+    f' = R f and m' = R m + p x R f, with the position p and the rotation R of the mount.
     """
     x, y, z = mount.position
     rotation, shift = mount.rotation, np.eye(6)
@@ -59,5 +59,5 @@ class MountedSensors:
         return self._sensors.details()
 
     def close(self) -> None:
-        """Let go of the sensors."""
+        """Close the sensors."""
         self._sensors.close()

@@ -12,14 +12,14 @@ DEVICE_KINDS: tuple[DeviceKind, ...] = ("stages", "tracker", "sensors")
 
 
 class OpenError(CtrError):
-    """A device cannot be opened; names its table of the station file, its port and what to do."""
+    """A device cannot be opened; the text names its table in the station file, its port and what to do."""
 
 
 def plan(bench: BenchFile, robot: RobotFile) -> dict[DeviceKind, Opener]:
-    """Return an opener for each device; opens nothing yet.
+    """Check the configuration, and return an opener for each device; no device is opened yet.
 
     Raises:
-        ConfigError: names the key, the value and what was expected.
+        ConfigError: an invalid key; the text names the key, the value and what was expected.
     """
     openers: dict[DeviceKind, Opener] = {}
     for kind in DEVICE_KINDS:
@@ -29,11 +29,11 @@ def plan(bench: BenchFile, robot: RobotFile) -> dict[DeviceKind, Opener]:
 
 
 def open_devices(bench: BenchFile, robot: RobotFile) -> Devices:
-    """Open every device of a bench without connecting it. It may wait for the configuration page of a force box.
+    """Open every device of a bench without connecting it. The call may wait for the web page of a force sensor's box.
 
     Raises:
-        ConfigError: as `plan`.
-        OpenError: a device cannot be opened; the others have been closed again.
+        ConfigError: an invalid key; the text names the key, the value and what was expected.
+        OpenError: a device cannot be opened; the devices opened before it have been closed again.
     """
     openers = plan(bench, robot)
     with contextlib.ExitStack() as opened:

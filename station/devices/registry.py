@@ -1,8 +1,9 @@
-"""Drivers by name: built-in ones, and installed ones by the entry points `ctr_station.devices`.
+"""Finds drivers by name: built-in drivers, and installed drivers with an entry point `ctr_station.devices`.
 
 An installed driver is a callable `open(options, robot)` that returns a device with an interface of `interfaces.py`.
-`options` is its table of the station file without the key `driver`. If it raises, no device is opened.
-The callable of stages has an attribute `emergency_stop(options, robot, clock)`, which stops them from another process.
+`options` is the device's table of the station file without the key `driver`. If the callable raises, the station opens
+no device. A callable for stages has an attribute `emergency_stop(options, robot, clock)`, a function by which another
+process stops the stages.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,9 +20,9 @@ from station.devices.zaber.emergency_stop import zaber_emergency_stop
 ENTRY_POINT_GROUP = "ctr_station.devices"
 
 DeviceKind = Literal["stages", "tracker", "sensors"]
-#: Opens a device whose options have been checked.
+#: Function that opens a device whose options have been checked.
 Opener = Callable[[], Any]
-#: Checks the options of a device and returns its opener.
+#: Function that checks the options of a device and returns the device's opener.
 Driver = Callable[[Mapping[str, Any], RobotFile], Opener]
 
 INTERFACES: dict[DeviceKind, type] = {"stages": Stages, "tracker": Tracker, "sensors": BaseSensors}
@@ -38,7 +39,7 @@ def find(kind: DeviceKind, name: str) -> Driver:
     """Return the driver of that name; a built-in driver takes precedence.
 
     Raises:
-        ConfigError: there is none, or it cannot be loaded.
+        ConfigError: there is no driver of that name, or the driver cannot be loaded.
     """
     if name in BUILT_IN_DRIVERS[kind]:
         return BUILT_IN_DRIVERS[kind][name]
@@ -51,9 +52,9 @@ def find(kind: DeviceKind, name: str) -> Driver:
 
 
 def emergency_stop(stages: Mapping[str, Any], robot: RobotFile) -> EmergencyStop | None:
-    """Return the emergency stop of the stages in `[devices.stages]`, for the time after a crash of the control process.
+    """Return the emergency stop of the stages in `[devices.stages]`, for use after a crash of the control process.
 
-    None: their driver has no emergency stop.
+    The result is None if the stages' driver has no emergency stop.
 
     Raises:
         ConfigError: there is no such driver, it cannot be loaded, or its emergency_stop is not callable.
@@ -70,7 +71,7 @@ def emergency_stop(stages: Mapping[str, Any], robot: RobotFile) -> EmergencyStop
 
 
 def _loaded(kind: DeviceKind, name: str) -> tuple[str, Callable[..., Any]]:
-    """Return the origin of an installed driver, for messages, and its callable."""
+    """Return the origin of an installed driver, for error messages, and the driver's callable."""
     installed = entry_points(group=ENTRY_POINT_GROUP)
     found = list(installed.select(name=name))
     if not found:
@@ -110,5 +111,5 @@ def _opened(
 
 
 def _origin(point: EntryPoint) -> str:
-    """Return the origin of an entry point."""
+    """Return the module, the attribute and the package of an entry point, for error messages."""
     return point.value if point.dist is None else f"{point.value} of {point.dist.name}"

@@ -25,14 +25,14 @@ from station.experiments.experiment import Case
 from station.experiments.load_windows import load_windows, window_name
 from station.lab.virtual_bench import virtual_bench
 
-#: Interval between two time samples of a part: a fraction of the time since the load's change, clipped to a smallest
+#: Interval between two time samples of a part: this fraction of the time since the load's change, limited to a smallest
 #: and a largest interval [s]. The samples are denser where the load has just changed.
 RELATIVE_INTERVAL, MIN_INTERVAL_S, MAX_INTERVAL_S = 0.025, 0.010, 0.250
 #: Longest time after a change of the load for which a bound is computed [s].
 MAX_HORIZON_S = 40.0
 #: A step load has its full force at the moment of the step. The force before the step is sampled this much earlier [s].
 BEFORE_STEP_S = 1e-6
-#: Largest distance between tip and target at which the joints are said to keep the tip in position [m].
+#: Largest distance between tip and target at which joints count as keeping the tip at the target [m].
 HOLDING_TOLERANCE_M = 1e-7
 
 
@@ -63,9 +63,9 @@ def same_bound(case: Case) -> str:
 
 
 def cases_to_bound(cases: Sequence[Case], seed: int) -> dict[str, BoundedCase]:
-    """Return one case for each different bound, by its text from `same_bound`.
+    """Return one case for each different bound, by the case's text from `same_bound`.
 
-    Empty when the joints can compensate every load.
+    The result is empty if the joints can compensate every load.
     """
     if not any(case.warnings for case in cases):
         return {}
@@ -73,7 +73,7 @@ def cases_to_bound(cases: Sequence[Case], seed: int) -> dict[str, BoundedCase]:
 
 
 def bound(item: BoundedCase, progress: Callable[[float], None]) -> Mapping[str, float | None]:
-    """Return the smallest possible largest distance of the true tip from its path, by change of the load [mm].
+    """Return a lower bound of the true tip's largest distance from its path [mm], for each part of the motion.
 
     The value is None for a part of the motion in which the model of the simulated real robot has no solution.
     """

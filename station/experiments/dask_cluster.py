@@ -100,7 +100,7 @@ def run_on_cluster(
     with interrupts() as interrupted:
         submit(islice(waiting, MAX_QUEUED_JOBS))
         while (on or suspected) and not interrupted():
-            if not on:  # any job of a worker that ended may be the cause, so each now runs alone
+            if not on:  # any job of an ended worker may be the cause of its end, so each job now runs alone
                 alone.add(suspected[-1])
                 submit([suspected.pop()])
             try:
@@ -144,7 +144,7 @@ def _client(scheduler: str, workers: int, ends: ExitStack) -> "Client":
 def _result(future: "Future") -> tuple[bool, Any]:
     """Return whether a job's worker survived the job, and the job's result.
 
-    If a result was lost with its worker, this waits until the scheduler has repeated the job.
+    If a result was lost with its worker, this function waits until the scheduler has repeated the job.
     """
     from distributed import KilledWorker
 
@@ -166,8 +166,8 @@ _ONE = Lock()
 class _Sent:
     """Pickled form of a job; unpickling it on a worker carries out the job.
 
-    A worker on which ctr-station is not installed then fails inside the task and reports the reason. If it could not
-    unpickle the task itself, it would end without a reason.
+    A worker on which ctr-station is not installed then fails inside the task and reports the reason. A worker
+    that cannot unpickle the task itself would end without a reason.
     """
 
     def __init__(self, work: Callable[[Any], Any], job: Any) -> None:

@@ -67,7 +67,7 @@ class JobPool:
         context = get_context("spawn")
         self._others = set(active_children())
         # The shared array has two numbers for each process: the number of its job, and the fraction of the job done.
-        self._slots = context.Array("d", 2 * max_processes, lock=False)  # no lock, since a killed process would keep it
+        self._slots = context.Array("d", 2 * max_processes, lock=False)  # no lock: a killed process would keep it
         number = context.Value("i", 0)
         self._pool = ProcessPoolExecutor(max_processes, context, _start_worker, (self._slots, number))
 
@@ -178,9 +178,9 @@ def _work(work: Work[T, R], number: int, job: T) -> R:
 
 @contextmanager
 def _ignore_interrupts() -> Iterator[None]:
-    """Ignore Ctrl-C while processes are started, so that they inherit this; a run in them handles the signal itself."""
+    """Ignore Ctrl-C while worker processes start, and so also in them; a run in a worker handles Ctrl-C itself."""
     if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may change signal handlers
+        yield  # in another thread nothing changes: only the main thread may change signal handlers
         return
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -17,7 +17,7 @@ from station.recording.saturation import limited_parts, saturation_warning
 from station.recording.tracking_errors import desired, errors, frame_errors, largest_force, rms, rounded
 
 #: Number of ticks over which the model's tip is averaged before it is compared with the tracker. Without averaging,
-#: the noise of one force sample (0.02 N in each sensor) moves this tip by a millimetre, which is no error of the model.
+#: the noise of one force sample (0.02 N in each sensor) moves this tip by a millimetre, which is no model error.
 AVERAGING_TICKS = 251
 #: Number of ticks in the window, centred on the current tick, from which the reference rate of the deflection is
 #: computed.
@@ -153,7 +153,7 @@ def _settled_errors(recording: Recording, error: Array) -> dict[str, Any]:
 
 
 def _errors_by_change(recording: Recording, error: Array) -> dict[str, Any]:
-    """Return the errors of the true tip (ticks, 3) [m], summarised from each change of the load to the next one."""
+    """Return the statistics of the true tip's error (ticks, 3) [m] for each part between two changes of the load."""
     file, time = recording.case.file, recording.channels.of(recording.rows, "time")[:, 0]
     found: dict[str, Any] = {}
     for start, end in load_windows(file.load, file.duration):

@@ -58,7 +58,7 @@ def run_case(
         seed: seed of all random numbers in the virtual lab.
         clock: real or virtual clock.
         progress: receives the fraction done, twice in a simulated second.
-        record: receives each row; then no row stays in memory, however long the run is.
+        record: function that receives each row. With this function no row stays in memory, however long the run is.
     """
     wall = time.perf_counter()
     lab, devices = virtual_bench(case.robot, case.lab, seed, case.start, case.registration)

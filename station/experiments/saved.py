@@ -51,7 +51,7 @@ class FreeMotion(Strict):
 
 
 def use_saved(data: Path) -> None:
-    """Use the experiments saved in the data folder, unless the user has selected another folder of experiments."""
+    """Select the folder of experiments in the data folder, unless the user has selected another folder."""
     if not os.environ.get(EXPERIMENTS_VARIABLE) and (data / EXPERIMENTS_FOLDER).is_dir():
         use_experiments(data / EXPERIMENTS_FOLDER)
 

@@ -15,8 +15,8 @@ from core.robot.robot import Array
 class StepFit(NamedTuple):
     """Parameters of the fitted response y(t) = 1 - exp(-rate (t - dead_time)), which is 0 before the dead time."""
 
-    rate: float  #: [1/s]
-    dead_time: float  #: [s]
+    rate: float  #: rate of the first-order lag [1/s]
+    dead_time: float  #: dead time before the response starts [s]
 
 
 def fit_step(times: Array, response: Array) -> StepFit:

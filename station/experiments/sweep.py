@@ -79,7 +79,7 @@ def on_processes(
             carry_out(batch, min(processes, len(batch)))
             return
         except ProcessLost as lost:
-            # A process may end before it reports the number of its job. Then its job was one of the first of the batch.
+            # A process may end before it reports the number of its job. Then the first job is suspected.
             suspected = [batch[number] for number in sorted(lost.jobs) if batch[number].run in left] or batch[:1]
         for job in suspected:
             try:

@@ -27,7 +27,7 @@ COMPONENT_LABELS = {"x": "x", "y": "y", "z": "z", "loaded": "loaded model", "unl
 def quantity(settings: Sequence[Mapping[str, Any]]) -> tuple[str, str, str, list[str]]:
     """Return the quantity that a table shows: name, label, unit, and its components (axes or models).
 
-    All are empty if the runs have none of the quantities.
+    All four are empty if the runs have none of `TABLE_QUANTITIES`.
     """
     for name, label, unit in TABLE_QUANTITIES:
         parts = [part for part in COMPONENT_LABELS if any(f"{name}.{part}" in group["spreads"] for group in settings)]

@@ -15,8 +15,8 @@ from station.experiments.experiment import Case, Experiment, load_experiment
 from station.experiments.sweep_settings import Setting, nested
 from station.recording.metadata import PACKAGES, versions
 
-#: Fields of a plan, in the order in which two plans are compared, with a label; a message about a difference shows both
-#: values.
+#: Fields of a plan in the order in which two plans are compared, each with a label. A message about a difference shows
+#: the values of both plans.
 DIFFERENCE_LABELS = {
     "experiment": "the experiment",
     "parts": "the number of parts",

@@ -1,14 +1,14 @@
 """Gymnasium environments of robots that the loaded model simulates. Importing this package registers them.
 
-The package needs the extra `gym`.
+The package needs the extra `gym`. Example:
 
-gymnasium.make("station.gym:CtrReach-v0", load=0.3)
+    gymnasium.make("station.gym:CtrReach-v0", load=0.3)
 """
 
 import gymnasium
 
-#: Number of steps of an episode of reaching and of tracking. An episode of reaching lasts 15 s, because a half turn of
-#: a tube takes 9 s.
+#: Number of steps in an episode of `CtrReach-v0` and of `CtrTrack-v0`. An episode of `CtrReach-v0` lasts 15 s of
+#: simulated time by default, because a half turn of a tube takes 9 s.
 REACH_STEPS, TRACK_STEPS = 150, 400
 
 

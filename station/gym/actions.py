@@ -7,16 +7,16 @@ from core.robot.robot import Array
 
 
 class Actions(Box):
-    """A Gymnasium `Box` whose `sample` is faster, because the bounds are finite."""
+    """Gymnasium `Box` with a faster method `sample`, which is possible because all bounds are finite."""
 
     def __init__(self, joints: int) -> None:
         super().__init__(-1.0, 1.0, (joints,), dtype=np.float64)
 
     def sample(self, mask: None = None, probability: None = None) -> Array:
-        """Return a random action that equals the sample of a `Box` bit for bit.
+        """Return a random action, bit for bit the action that `Box.sample` would return.
 
-        The sample of a `Box` takes as long as two solutions of the model.
+        `Box.sample` takes as long as two solutions of the model.
         """
         if mask is not None or probability is not None:
-            return super().sample(mask, probability)  # a box refuses these arguments with the reason
+            return super().sample(mask, probability)  # `Box.sample` refuses these arguments and gives the reason
         return 2.0 * self.np_random.random(self.shape) - 1.0

@@ -1,4 +1,4 @@
-"""k simulated robots that actions move within their limits. Each has hidden errors of its tubes and a hidden load."""
+"""Batch of k simulated robots that actions move within their limits; each has hidden tube errors and a hidden load."""
 
 from dataclasses import dataclass, replace
 
@@ -12,7 +12,7 @@ from station.gym.shapes import ExactShapes, LoadedShapes, ShapeSolver
 
 #: Smallest distance between the ends of neighbouring tubes [m].
 MIN_TUBE_DISTANCE_M = 1e-9
-#: Largest number of random poses that are tried to find a valid one; without success the robot file is refused.
+#: Largest number of random poses that are drawn to find a valid one. If none is valid, the robot file is refused.
 MAX_DRAWS = 10_000
 
 Bools = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
@@ -20,9 +20,9 @@ Bools = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 @dataclass(frozen=True)
 class EpisodeSettings:
-    """Robot and hidden parameters of an episode."""
+    """Settings of an episode: robot, ranges of the hidden parameters, simulation model and duration of an action."""
 
-    robot: str = "paper"  #: name of a preset robot, or of a .toml file
+    robot: str = "paper"  #: name of a preset robot, or path of a .toml file
     load: float = 0.2  #: largest force at the tip, in any direction [N]
     tube_error: float = 0.0  #: largest relative error of each tube's stiffness and curvatures
     exact: bool = False  #: whether the exact rod simulates the robot instead of the loaded model
@@ -39,7 +39,7 @@ class EpisodeSettings:
 
 
 class RobotBatch:
-    """k simulated robots; an action is a fraction, -1 ... 1, of every joint's top speed."""
+    """Batch of k simulated robots; an action has for every joint a fraction, -1 ... 1, of its top speed."""
 
     def __init__(self, setting: EpisodeSettings, rows: int) -> None:
         file = load_robot(setting.robot)
@@ -61,14 +61,14 @@ class RobotBatch:
         self.tips = np.zeros((rows, 3))
 
     def disturb_robot(self, random: np.random.Generator) -> Robot:
-        """Return the robot with random errors of its tubes."""
+        """Return the robot with random errors of its tubes' stiffnesses and curvatures."""
         error = self.setting.tube_error
         if error == 0.0:
             return self.robot
         return replace(self.robot, tubes=tuple(_disturb_tube(tube, error, random) for tube in self.robot.tubes))
 
     def draw_load(self, random: np.random.Generator) -> Array:
-        """Draw a force (6,) in any direction [N]."""
+        """Draw a wrench (6,) with a force in any direction [N] and no moment."""
         direction = random.normal(size=3)
         size = self.setting.load * random.uniform()
         return np.concatenate((direction * (size / np.linalg.norm(direction)), np.zeros(3)))
@@ -86,7 +86,7 @@ class RobotBatch:
         )
 
     def put(self, row: int, robot: Robot, joints: Array, wrench: Array) -> Array:
-        """Set a robot at the first of the poses (m, n); return the tips (m, 3) of all poses, NaN without a shape."""
+        """Set a robot at the first pose of `joints` (m, n); return its tips (m, 3) at all poses [m], NaN: no shape."""
         self.robots[row] = robot
         self.shapes.replace(row, robot)
         tips = self.shapes.solve_from_rest(row, joints, wrench)
@@ -94,7 +94,7 @@ class RobotBatch:
         return tips
 
     def move(self, actions: Array) -> None:
-        """Move all robots by actions (k, n) for a period; a robot without a shape at its next pose stays."""
+        """Move all robots by actions (k, n) for a period; a robot whose next pose has no shape keeps its pose."""
         to = _moved(self.joints, actions, self._bounds)
         if self._order[1].size:
             to = self._in_order(to)
@@ -105,7 +105,7 @@ class RobotBatch:
 
     @property
     def observation_bounds(self) -> Array:
-        """Bounds of the observation's elements (m,)."""
+        """Largest absolute values of the elements of an observation (m,)."""
         return np.concatenate((np.ones(self.lower.size + np.count_nonzero(~self.slides)), self.reach))
 
     def observe(self) -> Array:
@@ -123,25 +123,25 @@ class RobotBatch:
         _observe(self.joints, self.tips, self._slides, self._bounds, observations)
 
     def _clearance(self, joints: Array) -> Array:
-        """Return the distances between the tubes' ends (k, m) [m]."""
+        """Return the distances between ends of neighbouring tubes (k, m) [m]; negative if one passed the other."""
         matrix, bound = self._order
         return bound - MIN_TUBE_DISTANCE_M - joints @ matrix.T
 
     def _in_order(self, to: Array) -> Array:
-        """Stop all translations where tubes would pass each other's ends."""
+        """Return the next joints `to`, with translations stopped before the ends of two tubes pass each other."""
         clearance, after = self._clearance(self.joints), self._clearance(to)
         if not (after < 0.0).any():
             return to
         with np.errstate(divide="ignore", invalid="ignore"):
             parts = np.where(after < 0.0, clearance / (clearance - after), 1.0)
         part = np.nan_to_num(parts).clip(0.0, 1.0).min(axis=1, keepdims=True)
-        part = np.where(part < 1.0, (part - 1e-6).clip(0.0, 1.0), part)  # with a margin for rounding errors
+        part = np.where(part < 1.0, (part - 1e-6).clip(0.0, 1.0), part)  # 1e-6: for rounding errors
         return np.where(self.slides, self.joints + part * (to - self.joints), to)
 
 
 @compiled
 def _moved(joints: Array, actions: Array, bounds: Array) -> Array:
-    """Return joints after a period, within their travel; with numpy functions this takes longer than a solve."""
+    """Return the joints after a period, within their travel. Compiled: with numpy this takes longer than a solve."""
     to = np.empty_like(joints)
     for row in range(joints.shape[0]):
         for j in range(joints.shape[1]):

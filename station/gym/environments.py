@@ -1,7 +1,7 @@
 """Gymnasium environments of the tasks `Reach` and `Track`, with a single episode or with many in parallel.
 
-Parallel episodes solve the model in batches. A single environment is a task with one row, so that it gives the same
-results as parallel episodes.
+Parallel episodes solve the model in batches. A single environment uses the same task with a single row,
+so single and parallel episodes give the same results.
 """
 
 from typing import Any, Literal, Protocol
@@ -21,7 +21,7 @@ from station.gym.track import Track
 
 
 class EnvironmentTask(Protocol):
-    """Interface of a task with parallel episodes, one per row."""
+    """Interface of a task with parallel episodes; each row of an array belongs to one episode."""
 
     bodies: RobotBatch
     observation_space: Any
@@ -34,7 +34,7 @@ class EnvironmentTask(Protocol):
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
-    """A Gymnasium environment with one episode of a task."""
+    """Gymnasium environment with one episode of a task at a time."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - as declared there
 
@@ -49,12 +49,12 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return self._first(self.task.observe()), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Execute an action for a period; an episode ends only by its number of steps."""
+        """Carry out an action for a period. An episode ends only when its number of steps is reached."""
         rewards, more = self.task.step(np.asarray(action, np.float64)[None])
         return self._first(self.task.observe()), float(rewards[0]), False, False, {k: v[0] for k, v in more.items()}
 
     def render(self) -> Any:
-        """Return pixels in the render mode `rgb_array`."""
+        """Return a picture of the robot as pixels, in the render mode `rgb_array`."""
         return _picture(self.task, 0) if self.render_mode == "rgb_array" else None
 
     @staticmethod
@@ -63,7 +63,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
 
 
 class ReachEnv(TaskEnv):
-    """`CtrReach-v0`; takes the arguments of `EpisodeSettings`, and tolerance [m] and reward of `Reach`."""
+    """Environment `CtrReach-v0`; its arguments are those of `EpisodeSettings`, and `tolerance` [m] and `reward`."""
 
     def __init__(
         self,
@@ -77,25 +77,25 @@ class ReachEnv(TaskEnv):
         super().__init__(task, render_mode)
 
     def compute_terminated(self, achieved: Any, desired: Any, info: Any) -> bool:  # noqa: ARG002
-        """Return False: an episode ends only by its number of steps."""
+        """Return False, because reaching the goal does not end an episode."""
         return False
 
     def compute_truncated(self, achieved: Any, desired: Any, info: Any) -> bool:  # noqa: ARG002
-        """Return False: truncation does not depend on the achieved goal."""
+        """Return False, because the achieved goal does not truncate an episode."""
         return False
 
 
 class TrackEnv(TaskEnv):
-    """`CtrTrack-v0`; takes the arguments of `EpisodeSettings`, and the steps of the path."""
+    """Environment `CtrTrack-v0`; its arguments are those of `EpisodeSettings`, and the number of steps of the path."""
 
     def __init__(self, render_mode: str | None = None, steps: int = TRACK_STEPS, **setting: Any) -> None:
         super().__init__(Track(1, EpisodeSettings(**setting), steps), render_mode)
 
 
 class TaskVectorEnv(VectorEnv[Any, Any, Any]):
-    """A Gymnasium environment with parallel episodes.
+    """Gymnasium vector environment with parallel episodes of a task.
 
-    An episode that has ended restarts with the next step, as in Gymnasium's vector environments.
+    The step after the end of an episode starts the next episode in its row, as in Gymnasium's vector environments.
     """
 
     metadata: dict[str, Any] = {**TaskEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -112,7 +112,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start all episodes; from one seed each episode gets a consecutive seed."""
+        """Start all episodes. If `seed` is a single number, row i gets the seed `seed` + i."""
         super().reset(seed=seed if isinstance(seed, int) else None, options=options)
         seeds = seed if isinstance(seed, list) else [None if seed is None else seed + i for i in range(self.num_envs)]
         if seed is not None or not self._randoms:
@@ -123,7 +123,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         return self.task.observe(), {}
 
     def step(self, actions: Any) -> tuple[Any, Array, Bools, Bools, dict[str, Any]]:
-        """Execute an action in every episode."""
+        """Carry out one action in every episode for a period."""
         rewards, more = self.task.step(np.asarray(actions, np.float64))
         self._steps += 1
         reported = ~self._over
@@ -137,7 +137,7 @@ class TaskVectorEnv(VectorEnv[Any, Any, Any]):
         return self.task.observe(), rewards, np.zeros(self.num_envs, np.bool_), truncated.copy(), infos
 
     def render(self) -> Any:
-        """Return pixels of each episode in the render mode `rgb_array`."""
+        """Return a picture of each episode as pixels, in the render mode `rgb_array`."""
         enabled = self.render_mode == "rgb_array"
         return tuple(_picture(self.task, row) for row in range(self.num_envs)) if enabled else None
 

@@ -1,4 +1,4 @@
-"""Draws a picture of one robot for the render mode `rgb_array` of the environments."""
+"""Picture of one robot for the render mode `rgb_array` of the environments."""
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -13,7 +13,7 @@ Pixels = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
 
 
 def picture(robot: Robot, joints: Array, wrench: Array, tip: Array, marks: Array) -> Pixels:
-    """Return pixels (IMAGE_PX, IMAGE_PX, 3) of the loaded model's shape, the tip and its targets (m, 3)."""
+    """Return a picture (IMAGE_PX, IMAGE_PX, 3) of the loaded model's shape, the tip and the points `marks` (m, 3)."""
     model = Statics(robot)
     line = 1e3 * model.shape(model.solve(joints, wrench))[:, 10:13]
     figure = Figure((IMAGE_PX / 100, IMAGE_PX / 100), dpi=100)

@@ -1,4 +1,4 @@
-"""The task of `CtrReach-v0`: bring the tip to a point that it can reach under its load."""
+"""Task of the environment `CtrReach-v0`: move the tip to a goal that it can reach under the load."""
 
 from typing import Any, Literal
 
@@ -11,14 +11,14 @@ from core.robot.robot import Array
 from station.gym.actions import Actions
 from station.gym.bodies import Bools, EpisodeSettings, RobotBatch
 
-#: Largest number of attempts to draw start and goal. If none is valid, the load is too large for the tubes.
+#: Largest number of random pairs of start and goal that are drawn. If none is valid, the load is too large.
 MAX_DRAWS = 100
 
 
 class Reach:
-    """The task of reaching a goal, with parallel episodes.
+    """Task of reaching a goal, with parallel episodes.
 
-    The observation is a dictionary, because goal-conditioned learners require it.
+    The observation is a dictionary, because goal-conditioned learning algorithms require one.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Reach:
         self.action_space = Actions(n)
 
     def reset(self, row: int, random: np.random.Generator) -> None:
-        """Start an episode in this row: draw robot, load, start and goal."""
+        """Start an episode in this row with a random robot, load, start and goal."""
         bodies = self.bodies
         for _ in range(MAX_DRAWS):
             robot, load = bodies.disturb_robot(random), bodies.draw_load(random)
@@ -58,33 +58,33 @@ class Reach:
         return {"observation": self.bodies.observe(), "achieved_goal": tips.copy(), "desired_goal": self.goals.copy()}
 
     def step(self, actions: Array) -> tuple[Array, dict[str, Array | Bools]]:
-        """Execute actions (k, n); return rewards (k,) and infos of each row."""
+        """Carry out actions (k, n); return the reward of each row (k,), and whether its goal is reached."""
         self.bodies.move(actions)
         rewards, there = self._evaluate(self.bodies.tips, self.goals)
         return rewards, {"is_success": there}
 
     def compute_reward(self, achieved: Array, desired: Array, info: Any = None) -> Any:  # noqa: ARG002 - for learners
-        """Return rewards of tips and goals (..., 3) [m]: 0 if within the tolerance, else -1; dense: -distance [mm]."""
+        """Return rewards for tips and goals (..., 3) [m]: 0 within the tolerance, else -1; if dense: -distance [mm]."""
         here, there = (np.array(points, np.float64, order="C") for points in (achieved, desired))
         rewards, _ = self._evaluate(here.reshape(-1, 3), there.reshape(-1, 3))
         return rewards.reshape(here.shape[:-1])[()]
 
     def _evaluate(self, here: Array, there: Array) -> tuple[Array, Bools]:
-        """Return rewards (k,) of tips and goals (k, 3), and which are within the tolerance (k,)."""
+        """Return rewards (k,) for tips and goals (k, 3) [m], and which tips are within the tolerance (k,)."""
         rewards, within = np.empty(len(here)), np.empty(len(here), np.bool_)
         _judge(here, there, self.tolerance, self.reward == "dense", rewards, within)
         return rewards, within
 
     def marks(self, row: int) -> Array:
-        """Return the points (m, 3) that a picture shows, the goal [m]."""
+        """Return the points (m, 3) that a picture of this row marks [m]: the goal."""
         return self.goals[row : row + 1]
 
 
 @compiled
 def _judge(here: Array, there: Array, tolerance: float, dense: bool, rewards: Array, within: Bools) -> None:
-    """Compute the result of `Reach._evaluate`.
+    """Write the results of `Reach._evaluate` into `rewards` and `within`.
 
-    This function is compiled, because numpy functions would take half as long as solving the model for one row.
+    The function is compiled: with numpy it would take half as long as a solution of the model for one row.
     """
     for row in range(here.shape[0]):
         x, y, z = (here[row, 0] - there[row, 0], here[row, 1] - there[row, 1], here[row, 2] - there[row, 2])

@@ -1,7 +1,7 @@
-"""Computes the tips of k robots while their joints move: by the loaded model in batches, or by exact rods one by one.
+"""Computation of the tips of k robots that move: with the loaded model in batches, or with exact rods one by one.
 
-A robot can have several shapes at the same joint positions. Each solver continues the robot's previous shape, so that
-the robot snaps where a real one would.
+A robot can have several shapes at the same joint positions. Each solver starts from the robot's previous shape, so
+that the simulated robot snaps where a real robot would.
 """
 
 from typing import Protocol
@@ -18,14 +18,14 @@ from station.solve_many import solve_many
 
 
 class ShapeSolver(Protocol):
-    """Interface of a solver for the tips of k robots, one per row."""
+    """Interface of a solver for the tips of k robots; each row of an array belongs to one robot."""
 
     def replace(self, row: int, robot: Robot) -> None:
         """Use another robot in this row from now on."""
         ...
 
     def solve_from_rest(self, row: int, joints: Array, wrench: Array) -> Array:
-        """Return the tips (m, 3) [m] of a row's robot at joints (m, n), NaN without a shape.
+        """Return the tips (m, 3) [m] of a row's robot at joints (m, n), NaN where the robot has no shape.
 
         The solver does not use the robot's previous shape. Afterwards the robot is at the first of the joint positions.
         """
@@ -65,7 +65,7 @@ class LoadedShapes:
     def follow(self, joints: Array, wrenches: Array) -> tuple[Array, list[int]]:
         """See `ShapeSolver`."""
         at = self._at
-        if len(self.models) == 1:  # a single robot needs no batch: the result is the same, but faster
+        if len(self.models) == 1:  # for a single robot `solve` is faster than a batch and gives the same result
             near = Solution(at.numbers[0]) if at.numbers[0, PASSES] > 0.0 else None
             try:
                 alone = self.models[0].solve(joints[0], wrenches[0], near)

@@ -1,4 +1,4 @@
-"""The task of `CtrTrack-v0`: keep the tip on a path while an unknown load is applied."""
+"""Task of the environment `CtrTrack-v0`: keep the tip on a path while an unknown load is applied."""
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -14,19 +14,19 @@ from station.gym.actions import Actions
 from station.gym.bodies import Bools, EpisodeSettings, RobotBatch
 from station.gym.reach import MAX_DRAWS
 
-#: Largest fraction of the joints' top speed that a path may require from a robot without load.
+#: Largest fraction of the joints' top speed that a path requires from the unloaded robot of the robot file.
 MAX_SPEED_SHARE = 0.5
 #: Rise time of the load, which starts at a random time in the first half of the episode [s].
 LOAD_RAMP_S = 1.0
-#: Smallest number of points of a path at which the model is solved, and largest amplitude in the upper quarter of the
-#: path's frequencies [m]. Larger amplitudes mean that the path is not smooth, for example because the robot snaps.
+#: Smallest number of points of a path at which the model is solved. A path is smooth if the amplitudes in the upper
+#: quarter of its frequencies are smaller than the second constant [m]; a robot that snaps, for example, is not smooth.
 MIN_PATH_POINTS, MAX_TAIL_AMPLITUDE_M = 64, 1e-5
 
 
 class Track:
-    """The task of following a path, with parallel episodes.
+    """Task of following a path, with parallel episodes.
 
-    The path is a closed motion of the tip of the robot file's robot without load.
+    The path is a closed path of the tip, computed for the unloaded robot of the robot file, without tube errors.
     """
 
     def __init__(self, rows: int, setting: EpisodeSettings, steps: int = TRACK_STEPS) -> None:
@@ -43,7 +43,7 @@ class Track:
         self.action_space = Actions(n)
 
     def reset(self, row: int, random: np.random.Generator) -> None:
-        """Start an episode in this row: draw robot, load and path."""
+        """Start an episode in this row with a random robot, load and path."""
         bodies = self.bodies
         for _ in range(MAX_DRAWS):
             robot, load = bodies.disturb_robot(random), bodies.draw_load(random)
@@ -57,7 +57,7 @@ class Track:
         raise NoSolution(f"robot '{bodies.robot.name}': no path with a solution at every point was found")
 
     def observe(self) -> Array:
-        """Return observed joints, tips, vectors to the targets and to the next targets [m] of all rows."""
+        """Return the observations of all rows: joints, tip, vectors from the tip to its target and next target [m]."""
         bodies = self.bodies
         observations = np.empty((bodies.rows, self._width))
         bodies.observe_into(observations)
@@ -65,7 +65,7 @@ class Track:
         return observations
 
     def step(self, actions: Array) -> tuple[Array, dict[str, Array | Bools]]:
-        """Execute actions (k, n); return rewards (k,), minus distances from the targets [mm], and distances [m]."""
+        """Carry out actions (k, n); return the rewards (k,), minus the tips' distances [mm], and the distances [m]."""
         bodies = self.bodies
         _advance_loads(
             self.at, self.steps + 1, self.onsets, LOAD_RAMP_S / bodies.setting.period, self.loads, bodies.wrenches
@@ -76,14 +76,14 @@ class Track:
         return -1e3 * away, {"error": away}
 
     def marks(self, row: int) -> Array:
-        """Return the points (m, 3) that a picture shows [m]."""
+        """Return the points (m, 3) that a picture of this row marks [m]: the path."""
         return self.paths[row]
 
     def _path(self, joints: Array) -> Array | None:
-        """Return the tip's path without load (steps + 2, 3) [m] for the robot file's robot.
+        """Return the path of the tip (steps + 2, 3) [m] for the unloaded robot of the robot file.
 
-        The path is None if the robot has no shape or its tip jumps. The model is solved at some points only, because
-        they determine a closed smooth path everywhere.
+        The path is None if the robot has no shape at a point or its tip jumps. The model is solved at some points only;
+        a Fourier series through them gives all points of the closed smooth path.
         """
         max_stride = self.steps // MIN_PATH_POINTS
         every = max((part for part in range(1, max_stride + 1) if self.steps % part == 0), default=1)
@@ -96,12 +96,12 @@ class Track:
         return np.concatenate((path, path[:2]))
 
     def _draw_joints(self, random: np.random.Generator) -> Array:
-        """Draw joints (steps + 2, n) between three poses; all are valid, because the limits are linear."""
+        """Draw joints (steps + 2, n) between three valid poses; all are valid, because the limits are linear."""
         bodies = self.bodies
         start = bodies.draw_pose(random)
         routes = [bodies.draw_pose(random) - start for _ in range(2)]
         turn = 2.0 * np.pi / self.steps
-        # Largest motion of each joint during a step along 0.25 (1 - cos), relative to the largest possible motion.
+        # Largest motion of each joint in a step, for 0.25 times both routes, relative to the motion at top speed.
         fastest = np.max([0.25 * turn * np.abs(routes[0]) + 0.5 * turn * np.abs(routes[1])], axis=0) / bodies.stride
         part = min(1.0, MAX_SPEED_SHARE / float(fastest.max(initial=1e-12)))
         phase = turn * np.arange(self.steps + 2)
@@ -111,7 +111,7 @@ class Track:
 
 @compiled
 def _advance_loads(at: Indices, last: int, onsets: Array, ramp: float, loads: Array, wrenches: Array) -> None:
-    """Advance all episodes by a step and set their present loads; `last` is the index of a path's last point."""
+    """Advance all episodes by a step and write their loads to `wrenches`; `last`: index of a path's last point."""
     for row in range(at.shape[0]):
         at[row] = min(at[row] + 1, last)
         part = min(max((at[row] - onsets[row]) / ramp, 0.0), 1.0)
@@ -121,7 +121,7 @@ def _advance_loads(at: Indices, last: int, onsets: Array, ramp: float, loads: Ar
 
 @compiled
 def _look_ahead(paths: Array, at: Indices, tips: Array, observations: Array) -> None:
-    """Write the vectors to the targets and to the next targets into the last six columns of (k, m)."""
+    """Write the vectors from tips to targets and next targets into the last six columns of `observations` (k, m)."""
     last, behind = paths.shape[1] - 1, observations.shape[1] - 6
     for row in range(at.shape[0]):
         later = min(at[row] + 1, last)
@@ -132,7 +132,7 @@ def _look_ahead(paths: Array, at: Indices, tips: Array, observations: Array) -> 
 
 @compiled
 def _distances(paths: Array, at: Indices, tips: Array, away: Array) -> None:
-    """Write the distances (k,) from the targets."""
+    """Write the distances (k,) of the tips from their targets into `away` [m]."""
     for row in range(at.shape[0]):
         total = 0.0
         for k in range(3):

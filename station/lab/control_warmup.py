@@ -37,10 +37,10 @@ def warm_up_control(
     memory = start_controller(controller, still)
     for order in (Setpoint(np.zeros(3), np.zeros(3)), JointMotion(np.zeros_like(joints)), None):
         memory = step(controller, memory, still, order).memory
-    for _ in range(2):  # with the tip's direction, which a calibration reads even if it is not controlled
+    for _ in range(2):  # with the tip's direction, which a calibration reads even if the direction is not controlled
         memory = step(replace(controller, watches=True), memory, still, None).memory
     StreamedTip(DEFAULT_MOTION_BOUNDS).advance(0.0, None, PERIOD_S)
-    # Compile the drivers' code, too: a driver that compiles at the first frame or record would look like a dead device.
+    # Compile the drivers' code, too: while a driver compiles at its first frame or record, its device would seem dead.
     lab, devices = virtual_bench(robot, config, seed, joints)
     loop = ControlLoop(controller, devices)
     loop.connect(0.0)

@@ -22,12 +22,12 @@ class Plug(Protocol):
         ...
 
     def plug(self) -> None:
-        """Plug it in again."""
+        """Insert the plug again."""
         ...
 
 
 class DeviceLine(Link, Plug, Protocol):
-    """The device's end of a serial line; without its cable the host's port disappears."""
+    """The device's end of a serial line; if its cable is unplugged, the host's port disappears."""
 
 
 class Incident(NamedTuple):
@@ -45,7 +45,7 @@ class Incident(NamedTuple):
 
 
 class FaultScript:
-    """Schedule of the faults of a lab's devices. Compare `due` with the time in each tick, which is fast."""
+    """Schedule of the faults of a lab's devices. Call `apply` in a tick only if the time has reached `due`."""
 
     def __init__(
         self,

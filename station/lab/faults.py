@@ -38,7 +38,10 @@ FaultKind = Literal[
 
 
 class FaultProperties(NamedTuple):
-    """Properties of a kind of fault: possible targets, bound of its size, and whether it has a duration."""
+    """Properties of a kind of fault: possible targets, bound of the fault's size, and whether the fault has a duration.
+
+    A kind without a duration happens at one time.
+    """
 
     parts: tuple[Part, ...]
     maximum: float | None = None  #: largest `value` of the fault, which is above 0; None: the kind has no value
@@ -57,9 +60,10 @@ FAULT_KINDS: dict[FaultKind, FaultProperties] = {
     "delay": FaultProperties(SERIAL_TARGETS, MAX_DELAY_S, "s"),
     # the device does not reply
     "mute": FaultProperties(FAULT_TARGETS),
-    # stages, tracker: the computer's port disappears; joint: its cable, also to the units behind; sensor: its network
+    # stages, tracker: the computer's port disappears; joint: the cable to its unit is cut, so the units behind are also
+    # disconnected; sensor: the network of the box is disconnected
     "disconnect": FaultProperties(FAULT_TARGETS),
-    # power off and on
+    # the device is switched off and on
     "restart": FaultProperties(FAULT_TARGETS, lasts=False),
     # the motor counts steps without moving
     "stall": FaultProperties(("joint",)),
@@ -69,8 +73,9 @@ FAULT_KINDS: dict[FaultKind, FaultProperties] = {
     "lose_target": FaultProperties(("tracker",)),
     # the coil's plug is pulled
     "unplug": FaultProperties(("tracker",)),
-    # `value` offsets the coil's position along the world's x
+    # `value` is the offset of the coil's position along the world's x axis
     "jump": FaultProperties(("tracker",), MAX_JUMP_M, "m"),
+    # the sensor reads as overloaded
     "saturate": FaultProperties(("sensor",)),
     # the device repeats one sample or frame
     "freeze": FaultProperties(("tracker", "sensor")),
@@ -111,7 +116,7 @@ class LabFault(Strict):
         return self
 
     def target(self, robot: RobotFile) -> FaultTarget:
-        """Return the device with the fault.
+        """Return the devices that the fault affects.
 
         Raises:
             ConfigError: the robot has no such device, or the device cannot have this fault.

@@ -1,7 +1,7 @@
 """The frictional plant: a simulated real robot with friction, clearance and weight, whose precurvature drifts.
 
-The module `plant` determines play and parameter errors. Each base sensor carries its tube, and also the guide that
-keeps the tube straight behind the front plate.
+Play of the drives and parameter errors are the same as in the module `plant`. Each base sensor carries its tube and the
+guide that keeps the tube straight behind the front plate.
 """
 
 from typing import NamedTuple
@@ -56,7 +56,8 @@ class FrictionalPlant:
         `now` is the time for the random walk [s].
 
         Raises:
-            NotFinite, NoSolution: the plant (simulated real robot) has no shape there; it keeps the last one.
+            NotFinite, NoSolution: the force is not finite, or the plant (simulated real robot) has no equilibrium
+                shape there; the plant then keeps its last shape.
         """
         if not np.isfinite(force).all():
             raise NotFinite(f"force {force.tolist()} N must be three finite numbers")
@@ -69,12 +70,12 @@ class FrictionalPlant:
         return PlantState(truth, memory.wrenches.copy())
 
     def _step_to(self, positions: Array, force: Array, contact: float) -> bool:
-        """Move to the positions in one step with friction; without a solution return false and change nothing."""
+        """Move to the positions in one step with friction; if no solution exists, return false and change nothing."""
         q, n, k = self._size
         return _advance(self._layout, self._packed, q, n, k, positions, force, contact, self._step, RESIDUAL_TOLERANCE)
 
     def _subdivide(self, positions: Array, force: Array, contact: float) -> bool:
-        """Reach the positions in shorter steps; after a snap restart from the new shape without friction."""
+        """Reach the positions in shorter steps; if the robot snaps to another shape, solve that without friction."""
         before = self._packed.copy()
         stages, last_force = self._memory.stages.copy(), self._memory.force.copy()
         for parts in (4, 16, 64):
@@ -211,7 +212,7 @@ def _advance(
 
 @compiled
 def _base_wrench(base: Array, wrench: Array, alpha: float, beta: float, weight: float, gravity: Array) -> None:
-    """Convert a tube's wrench at the plate (6,), with the weight behind it, to the axes of its sensor (6,)."""
+    """Convert a tube's wrench at the plate, plus the tube's weight behind the plate, to its sensor's axes (6,)."""
     world = base.copy()
     hidden = -beta * weight
     for k in range(3):

@@ -96,15 +96,15 @@ class _Faultless:
         """Nothing to do: ideal stages are always homed."""
 
     def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - never
-        """None."""
+        """Return None, because an ideal device has no faults."""
         return None
 
     def details(self) -> Mapping[str, Any]:
-        """None."""
+        """Return an empty mapping, because an ideal device has no identity and no counters."""
         return {}
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Nothing to do: an ideal device has no ports."""
 
 
 class IdealStages(_Faultless):

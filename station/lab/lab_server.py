@@ -1,7 +1,7 @@
-"""Serves the virtual lab to other programs: its simulated devices have real endpoints and run in real time.
+"""Serves the virtual lab to other programs: the simulated devices have real endpoints and run in real time.
 
-Stages and tracker are serial lines by TCP or pseudo-terminals. Each force sensor is a box on the network, with its
-datagrams by UDP and its page by HTTP. One loop serves everything without threads.
+Stages and tracker have serial lines, which are TCP connections or pseudo-terminals. Each force sensor is a box on the
+network, which sends datagrams by UDP and its configuration page by HTTP. One loop serves all devices without threads.
 """
 
 import contextlib
@@ -31,7 +31,8 @@ if sys.platform != "win32":
 
 HOST = "127.0.0.1"
 PERIOD_S = 0.001  #: longest time between two polls of the devices; about the duration of a byte at 9600 baud [s]
-#: Bytes read from a line at one poll, the size of a serial port's buffer. Further bytes wait in the system's buffers.
+#: Largest number of bytes read from a line at one poll, which is the size of a serial port's buffer. Further bytes wait
+#: in the operating system's buffers.
 MAX_READ_BYTES = 4096
 #: Connections accepted at one poll; others wait, so that a flood of connections does not delay the devices.
 MAX_VISITORS = 16
@@ -40,7 +41,7 @@ PRIORITY = 40
 
 
 class TcpDeviceEnd:
-    """The device's end of a line by TCP. Like a port it serves one program at a time."""
+    """The device's end of a serial line by TCP. Like a serial port it serves one program at a time."""
 
     def __init__(self) -> None:
         self._server = socket.create_server((HOST, 0))
@@ -107,12 +108,12 @@ class TcpDeviceEnd:
                     visitor.close()
                     continue
                 visitor.setblocking(False)
-                visitor.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # otherwise replies arrive in batches
+                visitor.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # prevents that replies come in batches
                 self._host = visitor
 
 
 class PtyDeviceEnd:
-    """The device's end of a line by pseudo-terminal.
+    """The device's end of a serial line by pseudo-terminal.
 
     A kernel thread of normal priority carries the bytes. `select` and a read of an empty terminal wait for that thread,
     for tens of milliseconds on a busy computer. So the lab only queries how many bytes have arrived.
@@ -148,7 +149,7 @@ class PtyDeviceEnd:
         self.close()
 
     def plug(self) -> None:
-        """Plug the cable in again: open a new terminal, because a real adapter may get another name, too."""
+        """Plug the cable in again: open a new terminal, whose name may differ as that of a real USB adapter may."""
         # Keep the host's side open, because the line would hang up when a host closes it.
         self._files = list(os.openpty())
         tty.setraw(self._files[1])
@@ -186,7 +187,7 @@ class LabServer:
 
         Raises:
             AddressInUse: another program has a given port.
-            PoseError, NoSolution: the plant (simulated real robot) has no shape at `positions`.
+            PoseError, NoSolution: the plant (simulated real robot) has no equilibrium shape at `positions`.
         """
         with contextlib.ExitStack() as opened:
 
@@ -278,7 +279,7 @@ def serve(lab: LabServer, load: Load, ready: Callable[[dict[str, Any]], None], f
     """
     lab.lab.apply_load(load, 0.0)
     with _signals() as received, lab:
-        lab.lab.advance(lab.clock.now() - lab.start_time)  # loads and compiles the code before the first tick
+        lab.lab.advance(lab.clock.now() - lab.start_time)  # compiles the code before the first tick of `run`
         if not be_punctual(fifo):
             sys.stderr.write(
                 "real-time scheduling is refused: on a busy computer the simulated devices may answer too late;"

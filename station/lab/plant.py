@@ -1,8 +1,8 @@
 """The smooth plant: a simulated real robot of exact rods, with play of the drives and friction at the tubes' bases.
 
-`frictional_plant` is the realistic alternative. From stage positions and a tip force the plant computes the tip and the
-wrench on each base sensor. The simulation is quasi-static, because the tubes are so light and stiff that they follow
-changes at 500 Hz at once.
+The module `frictional_plant` is the realistic alternative. From the stages' positions and a force at the tip, the plant
+computes the position of the tip and the wrench on each base sensor. The simulation is quasi-static, because the tubes
+are so light and stiff that they follow changes at 500 Hz without delay.
 """
 
 from dataclasses import replace
@@ -78,7 +78,7 @@ class Plant:
         """Move the joints to `positions` (n,) with `force` (3,) [N] at arc length `contact` [m], inf for the tip.
 
         Raises:
-            NotFinite, NoSolution: the plant (simulated real robot) has no shape there; it keeps the last one.
+            NotFinite, NoSolution: the plant (simulated real robot) has no equilibrium shape there; it keeps the last.
         """
         exact, memory = self._exact, self._memory
         if not _advance(self.robot.packed, self._packed, positions, force, contact, exact.step, exact.tolerance):
@@ -145,7 +145,7 @@ def _unpack(packed: Array, q: int, n: int) -> _PlantMemory:
 def _advance(
     robot: Array, packed: Array, positions: Array, force: Array, contact: float, step: float, tolerance: float
 ) -> bool:
-    """Compute one tick; return false if the rod has no solution, with only the tubes moved."""
+    """Compute one tick. If the rod has no solution, return false; only `tubes_at` has changed then."""
     layout = unpack(robot)
     q, n = layout.counts.shape[0], positions.shape[0]
     memory = _unpack(packed, q, n)
@@ -182,9 +182,10 @@ STICK_PATH = (20e-6, 1.7e-3)
 def _base_wrenches(robot: Array, packed: Array, load: Array, contact: float) -> None:
     """Compute the wrench on each base sensor (q, 6), in the sensor's axes, and update the friction.
 
-    The guide belongs to the outermost tube's holder and takes all bending. An inner tube's base measures its torsion
-    and friction, the innermost also the axial force of the load. The shares add up to the tip load, so their split
-    cancels in the sum. Friction is Coulomb friction with a stick zone between two neighbours, with opposite signs.
+    The guide belongs to the outermost tube's holder and takes all bending. An inner tube's sensor measures the torsion
+    and friction of that tube; the innermost tube's sensor also measures the axial force of the load. All wrenches add
+    up to the tip load, so their split does not affect the sum. Between neighbouring tubes acts Coulomb friction with a
+    stick zone, with opposite signs on the two tubes.
     """
     layout = unpack(robot)
     q, n = layout.counts.shape[0], layout.joint_tube.shape[0]

@@ -1,8 +1,8 @@
-"""The process of the live virtual lab, which like a real bench runs independently of the controller.
+"""The process of the live virtual lab, which runs independently of the controller, like a real bench.
 
-This process outlives the control process, and for a while the station process, too, so that the simulated stages still
-receive the stop commands of both. In addition to the bytes on its wires, it receives loads and faults from the station
-through a pipe.
+The lab's process outlives the control process, and for 10 s also the station process, so that the simulated stages
+still receive the stop commands of both. The lab's process receives the bytes on the simulated wires and, through a pipe
+from the station process, loads and faults.
 """
 
 import contextlib
@@ -64,8 +64,8 @@ class LabBench(NamedTuple):
 
 def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, parent: int) -> None:
     """Main function of the lab's process."""
-    # The station process ends the lab. Ctrl-C in a terminal and a service manager's SIGTERM reach the whole group, but
-    # the lab must outlive the other processes, which wait for the stages to stop.
+    # The station process ends the lab. Ctrl-C in a terminal and a service manager's SIGTERM reach all processes of the
+    # group, but the lab must outlive the other processes, which wait for the stages to stop.
     for ending in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ending, signal.SIG_IGN)
     set_process_name("ctr-lab")
@@ -89,14 +89,14 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
 
 
 class _LabClient:
-    """In each cycle of the lab polls the station's pipe and publishes the ground truth."""
+    """Polls the pipe from the station process and publishes the ground truth in each cycle of the lab."""
 
     def __init__(self, lab: LabServer, ring: Ring, pipe: Connection, parent: int) -> None:
         self._lab, self._ring, self._pipe, self._parent = lab, ring, pipe, parent
         self._orphaned_since = 0.0
 
     def poll(self) -> bool:
-        """Process messages; return whether the lab has to end."""
+        """Process the station's messages; return whether the lab has to end."""
         self._ring.publish_ground_truth(self._lab.lab.truth, bool(self._lab.lab.trouble))
         self._ring.numbers[LAB_HEARTBEAT] = self._lab.clock.now()
         if self._orphaned_since or os.getppid() != self._parent:

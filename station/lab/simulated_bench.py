@@ -80,8 +80,8 @@ class SimulatedBench:
     ) -> None:
         """Create the bench with the true joints at `positions` (n,).
 
-        Without `wires` they are in memory, and `hosts` are their other ends. The stages have just been switched on and
-        are not homed, unless `homed`.
+        Without `wires` the bench creates wires in memory, whose other ends are `hosts`. Unless `homed`, the stages have
+        just been switched on and are not homed.
 
         Raises:
             PoseError, NoSolution: the plant (simulated real robot) has no shape there.
@@ -127,7 +127,7 @@ class SimulatedBench:
 
     @property
     def positions(self) -> Array:
-        """True joint positions (n,) by the units, without the hidden errors [rad or m]."""
+        """Joint positions (n,) from the true positions of the units, without the hidden errors [rad or m]."""
         return np.array([home + step * unit.true_position for home, step, unit in self._axes])
 
     @property
@@ -191,7 +191,7 @@ class SimulatedBench:
         return self.truth.tip + self._plant.rotation @ self.hidden.coil
 
     def _coil_axis(self) -> Array | None:
-        """Return the direction of the coil (3,), world frame."""
+        """Return the direction of the coil's axis (3,), world frame."""
         return self._plant.rotation @ self.hidden.coil_axis if self.hidden.misaligned else self.truth.direction
 
 

@@ -29,7 +29,7 @@ class TargetWaves(NamedTuple):
         """Return the displacement (3,) from the target's middle [m]."""
         own, of_rate, of_size = self.phases
         turn = 2.0 * math.pi
-        # The phase of the oscillation is the integral of its drifting rate; this is the part of the drift.
+        # The phase of the oscillation is the integral of its drifting rate; `drift` is the part caused by the drift.
         drift = (
             self.rate_drift
             * RATE_DRIFT_PERIOD_S

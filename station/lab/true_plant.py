@@ -29,6 +29,6 @@ def true_plant(robot: Robot, config: PlantConfig, rng: np.random.Generator, posi
     """Return the configured plant with its stages at `positions` (n,).
 
     Raises:
-        PoseError, NoSolution: the robot has no shape there.
+        PoseError, NoSolution: the robot has no equilibrium shape at `positions`.
     """
     return (FrictionalPlant if config.rod == "rough" else Plant)(robot, config, rng, positions)

@@ -20,7 +20,7 @@ SENSOR_CENTRE_OF_MASS_M = np.array([0.002, -0.001, 0.015])
 
 
 class UnmodelledErrors:
-    """Errors drawn once for a lab."""
+    """The unknown errors of one lab, drawn once at its creation."""
 
     def __init__(self, robot: RobotFile, config: HiddenConfig, rng: np.random.Generator) -> None:
         description = robot.robot()
@@ -50,7 +50,7 @@ class UnmodelledErrors:
         self._mounting = [rotation_from_vector(config.sensor_mounting * _direction(rng)).T for _ in range(q)]
         self._weight = config.sensor_weight
         self._tube_of = {joint.tube: k for k, joint in enumerate(joints) if joint.motion == "rotation"}
-        #: whether `felt` changes the wrenches
+        #: Whether `felt` changes the wrenches.
         self.changes_wrenches = not (config.sensor_mounting == 0.0 and config.sensor_weight == 0.0)
         self._rest = np.array([tube.rotation for tube in description.tubes])
 

@@ -61,7 +61,8 @@ def virtual_bench(
 ) -> VirtualBench:
     """Return a bench with homed stages and the joints at `positions` (n,); nothing is connected yet.
 
-    `seed` determines everything random. `registration` is the assumed pose of the tracker, by default the lab's.
+    `seed` determines everything random. `registration` is the pose of the tracker that the driver assumes; by default
+    it is the nominal pose in the lab.
 
     Raises:
         PoseError, NoSolution: the plant (simulated real robot) has no shape there.

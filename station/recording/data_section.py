@@ -116,7 +116,7 @@ class DataSection:
     def _append(self, data: bytes) -> None:
         left = memoryview(data)
         while left:
-            # A full disk accepts only a part of the data; the next attempt to write raises the error.
+            # A nearly full disk writes only a part of the data. The next attempt to write then raises the error.
             left = left[self._file.write(left) or 0 :]
         self._end += len(data)
 

@@ -22,8 +22,8 @@ from station.recording.robot_pose import PoseReader, RobotPose, columns_of
 ARROW_SCALE_M_PER_N, ARROW_WIDTH_M = 0.2, 0.002
 #: Smallest force for which an arrow is drawn [N].
 MIN_DRAWN_FORCE_N = 0.005
-#: Colours of the tubes, innermost tube first. Two digits are enough and keep the messages short, of which a recording
-#: has many.
+#: Colours of the tubes, innermost tube first. Two digits keep the messages short, because a
+#: recording has many of them.
 TUBE_COLOURS = tuple(Colour(*(round(part / 255, 2) for part in colour)) for colour in palette.TUBES)
 FORCE_COLOUR = Colour(*(round(part / 255, 2) for part in palette.FORCE))
 #: Channel group with a tip position, by topic. The true tip exists only in recordings of a virtual lab.
@@ -39,7 +39,7 @@ class Drawing:
     """Creates the drawing messages of one robot from telemetry rows."""
 
     def __init__(self, robot: Robot, channels: Sequence[Channel], first_topic: int) -> None:
-        """Prepare the messages; `first` is the id of the first of `topics` in the file."""
+        """Prepare the messages; `first_topic` is the id in the file of the first of `topics`."""
         self.topics: tuple[Topic, ...] = (
             json_topic("/tf", "foxglove.FrameTransforms"),
             json_topic("/scene", "foxglove.SceneUpdate"),
@@ -64,7 +64,7 @@ class Drawing:
         return self.posed(row, self._poser.of(row), stamp)
 
     def posed(self, row: Array, posed: RobotPose | None, stamp: int) -> list[WrittenMessage]:
-        """Return the drawing messages of a telemetry row whose robot pose is already known."""
+        """Return the drawing messages of a telemetry row at `stamp` [ns] with an already computed robot pose."""
         said = [
             WrittenMessage(self._first + number, stamp, position_in_frame(stamp, row[at].tolist()))
             for number, name, at in self._tips

@@ -1,6 +1,6 @@
 """Files of JSON lines with one writing process at a time; a line is either complete or ignored.
 
-A kill or a full disk may leave an incomplete last line. A reader ignores it, and the next line overwrites it.
+A kill or a full disk may leave an incomplete last line. A reader ignores this line, and the next line overwrites it.
 """
 
 import fcntl

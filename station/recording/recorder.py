@@ -110,7 +110,7 @@ class Recorder:
 
     def event(self, event: RecordedEvent) -> None:
         """Record an event of the run; without an active recording the event is dropped."""
-        self.child.send(event)  # if the recorder is gone, `trouble` reports this later
+        self.child.send(event)  # if the recorder is gone, the method `trouble` reports the problem later
 
     def end(self, label: RunOutcome, cause: str = "", numbers: Mapping[str, Any] | None = None) -> Path:
         """Finish the recording with the rows that are in the ring, and return the run's folder.
@@ -146,7 +146,7 @@ class Recorder:
                 self._note(message)
         except (EOFError, OSError):
             raise RecordingError(self._gone()) from None
-        # The process is killed, because a late reply would be mistaken for the reply to the next request.
+        # Kill the process: otherwise its late reply would be mistaken for the reply to the next request.
         self.child.kill()
         raise RecordingError(
             f"the recorder did not reply within {timeout:g} s and was ended (a slow disk?); reset starts a new one"
@@ -215,7 +215,7 @@ def run_recorder(
 
 
 def _warm_up(robot: RobotFile, channels: Channels) -> None:
-    """Load the compiled code of the robot's model before the first rows, which it would delay too long."""
+    """Load the compiled code of the robot's model in advance, because loading would delay the first rows too long."""
     row = np.zeros(len(channels))
     channels.of(row, "joints")[:] = [0.5 * (joint.lower + joint.upper) for joint in robot.joints]
     Drawing(robot.robot(), channels.all, 1).messages(row, 0)
@@ -260,7 +260,7 @@ class _Recording:
         return RecorderReply(self._folder.path, "")
 
     def give_up(self, problem: str) -> None:
-        """End the recording because the disk is full; the written rows are kept, now or by the next recovery."""
+        """End the recording because the disk is full; the file is completed now, or by the next recovery."""
         with contextlib.suppress(RecordingError):
             self._folder.finish(self._summary(RunOutcome.INCOMPLETE, problem, {}))
 

@@ -1,6 +1,7 @@
 """Selection of a run's rows: all rows up to the end of its motion, even if the request to end the recording is late.
 
-After the motion the load is removed, in a virtual lab at once. The tip then moves, and this is not part of the run.
+After the motion the load is removed, in a virtual lab at once. The tip then moves, and its motion is not part of the
+run.
 """
 
 from core.robot.robot import Array

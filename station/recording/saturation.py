@@ -11,7 +11,7 @@ NAMED_PART = 0.02
 
 
 def limited_parts(names: Sequence[str], at_bound: Array, followed: Array) -> dict[str, float]:
-    """Return for each joint the fraction of time for which it is at a limit while the tip follows a target.
+    """Return the fraction of time that each joint is at a limit while the tip follows a target.
 
     `at_bound` (m, n) and `followed` (m,) are positive at ticks at which a joint is at a limit or the tip follows.
     """

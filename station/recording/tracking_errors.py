@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from core.robot.robot import Array
 
-#: Settling time of a free motion [s], but at most half of its duration.
+#: Settling time of a free motion [s]; a short motion has half of its duration instead.
 SETTLING_S = 20.0
 
 
 def settling_time(duration: float) -> float:
-    """Return the settling time of a motion without a configured one [s]."""
+    """Return the settling time of a motion for which none is configured [s]."""
     return min(SETTLING_S, 0.5 * duration)
 
 

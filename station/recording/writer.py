@@ -29,7 +29,7 @@ FULL_SUFFIX = ".full"
 #: Number of drawings of the robot in a second. A drawing takes as much processor time as thirty rows.
 DRAWINGS_PER_S = 10.0
 #: Number of drawings that are created together, which halves their time because the code stays in the cache. A kill may
-#: lose the latest of them, which can be computed from the rows.
+#: lose the latest drawings, but they can be computed from the rows.
 DRAWINGS_PER_BATCH = 10
 ROWS_CHANNEL, EVENT_CHANNEL, FIRST_DRAWING_CHANNEL = 1, 2, 3  #: ids of the MCAP topics
 
@@ -92,7 +92,7 @@ class CaseWriter:
         self._messages.append(WrittenMessage(EVENT_CHANNEL, stamp, event_json(event, stamp)))
 
     def write(self, rows: Array) -> None:
-        """Write rows (n, channels) and the events since the last call; they then survive the end of this process.
+        """Write rows (n, channels) and the events since the last call; both then survive the end of this process.
 
         Raises:
             RecordingError: the rows cannot be written; the recording has ended and is labelled incomplete.
@@ -140,7 +140,7 @@ class CaseWriter:
             section.write_chunk(rows, ROWS_CHANNEL, self._messages)
         except OSError as error:
             problem = f"{self.path}: the recording cannot be continued: {error.strerror}"
-            with contextlib.suppress(RecordingError):  # the caller reports the error above
+            with contextlib.suppress(RecordingError):  # the caller reports the first error
                 self.close(RunOutcome.INCOMPLETE, problem)
             raise RecordingError(problem) from None
         self._messages = []

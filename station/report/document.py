@@ -70,7 +70,7 @@ def picture(source: str, alt: str, title: str, caption: str) -> str:
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1) -> str:
     """Return an HTML table; the first `texts` columns are texts, the others numbers.
 
-    A first cell that repeats that of the row above is left empty.
+    If the first cell of a row repeats the first cell of the row above, it is left empty.
     """
 
     def cell(tag: str, column: int, text: str) -> str:

@@ -44,7 +44,7 @@ class RecordedCase:
     file: Mapping[str, Any]  #: the experiment's table with this case's changes
     numbers: Mapping[str, Any]  #: part of the summary about this case
     metadata: Mapping[str, Any]
-    stride: int = 1  #: n if the rows are every n-th tick
+    stride: int = 1  #: n if `rows` has only every n-th tick
 
     def of(self, group: str) -> Array:
         """Return the columns of a channel group; `tip_measured` has (ticks, 3).
@@ -64,7 +64,7 @@ class RecordedCase:
 
     @property
     def title_suffix(self) -> str:
-        """Name of the case for a title; empty for a free motion, which has only one."""
+        """Name of the case for a title; empty for a free motion, which has only one case."""
         named = str(self.metadata.get("case", "" if self.name == LIVE_CASE else self.name))
         return f" (case {named.replace('_', ' ')})" if named else ""
 
@@ -143,7 +143,7 @@ class RecordedRun:
         return next((case for case in self.cases if case.name == name), None)
 
     def paper(self, case: str, quantity: str) -> Mapping[str, float]:
-        """Return the paper's numbers for a case; a case with a distorted tracker is compared with the same numbers."""
+        """Return the paper's numbers for a case; a case `NAME_distorted` has the numbers of the case `NAME`."""
         return self.table.get("paper", {}).get(case.removesuffix("_distorted"), {}).get(quantity, {})
 
 

@@ -1,7 +1,7 @@
 """Style of all figures: colours for colour-blind readers (Okabe and Ito), and dashes for grey prints.
 
-A quantity has the same colour and dash in every figure. If the operator's page shows it too, the colour is that of the
-page.
+A quantity has the same colour and dash in every figure. If the operator's page also shows
+the quantity, both use the same colour.
 """
 
 from collections.abc import Sequence
@@ -76,7 +76,7 @@ SERIES = (
 
 
 def series(number: int, label: str) -> LineStyle:
-    """Return the style of `SERIES` with a number, with a label; after the last style the first one follows again."""
+    """Return style number `number` of `SERIES` with a label; after the last style the first one follows again."""
     return SERIES[number % len(SERIES)]._replace(label=label)
 
 

@@ -56,11 +56,11 @@ def even_on_a_log_axis(counts: Array, bins: int = 80) -> tuple[Array, Array]:
     """Convert a histogram with bins of a microsecond to bins that have equal widths on a logarithmic axis.
 
     Args:
-        counts: (n,) of 0 ... 1 us, 1 ... 2 us, ...
+        counts: counts of 0 ... 1 us, 1 ... 2 us, ... (n,).
         bins: approximate number of bins on the logarithmic axis.
 
     Returns:
-        Counts (m,), and edges (m + 1,) [us]; the first bin, from 0 on, is drawn from half a microsecond on.
+        Counts (m,), and edges (m + 1,) [us]. The first bin starts at 0 us; its edge is 0.5 us for the logarithmic axis.
     """
     steps = np.round(np.geomspace(1, len(counts), bins)).astype(int)
     starts = np.unique(np.concatenate(([0], steps[steps < len(counts)])))

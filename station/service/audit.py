@@ -1,7 +1,7 @@
 """The audit log: who sent which request from where, and its outcome, including refusals.
 
 Each line is a JSON object with the wall-clock time. Executed requests and events are in `audit.jsonl`, refusals in
-`refused.jsonl`, so that many refusals cannot push a command out of the log.
+`refused.jsonl`, so that many refusals cannot displace commands from the log.
 """
 
 import json
@@ -34,7 +34,7 @@ class Entry(Strict):
     what: str
     """request or event"""
     where: str
-    """address or part of the station that it came from"""
+    """address or part of the station that the request or event came from"""
     outcome: str
     """result, or reason of a refusal"""
 

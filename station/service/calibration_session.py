@@ -48,7 +48,7 @@ class SessionReport(Strict):
     what: str
     """name of the procedure"""
     effort: float
-    """factor on the usual number of poses"""
+    """factor that multiplies the default number of poses"""
     stage: SessionStage
     """stage of the procedure"""
     done: float = 0.0
@@ -82,7 +82,7 @@ class CalibrationSession:
 
     def __init__(self, supervisor: Supervisor, job: CalibrationJob, permit: Permit) -> None:
         self._supervisor, self._job, self._clock = supervisor, job, supervisor.bench.clock
-        self._permit = permit  # ends the procedure after a STOP or a reset that came after its request
+        self._permit = permit  # a STOP or a reset after the request voids this permit, which ends the procedure
         self._controller = supervisor.bench.controlled(supervisor.bench.controller)
         self._confirmed, self._abort = threading.Event(), ""
         self._start_time, self._end_time = self._clock.now(), 0.0
@@ -98,14 +98,14 @@ class CalibrationSession:
         now, elapsed = self._now, (self._end_time or self._clock.now()) - self._start_time
         if not now.on:
             return now.now(elapsed=elapsed)
-        # The elapsed time is no basis for an estimate, because it includes waiting times for the operator.
+        # The elapsed time includes waiting times for the operator, so the estimate does not use the elapsed time.
         return now.now(elapsed=elapsed, left=self._expected * (1.0 - now.done))
 
     def done(self) -> None:
         """Confirm that the operator has carried out the instruction.
 
         Raises:
-            RefusedError: there is no instruction.
+            RefusedError: the procedure is not waiting for the operator.
         """
         if self._now.stage is not SessionStage.ASKING:
             raise RefusedError("no procedure waits for the operator now")
@@ -179,7 +179,7 @@ class CalibrationSession:
         answer = measurement_of(self._supervisor.channels, rows, step, before, self._controller)
         if isinstance(answer, SwingRecord):
             return answer
-        # Times count from the first measurement: the drift of a sensor does not depend on the station's clock.
+        # Count times from the first measurement, because the fit of the sensors' drift needs time differences only.
         self._zero = answer.time if self._zero is None else self._zero
         return answer._replace(time=answer.time - self._zero)
 
@@ -236,7 +236,7 @@ class CalibrationSession:
 
         Raises:
             AbortedError: the state ends the procedure, or the operator has aborted it.
-            VoidError: the station was stopped or reset in the meantime.
+            VoidError: the station was stopped or reset after the request for the procedure.
         """
         if self._abort:
             raise AbortedError(self._abort)

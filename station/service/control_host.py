@@ -23,8 +23,8 @@ from station.service.rig import Rig
 
 #: Longest time for the control process to answer a command [s]; after it the process counts as hung.
 REPLY_TIMEOUT_S = 1.0
-#: Number of short waits that `REPLY_TIMEOUT_S` is divided into. If the station process itself is delayed, only few of
-#: them have passed, so an answer that has already arrived is still read.
+#: Number of short waits that `REPLY_TIMEOUT_S` is divided into. A delay of the station process itself uses up only one
+#: of these waits, so the process still reads an answer that has arrived meanwhile.
 ANSWER_SLICES = 20
 #: Longest time for the control process to end after the request to end [s]; after it the process is killed.
 EXIT_TIMEOUT_S = 3.0
@@ -66,9 +66,9 @@ class ControlHost:
             bench: rig that the process controls.
             ring: shared memory for its telemetry.
             devices: returns the devices to open; may wait, and raise LabError.
-            on_report: called in the watcher's thread with each report of the process. After an unexpected end it also
-                gets a `StopOutcome` of the stages, and another one if that changes.
-            on_exit: called in the same thread after an unexpected end.
+            on_report: called in the watcher's thread with each report of the process. After an unexpected end of the
+                process, `on_report` also receives a `StopOutcome`, and a second one if the outcome changes.
+            on_exit: called in the watcher's thread after an unexpected end of the process.
         """
         self._fifo, self._clock, self._ring = bench.fifo, bench.clock, ring
         self._devices, self._registered = devices, bench.registered
@@ -117,7 +117,7 @@ class ControlHost:
         Raises:
             NoReply: the process does not answer in time; a command that moves the robot then expires.
             VoidError: a STOP or a reset came after the request, or the permit has expired.
-            RefusedError: the state does not allow it, or the process has ended.
+            RefusedError: the state does not allow the command, or the process has ended.
         """
         deadline = self._clock.now() + REPLY_TIMEOUT_S
         until = math.inf if what in (Transition.STOP, Transition.HOLD) else deadline
@@ -130,7 +130,7 @@ class ControlHost:
         with self._answered:
             self._waiting.add(command.number)
         try:
-            # Another sender may block here for long: a process that hangs does not read from a full pipe.
+            # Another thread may keep this lock for long, because a hung process does not empty a full pipe.
             if not self._sending.acquire(timeout=self._left(deadline)):
                 raise silent
             gone = RefusedError("the control process has ended; reset to restart it")
@@ -212,7 +212,7 @@ class ControlHost:
         return stopped
 
     def _stop_instead(self, why: str, deadline: float) -> str:
-        """Stop the stages instead of a process that runs but does not stop them; return a human-readable outcome."""
+        """Kill a process that does not stop the stages; return the outcome of the fallback stop, human-readable."""
         waits_for = self.waits_for
         why = f"{why}; it was waiting for {waits_for}" if waits_for else why
         self.kill(why)

@@ -1,10 +1,10 @@
 """The fallback stop: stop the stages without the control process, with resources that are reserved in advance.
 
 When the fallback stop is needed, the control process has ended, and this process may be out of resources. Therefore the
-driver is already loaded, its thread runs, and file descriptors are reserved for its links.
+driver is loaded in advance, its thread is running, and file descriptors are reserved for its links.
 
-The `emergency_stop` of a custom driver may wait forever, return nothing or end the interpreter. Therefore it runs in a
-daemon thread, every wait for it is bounded, and only a returned text counts as evidence.
+The `emergency_stop` of a custom driver may wait forever, return nothing or end the interpreter. Therefore the call
+runs in a daemon thread, every wait is bounded, and only a returned text counts as evidence of a stop.
 """
 
 import contextlib
@@ -21,11 +21,11 @@ from station.control.realtime import request_fifo
 from station.devices.interfaces import NotStopped
 from station.devices.registry import BUILT_IN_DRIVERS, emergency_stop
 
-#: Number of reserved file descriptors: a few for each port, its lock file and the files that are read to find it.
+#: Number of reserved file descriptors: a few for each port, for its lock file and for the files read to find the port.
 RESERVED_DESCRIPTORS = 32
 #: Real-time priority of the thread that stops the stages; it is below that of the control loop (50).
 PRIORITY = 45
-#: Length at which a text of a custom driver is cut [characters].
+#: Largest length of a custom driver's text; the rest is cut off [characters].
 MAX_TEXT = 500
 PRESS = "press the emergency stop"
 
@@ -94,12 +94,12 @@ class FallbackStop:
 
     @property
     def age(self) -> float:
-        """Time since the start of an attempt to stop the stages that is in progress [s]; 0 without one."""
+        """Age of the present attempt to stop the stages [s]; 0 if no attempt is in progress."""
         under_way = self._attempt is not None and not self._attempt.done()
         return self._clock.now() - self._start_time if under_way else 0.0
 
     def close(self, patience: float) -> None:
-        """End the thread; wait for an attempt to stop the stages until it is `patience` [s] old."""
+        """End the thread; wait for an attempt to stop the stages until the attempt is `patience` [s] old."""
         with self._lock:
             self._closed = True
         self._attempts.put(None)

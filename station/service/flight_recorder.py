@@ -1,6 +1,7 @@
-"""The flight recorder: write changes of state to the audit log, and the last second before a HOLD or FAULT to a file.
+"""The flight recorder: write changes of state to the audit log, and telemetry before a HOLD or FAULT to a file.
 
-A separate thread writes, so that the supervision of the loop never waits for a disk.
+The file has the last second of telemetry. A separate thread writes, so that the supervision of the loop never waits for
+a disk.
 """
 
 import csv
@@ -16,14 +17,15 @@ from station.service.audit import Audit
 
 #: Names of the station and of the control loop in the audit log.
 STATION, CONTROL_LOOP = "station", "control loop"
-#: Folder of the files with the last second, rows in a file (one second at 500 Hz), and number of files that are kept.
+#: Folder of the files with the last second of telemetry, number of rows in a file (one second at 500 Hz), and number
+#: of files that are kept.
 LAST_SECONDS_FOLDER, KEPT_ROWS, KEPT_FILES = "last_seconds", 500, 20
 #: States that are caused by a failure; for these a file is written.
 FAILURE_STATES = (State.HOLD, State.FAULT)
 
 
 class FlightRecorder:
-    """Writer of state changes to the audit log, and of last seconds to files; each is optional."""
+    """Writer of state changes to the audit log, and of the last second of telemetry to files; both are optional."""
 
     def __init__(self, ring: Ring, channels: Channels, audit: Audit | None, folder: Path | None, session: str) -> None:
         self._ring, self._channels, self._audit, self._folder = ring, channels, audit, folder
@@ -40,7 +42,7 @@ class FlightRecorder:
         self._thread.submit(self._write, state, cause, rows, self._count)
 
     def note(self, what: str, outcome: str) -> None:
-        """Add another entry to the audit log without waiting for the disk."""
+        """Add an entry about another event to the audit log without waiting for the disk."""
         if self._audit is not None:
             self._thread.submit(self._audit.write, STATION, what, CONTROL_LOOP, outcome)
 

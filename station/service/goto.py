@@ -1,6 +1,6 @@
 """Motion to a joint-space pose: the path is checked on the model first, and all joints move at the same time.
 
-The robot's file defines the working pose, where motions have room. The station goes there after homing.
+The robot's file defines the working pose, which leaves room for motions. The station moves to this pose after homing.
 """
 
 import math
@@ -19,10 +19,10 @@ from station.control.task import MotionTask
 from station.service.rig import Rig
 from station.service.run_request import StartRequest
 
-#: Distance between two checked poses of a path, as travel time of the joint that takes longest at top speed [s].
+#: Interval between two checked poses of a path, as the longest travel time of a joint at top speed [s].
 PATH_STEP_S = 0.1
 #: Largest error of the tip position that the Jacobian predicts from one checked pose to the next [m]; a larger error
-#: is a snap. The curvature of a valid path causes a tenth of it.
+#: is a snap. The curvature of a valid path causes a tenth of this error.
 MAX_TIP_JUMP_M = 2e-3
 
 
@@ -59,7 +59,7 @@ def check_path(bench: Rig, start: StartRequest, joints: Array) -> None:
     A path that starts outside a limit may lead back inside.
 
     Raises:
-        ConfigError: the text names the part of the path and the reason.
+        ConfigError: the path is refused; the text names the part of the path and the reason.
     """
     task, statics = start.task, start.task.controller.statics
     limits, inside = task.controller.limits, False

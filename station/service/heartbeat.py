@@ -1,4 +1,4 @@
-"""Detection of a hung process: it exists, but a signal, swapping or a suspended computer has stopped it."""
+"""Detection of a hung process, which exists but was stopped by a signal, by swapping or by a suspended computer."""
 
 from station.control.clock import StationClock
 from station.control.ring import Ring

@@ -1,7 +1,7 @@
-"""Calibration of a running station: one procedure at a time, which reserves the robot.
+"""Calibration of a running station: one procedure at a time; only the procedure moves the robot.
 
-The station moves from pose to pose, the operator attaches weights, and a child process plans and computes. STOP ends
-the procedure.
+The station moves from pose to pose, the operator attaches weights, and a child process plans the poses and computes
+the results. STOP ends the procedure.
 """
 
 import contextlib
@@ -51,7 +51,7 @@ class LiveCalibration:
 
         Args:
             what: name in the catalogue.
-            effort: factor on the usual number of poses.
+            effort: factor that multiplies the default number of poses.
             weights: calibration weights that the operator can attach to the tip [N].
             permit: permit of the request; a later STOP or reset ends the procedure.
 
@@ -79,7 +79,7 @@ class LiveCalibration:
         """Confirm that the operator has carried out the instruction.
 
         Raises:
-            RefusedError: the procedure waits for no instruction.
+            RefusedError: no procedure is waiting for the operator.
         """
         self._on().done()
 

@@ -18,7 +18,7 @@ from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.space import free_space_problem
 from station.service.heartbeat import is_alive
 
-#: Time without a heartbeat after which the recorder counts as hung [s]; it is shorter than the 8 s of rows in the ring.
+#: Time without a heartbeat after which the recorder counts as hung [s]; shorter than the 8 s of rows in the ring.
 RECORDER_TIMEOUT_S = 3.0
 
 
@@ -48,7 +48,7 @@ class LiveRecording:
     ) -> str:
         """Start a recording of about `duration` [s]; return its unique name, derived from `name`.
 
-        The tip's errors count from `counted_from` [s] of the motion on.
+        Errors of the tip before the time `counted_from` [s] of the motion are not counted.
 
         Raises:
             RecordingError: the disk is full, or the recorder cannot start by `until` on the station's clock [s].
@@ -76,7 +76,7 @@ class LiveRecording:
         return self._ending is not None and not self._ending.done()
 
     def add_event(self, time: float, kind: str, text: str, *, bad: bool = False) -> None:
-        """Record an event at `time` of the telemetry [s]; with `bad` it is an error."""
+        """Record an event at `time` of the telemetry [s]; `bad` marks the event as an error."""
         self._thread.submit(self._recorder.event, RecordedEvent(time, kind, text, ERROR if bad else INFO))
 
     def end(self, state: State, cause: str) -> None:

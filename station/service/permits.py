@@ -1,7 +1,7 @@
 """Permits of commands that move the robot: issued when a request arrives, voided by any later STOP or reset.
 
-A counter, the generation, numbers the STOPs and resets. It is in shared memory: the control process also compares it
-with the generation of a command, so that a STOP voids commands that are still in the pipe.
+The generation is a counter of STOPs and resets in shared memory. The control process, too, compares the counter with
+the generation of each command, so that a STOP voids commands that are still in the pipe.
 """
 
 import math
@@ -17,7 +17,7 @@ from station.control.states import RefusedError, Transition
 #: Time after its request at which a command that moves the robot is void [s]. The check of a motion takes one second,
 #: or half a minute on a very busy computer. A client that disconnects voids its command earlier.
 DEADLINE_S = 120.0
-#: Number of STOPs and resets, the latest ones, whose causes are kept for error messages.
+#: Number of the latest STOPs and resets whose causes are kept for error messages.
 MAX_CAUSES = 64
 
 
@@ -42,12 +42,12 @@ class Permit:
         """Check that the permit still allows the command `what`.
 
         Raises:
-            VoidError: the text names the later STOP or reset and has an instruction.
+            VoidError: the permit is void; the text has the reason (such as a later STOP) and an instruction.
         """
         self.permits.check(self, what)
 
     def lasting(self) -> "Permit":
-        """Return a permit for an accepted procedure, which only a STOP or a reset ends."""
+        """Return a copy of this permit that does not expire, for a procedure that only a STOP or a reset ends."""
         return replace(self, until=math.inf, gone=_stays)
 
 

@@ -20,8 +20,8 @@ from station.threads import limit_to_one_thread
 
 #: Time without a tick after which the control process counts as hung [s]; it is then killed and the stages are stopped.
 HUNG_AFTER_S = 1.0
-#: Time without a tick after which the control process counts as hung before it was READY [s]. It is longer because the
-#: first ticks of a new installation compile code.
+#: Time without a tick after which the control process counts as hung before the station was READY once [s]. The time is
+#: longer because the first ticks of a new installation compile code.
 FIRST_TICKS_TIMEOUT_S = 60.0
 #: Longest time that a reset waits for the heartbeat of a process [s].
 HEARTBEAT_TIMEOUT_S = 3.0
@@ -96,7 +96,7 @@ class ProcessSupervisor:
 
         Raises:
             VoidError: a STOP or a reset came after the request, or the permit has expired.
-            RefusedError: the state does not allow it, or the control process does not answer.
+            RefusedError: the state does not allow the command, or the control process does not answer.
         """
         if self._control is None:
             raise RefusedError("the station was not started: there is no control process")
@@ -109,7 +109,7 @@ class ProcessSupervisor:
         return self._control.stop(cause)
 
     def end_failed(self, failed: Collection[str]) -> None:
-        """End the processes with these labels and those that depend on them."""
+        """End the control process, and also the lab if `failed` contains the lab's label."""
         if self._control is not None:
             if self._control.alive:
                 self._control.kill(f"it was ended because {' and '.join(failed)} did not respond")
@@ -118,7 +118,7 @@ class ProcessSupervisor:
             self.lab.close()
 
     def restart(self) -> None:
-        """Start the control process again, and the lab if it has ended.
+        """Start the control process again, and the lab if the lab has ended.
 
         Raises:
             RefusedError: the station is ending.
@@ -146,7 +146,7 @@ class ProcessSupervisor:
         )
 
     def end_control(self) -> StopOutcome:
-        """Stop every axis and end the control process; no other one is started after this call.
+        """Stop every axis and end the control process; no control process is started after this call.
 
         Returns:
             Outcome of stopping the stages.
@@ -202,5 +202,5 @@ class ProcessSupervisor:
             why = waits_for or f" ({load()}): end other programs on this computer, see ctr-station doctor"
             control.kill(f"the control loop has not ticked for {self._tick_timeout:g} s{why}")
         elif problem := self._problem():
-            # A run without its recording has no value, so it ends in HOLD.
+            # A run has no value without its recording, so a failed recording ends the run in HOLD.
             control.hold(problem)

@@ -51,7 +51,7 @@ class Rig:
         return self.controller.model_note(self.robot.robot())
 
     def controlled(self, file: ControllerFile) -> Controller:
-        """Return a controller with the calibrated parameters.
+        """Return the controller that `file` describes, with the calibrated parameters.
 
         Raises:
             DescriptionError: the strategy is unknown, or a gain or bandwidth is out of range.

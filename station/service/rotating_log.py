@@ -1,4 +1,4 @@
-"""Log file of limited size: when it is full it is renamed to `NAME.1.jsonl`, and the oldest log file is removed."""
+"""Log file of limited size: a full file is renamed to `NAME.1.jsonl`, and the oldest file is removed."""
 
 import contextlib
 import os
@@ -44,7 +44,7 @@ class RotatingLog:
 
     def _rotate(self) -> None:
         mine = os.fstat(self._file.fileno())
-        # Another station with the same folder may already have rotated it.
+        # Another station with the same folder may already have rotated the file.
         if self._path.exists() and os.path.samestat(mine, self._path.stat()):
             for number in range(self._kept, 0, -1):
                 newer = self._path if number == 1 else self._older(number - 1)

@@ -13,13 +13,13 @@ _NO_LOAD = NoLoad()
 
 @dataclass(frozen=True)
 class StartRequest:
-    """Task of a run, load and faults of the virtual lab during it, and metadata of its recording."""
+    """Task of a run, load and faults of the virtual lab during the run, and metadata of the recording."""
 
     task: MotionTask
     title: str  #: human-readable name of the run
     load: Load | None = _NO_LOAD  #: load at the tip of the virtual lab's robot during the motion; None: no change
     faults: tuple[LabFault, ...] = ()  #: faults of the virtual lab's devices; their times count from the motion's start
-    counted_from: float = 0.0  #: time of the motion from which on the tip's errors count [s]
+    counted_from: float = 0.0  #: errors of the tip before this time of the motion are not counted [s]
     warnings: tuple[str, ...] = ()  #: warnings for the operator, shown after acceptance
     about: Mapping[str, Any] = field(default_factory=dict[str, Any])  #: further metadata of the recording
     recorded: bool = True  #: whether the run is recorded

@@ -1,4 +1,4 @@
-"""Runs of a station: each has a number, one is active at a time, and it is recorded if there is a folder."""
+"""Numbered runs of a station, of which one at a time is active; runs are recorded if the station has a folder."""
 
 import itertools
 import math
@@ -53,7 +53,7 @@ class Runs:
 
     @property
     def recovered(self) -> list[Path]:
-        """Folders of runs that an earlier station left unfinished and this one has finished."""
+        """Folders of runs that an earlier station left unfinished and whose recordings this station has finished."""
         return [] if self._recording is None else self._recording.recovered
 
     @property
@@ -72,7 +72,7 @@ class Runs:
         return self._recorded is not None or (self._recording is not None and self._recording.finishing)
 
     def prepare(self, start: StartRequest, until: float = math.inf) -> RunRequest:
-        """Give a start request a number and start its recording; the caller must then call `accepted` or `refused`.
+        """Number a start request and start its recording; the caller must then call `accepted` or `refused`.
 
         Raises:
             RecordingError: the recording cannot start by `until` on the station's clock [s].
@@ -111,7 +111,7 @@ class Runs:
             self._prepared = self._current = None
 
     def find(self, number: int) -> StartRequest | None:
-        """Return the start request with this number if it is the newest or the present run."""
+        """Return the start request of the newest or present run if this run has the number; otherwise None."""
         with self._lock:
             return next((run.start for run in (self._prepared, self._current) if run and run.number == number), None)
 

@@ -15,20 +15,20 @@ from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile
 from station.config.strict import Strict
 from station.control.streamed_motion import StreamLimits
 
-#: Largest rate of a client's messages [1/s], and time over which it is averaged [s]. The time is long because messages
-#: that wait while this computer is busy arrive together, which is not the sender's fault.
+#: Largest rate of a client's messages [1/s], and time over which this rate is averaged [s]. The time is long because
+#: messages that wait while this computer is busy arrive together, which is not the sender's fault.
 MAX_RATE_HZ, STALL_S = 500.0, 4.0
 MAX_BURST = MAX_RATE_HZ * STALL_S
 #: The velocity is fitted to the positions of the last 0.1 s [s], and to at least this number of positions.
 VELOCITY_WINDOW_S, MIN_WINDOW_POINTS = 0.1, 3
 #: Time within which positions that arrive are one bunch [s]. Only the newest position of a bunch counts: the network
-#: determines the intervals within a bunch, so the differences give no velocity.
+#: determines the intervals within a bunch, so differences within a bunch give no velocity.
 BUNCH_S = 0.005
-#: Duration of a position's extrapolation in periods of the sender, so that one message may get lost; its shortest and
-#: longest value [s]. With the shortest one a message may be some milliseconds late without stopping the tip.
+#: Duration of a position's extrapolation in periods of the sender, so that one message may get lost; shortest and
+#: longest duration [s]. The shortest duration lets a message be some milliseconds late without stopping the tip.
 EXTRAPOLATION_PERIODS, MIN_EXTRAPOLATION_S, MAX_EXTRAPOLATION_S = 2.5, 0.05, 0.2
-#: Largest transport delay of a message according to the sender's clock [s]; a larger delay means that this clock was
-#: set to another time.
+#: Largest transport delay of a message according to the sender's clock [s]; a larger delay means that the sender's
+#: clock was set to another time.
 MAX_TRANSPORT_DELAY_S = 0.1
 #: Largest drift between the clocks of sender and receiver [s/s].
 MAX_CLOCK_DRIFT = 1e-3
@@ -48,7 +48,7 @@ class StreamAgreement(Strict):
     """Options of a stream, which the client sends at its start."""
 
     frame: Literal["start", "world"] = "start"
-    """positions are relative to the tip at the start, or in the world frame"""
+    """frame of the positions: relative to the tip at the start, or the world frame"""
     speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """largest speed of the setpoint [m/s]"""
     acceleration: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
@@ -56,11 +56,11 @@ class StreamAgreement(Strict):
     turning: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
     """largest turning rate of the direction setpoint, if the controller's task includes the direction [rad/s]"""
     reach: Annotated[float, Field(gt=0.0, le=0.2)] = 0.05
-    """positions farther from the tip at the start are refused [m]"""
+    """largest distance from the tip at the start; positions farther away are refused [m]"""
     silence: Annotated[float, Field(ge=0.05, le=2.0)] = 0.2
-    """without a message for this long the tip comes to rest [s]"""
+    """time without a message after which the tip comes to rest [s]"""
     end: Annotated[float, Field(ge=0.5, le=60.0)] = 2.0
-    """without a message for this long the run ends [s]"""
+    """time without a message after which the run ends [s]"""
     duration: Annotated[float, Field(gt=0.0, le=86400.0)] = 600.0
     """longest duration of the run [s]"""
     controller: ControllerFile = DEFAULT_CONTROLLER
@@ -114,7 +114,8 @@ class SetpointStream:
     ) -> SetpointRequest:
         """Return the request of a position, extrapolated with the velocity of the previous positions.
 
-        The extrapolation is no faster than agreed and no longer than the distance between the latest positions.
+        The extrapolation is at most as fast as agreed. Its distance is at most that between the oldest and newest
+        position of the velocity fit.
 
         Args:
             position: requested position of the tip [m].
@@ -178,11 +179,11 @@ class SetpointStream:
                 f"direction {list(direction)} has the length {math.hypot(*direction):.3g}, shorter than"
                 f" {MIN_DIRECTION_LENGTH:g}; send a longer vector in the world frame; the previous setpoint remains"
             )
-        vector /= largest  # the square of a finite number may overflow
+        vector /= largest  # otherwise the square of a large finite number could overflow
         return vector / math.hypot(*vector)
 
     def _when(self, now: float, sent: float | None) -> float:
-        """Return the time of arrival without variable transport delay [s]; never before the previous message."""
+        """Return the time of arrival without variable transport delay [s], at least that of the previous message."""
         now = max(now, self._last)
         if sent is None:
             return now
@@ -211,7 +212,7 @@ def _vector(name: str, numbers: tuple[float, ...], unit: str) -> Array:
 
 
 def _limit_speed(velocity: Array, speed: float) -> Array:
-    """Return a velocity (3,) shortened to `speed` [m/s]; avoid overflow of its length."""
+    """Return a velocity (3,) shortened to at most `speed` [m/s], without overflow of large numbers."""
     largest = float(np.abs(velocity).max())
     if largest == 0.0:
         return velocity

@@ -16,7 +16,7 @@ def exit_on_signal() -> Iterator[None]:
     def on_signal(number: int, _frame: FrameType | None) -> None:
         received.append(number)
         for ending in EXIT_SIGNALS:
-            signal.signal(ending, signal.SIG_IGN)  # stays set during the interpreter's end
+            signal.signal(ending, signal.SIG_IGN)  # the signals stay ignored while the interpreter ends
         raise KeyboardInterrupt
 
     before = {number: signal.signal(number, on_signal) for number in EXIT_SIGNALS}

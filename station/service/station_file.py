@@ -35,20 +35,20 @@ class ExperimentsFile(Strict):
     """Table `[experiments]` of a station file."""
 
     folder: str | None = None
-    """folder of custom experiments, relative to this file; they are found by name like the presets"""
+    """folder of custom experiments, relative to this file; each is started by its name, like a preset"""
 
 
 class ClockFile(Strict):
     """Table `[clock]` of a station file."""
 
     rate: Annotated[float, Field(ge=0.05, le=1.0)] = 1.0
-    """seconds of the station in a second: a rate below 1 slows loop, lab, watchdogs, deadlines, leases and recorder
-    together; with the virtual lab only; for tests, and for computers that are too slow for real time"""
+    """seconds of the station's clock per real second: a rate below 1 slows loop, lab, watchdogs, deadlines, leases and
+    recorder together. Only the virtual lab can be slowed, for tests or on computers that are too slow for real time"""
     patience: Annotated[float, Field(ge=0.02, le=10.0)] | None = None
     """longest silence of the stages and force sensors before they count as lost [s]. The default is 0.15 for the
-    virtual lab, because other programs on this computer may delay simulated devices. With other devices it sets the
-    `deadline` of `zaber` stages and the `stale_after` of `netft` sensors that have none; the default is that of the
-    drivers. Use it for a bench that `ctr-station lab` simulates"""
+    virtual lab, because other programs on this computer may delay simulated devices. With other devices this key sets a
+    missing `deadline` of `zaber` stages and a missing `stale_after` of `netft` sensors; without this key the drivers'
+    defaults apply. Use this key for a bench that `ctr-station lab` simulates"""
 
     def for_devices(self, devices: DevicesFile) -> StationClock:
         """Return the clock of a station that has these devices.

@@ -41,7 +41,7 @@ class RequestError(CtrError):
 
 
 class StationSettings(Strict):
-    """Settings of the next free motion."""
+    """Settings of the next free motion, which is a motion that is not part of an experiment."""
 
     trajectory: Annotated[TipMotion, Field(discriminator="kind")] = HoldMotion()
     controller: ControllerFile = DEFAULT_CONTROLLER
@@ -98,7 +98,7 @@ class StationService:
 
         Raises:
             VoidError: a STOP or a reset came after the request, or the permit has expired.
-            RefusedError: the state does not allow it.
+            RefusedError: the state does not allow the motion.
             CtrError: the motion or the controller is not possible.
         """
         permit = permit or self.supervisor.permit()
@@ -115,13 +115,13 @@ class StationService:
         Raises:
             RequestError: the preset or case does not exist, or is for another robot.
             VoidError: a STOP or a reset came after the request, or the permit has expired.
-            RefusedError: the state does not allow it.
+            RefusedError: the state does not allow the motion.
         """
         permit = permit or self.supervisor.permit()
         return self.supervisor.start(self.of_experiment(name, case, permit), permit)
 
     def of_experiment(self, name: str, case: str | None = None, permit: Permit | None = None) -> StartRequest:
-        """Return the start request of a case; without `permit` the station may be in any state.
+        """Return the start request of a case; without `permit` the station's state is not checked.
 
         Raises:
             RequestError, VoidError, RefusedError: as in `start_experiment`.
@@ -178,7 +178,7 @@ class StationService:
         Other joints keep their position.
 
         Raises:
-            RefusedError: the state does not allow it.
+            RefusedError: the state does not allow the motion.
             CtrError: a joint is unknown or outside its travel, the pose is invalid, or the tubes would snap on the
                 path.
         """
@@ -199,8 +199,8 @@ class StationService:
         """Start a motion from the present pose whose setpoints a client streams during the run.
 
         Raises:
-            RefusedError: the state does not allow it.
-            CtrError: the controller is not possible.
+            RefusedError: the state does not allow the motion.
+            CtrError: the controller is invalid, or the present pose violates a limit.
         """
         permit = permit or self.supervisor.permit()
         controller = self.supervisor.bench.controlled(agreement.controller)
@@ -226,7 +226,7 @@ class StationService:
 
         Raises:
             RequestError: the number of velocities is wrong, or a velocity exceeds the limit for jogging.
-            RefusedError: the state does not allow it.
+            RefusedError: the state does not allow the motion.
         """
         limits = self.supervisor.bench.robot.limits()
         names = self.supervisor.robot.joint_names if space == "joints" else ("x", "y", "z")

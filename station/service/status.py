@@ -21,7 +21,7 @@ from station.service.stale_channels import stale_groups
 
 #: Age above which telemetry is shown as stale [s].
 STALE_AFTER_S = 0.5
-#: Number of status samples kept for the share of time that joints are at their limits.
+#: Number of status samples from which the share of time with joints at their limits is computed.
 SATURATION_SAMPLES = 200
 #: Fewest samples for a warning about joints at their limits.
 MIN_SATURATION_SAMPLES = 20
@@ -95,7 +95,7 @@ class StateMonitor:
 
         Args:
             how: how the process ended.
-            stages: what happens to the stages until `set_stop_outcome`; empty if no process has driven them.
+            stages: text about the stages until `set_stop_outcome` is called; empty if no process has driven the stages.
         """
         with self._lock:
             before = StopReasons().add(self._cause if self._reported in LATCHED else "")
@@ -122,7 +122,7 @@ class StateMonitor:
         self._devices = devices
 
     def set_refusals(self, warnings: tuple[str, ...]) -> None:
-        """Store warnings about what the operating system has refused the control process."""
+        """Store warnings about settings that the operating system has refused to the control process."""
         self._refused = warnings
 
     @property
@@ -137,7 +137,7 @@ class StateMonitor:
     def snapshot(
         self, run: RunRequest | None, recording: bool, reserved: str, warnings: tuple[str, ...]
     ) -> StationStatus:
-        """Return the status of the station; the arguments are the parts that this monitor does not know."""
+        """Return the status of the station; the arguments are the parts that this monitor does not store."""
         ring = self._ring
         state, cause = self._state_and_cause()
         row = ring.latest()
@@ -164,13 +164,13 @@ class StateMonitor:
         )
 
     def _state_and_cause(self) -> tuple[State, str]:
-        """Return the present state and its cause, which is empty until it arrives, a moment after the state."""
+        """Return the present state and its cause; the cause arrives shortly after the state and is empty until then."""
         with self._lock:
             state = self.state
             return state, self._cause if state in LATCHED and state is self._reported else ""
 
     def _saturation(self, values: Mapping[str, Array]) -> tuple[str, ...]:
-        """Return a warning while the target that the tip follows needs more than the stages can do."""
+        """Return a warning while joints are at their limits because the tip follows a target."""
         with self._lock:
             if not values or not values["target_followed"].any():
                 self._at_bound.clear()

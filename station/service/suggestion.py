@@ -22,7 +22,7 @@ from station.config.units import format_quantity
 SLOWER_FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0)
 SMALLER_FACTORS = (0.8, 0.6, 0.4, 0.2)
 
-#: Hint that is shown if no slower or smaller motion works.
+#: Hint that is shown if no slower or smaller motion is possible.
 WORKING_POSE_HINT = "from the robot's working pose there is more room: go there first (tab Jog, or POST /api/goto)"
 
 Change = Callable[[TipMotion, float], tuple[TipMotion, str] | None]
@@ -32,14 +32,14 @@ def suggest_motion(
     motion: TipMotion, controller: Controller, joints: Array, duration: float,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> str:  # fmt: skip
-    """Return a text with a value that would work from `joints` (n,) [rad or m]; empty if no checked value works.
+    """Suggest a motion that is possible from `joints` (n,) [rad or m]; empty if no checked motion is possible.
 
     Args:
         motion: motion that cannot be followed.
         controller: controller with the model and limits for the checks.
         joints: start pose.
         duration: duration of the motion [s]; slower waypoints take longer.
-        cancelled: whether the result is no longer required.
+        cancelled: function that returns whether the result is no longer required.
 
     Raises:
         Cancelled: the result is no longer required.

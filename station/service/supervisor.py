@@ -76,7 +76,7 @@ class Supervisor:
         """Wait until telemetry is beyond row `since`, or until the stages wait to be homed.
 
         Raises:
-            CtrError: this does not happen within `timeout` [s].
+            CtrError: neither happens within `timeout` [s], or the station enters FAULT or ends.
         """
         deadline = self._clock.now() + timeout
         while self._state.reported is not State.CONNECTED and (
@@ -105,7 +105,7 @@ class Supervisor:
 
     @property
     def recovered(self) -> list[Path]:
-        """Folders of runs that an earlier station left unfinished and this one has finished."""
+        """Folders of runs that an earlier station left unfinished and whose recordings this station has finished."""
         return self._runs.recovered
 
     def entered(self, state: State) -> int:
@@ -117,17 +117,17 @@ class Supervisor:
     def permit(self, gone: Callable[[], bool] | None = None) -> Permit:
         """Return the permit of a request that arrives now.
 
-        `gone` returns whether the client has disconnected. Commands that move the robot, and a reset, take the permit
-        as `permit`. A command without one gets a new permit.
+        `gone` returns whether the client has disconnected. Commands that move the robot, and a reset, have an argument
+        `permit` for the permit. Without this argument a command gets a new permit.
         """
         return self._permits.issue() if gone is None else self._permits.issue(gone)
 
     def check(self, event: Transition, permit: Permit) -> None:
-        """Refuse a command that moves the robot before any slow check of its motion.
+        """Check permit, reservation and state, which refuses a command before the slow check of its motion.
 
         Raises:
             VoidError: a STOP or a reset came after the request, or the permit has expired.
-            RefusedError: the state does not allow it, or a procedure has reserved the robot.
+            RefusedError: the state does not allow the command, or a procedure has reserved the robot.
         """
         permit.check(event)
         self._check_free()
@@ -138,7 +138,7 @@ class Supervisor:
 
         Raises:
             VoidError: a STOP or a reset came after the request, or the permit has expired.
-            RefusedError: the state does not allow it, or a procedure has reserved the robot.
+            RefusedError: the state does not allow the run, or a procedure has reserved the robot.
             ConfigError: the run contains simulated faults, but the devices are real.
             RecordingError: the run cannot be recorded.
         """
@@ -172,9 +172,9 @@ class Supervisor:
         self._reserved = ""
 
     def stop(self, cause: str = "stopped by the operator") -> str:
-        """Stop every axis; always accepted. Return a warning for the operator; empty when every axis has stopped.
+        """Stop every axis in any state; return a warning for the operator, empty when every axis has stopped.
 
-        This voids every earlier request for a motion or a reset.
+        A STOP voids every earlier request for a motion or a reset.
         """
         self._permits.void(cause, stop=True)
         return self._processes.stop(cause)
@@ -182,7 +182,7 @@ class Supervisor:
     def reset(self, who: str = "the operator", permit: Permit | None = None) -> str:
         """Reset the station after a person has checked the cause; restart processes that have died or hang.
 
-        Simultaneous resets are merged into one. This voids every earlier request for a motion.
+        Simultaneous resets are merged into one. A reset voids every earlier request for a motion.
 
         Returns:
             Human-readable list of restarted processes; empty when none was restarted.
@@ -190,7 +190,7 @@ class Supervisor:
         Raises:
             VoidError: a STOP came after the request.
             RefusedError: there is nothing to reset.
-            CtrError: a restarted process does not come up.
+            CtrError: a restarted process does not become ready.
         """
         self._reset_permit = (permit or self.permit()).lasting()
         self._permits.void(f"reset by {who}", stop=False)
@@ -268,7 +268,7 @@ class Supervisor:
                 self._processes.send_command(Transition.HOLD, cause=cause)
 
     def apply_load(self, load: Load) -> None:
-        """Apply a load to the virtual lab's tip now; the next motion replaces it with its load."""
+        """Apply a load to the virtual lab's tip now; the load of the next motion replaces this load."""
         self._processes.lab.apply_load(load)
 
     def inject(self, faults: Sequence[LabFault]) -> None:

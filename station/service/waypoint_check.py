@@ -21,7 +21,7 @@ class FeasibilityResult(NamedTuple):
 
     reason: str  #: why the path cannot be followed; empty when it can
     place: int | None  #: index of the first waypoint that cannot be reached, from 0
-    instead: str  #: suggestion that would work; empty without one
+    instead: str  #: suggestion of a possible motion; empty if there is none
     path: Array  #: tip path through the waypoints, from the start (k, 3) [m]; empty if there is no trajectory
 
 

@@ -13,17 +13,17 @@ from web.access.gate import CHANGING_METHODS
 from web.access.refusals import Refusals
 from web.access.repeats import Repeats
 
-#: Path of the jog command, of which a held button sends ten a second. The log has one line for equal jog commands
-#: that one sender repeats within `REPEAT_INTERVAL_S` [s].
+#: Path of the jog command. The page repeats this command ten times a second while a jog button is pressed, so equal
+#: commands that one sender repeats within `REPEAT_INTERVAL_S` [s] have one line in the log.
 REPEATED_PATH = "/api/jog"
 REPEAT_INTERVAL_S = 1.0
 #: Path of STOP. Every client may send STOP at any rate, so the log omits its body and counts its repeats.
 STOP = "/api/stop"
-#: Paths of POST requests that only query the station; the log has them only if they are refused.
+#: Paths of POST requests that only query the station; these requests are logged only if access to them is refused.
 QUERY_PATHS = ("/api/model/solve", "/api/waypoints/check", "/api/calibration/exchange")
-#: Number of bytes of a request's body that are logged.
+#: Largest number of bytes of a request's body that are logged; also of the body of a refusal.
 MAX_BODY_BYTES = 400
-#: Status codes of queries that are logged although they change nothing.
+#: Status codes of refused access; queries with these codes are logged although a query changes nothing.
 REFUSAL_STATUSES = (401, 403)
 
 
@@ -41,7 +41,7 @@ class AuditMiddleware:
         self._repeats.sum_up()
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
-            self._refusals.sum_up(now=True)  # the application has ended
+            self._refusals.sum_up(now=True)  # summaries are written now, because the application has ended
             self._repeats.sum_up(now=True)
             return
         body, answer, status = bytearray(), bytearray(), 0

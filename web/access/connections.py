@@ -1,8 +1,9 @@
 """Limit on open connections, for each address and in total; the newest connection is always accepted.
 
-A process has a limited number of file descriptors. A client that used them all would block STOP, and the station could
-not stop its stages. A connection beyond the limit therefore closes an older one. Connections without a request are
-closed first, starting with the one that was idle longest. WebSockets, which stay open, may use half of the connections.
+A process has a limited number of file descriptors. If one client used all of them, no other client could connect and
+send STOP. A connection beyond the limit therefore closes an older one. The connection that was idle
+longest is closed first, then connections with a request in progress, and last WebSockets. WebSockets, which stay open,
+may use half of the connections.
 """
 
 import asyncio
@@ -25,14 +26,14 @@ RESERVED_DESCRIPTORS = 256
 #: Event by which `poll` reports that a client has closed its socket (Linux only; 0 on other systems).
 HUNG_UP = getattr(select, "POLLRDHUP", 0)
 ENDING = "the station is ending"
-#: Close code that asks a WebSocket client to try again later.
+#: Close code by which a server requests a WebSocket client to connect again later.
 TRY_AGAIN_LATER = 1013
 
 Address = tuple[str, int]
 
 
 def connection_capacity() -> int:
-    """Return how many connections the file descriptors of this process suffice for."""
+    """Return the number of connections for which the file descriptors of this process suffice."""
     try:
         import resource  # not on Windows
     except ImportError:
@@ -57,11 +58,11 @@ class _Connection:
 
     @property
     def closed(self) -> bool:
-        """Whether the connection's file descriptor is free again; a closing connection may still have data to read."""
+        """Whether the connection's file descriptor is free; a connection that is closing still uses its descriptor."""
         return self.transport.get_extra_info("socket").fileno() < 0
 
     def gone(self) -> bool:
-        """Return whether the client has disconnected, even if the server has not read that yet. Thread-safe."""
+        """Return whether the client has disconnected, even if the server has not noticed it yet. Thread-safe."""
         if self.transport.is_closing() or self.closed:
             return True
         if not HUNG_UP:
@@ -88,11 +89,11 @@ class Connections:
         self._ended = False
 
     def admitting(self, protocol: Callable[..., Any]) -> Callable[..., "_ConnectionLimit"]:
-        """Return a factory for the server's connections that first admits each connection."""
+        """Return a factory for the server's protocol objects; each object first passes its connection to `admit`."""
         return lambda **options: _ConnectionLimit(protocol(**options), self.admit)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle a request. If the server shuts down and cancels the request, the client still gets an answer."""
+        """Handle a request. If the server's shutdown cancels the request, the client still gets an answer."""
         started = False
 
         async def send_noted(message: Message) -> None:
@@ -128,7 +129,7 @@ class Connections:
                 known.transport.abort()
 
     def admit(self, transport: asyncio.Transport) -> None:
-        """Add a new connection; close an older one if there are now more than the limit."""
+        """Add a new connection; first close an older connection if the limit is reached."""
         peer = transport.get_extra_info("peername")
         if not peer:
             return  # the client has closed the connection already

@@ -1,4 +1,4 @@
-"""Access checks of every connection: known host name, same origin, JSON, small body, and a token beyond loopback.
+"""Access checks of every connection: known host name, same origin, JSON, small body, and a token for other computers.
 
 The checks are an ASGI middleware, so they apply to HTTP requests and WebSockets alike. For an accepted connection they
 store its sender as `who` in the state of the ASGI scope.
@@ -21,7 +21,7 @@ from web.access.tokens import Role, Tokens
 MAX_BODY_BYTES = 64 * 1024
 COOKIE = "ctr_station"
 CHANGING_METHODS = ("POST", "PUT", "PATCH", "DELETE")
-#: Paths to which viewers may send POST requests: STOP, and queries that need a body.
+#: Paths to which viewers may send POST requests: STOP, and queries whose parameters are in a body.
 VIEWER_PATHS = ("/api/stop", "/api/model/solve", "/api/calibration/exchange")
 #: Reason that is sent to a client without a token.
 ACCESS_HINT = "a token is required: open the address with ?token=... that the station prints, or send a bearer token"
@@ -48,12 +48,12 @@ class Access:
     def __init__(
         self, app: ASGIApp, host: str, port: int, tokens: Tokens | None, pages: frozenset[str] = frozenset()
     ) -> None:
-        """Wrap `app`; set the address of the station and its tokens.
+        """Wrap `app`, and store the station's address and tokens.
 
         Args:
             app: the wrapped application.
             host, port: address of the station.
-            tokens: every client needs one of them; None: no token is needed, and every client may be operator.
+            tokens: access tokens, one of which every client needs; None: any client may connect and become operator.
             pages: origins of other web sites whose pages may connect.
         """
         self._app = app
@@ -90,7 +90,7 @@ class Access:
             await self._with_limit(scope, receive, _unframed(send))
 
     def refused(self, scope: Scope) -> tuple[int, str] | None:
-        """Return status and reason if a read-only connection is refused; None: it is accepted.
+        """Return HTTP status and reason if a read-only connection is refused; None: the connection is accepted.
 
         The token may be in the address, because some programs accept only an address.
         """
@@ -120,7 +120,7 @@ class Access:
         return None
 
     def _is_address(self, host: str) -> bool:
-        """Return whether a host is an IP address with the station's port; unlike a name, it allows no DNS rebinding."""
+        """Return whether a host is an IP address with the station's port; DNS rebinding needs a name."""
         name, _, port = host.rpartition(":")
         try:
             ipaddress.ip_address(name.strip("[]"))
@@ -140,8 +140,8 @@ class Access:
         given = _token_in(scope)
         if scope["type"] == "http" and self._tokens is not None and self._tokens.role(given):
             cookie = f"{self._cookie}={given}; Path=/; HttpOnly; SameSite=Strict"
-            # Redirect to the path only, with one leading slash: two slashes would name another host, and
-            # browsers read `/<tab>/` as two.
+            # Redirect to the path only, with one leading slash: after two slashes a browser expects another host, and
+            # browsers read `/<tab>/` as two slashes.
             location = "/" + quote(scope["path"].lstrip("/\\"))
             await _answer(send, 303, {"location": location, "set-cookie": cookie, "cache-control": "no-store"}, b"")
         else:
@@ -191,7 +191,7 @@ def _bracketed(host: str) -> str:
 
 
 def _unframed(send: Send) -> Send:
-    """Wrap `send` to add headers that forbid other sites to show the station's page in a frame (clickjacking)."""
+    """Wrap `send` to add headers that forbid other sites to show the page in a frame, against clickjacking."""
 
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":

@@ -1,4 +1,4 @@
-"""Sender of a request: the token determines its role; the client states its identity and its name."""
+"""Sender of a request: its role follows from the token; the client itself sends its identity and its name."""
 
 import re
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ class Sender(NamedTuple):
 def sender(scope: Scope, headers: Headers, role: Role) -> Sender:
     """Return the sender of a request. All scripts of one computer that send no identity count as one client."""
     where = str(scope["client"][0]) if scope.get("client") else "unknown"
-    # Only browsers send `sec-fetch-site`; the names of unnamed clients differ by it.
+    # Only browsers send `sec-fetch-site`, so this header distinguishes pages from scripts in default names.
     kind = "page" if "sec-fetch-site" in headers else "script"
     given = headers.get(CLIENT_HEADER, "")
     client = given if is_client(given) else f"{kind} at {where}"

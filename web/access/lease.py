@@ -1,7 +1,7 @@
-"""The operator's lease: one client at a time may command; the lease expires when its client is silent.
+"""The operator's lease: one client at a time may send commands; the lease expires if this client is silent.
 
-Every request of the operator renews the lease. A second client gets the operator's name in the refusal, and may take
-the lease over explicitly. STOP needs no lease.
+Every request of the operator renews the lease. A command of a second client is refused with the operator's name;
+the second client may take the lease over explicitly. STOP needs no lease.
 """
 
 import time
@@ -27,14 +27,14 @@ class LeaseHeldError(RefusedError):
 
 
 class Lease:
-    """Lease of the station, of which there is one; `clock` returns seconds. Not thread-safe."""
+    """The one operator's lease of a station; `clock` returns the time [s]. Not thread-safe."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic, length: float = LEASE_S) -> None:
         self._clock, self._length = clock, length
         self._holder: Holder | None = None
 
     def holder(self) -> Holder | None:
-        """Return the operator; None: there is none."""
+        """Return the operator; None: there is no operator."""
         if self._holder is not None and self._clock() >= self._holder.until:
             self._holder = None
         return self._holder
@@ -49,7 +49,7 @@ class Lease:
         return holder is not None and holder.client == client
 
     def take(self, client: str, name: str, *, over: bool = False) -> Holder:
-        """Take or renew the lease; with `over` also from another client.
+        """Take or renew the lease for `client`; with `over`, take it even if another client is operator.
 
         Raises:
             LeaseHeldError: another client is operator.
@@ -63,7 +63,7 @@ class Lease:
         return self._holder
 
     def keep(self, client: str, name: str) -> Holder:
-        """Renew the lease without changing its name, or take it as `name` if it is free.
+        """Renew the lease without changing the operator's name, or take a free lease under the name `name`.
 
         Raises:
             LeaseHeldError: another client is operator.

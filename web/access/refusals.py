@@ -1,6 +1,6 @@
-"""Refusals in the audit log: the first of each minute in full, the others as a count.
+"""Refused requests in the audit log: the first ones of each minute in full, the others as a count.
 
-The limit is needed because a page of another site can send thousands of requests a second, each with another text.
+The number of lines is limited because a page of another site can send thousands of different requests a second.
 """
 
 import time
@@ -9,12 +9,12 @@ from collections.abc import Callable
 
 from station.service.audit import Audit
 
-#: Interval of the summaries [s], and the number of refusals that are logged in full within it.
+#: Interval of the summaries [s], and number of refusals that are logged in full in one interval.
 SUMMARY_INTERVAL_S, MAX_WRITTEN = 60.0, 100
 
 
 class Refusals:
-    """Log of refused requests that writes the first ones and counts the others. Not thread-safe."""
+    """Log of refused requests: the first requests are written in full, further ones are counted. Not thread-safe."""
 
     def __init__(self, audit: Audit, clock: Callable[[], float] = time.monotonic) -> None:
         self._audit, self._clock = audit, clock
@@ -34,7 +34,7 @@ class Refusals:
             self._more[where] += 1
 
     def sum_up(self, *, now: bool = False) -> None:
-        """Log how many refusals were only counted, once the interval is over; `now`: at once."""
+        """Log how many refusals were only counted, if the interval is over or if `now` is true."""
         if not self._written or (self._clock() < self._until and not now):
             return
         if self._more:

@@ -1,7 +1,8 @@
 """Audit log of STOP, which any client may send without limit.
 
-The first STOPs of a minute are logged in full; the others of the same sender as a count with the first and last time.
-A sender is a role at an address, because a client may change its name with every request.
+The first STOPs of a sender in a minute are logged in full. Further STOPs of the same sender are logged as a count with
+the times of the first and the last one. Senders are distinguished by role and network address, because a client may
+change its name with every request.
 """
 
 import time
@@ -11,8 +12,8 @@ from datetime import datetime
 
 from station.service.audit import Audit
 
-#: Interval of the summaries [s], number of full lines of one sender within it, and number of senders that are counted
-#: separately.
+#: Interval of the summaries [s]; number of full log lines of one sender in an interval; number of senders that are
+#: counted separately.
 PERIOD_S, MAX_LINES, MAX_SENDERS = 60.0, 3, 20
 
 
@@ -21,7 +22,7 @@ class _Minute:
     """Commands of one sender during the minute after its first logged line."""
 
     until: float
-    #: names and outcomes of the commands that already have a line
+    #: names and outcomes of the commands that already have a log line
     written: set[tuple[str, str]] = field(default_factory=set[tuple[str, str]])
     repeats: int = 0
     first: str = ""  #: time of day of the first repeat
@@ -29,7 +30,7 @@ class _Minute:
 
 
 class Repeats:
-    """Log of repeated commands that writes the first ones and counts the others. Not thread-safe."""
+    """Log of repeated commands: the first commands are written in full, further ones are counted. Not thread-safe."""
 
     def __init__(self, audit: Audit, clock: Callable[[], float] = time.monotonic) -> None:
         self._audit, self._clock = audit, clock
@@ -51,7 +52,7 @@ class Repeats:
         minute.first = minute.first or minute.last
 
     def sum_up(self, *, now: bool = False) -> None:
-        """Log the number of repeats of each sender, once its minute is over."""
+        """Log the number of repeats of each sender whose minute is over; with `now`, of all senders."""
         for sender, minute in list(self._senders.items()):
             if not now and self._clock() < minute.until:
                 continue

@@ -1,8 +1,8 @@
-"""Access limits of viser's port, because viser itself accepts every client, although only the proxy needs it.
+"""Access limits of viser's port, because viser itself accepts every client, although only the proxy needs access.
 
 The port listens on loopback, where other programs and every page in a browser of this computer can connect. Therefore
-pages are refused, and a connection beyond the limit closes the one that was idle longest. Without a limit, connections
-could use up the file descriptors that STOP needs.
+pages are refused, and a connection beyond the limit closes the oldest connection without a request, or else the oldest
+of all. Without a limit, connections could use up the file descriptors that STOP needs.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from websockets.asyncio.server import ServerConnection
 
 @contextmanager
 def limited_scene_server(most: int) -> Iterator[None]:
-    """Provide a context in which a new viser server accepts at most `most` connections, and none from a page.
+    """Provide a context in which a new viser server accepts at most `most` connections, and no connection from a page.
 
     viser has no settings for these limits, so the context changes the `websockets` server that viser uses.
     """
@@ -32,15 +32,15 @@ def limited_scene_server(most: int) -> Iterator[None]:
 
 
 class _Guarded(ServerConnection):
-    """Connection to viser that is counted."""
+    """Connection to viser that counts toward the limit."""
 
     def __init__(self, open_: "list[_Guarded]", most: int, *args: Any, **options: Any) -> None:
-        """`open_` lists the open connections, oldest first; `most` limits them."""
+        """`open_` lists the open connections, oldest first; `most` is the largest number of open connections."""
         super().__init__(*args, **options)
         self._open, self._most = open_, most
 
     def connection_made(self, transport: Any) -> None:
-        """Add the connection; beyond the limit close an older one, and of those without a request the oldest."""
+        """Add this connection; at the limit, close first the oldest without a request, or else the oldest of all."""
         super().connection_made(transport)
         if len(self._open) >= self._most:
             victim = min(self._open, key=lambda known: known.request is not None)

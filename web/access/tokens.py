@@ -1,4 +1,4 @@
-"""Access tokens beyond loopback: one for operators, one for viewers."""
+"""Access tokens for clients of other computers: one for operators, one for viewers."""
 
 import hmac
 import secrets
@@ -9,8 +9,8 @@ from typing import NamedTuple
 class Role(StrEnum):
     """Permissions of a client."""
 
-    OPERATOR = "operator"  #: everything, while holding the lease
-    VIEWER = "viewer"  #: view, and press STOP
+    OPERATOR = "operator"  #: every request; commands only with the operator's lease
+    VIEWER = "viewer"  #: only view the station and send STOP
 
 
 class Tokens(NamedTuple):
@@ -20,7 +20,7 @@ class Tokens(NamedTuple):
     viewer: str
 
     def role(self, given: str) -> Role | None:
-        """Return the role of a token, None if it is invalid; in constant time."""
+        """Return the role of a token, None if the token is invalid; the time does not depend on the token."""
         is_operator = hmac.compare_digest(given.encode(), self.operator.encode())
         is_viewer = hmac.compare_digest(given.encode(), self.viewer.encode())
         if is_operator:

@@ -1,4 +1,4 @@
-"""Requests and responses of the calibration routes, in SI units and finite numbers; unknown fields are refused."""
+"""Request and response types of the calibration routes, in SI units. NaN, infinity and unknown fields are refused."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
@@ -21,17 +21,17 @@ class ProcedureOut(Strict):
     name: str
     title: str
     sentence: str
-    """when to use it, and what happens"""
+    """when to use the procedure, and what it does"""
     needs: str
     """equipment that the operator needs"""
     seconds: float
-    """duration with the usual poses and weights, manual steps included [s]"""
+    """duration with the default poses and weights, including manual steps [s]"""
     weight_seconds: float
     """part of `seconds` for each weight [s]"""
     scales: bool
-    """`effort` changes the number of poses"""
+    """whether `effort` changes the number of poses"""
     weighs: bool
-    """it needs known weights"""
+    """whether the procedure needs known weights"""
 
 
 class CalibrationOut(Strict):
@@ -39,11 +39,11 @@ class CalibrationOut(Strict):
 
     offers: tuple[ProcedureOut, ...]
     weights: tuple[float, ...]
-    """usual known weights [N]"""
+    """default weights [N]"""
     robots: tuple[str, ...]
-    """preset robots, for an exchange of tubes"""
+    """names of the preset robots, from which an exchange of tubes can select"""
     folder: str
-    """folder of the results"""
+    """folder that contains the results"""
     course: SessionReport | None
 
 
@@ -56,9 +56,9 @@ class CalibrateIn(Strict):
 
     what: What
     effort: Annotated[float, Field(ge=0.5, le=5.0)] = 1.0
-    """factor on the usual number of poses"""
+    """factor on the default number of poses"""
     weights: Annotated[tuple[Weight, ...], Field(strict=False, min_length=1, max_length=4)] = DEFAULT_WEIGHTS_N
-    """weights that will hang at the tip [N]"""
+    """weights that the operator will hang at the tip [N]"""
     way_is_clear: Literal[True]
     """the operator has checked that the tubes can move through their whole workspace without touching anything"""
 
@@ -76,10 +76,10 @@ class StoredCalibrationOut(Strict):
     procedure: str
     title: str
     made: str
-    """ISO 8601"""
+    """time of the calibration, ISO 8601"""
     bench: str
     simulated: bool
-    """devices and robot belonged to a virtual lab"""
+    """whether a virtual lab simulated devices and robot"""
     findings: tuple[str, ...]
     """human-readable results"""
 
@@ -88,10 +88,10 @@ class StoredCalibrationDetailsOut(StoredCalibrationOut):
     """A stored calibration with its numbers."""
 
     found: tuple[Mapping[str, str], ...]
-    """name, before, found, interval (half width of the 95 % interval)"""
+    """one entry per parameter: name, value before, value found, interval (half width of the 95 % interval)"""
     visits: int
     robot_s: float
-    """robot time [s]"""
+    """time for which the procedure used the robot [s]"""
     files: tuple[str, ...]
     use: CalibrationUse
 
@@ -102,7 +102,7 @@ class ExchangeIn(Strict):
     model_config = ConfigDict(json_schema_extra={"examples": [{"robot": "three_tubes"}]})
 
     robot: str | None = None
-    """preset"""
+    """name of a preset robot"""
     file: Annotated[str, Field(max_length=50_000)] | None = None
     """text of a robot's .toml file"""
 

@@ -17,7 +17,7 @@ async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -
     """Return the result of `work`, or cancel `work` as soon as the client disconnects.
 
     Raises:
-        HTTPException: status 499, because the client has disconnected; no client receives this answer.
+        HTTPException: status 499: the client has disconnected, so no client receives this answer.
     """
     task = asyncio.create_task(work)
     try:

@@ -1,4 +1,4 @@
-"""Dependencies of command routes: a command needs the operator's lease, or takes it when it is free."""
+"""Dependencies of routes that send commands: the sender must be operator, or becomes operator if there is none."""
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
@@ -45,7 +45,7 @@ def commands(lease: Lease) -> Commands:
 
 
 def with_permits(app: ASGIApp, supervisor: Supervisor) -> ASGIApp:
-    """Wrap `app` so that every request gets a permit with its first line, before its body has arrived."""
+    """Wrap `app` so that every request gets a permit as soon as its head has arrived, before its body."""
 
     async def permitted(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] in ("http", "websocket"):
@@ -86,7 +86,7 @@ def commanding(lease: Lease, who: Sender) -> Iterator[None]:
 
 
 def operator_out(lease: Lease, who: Sender) -> OperatorOut:
-    """Return the operator's name and lease as `who` may see them."""
+    """Return the operator's name and the time left of the lease, for the client `who`."""
     holder = lease.holder()
     if holder is None:
         return OperatorOut(name=None, you=False, role=who.role, lapses_s=None)
@@ -96,7 +96,7 @@ def operator_out(lease: Lease, who: Sender) -> OperatorOut:
 
 
 def stopper(lease: Lease, who: Sender) -> str:
-    """Return who pressed STOP, as text for all clients, because any client may press it."""
+    """Return a text that names who sent STOP, for all clients, because any client may send STOP."""
     if lease.holds(who.client):
         return "the operator"
     return f"a viewer, '{who.name}'" if who.role is Role.VIEWER else f"'{who.name}', who is not the operator"
@@ -132,5 +132,5 @@ def operator_routes(of: Commands) -> APIRouter:
 
 
 async def run_in_thread(function: Callable[..., T], *arguments: Any) -> T:
-    """Run a function that may wait for the control process in a thread; the event loop stays responsive."""
+    """Run a function in a thread, so that the event loop stays responsive while the function waits."""
     return await asyncio.to_thread(function, *arguments)

@@ -48,7 +48,7 @@ STREAMED_GROUPS = (
     "deflection_filtered", "deflection_rate", "direction_measured", "direction_observed", "direction_desired",
     "direction_true", "target_followed", "target_measured", "target_offset", "target_true",
 )  # fmt: skip
-#: Largest rate of telemetry samples to all WebSocket clients together [1/s]. More would use the whole processor.
+#: Largest rate of telemetry samples to all WebSocket clients together [1/s]. A higher rate would use a whole processor.
 MAX_SAMPLES_PER_S = 400.0
 #: Names of the channel groups that consist of a single number.
 SCALAR_GROUPS = ("time", "state", "phase", "estimates_frozen", "truth_known", "target_followed")
@@ -67,8 +67,8 @@ def control_routes(
         service: operations of the station.
         of: dependencies that check the operator's lease.
         stopping: thread pool reserved for STOP.
-        side_load: returns a load that does not act at the tip; None: there is none.
-        gateway_problem: returns why the gateway has ended, empty while it runs; None: the station has no gateway.
+        side_load: returns the load that acts on the shaft instead of the tip, or None.
+        gateway_problem: returns why the gateway has ended (empty: it runs); None: the station has no gateway.
     """
     router = APIRouter(prefix="/api", responses={422: REFUSED_RESPONSES[422]}, dependencies=[Depends(of.renew_lease)])
     supervisor = service.supervisor
@@ -176,7 +176,7 @@ def control_routes(
                 if len(rows):
                     sample = sample_out(service, rows[-1], len(rows) - 1 + overwritten, before)
                     before = sample["time"]
-                    listeners -= 1  # a client that does not read must not reduce the others' rate
+                    listeners -= 1  # while this client delays sending, it does not reduce the rate of other clients
                     try:
                         await socket.send_json(sample | timing.read() | {"target_visible": target.update(rows)})
                     finally:
@@ -211,7 +211,7 @@ def sample_out(service: StationService, row: Array, skipped: int, before: float 
     for group in STREAMED_GROUPS:
         numbers = channels.of(row, group).tolist()
         values[group] = numbers[0] if group in SCALAR_GROUPS else None if group in stale else numbers
-    # A late control loop skips whole periods, which have no row: they are counted from the rows' times.
+    # A late control loop skips whole periods, for which no row exists, so they are counted from the times of the rows.
     missed = 0 if before is None else max(0, round((values["time"] - before) / PERIOD_S) - 1 - skipped)
     named = {"state": State(int(values["state"])).name, "phase": Phase(int(values["phase"])).name.lower()}
     return {"skipped": skipped, "missed": missed, **values, **named}

@@ -10,7 +10,7 @@ from web.api.schemas import CaseOut, ExperimentOut, FactOut
 
 
 def experiments_out(bench: Rig) -> list[ExperimentOut]:
-    """Return all experiments that a station with this rig offers; an invalid file hides no other."""
+    """Return all experiments that a station with this rig offers; an invalid file is listed with its error."""
     return [_experiment_out(name, bench) for name in preset_names("experiments")]
 
 
@@ -25,7 +25,7 @@ def _experiment_out(name: str, bench: Rig) -> ExperimentOut:
 
 def _case_out(case: Case, title: str, bench: Rig) -> CaseOut:
     file = case.file
-    # A case without its own title has the experiment's title: its name describes it better.
+    # A case without a separate title has the experiment's title. The name of such a case is the better description.
     words = file.title if file.title != title else ", ".join(case.name.replace("_", " ").split("-"))
     return CaseOut(
         name=case.name,

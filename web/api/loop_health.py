@@ -1,4 +1,4 @@
-"""Recent punctuality of the control loop, from the increase of its timing histograms since the last reading."""
+"""Recent timing of the control loop, computed from the increase of its timing histograms since the last reading."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""Messages that describe the station's state: what it does, why, and what the operator can do next."""
+"""Messages for each state of the station: what the station does, why, and what the operator can do next."""
 
 import math
 from collections.abc import Mapping
@@ -41,7 +41,7 @@ _HOMING_KEYS = {"joint", "number", "of", "gone", "way", "exact", "unit", "left_s
 
 
 def state_message(status: StationStatus) -> StateMessage:
-    """Return the message for the station's status; it reports stale telemetry in every state except OFF and FAULT."""
+    """Return the message for the station's status; it reports missing telemetry in every state except OFF and FAULT."""
     state, cause = status.state, status.cause
     if state is State.FAULT:
         return StateMessage(

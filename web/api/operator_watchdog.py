@@ -1,4 +1,4 @@
-"""Detects the loss of the operator: the page was closed, or sent no request until the lease expired."""
+"""Detects the loss of the operator: the operator released the lease, or sent no request until the lease expired."""
 
 import asyncio
 
@@ -11,7 +11,7 @@ POLL_INTERVAL_S = 0.25
 
 
 async def watch_operator(lease: Lease, supervisor: Supervisor) -> None:
-    """Report to the station whenever there is no operator any more; runs until cancelled."""
+    """Report to the station each time the operator is lost; run until cancelled."""
     had_operator = False
     while True:
         await asyncio.sleep(POLL_INTERVAL_S)

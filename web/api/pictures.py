@@ -14,7 +14,7 @@ from web.scene.reference import path_offsets
 #: Height of an experiment's picture [px]; the path and the load each fill a square.
 PICTURE_PX = 72
 MARGIN_PX = 8.0
-#: Force at the top of the picture [N]; all pictures use the same, so that they can be compared.
+#: Force at the top of the picture [N]; all pictures use the same scale, so that they can be compared.
 MAX_FORCE_N = 0.5
 #: Smallest width of a path's picture [m], so that a small step appears small.
 MIN_SPAN_M = 0.02
@@ -26,8 +26,8 @@ class _Plane(NamedTuple):
     vertical: Array
 
 
-#: Projection planes as in the scene. From the side, z points right and gravity (+x) down. From the front, the view is
-#: along z, for a path across the axis.
+#: Projection planes as in the scene. From the side, z points right and gravity (+x) down. The front
+#: view, along z, is for a path that extends across the z axis.
 _SIDE = _Plane(np.array((0.0, 0.0, 1.0)), np.array((1.0, 0.0, 0.0)))
 _FRONT = _Plane(np.array((0.0, -1.0, 0.0)), np.array((1.0, 0.0, 0.0)))
 

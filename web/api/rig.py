@@ -39,28 +39,29 @@ class RigOut(Strict):
     lab: str
     """name of the virtual lab, or the drivers in use"""
     virtual: bool
-    """a virtual lab: it accepts simulated loads and device faults"""
+    """true: the rig is a virtual lab, which accepts simulated loads and device faults"""
     joints: tuple[JointOut, ...]
     working_pose: Mapping[str, float] | None
-    """pose to which the robot moves after homing [rad or m]; null: it stays at the homing pose"""
+    """pose to which the robot moves after homing [rad or m]; null: the robot stays at the homing pose"""
     tubes: tuple[str, ...]
-    """innermost first"""
+    """names of the tubes, innermost first"""
     max_force: float
-    """tip force at which a motion ends in HOLD or the tip pushes no further [N]"""
+    """force on the tip at which a motion ends in HOLD, or the tip moves no further against the force [N]"""
     max_force_reason: str
-    """what `max_force` protects"""
+    """which part of the robot `max_force` protects, or which key sets it"""
     model: str
-    """integrator chosen for the curvature of the tubes; empty: the paper's, or that of the station's file"""
+    """integrator of the model if the station chose it for the curvature of the tubes; empty: the paper's integrator, or
+    the one of the station's file"""
     tip_speed: float
     """speed limit of the tip while it is jogged [m/s]"""
     turn_speed: float | None
-    """limit of the tip's turning speed while it is jogged [rad/s]; null: its direction is not controlled"""
+    """limit of the tip's turning speed while it is jogged [rad/s]; null: the tip's direction is not controlled"""
     strategies: tuple[str, ...]
-    """control strategies"""
+    """names of the control strategies"""
     inner: tuple[str, ...]
-    """inner loops"""
+    """names of the inner loops"""
     controller: ControllerFile
-    """controller of a free motion that specifies none"""
+    """controller of a free motion whose request specifies no controller"""
 
 
 class DevicesOut(Strict):
@@ -68,7 +69,7 @@ class DevicesOut(Strict):
 
     devices: tuple[DeviceStatus, ...]
     raw: Mapping[str, float]
-    """values by channel, named as in recordings, with the unit in the name"""
+    """newest values by telemetry channel; a name is that of the recordings and contains the unit"""
 
 
 class HomeIn(Strict):
@@ -79,26 +80,26 @@ class HomeIn(Strict):
     way_is_clear: Literal[True]
     """the operator has checked that the tubes can be retracted and turned without touching anything"""
     then_working_pose: bool = True
-    """then go to the working pose, if the robot's file has one; false: stay at the homing pose"""
+    """true: after homing go to the working pose, if the robot's file has one; false: stay at the homing pose"""
 
 
 class GotoIn(Strict):
-    """A joint pose to go to, at half of the joints' top speed at most."""
+    """A joint pose to which the robot moves; each joint moves at most at half of its top speed."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [{}, {"joints": {"inner_translation": -0.08}}]})
 
     joints: Annotated[Mapping[str, float], Field(min_length=1, max_length=20)] | None = None
-    """joint positions by name [rad or m]; omitted joints stay; null: the working pose of the robot's file"""
+    """joint positions by name [rad or m]; omitted joints do not move; null: the working pose of the robot's file"""
 
 
 class JogIn(Strict):
-    """A jog velocity for the next 0.3 s; repeat the request to continue."""
+    """A jog velocity that applies for 0.3 s; repeat the request to continue the jog."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"space": "tip", "velocity": [0.0, 0.0, 0.002]}]})
 
     space: Space
     velocity: Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=20)]
-    """of every joint [rad/s or m/s]; or in the world frame: of the tip [m/s], or of its direction [rad/s]"""
+    """velocity of every joint [rad/s or m/s]; or, in the world frame, of the tip [m/s] or of its direction [rad/s]"""
 
 
 class LoadIn(Strict):
@@ -126,10 +127,10 @@ class FaultKindOut(Strict):
     devices: tuple[str, ...]
     """devices or joints that it can affect"""
     most: float | None
-    """largest value; null: the fault has no value"""
+    """largest value of the fault; null: the fault has no value"""
     unit: str
     lasts: bool
-    """the fault has a duration"""
+    """whether the fault has a duration"""
 
 
 #: Names of the telemetry channels that contain unprocessed values of a device.

@@ -20,7 +20,7 @@ from web.api.schemas import REFUSED_RESPONSES, ErrorOut
 
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ErrorOut, "description": "no such run or case"}}
 MCAP_MEDIA_TYPE = "application/octet-stream"
-#: Content-Security-Policy of a report or replay page. The page may load nothing, because it contains all that it needs.
+#: Content-Security-Policy of a report or replay page. The page may load nothing, because the file is complete.
 STANDALONE_POLICY = (
     "default-src 'none'; img-src data: blob:; font-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline';"
     " frame-ancestors 'self'"
@@ -122,7 +122,7 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
         path = folder / f"{command}.html"
 
         async def render() -> None:
-            async with rendering:  # one report at a time, because each uses a processor for seconds
+            async with rendering:  # one report at a time, because rendering uses a whole processor for seconds
                 if fresh or not path.is_file():
                     await _rendered(command, folder)
 

@@ -24,10 +24,10 @@ from web.scene.views import VIEWS
 
 
 class ViewOptionsOut(ViewOptions):
-    """View options, and whether the client's scene is connected."""
+    """View options, and whether the scene in the client's page is connected."""
 
     connected: bool
-    """the scene in the client's page receives its stream; without it the picture is frozen"""
+    """whether the scene in the client's page is connected; without a connection the picture is frozen"""
 
 
 class TargetIn(Strict):
@@ -36,7 +36,7 @@ class TargetIn(Strict):
     position: Vector
     """world frame [m]"""
     direction: Direction | None = None
-    """world frame; needs a controller that controls the direction; null: unchanged"""
+    """desired direction of the tip, world frame; needs a controller that controls the direction; null: unchanged"""
 
 
 class TargetOut(Strict):
@@ -47,11 +47,11 @@ class TargetOut(Strict):
     direction: Vector | None
     """desired direction of the tip there, world frame; null: the direction is not controlled"""
     reachable: bool
-    """along a straight path from the present tip, under the present load"""
+    """whether the tip can reach the target along a straight path from its present position, under the present load"""
     duration: float
-    """duration of the motion, including the stay at its end [s]"""
+    """duration of the motion, including the time at the target [s]"""
     reason: str
-    """why it cannot be reached; empty if it can"""
+    """why the target cannot be reached; empty if it can be reached"""
 
 
 def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIRouter:
@@ -82,7 +82,7 @@ def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIR
         client: Annotated[str, Query(max_length=64)] = "",
         rate: Annotated[float, Query(ge=1.0, le=30.0)] = 8.0,
     ) -> None:
-        """Send what is drawn around the tip. A received view name moves the camera of the page `client`."""
+        """Stream what is drawn around the tip. A received view name moves the camera of the page `client`."""
         await socket.accept()
         listening = asyncio.create_task(_until_closed(socket, lambda name: view.cameras.set_view(client, name)))
         try:

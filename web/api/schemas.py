@@ -1,4 +1,4 @@
-"""Requests and responses of REST. They use SI units and finite numbers; unknown fields are refused."""
+"""Request and response types of the REST interface, in SI units. NaN, infinity and unknown fields are refused."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
@@ -34,7 +34,7 @@ EXAMPLE_CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforwa
 
 
 class StartIn(Strict):
-    """An experiment by name, or a free motion from the present pose; omitted fields use the current settings."""
+    """A named experiment, or a free motion from the present pose, to start; omitted fields use the current settings."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -71,7 +71,7 @@ class StartOut(Strict):
 
     run_id: str
     warnings: tuple[str, ...]
-    """for the operator, for example from when on the load exceeds what the joints can compensate"""
+    """for the operator, for example the time from which the load exceeds what the joints can compensate"""
 
 
 class DoneOut(Strict):
@@ -79,7 +79,7 @@ class DoneOut(Strict):
 
     state: str
     note: str = ""
-    """for the operator; empty if there is nothing to report"""
+    """message for the operator; empty if there is nothing to report"""
 
 
 class RunOut(Strict):
@@ -94,21 +94,21 @@ class RunOut(Strict):
     duration: float
     """duration of the motion [s]"""
     recorded: bool
-    """the run has, or will have, a recording; a motion to a pose has none"""
+    """whether the run has, or will have, a recording; a motion to a pose has no recording"""
     recording: bool
-    """the run is being recorded, or its recording is being finalised"""
+    """whether the run is being recorded, or its recording is being finalised"""
 
 
 class LoopOut(Strict):
-    """Punctuality of the 500 Hz loop since it started."""
+    """Timing of the 500 Hz control loop since the loop started."""
 
     ticks: int
     missed: int
-    """skipped periods"""
+    """number of skipped periods"""
     late_us: Mapping[str, float]
     """delay of the tick's start after its deadline [us]: p50, p99, p99_9, max"""
     tick_us: Mapping[str, float]
-    """work time of a tick [us]: the same percentiles"""
+    """work time of a tick [us]: p50, p99, p99_9, max"""
     scheduler: str
 
 
@@ -116,11 +116,11 @@ class DeviceOut(Strict):
     """Indicator of one device."""
 
     severity: int
-    """0 good, 1 warning, 2 a motion must not continue, 3 stopped, 4 fault"""
+    """0: good; 1: warning; 2: a motion must not continue; 3: stopped; 4: fault"""
     condition: str
     """closed, connecting, homing, connected or fault"""
     text: str
-    """what is wrong and what to do about it"""
+    """what is wrong with the device and what to do"""
 
 
 class OperatorIn(Strict):
@@ -129,16 +129,16 @@ class OperatorIn(Strict):
     name: str | None = Field(default=None, max_length=MAX_NAME_CHARS)
     """shown to all clients; null: the sender's name"""
     take_over: bool = False
-    """even if another client is operator"""
+    """true: take over control even if another client is operator"""
 
 
 class OperatorOut(Strict):
     """The operator, as one client sees it."""
 
     name: str | None
-    """the operator's name; null: no operator, the next command makes its sender operator"""
+    """the operator's name; null: there is no operator, and the sender of the next command becomes operator"""
     you: bool
-    """the requesting client is operator"""
+    """whether the requesting client is operator"""
     role: Role
     """role of the requesting client; a viewer may only view and press STOP"""
     lapses_s: float | None
@@ -149,20 +149,20 @@ class ContactOut(Strict):
     """A load that does not act at the tip."""
 
     force: Vector
-    """world frame [N]"""
+    """force of the load, world frame [N]"""
     position: float | None
     """arc length on the shaft from the plate [m]; null: the geometry does not determine it"""
     intervals: tuple[tuple[float, float], ...]
     """intervals that contain the position with 95 % confidence [m]"""
     reason: str
-    """why the position is unknown; empty when it is known"""
+    """why the position is unknown; empty if the position is known"""
 
 
 class StatusOut(Strict):
     """Status of the station."""
 
     format: int
-    """format of REST; it increases when a script for the previous format would misunderstand a response"""
+    """format number of REST; it increases when a script for the previous format would misunderstand a response"""
     state: str
     """OFF, CONNECTING, CONNECTED, HOMING, HOMED, READY, RUNNING, HOLD, STOPPED or FAULT"""
     cause: str
@@ -172,12 +172,12 @@ class StatusOut(Strict):
     message: str
     """human-readable state, or the cause"""
     next: str
-    """what the operator should do next; empty when nothing"""
+    """what the operator should do next; empty if nothing"""
     action: Action
-    """command or tab of the page that does it: connect, home, reset, start, calibrate; otherwise empty"""
+    """command or tab of the page that does what `next` says: connect, home, reset, start, calibrate; otherwise empty"""
     operator: OperatorOut
     stale: bool
-    """no tick for half a second: the values below are stale"""
+    """true: the control loop has sent no values for half a second, so the values below are stale"""
     age: float
     """time since the last tick [s]"""
     lab: str
@@ -185,39 +185,41 @@ class StatusOut(Strict):
     warnings: tuple[str, ...]
     """for example: real-time scheduling refused, tubes that snap, a contact on the shaft"""
     model: str
-    """integrator chosen for the curvature of the tubes; empty: the paper's, or that of the station's file"""
+    """integrator of the model if the station chose it for the curvature of the tubes; empty: the paper's integrator, or
+    the one of the station's file"""
     max_force: float
-    """tip force at which a motion ends in HOLD or the tip pushes no further [N]"""
+    """force on the tip at which a motion ends in HOLD, or the tip moves no further against the force [N]"""
     run: RunOut | None
     devices: Mapping[str, DeviceOut]
     loop: LoopOut
     joints: Mapping[str, float]
-    """[rad or m]"""
+    """joint positions by name [rad or m]"""
     tip_measured: Vector | None
-    """[m], world frame; this and the following values are null while stale: during homing, or a device is silent"""
+    """tip by the tracker, world frame [m]; this and the following values are null while they are stale, that is during
+    homing or while a device is silent"""
     tip_estimated: Vector | None
-    """by the loaded model [m]"""
+    """tip by the loaded model [m]"""
     tip_desired: Vector | None
-    """[m]"""
+    """desired tip [m]"""
     tip_true: Vector | None
-    """simulated truth, virtual lab only [m]"""
+    """true tip of the simulated robot, virtual lab only [m]"""
     direction_measured: Vector | None
-    """direction of the tip by the tracker, unit vector, world frame; directions are null if only the position is
+    """direction of the tip by the tracker, unit vector, world frame; all directions are null if only the position is
     controlled"""
     direction_observed: Vector | None
-    """by tracker and model"""
+    """direction of the tip, estimated from tracker and model"""
     direction_desired: Vector | None
-    """desired direction"""
+    """desired direction of the tip"""
     direction_true: Vector | None
-    """simulated truth, virtual lab only"""
+    """true direction of the simulated robot's tip, virtual lab only"""
     force: Vector | None
     """force at the tip, estimated from the base sensors [N]"""
     contact: ContactOut | None
-    """load that acts on the shaft; null: it acts at the tip, is too small, or the robot moves too fast"""
+    """load that acts on the shaft; null: the load acts at the tip or is too small, or the robot moves too fast"""
 
 
 class FactOut(Strict):
-    """One human-readable fact of a case, with numbers and units."""
+    """One setting of a case as human-readable text, with numbers and units."""
 
     what: str
     text: str
@@ -237,25 +239,26 @@ class CaseOut(Strict):
     robot: str
     """robot of the case"""
     lab: str
-    """lab of the case; the station uses its own lab"""
+    """virtual lab that the experiment's file names; the station runs the case in the station's own lab"""
     start: Mapping[str, float]
     """start pose [rad or m]"""
     facts: tuple[FactOut, ...]
     """all settings as human-readable facts"""
     warnings: tuple[str, ...]
-    """deviations of this station from the case; from when on the load exceeds what the joints can compensate"""
+    """settings in which this station differs from the case; the time from which the load exceeds what the joints can
+    compensate"""
     refused: str
-    """why this station cannot run the case; empty if it can"""
+    """why this station cannot run the case; empty if the station can run it"""
 
 
 class ExperimentOut(Strict):
-    """A preset."""
+    """An experiment that the station offers."""
 
     name: str
     title: str
     cases: tuple[CaseOut, ...]
     error: str = ""
-    """error of an invalid file, which has no cases"""
+    """error of an invalid experiment file, for which `cases` is empty"""
 
 
 class SolveIn(Strict):
@@ -275,24 +278,25 @@ class SolveIn(Strict):
     joints: Mapping[str, float]
     """positions of all joints by name [rad or m]"""
     force: Vector = (0.0, 0.0, 0.0)
-    """at the tip, world frame [N]"""
+    """force at the tip, world frame [N]"""
     moment: Vector = (0.0, 0.0, 0.0)
-    """at the tip, world frame [N m]"""
+    """moment at the tip, world frame [N m]"""
 
 
 class SolveOut(Strict):
     """Solution of the loaded model."""
 
     tip: Vector
-    """[m]"""
+    """position of the tip, world frame [m]"""
     direction: Vector
     """direction of the tip, unit vector, world frame"""
     joints: tuple[str, ...]
     """order of the Jacobian's columns"""
     jacobian: tuple[tuple[float, ...], ...]
-    """3 x n [m/rad or m/m]"""
+    """derivative of the tip with respect to the joints, 3 x n [m/rad or m/m]"""
     compliance: tuple[tuple[float, ...], ...]
-    """3 x 3 [m/N]"""
+    """derivative of the tip with respect to the force, 3 x 3 [m/N]"""
     iterations: int
     stability: Stability
-    """whether the shape is stable; may be unknown under a moment at the tip, which has no potential energy"""
+    """whether the shape is stable; this may be unknown if a moment acts at the tip, because a moment has no potential
+    energy"""

@@ -42,16 +42,16 @@ from web.api.utf8_guard import printable
 RUN_POLL_INTERVAL_S = 0.02
 #: Time within which a client must send the first message after it has connected [s].
 FIRST_MESSAGE_TIMEOUT_S = 20.0
-#: Longest close reason of a WebSocket [bytes] (RFC 6455).
+#: Largest length of the reason in a WebSocket's close frame [bytes] (RFC 6455).
 MAX_REASON_BYTES = 123
 #: Largest number of answers queued for a client that does not read; the oldest are dropped first.
 MAX_ANSWERS = 500
-#: Close codes of the WebSocket: normal end, refusal, and more or longer messages than allowed.
+#: Close codes of the WebSocket (RFC 6455): normal end; refusal; messages that are too frequent or too long.
 NORMAL_CLOSURE, POLICY_VIOLATION, MESSAGE_TOO_BIG = 1000, 1008, 1009
 
 
 def setpoint_routes(service: StationService, lease: Lease, audit: Audit) -> APIRouter:
-    """Return the route `/api/setpoints`. Its client must be operator, or becomes operator if there is none."""
+    """Return the route `/api/setpoints`. Its client must be operator; it becomes operator if there is no operator."""
     router = APIRouter(prefix="/api")
 
     @router.websocket("/setpoints")
@@ -93,7 +93,7 @@ async def _start_run(
         raise _Refused("viewers may look and press STOP; this needs the operators' token")
     try:
         first = await asyncio.wait_for(socket.receive(), FIRST_MESSAGE_TIMEOUT_S)
-        permit = service.supervisor.permit(permit_of(socket).gone)  # from now on: the first message is the request
+        permit = service.supervisor.permit(permit_of(socket).gone)  # the first message is the request to move
         agreement = StreamAgreement.model_validate(_object(first), strict=False)
         with commanding(lease, who):
             run = await run_in_thread(partial(service.start_stream, agreement, permit=permit))
@@ -123,7 +123,7 @@ async def _wait_until_ready(service: StationService, lease: Lease, who: Sender, 
 async def _follow_messages(
     socket: WebSocket, service: StationService, lease: Lease, who: Sender, agreement: StreamAgreement, run: RunRequest
 ) -> None:
-    """Follow the client's setpoints until the client or the run ends."""
+    """Pass the client's setpoints on to the run until the run ends or the client disconnects."""
     supervisor = service.supervisor
     now, row = supervisor.bench.clock.now, _row(service)
     start = supervisor.channels.of(row, "tip_desired").copy()
@@ -165,14 +165,14 @@ async def _follow_messages(
         for task in tasks:
             task.cancel()
     status = supervisor.status()
-    # The control loop measures the silence from a slightly different time, so half of the timeout is enough here.
+    # The control loop counts the time without setpoints from a slightly different start, so half of it is enough here.
     timeout = agreement.end
     silent = "" if end_sent or now() - last_valid < 0.5 * timeout else f"no valid setpoint for {timeout:g} s"
     await _close(socket, {"ended": status.state.name, "cause": status.cause or silent}, NORMAL_CLOSURE)
 
 
 async def _receive(socket: WebSocket, waiting: list[Message], arrived: asyncio.Event) -> None:
-    """Collect all messages that the socket has received, before the first of them is followed."""
+    """Append each received message to `waiting`, so that all messages that have arrived can be handled together."""
     while not waiting or waiting[-1]["type"] != "websocket.disconnect":
         waiting.append(await socket.receive())
         arrived.set()
@@ -187,7 +187,7 @@ async def _send_answers(
     answered: asyncio.Event,
 ) -> None:
     """Answer every message of the client. A client that does not read its answers delays only this task."""
-    with contextlib.suppress(WebSocketDisconnect, RuntimeError, _Refused):  # the client or the telemetry is gone
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError, _Refused):  # no client or no telemetry
         while True:
             await answered.wait()
             answered.clear()
@@ -286,7 +286,7 @@ def _tip_out(service: StationService, run: RunRequest, agreement: StreamAgreemen
 
 
 def _limiting_reason(service: StationService, run: RunRequest, row: Array) -> str:
-    """Return which limit keeps the tip from its setpoint, as text; empty if none does."""
+    """Return the names of the limits that keep the tip from its setpoint; empty if no limit is active."""
     of = service.supervisor.channels.of
     sigma = float(of(row, "sigma")[-1])
     limits, floor = run.start.task.controller.limits, run.start.task.controller.aim.floor
@@ -308,7 +308,7 @@ def accepts_setpoints(service: StationService, run: RunRequest) -> bool:
 
 
 def has_ended(service: StationService, run: RunRequest) -> bool:
-    """Return whether a run is not running: it has ended, or the control loop has not reported it yet."""
+    """Return whether a run is not running: the run has ended, or the control loop has not reported the run yet."""
     counters = service.supervisor.ring.counters
     return int(counters[RUN]) != run.number or int(counters[STATE]) != State.RUNNING
 

@@ -21,8 +21,8 @@ def status_out(
         service: operations of the station.
         of: dependencies that check the operator's lease.
         who: client that requests the status.
-        side_load: load that acts on the shaft instead of the tip; None: there is none.
-        gateway_problem: why the gateway has ended, empty while it runs; None: the station has no gateway.
+        side_load: load that acts on the shaft instead of the tip; None: there is no such load.
+        gateway_problem: why the gateway has ended, empty while the gateway runs; None: the station has no gateway.
     """
     supervisor = service.supervisor
     status = supervisor.status()
@@ -83,7 +83,7 @@ def contact_out(side_load: SideLoad) -> ContactOut:
 
 
 def _devices(status: StationStatus) -> dict[str, DeviceOut]:
-    """Return the indicator of each device; none is shown as good while the control loop is silent."""
+    """Return the indicator of each device. While the control loop sends no telemetry, no device is shown as good."""
     silent = status.age > STALE_AFTER_S
     return {
         device.name: DeviceOut(

@@ -1,7 +1,8 @@
 """Guard against invalid Unicode: JSON can contain half of a surrogate pair, which UTF-8 cannot encode.
 
-Files, logs and responses cannot contain half of a pair, so a request body with one is refused. Python also represents
-a file name that is not UTF-8 by such halves, so every error text is made printable before it is sent.
+Files, logs and responses cannot contain half of a surrogate pair, so a request body that contains one is refused.
+Python also represents a file name that is not UTF-8 by such halves, so every error text is made printable before it is
+sent.
 """
 
 import json

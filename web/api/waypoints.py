@@ -1,4 +1,4 @@
-"""Motions from the page: checked on the model before they start, saved as experiments, and loaded again."""
+"""REST routes for motions that the page defines: check waypoints on the model, save and load motions as experiments."""
 
 import asyncio
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ from web.api.schemas import REFUSED_RESPONSES, DoneOut, TipMotionIn
 
 
 class WaypointCheckIn(Places):
-    """Waypoints to check from the present pose, or from another one."""
+    """Waypoints to check, starting from the present pose or from a given pose."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"points": [[0, 0, 0, 0], [5, 0, 0.005, 0]]}]})
 
@@ -40,13 +40,13 @@ class WaypointCheckOut(Strict):
 
     possible: bool
     reason: str
-    """why not; empty if possible"""
+    """why the tip cannot follow the waypoints; empty if possible"""
     place: int | None
-    """index of the first waypoint that cannot be reached, from 0; null: the cause is no single waypoint"""
+    """index of the first waypoint that cannot be reached, from 0; null: no single waypoint is the cause"""
     instead: str
-    """an alternative that works; empty if none was found"""
+    """an alternative that works; empty if no alternative was found"""
     path: tuple[Vector, ...]
-    """smooth path through the waypoints, relative to the start tip [m]; empty if there is none"""
+    """smooth path through the waypoints, relative to the tip at the start [m]; empty if there is no path"""
 
 
 class SaveIn(Strict):
@@ -60,16 +60,16 @@ class SaveIn(Strict):
 
     trajectory: TipMotionIn
     duration: Annotated[float, Field(gt=0.0, le=86400.0)]
-    """[s]"""
+    """duration of the motion [s]"""
     start: Annotated[Mapping[str, float], Field(min_length=1, max_length=20)] | None = None
     """start pose [rad or m]; null: the present joints"""
     controller: ControllerFile | None = None
-    """null: the current setting"""
+    """controller of the motion; null: the current setting"""
     load: Load = NoLoad()
     title: Annotated[str, Field(max_length=200)] = ""
     """title of the experiment; empty: derived from the name"""
     replace: bool = False
-    """overwrite an existing experiment of that name"""
+    """true: overwrite an existing experiment of that name"""
 
 
 def waypoint_routes(service: StationService, data: FilePath, of: Commands) -> APIRouter:
@@ -80,7 +80,7 @@ def waypoint_routes(service: StationService, data: FilePath, of: Commands) -> AP
     one_at_a_time = asyncio.Lock()  # one check at a time, because it uses a whole processor
 
     def pose(joints: Mapping[str, float] | None) -> dict[str, float]:
-        """Return the given joints, or the present ones if none are given [rad or m], by name.
+        """Return joint positions by name [rad or m]: the given `joints`, or the present positions if `joints` is None.
 
         Raises:
             RefusedError: the present joints are unknown.

@@ -36,7 +36,7 @@ class Gateway:
         if options.foxglove is None or is_loopback(options.foxglove.host):
             tokens = None
         elif tokens is None:
-            tokens = new_tokens()  # the station has none because its page is on loopback, but the gateway is not
+            tokens = new_tokens()  # the page is on loopback and has no tokens, but Foxglove is not on loopback
         bench = supervisor.bench
         setup = GatewaySetup(options, bench.robot, bench.clock, bench.core, tokens)
         self.options = options
@@ -48,10 +48,10 @@ class Gateway:
         self.problem = ""  #: why the gateway has ended; empty while it runs
 
     def wait_ready(self) -> tuple[str, ...]:
-        """Wait until the gateway has started; return what it serves at which addresses, as lines of text.
+        """Wait until the gateway has started; return the served protocols and their addresses as lines of text.
 
         Raises:
-            GatewayError: the gateway cannot serve a protocol; its process has ended.
+            GatewayError: the gateway cannot serve a protocol, so its process was ended.
         """
         pipe, problem = self._child.pipe, f"the gateway did not start within {START_TIMEOUT_S:g} s"
         with contextlib.suppress(EOFError, OSError):
@@ -67,7 +67,7 @@ class Gateway:
         raise GatewayError(problem)
 
     async def run(self, on_target: Callable[[TargetMessage], None]) -> None:
-        """Send the station's state to the gateway and pass its targets to `on_target`, until cancelled or it ends."""
+        """Send the station's state to the gateway and pass received targets to `on_target` until the gateway ends."""
         loop, gone, pipe = asyncio.get_running_loop(), asyncio.Event(), self._child.pipe
 
         def receive() -> None:
@@ -111,7 +111,7 @@ class Gateway:
 
 
 def gains_of(controller: dict[str, object], before: str = "controller") -> tuple[tuple[str, float | str | bool], ...]:
-    """Return the keys of a controller with their values, for numbers, texts and switches."""
+    """Return the dotted keys and values of a controller's parameters that are numbers, texts or switches."""
     found: list[tuple[str, float | str | bool]] = []
     for key, value in controller.items():
         if isinstance(value, dict):

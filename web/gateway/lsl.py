@@ -1,4 +1,4 @@
-"""Lab Streaming Layer (LSL) outlet: streams rows of telemetry, and changes of state as markers, by LSL's clock.
+"""Lab Streaming Layer (LSL) outlet: one stream of telemetry rows and one of state changes, with times by LSL's clock.
 
 LabRecorder writes both streams into one XDF file together with the other streams of the laboratory.
 """
@@ -15,9 +15,9 @@ from station.control.telemetry import Channels
 from web.gateway.snapshot import Snapshot, StationInfo
 
 #: Configuration of liblsl: the streams can be discovered on this computer only. Their TCP ports still listen on all
-#: addresses of the computer, because liblsl has no setting for that.
+#: addresses of the computer, because liblsl has no setting to prevent that.
 _CONFIG = "[multicast]\nResolveScope = machine\n[log]\nlevel = -2\n"
-#: Seconds of telemetry that are buffered for a slow reader.
+#: Time for which data are buffered for a slow reader [s].
 _MAX_BUFFERED_S = 30
 
 
@@ -49,7 +49,7 @@ class LslOutlet:
 
     def publish(self, snapshot: Snapshot) -> None:
         """Send all rows of a snapshot with their times, and a marker if the state has changed."""
-        # Time [s] by which LSL's clock is ahead of the wall clock, in which the rows are stamped.
+        # Time [s] by which LSL's clock is ahead of the wall clock, by which the rows are stamped.
         ahead = pylsl.local_clock() - time.time()
         if len(snapshot.rows):
             times = 1e-9 * snapshot.stamps.astype(np.float64) + ahead

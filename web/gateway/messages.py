@@ -1,6 +1,6 @@
 """Messages between the station process and the gateway process.
 
-The station process sends a `StationInfo` with each change of its state, and None to end the gateway process.
+The station process sends a `StationInfo` at each change of its state. It sends None to end the gateway process.
 """
 
 from typing import NamedTuple
@@ -19,11 +19,11 @@ class GatewaySetup(NamedTuple):
     robot: RobotFile
     clock: StationClock
     core: int | None  #: index of the control loop's processor core, which the gateway does not use
-    tokens: Tokens | None  #: access tokens, required by protocols that support them; None on loopback
+    tokens: Tokens | None  #: access tokens, which clients need if the protocol supports tokens; None on loopback
 
 
 class GatewayReady(NamedTuple):
-    """Message from gateway to station, sent once: all requested protocols are served."""
+    """Message from gateway to station, sent once: the gateway now serves all requested protocols."""
 
     lines: tuple[str, ...]  #: served protocols and their addresses, as text
 

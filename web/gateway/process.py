@@ -1,4 +1,4 @@
-"""The gateway process: polls the telemetry ring and sends what it reads to the clients of all protocols.
+"""The gateway process: polls the telemetry ring and sends the values to the clients of all protocols.
 
 The gateway reads the ring in the same way as the recorder, without any effect on the control loop. It sends targets
 for the robot to the station process, which accepts or discards them.
@@ -22,7 +22,7 @@ from web.gateway.messages import GatewayProblem, GatewayReady, GatewaySetup, Tar
 from web.gateway.options import GatewayError, ListenAddress
 from web.gateway.snapshot import Snapshot, SnapshotReader, StationInfo
 
-#: Polls of the telemetry ring [1/s].
+#: Rate at which the gateway polls the telemetry ring [1/s].
 POLL_RATE_HZ = 50.0
 
 
@@ -67,13 +67,13 @@ class _Gateway:
         self._robot, self._channels = robot, channels
         self._reader = SnapshotReader(ring, robot, channels, setup.clock)
         self._info = StationInfo()
-        self._target: TargetMessage | None = None  # newest target that the station process has not received yet
+        self._target: TargetMessage | None = None  # newest target that was not yet sent to the station process
         self._writable = select.poll()
         self._writable.register(pipe.fileno(), select.POLLOUT)
         self._ended = False
 
     async def run(self, parent: int) -> None:
-        """Serve until the station process (`parent`) ends this process or has ended itself."""
+        """Serve until the station process (`parent`) ends this process, or until the station process has ended."""
         loop, outlets = asyncio.get_running_loop(), list[Outlet]()
         loop.add_signal_handler(signal.SIGTERM, self._end)
         try:
@@ -102,7 +102,7 @@ class _Gateway:
                 await outlet.close()
 
     async def _open(self, outlets: list[Outlet]) -> list[str]:
-        """Start the requested protocols and return their addresses as text; only their packages are imported."""
+        """Start the requested protocols and return their addresses as text; import only their packages."""
         options, lines = self._setup.options, list[str]()
         if options.igtl is not None:
             from web.gateway.igtl.server import IgtlServer

@@ -15,15 +15,15 @@ from station.control.telemetry import Channels
 from station.recording.robot_pose import Pose, PoseReader, RobotPose
 from station.service.stale_channels import stale_groups
 
-#: Age from which telemetry is stale and is not sent to clients [s].
+#: Largest age of the newest telemetry row that is subtracted from the wall-clock time when rows are stamped [s].
 STALE_AFTER_S = 0.5
-#: Largest decrease and increase of the estimated clock offset with each reading [s]. The decrease may be larger because
-#: rows arrive late and never early; both are small so that stamps do not go backward.
+#: Largest decrease and largest increase of the estimated clock offset per reading [s]. The decrease may be larger
+#: because rows arrive late and never early. Both are small so that time stamps never decrease.
 OFFSET_GAIN_DOWN, OFFSET_GAIN_UP = 5e-4, 1e-5
 #: Largest plausible jump of the clock offset [s]. A larger one means that the control loop was restarted or the
-#: computer's clock was set, so the estimate starts again.
+#: computer's clock was set, so the estimate is initialised again.
 MAX_CLOCK_OFFSET_S = 1.0
-#: Quaternion sent for the measured and the desired tip, whose channels contain only a position: the identity.
+#: Identity quaternion, sent for the measured and the desired tip, because their channels contain only a position.
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -62,7 +62,7 @@ class SceneState:
     pose: RobotPose | None = field(repr=False)  #: shape of the robot; None if the model has no solution
 
     def tips(self) -> dict[str, Pose]:
-        """Return the measured, estimated and desired tip by name, as far as they are known."""
+        """Return the measured, estimated and desired tip by name; unknown tips are omitted."""
         known: dict[str, Pose | None] = {
             "measured": _upright_pose(self.measured),
             "estimated": self.estimated,

@@ -35,7 +35,7 @@ class _TargetStream(NamedTuple):
 
 
 class TargetStreams:
-    """Starts runs that follow targets, one at a time; it runs in the event loop of the web server."""
+    """Starts runs that follow targets, one at a time; all methods run in the event loop of the web server."""
 
     def __init__(self, service: StationService, lease: Lease, audit: Audit) -> None:
         self._service, self._lease, self._audit = service, lease, audit
@@ -51,7 +51,7 @@ class TargetStreams:
         try:
             self._service.send_setpoint(current.run, current.stream.position(position, target.received, target.sent))
         except SetpointRefused:
-            return  # a refused target has no effect; OpenIGTLink has no answer that could report the refusal
+            return  # the refusal is not reported, because OpenIGTLink has no answer to a target
 
     async def start(self, who: Sender, agreement: StreamAgreement, permit: Permit) -> RunRequest:
         """Start a run whose tip follows targets.

@@ -1,4 +1,4 @@
-"""Cameras of the pages that show the scene: each page has its own, found by the page's identity."""
+"""Cameras of the pages that show the scene. Each page has a separate camera, found by the page's identity."""
 
 import threading
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from web.scene.views import DEFAULT_ASPECT, FIELD_OF_VIEW_RAD, VIEWS, Camera, Vi
 
 #: Query parameter by which the proxy sends the page's identity to viser.
 CLIENT_PARAMETER = "client"
-#: Largest distance from its first position at which a camera counts as not moved by the user [scene units].
+#: If a camera is at most this far from its first position, the user has not moved it [scene units].
 SAME_CAMERA_DISTANCE = 1e-3
 
 
@@ -37,8 +37,8 @@ class Cameras:
         async def _(client: viser.ClientHandle) -> None:
             with self._lock:
                 self._clients[self._who(client)] = client
-            # The camera of a new page, which is viser's default, is set to the first view. The camera of a page that
-            # reconnects is unchanged, because its user may have chosen it.
+            # The camera of a new page has viser's initial position and is set to the overview. If a page reconnects,
+            # its camera is not changed, because the user may have chosen this camera.
             fitted = False
 
             async def fit(_: viser.CameraHandle) -> None:

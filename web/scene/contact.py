@@ -1,7 +1,7 @@
 """Detection of a load on the robot's shaft, because the controller assumes that every load acts at the tip.
 
 Three times a second the station evaluates the mean of the last half second of telemetry, while the robot moves slowly.
-A contact is reported when consecutive evaluations agree, because a single one is wrong once in a thousand. A contact
+A contact is reported only when consecutive evaluations agree, because one evaluation in a thousand is wrong. A contact
 causes only a warning; the operator decides what to do.
 """
 
@@ -21,8 +21,8 @@ from station.control.telemetry import Channels
 WINDOW_ROWS, MAX_WINDOW_S = 250, 0.6
 #: Largest motion of a joint during one evaluation [rad, m], that is 10 deg/s and 10 mm/s.
 MAX_JOINT_MOTION = {"rotation": np.deg2rad(5.0), "translation": 5e-3}
-#: Largest change of the mean force between fifths of one evaluation [N], because a swinging load would be located
-#: wrongly.
+#: Largest change of the mean force between fifths of one evaluation [N], because the position of a
+#: swinging load would be estimated wrongly.
 MAX_FORCE_CHANGE_N = 0.05
 #: Smallest force that can be reported as a contact [N]; a smaller one may be drift of the sensors since the tare.
 MIN_FORCE_N = 0.1
@@ -61,10 +61,10 @@ class ContactMonitor:
         self._statics, self._channels = statics, channels
         self._slow = np.array([MAX_JOINT_MOTION[joint.motion] for joint in robot.joints])
         self._disagreeing = 0  # number of consecutive evaluations that contradict `side_load`
-        self.side_load: SideLoad | None = None  #: load on the shaft; None: there is none, or it is unknown now
+        self.side_load: SideLoad | None = None  #: load on the shaft; None: no load on the shaft is known
 
     def update(self, rows: Array) -> None:
-        """Evaluate the newest `rows` of telemetry (m, channels), which are empty if there is no telemetry."""
+        """Evaluate the newest `rows` of telemetry (m, channels). Without telemetry `rows` is empty."""
         found = self._evaluate(rows) if self._is_steady(rows) else None
         if len(rows) == 0:
             self._disagreeing, self.side_load = 0, None
@@ -76,7 +76,7 @@ class ContactMonitor:
                 self._disagreeing, self.side_load = 0, found
 
     def _is_steady(self, rows: Array) -> bool:
-        """Return whether the rows are complete and measured, and neither the robot nor its load moves fast."""
+        """Return whether the rows are complete, no device has a fault, and neither robot nor load moves fast."""
         of = self._channels.of
         return (
             len(rows) >= WINDOW_ROWS

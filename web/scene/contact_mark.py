@@ -10,7 +10,7 @@ from web.scene.tubes import centre_line
 
 #: Number of points along each drawn section of the shaft.
 MARK_POINTS = 24
-#: Diameter of the section's line and radius of the marker [m]; both exceed the tubes' size to be visible.
+#: Diameter of the section's line and radius of the marker [m]; both are larger than the tubes, to be visible.
 THICKNESS_M, MARKER_M = 4.4e-3, 3.2e-3
 
 
@@ -32,7 +32,7 @@ class ContactMark:
         self._marker.visible = self._section.visible = False
 
     def draw(self, side_load: SideLoad, shape: Array) -> Array:
-        """Show a contact on a shaft of the model's `shape`; return its most likely position (3,) [m]."""
+        """Show a contact on the shaft, given the model's `shape`; return its most likely position (3,) [m]."""
         position = centre_line(shape, np.array([side_load.contact.arc_length]))[0][0]
         sections = [_segments(shape, first, last) for first, last in side_load.contact.intervals]
         self._section.points = np.concatenate(sections).astype(np.float32)

@@ -15,7 +15,7 @@ PATH_POINTS = 240
 class SceneContent(NamedTuple):
     """Content of one picture in the world frame; values that are not measured now are None."""
 
-    message: str  #: text that lists what is missing in the picture; empty if nothing is missing
+    message: str  #: text that lists the values that are not measured now; empty if all are
     age: float  #: age of the newest telemetry row [s]
     tubes: tuple[Array, ...]  #: distal part of each tube's centre line (k, 3) [m]; empty if the model has no solution
     estimated: Array | None  #: position of the tip by the model (3,) [m]

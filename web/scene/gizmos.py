@@ -18,7 +18,7 @@ TARGET_SIZE_M, FORCE_SIZE_M = 0.035, 0.025
 LOWER_BOUNDS_M, UPPER_BOUNDS_M = (-0.25, -0.25, -0.05), (0.25, 0.25, 0.40)
 #: Largest force that can be set with the force handle [N].
 MAX_FORCE_N = 0.5
-#: Time after a drag during which a handle keeps its position [s]; later the scene may move it again.
+#: Time after a drag during which a handle keeps its position [s]; afterwards the scene may move the handle again.
 RELEASE_DELAY_S = 0.5
 
 
@@ -35,7 +35,7 @@ class Gizmo:
     """A draggable handle with arrows of `size` [m]. viser's thread writes its position; the view's thread reads it."""
 
     def __init__(self, scene: viser.SceneApi, name: str, unit: float, size: float, *, turns: bool = False) -> None:
-        """Add the handle; with `turns` it also has rings, and its z axis is a direction."""
+        """Add the handle. With `turns` the handle also has rings to turn it, and its z axis shows a direction."""
         self._unit = unit
         self._handle = scene.add_transform_controls(
             name, scale=unit * size, disable_rotations=not turns, depth_test=False, visible=False

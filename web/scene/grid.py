@@ -12,14 +12,14 @@ from web.scene.views import ViewBounds
 FINE_SPACING_M, COARSE_SPACING_M = 0.01, 0.05  # [m]
 #: Colours of the lines and of the numbers: medium greys, visible on light and dark pages.
 GREY, INK = (128, 134, 140), (128, 137, 146)
-#: Approximate opacity of the grid's lines at the camera's first distance.
+#: Approximate opacity of the grid's lines at the distance of the camera's first position.
 OPACITY = 0.17
 #: Height of a number, and its distance from the grid's edge, as parts of the longest edge.
 LABEL_HEIGHT, LABEL_DISTANCE = 0.018, 0.026
 
 
 class Grid(NamedTuple):
-    """Bounds of the two grids: the floor is at the upper x, the wall at the upper y."""
+    """Bounds of the two grids. The floor is the plane at the largest x, the wall the plane at the largest y."""
 
     lower: Array  #: smallest coordinates (3,) [m]
     upper: Array  #: largest coordinates (3,) [m]
@@ -56,7 +56,7 @@ def draw_grid(scene: viser.SceneApi, grid: Grid, distance: float, unit: float) -
 
 
 def _numbers(grid: Grid) -> list[Array]:
-    """Return the strokes of the labels at edges that the robot seldom reaches: z above, x left, y in front."""
+    """Return the strokes of the labels, at edges that the robot seldom reaches: z above, x left, y in front."""
     x, y, z = np.eye(3)
     (x0, y0, z0), (x1, y1, z1) = grid.lower, grid.upper
     longest = float(np.max(grid.upper - grid.lower))

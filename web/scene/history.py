@@ -27,8 +27,8 @@ class TipTrace:
     def __init__(self, channels: Channels) -> None:
         self.points: deque[TracePoint] = deque(maxlen=round(TRACE_SPAN_S / TRACE_BIN_S))
         self.recent = np.empty((0, len(channels)))  #: telemetry rows of the last `TRACE_BIN_S`, newest last
-        self.measured = -np.inf  #: time of the newest row with a new measurement of the tip [s]
-        self.target_visible = False  #: the tracker measures a moving target now
+        self.measured = -np.inf  #: time of the newest row that contains a new measurement of the tip [s]
+        self.target_visible = False  #: whether the tracker measures a moving target now
         self._channels = channels
         self._target = TargetVisibility(channels)
         self._next = 0
@@ -37,7 +37,7 @@ class TipTrace:
     def read(self, ring: Ring) -> None:
         """Read the telemetry rows that were written since the last call.
 
-        After a restart of the control process the rows' time runs backward, which starts a new trace.
+        If the time of the rows decreases, the control process has restarted, and a new trace is started.
         """
         rows, self._next, _ = ring.read(self._next)
         if len(rows):

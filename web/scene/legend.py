@@ -35,7 +35,7 @@ class Legend(Strict):
     tubes: tuple[TubeLegendEntry, ...]
     """innermost first"""
     views: tuple[str, ...]
-    """views of the camera"""
+    """names of the camera's views"""
 
 
 def signs(*, target: bool) -> tuple[LegendEntry, ...]:

@@ -1,8 +1,8 @@
-"""Filter for messages of browsers to the scene, which accepts only camera updates and drags by the operator.
+"""Filter for messages from browsers to the scene. Only camera updates and drags by the operator pass the filter.
 
 viser executes every message of every client, so one client could remove or overwrite the objects that all clients see.
-Therefore this filter decodes each message strictly. It encodes known messages with finite values in range again and
-passes them on.
+Therefore this filter decodes each message strictly. If the message is known and its values are finite and in range, the
+filter encodes the decoded message again and passes it on.
 """
 
 import math
@@ -17,7 +17,7 @@ from web.access.identity import Sender
 from web.access.lease import Lease
 from web.access.tokens import Role
 
-#: Longest accepted message of a browser [bytes]; a camera update has 300.
+#: Longest accepted message of a browser [bytes]; a camera update has 300 bytes.
 MAX_MESSAGE_BYTES = 2048
 #: Largest number of messages that one socket may send in a burst, and its largest sustained rate [1/s].
 MAX_BURST, MAX_RATE_HZ = 240.0, 120.0
@@ -84,13 +84,13 @@ class MessageGate:
     lease: Lease
     who: Sender
     clock: Callable[[], float]  #: returns the time [s]
-    report: Callable[[str], None]  #: called once for each reason, so that a flood cannot fill the log
+    report: Callable[[str], None]  #: called once for each reason, so that many messages cannot fill the log
     dropped: Counter[str] = field(default_factory=Counter)  #: number of dropped messages by reason
     _credit: float = MAX_BURST
     _last: float = 0.0
 
     def passes(self, data: bytes | str | None) -> bytes | None:
-        """Return the message to pass on to viser; None: it was dropped and counted in `dropped`."""
+        """Return the message to pass on to viser; None: the message was dropped and counted in `dropped`."""
         now = self.clock()
         self._credit, self._last = min(MAX_BURST, self._credit + MAX_RATE_HZ * (now - self._last)), now
         if self._credit < 1.0:

@@ -11,23 +11,23 @@ from station.config.strict import Strict
 from web.scene.tubes import centre_line
 from web.scene.workspace import WorkspaceMesh
 
-#: Radius of the uncertainty sphere in standard deviations, and the factor by which it is magnified.
+#: Radius of the uncertainty sphere in standard deviations, and the factor by which the sphere is magnified.
 UNCERTAINTY_SIGMAS, UNCERTAINTY_SCALE = 2.0, 10.0
 GHOST_POINTS = 60
 
 
 class ViewOptions(Strict):
-    """What the scene shows in addition to the robot; the same for all clients."""
+    """Objects that the scene shows in addition to the robot. All clients have the same options."""
 
     ghost: bool = False
     """shape of the robot without its load"""
     workspace: bool = False
     """tip positions within the joints' travel, without a load"""
     uncertainty: bool = False
-    """two standard deviations of the estimated tip, magnified ten times; a sphere, because the observer has one
-    covariance for the three axes"""
+    """two standard deviations of the estimated tip, magnified ten times; the region is a sphere, because the
+    observer has one covariance for all three axes"""
     target: bool = False
-    """a target that can be dragged, to check whether the tip can reach it"""
+    """a target that can be dragged, to check whether the tip can reach the target"""
     force: bool = False
     """a handle at the end of the force's arrow: drag it to apply a force to the simulated tip (virtual lab)"""
 

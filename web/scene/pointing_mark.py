@@ -20,7 +20,7 @@ class PointingMark:
                 head_length=0.008, scale=unit, visible=False,
             )  # fmt: skip
 
-        # The arrow of the desired direction is wider, so that it is visible around the other arrow where both agree.
+        # The arrow of the desired direction is wider, so that it stays visible where it coincides with the other arrow.
         self._desired = arrow("desired", palette.DESIRED, 1.1e-3)
         self._observed = arrow("observed", palette.ESTIMATED, 0.7e-3)
 

@@ -1,7 +1,7 @@
-"""Proxy on the station's public port for viser's page and for its WebSocket, whose messages are filtered.
+"""Proxy on the station's public port for viser's page and WebSocket; the proxy filters the messages of the WebSocket.
 
-viser listens on loopback only and has no access control, so the checks of `web.access` apply before the proxy. A page
-requests the scene under its identity, which distinguishes its socket from others.
+viser listens on loopback only and has no access control, so the checks of `web.access` apply before the proxy. The
+path of a page's request contains the page's identity, by which the proxy distinguishes the sockets of the pages.
 """
 
 import asyncio
@@ -23,18 +23,18 @@ from web.access.lease import Lease
 from web.scene.cameras import CLIENT_PARAMETER
 from web.scene.messages import HandleBox, MessageGate
 
-#: Path under which the proxy serves viser; a page with an identity uses `IDENTITY_PATH`.
+#: Path under which the proxy serves viser. A page that sends an identity uses `IDENTITY_PATH` instead.
 VISER_PREFIX = "/viser"
 IDENTITY_PATH = VISER_PREFIX + "/as/{client}"
 _FORWARDED_HEADERS = ("content-type", "content-encoding", "cache-control", "etag", "last-modified", "vary")
 
 
 class SceneServer(NamedTuple):
-    """Port of viser's server, its handles, and its open sockets."""
+    """Port of viser's server, the scene's draggable handles, and the number of open sockets of each client."""
 
     port: int  #: viser's port on loopback
     gizmos: Mapping[str, HandleBox]  #: handles that the operator may drag, by name
-    open: Counter[str]  #: number of open sockets by the identity of their clients
+    open: Counter[str]  #: number of open sockets by the client's identity
 
 
 def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple[APIRouter, httpx.AsyncClient]:
@@ -50,7 +50,7 @@ def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple
             name: value for name in ("accept-encoding", "if-none-match") if (value := request.headers.get(name))
         }
         try:
-            # The raw bytes are forwarded, so that a compressed body stays compressed.
+            # The raw bytes are forwarded, because the header `content-encoding` of a compressed body is forwarded, too.
             async with client.stream("GET", "/" + quote(path), headers=forwarded) as answer:
                 body = b"".join([chunk async for chunk in answer.aiter_raw()])
         except httpx.HTTPError as error:
@@ -58,7 +58,7 @@ def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple
         headers = {name: value for name in _FORWARDED_HEADERS if (value := answer.headers.get(name))}
         return Response(body, answer.status_code, headers)
 
-    # The path has no trailing slash, because a browser's WebSocket arrives without the slash of its page.
+    # The path without a trailing slash is needed, because viser's page requests its WebSocket without the slash.
     @router.websocket(IDENTITY_PATH)
     @router.websocket(IDENTITY_PATH + "/")
     async def identified(browser: WebSocket, client: str) -> None:

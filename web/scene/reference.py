@@ -14,9 +14,9 @@ MAX_POINTS = 2000  #: largest number of points of the path; a longer path is cut
 
 
 def path_offsets(task: MotionTask) -> Array:
-    """Return points (k, 3) [m] of a task's path relative to the tip at the start; a periodic motion has its first lap.
+    """Return points (k, 3) [m] of a task's path relative to the tip at the start; of a periodic path, one period.
 
-    The result has less than two points if the task has no path, such as a rest or a joint motion.
+    The result has fewer than two points if the task has no path, for example a rest or a joint motion.
     """
     if isinstance(task.orders, StreamLimits):
         return np.empty((0, 3))  # the path of a streamed motion is unknown in advance
@@ -45,7 +45,7 @@ def path_offsets(task: MotionTask) -> Array:
 
 
 def path(task: MotionTask, status: StationStatus) -> Array:
-    """Return `path_offsets` in the world frame (k, 3) [m], while the task is moving."""
+    """Return the points of `path_offsets` in the world frame (k, 3) [m] for a task that is moving now."""
     if isinstance(task.orders, StreamLimits):
         return np.empty((0, 3))
     now = task.orders.at(status.progress * task.duration)

@@ -1,4 +1,4 @@
-"""Bounds of a robot for the camera, the grid and the rail, from its tubes and limits without solving the model."""
+"""Bounds of a robot for the camera, the grid and the rail, computed from tubes and limits without the model."""
 
 from itertools import product
 
@@ -37,10 +37,10 @@ def extent(robot: Robot, limits: Limits) -> ViewBounds:
 
 
 def _lateral_reach(robot: Robot, beta: Array) -> float:
-    """Return how far the tip is from the plate's axis [m] when all tubes bend in one plane.
+    """Return the distance of the tip from the plate's axis [m] if all tubes bend in one plane.
 
-    The proximal ends of the tubes are at `beta` (q,) [m]. Aligned tubes take the mean of their curvatures, weighted by
-    their stiffness.
+    The proximal ends of the tubes are at `beta` (q,) [m]. The common curvature of aligned tubes is the mean of
+    their curvatures, weighted by their bending stiffness.
     """
     length = max(float(start) + tube.length for tube, start in zip(robot.tubes, beta, strict=True))
     at = np.arange(0.0, max(length, SAMPLING_STEP), SAMPLING_STEP)

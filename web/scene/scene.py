@@ -1,7 +1,7 @@
 """3D scene: the robot with its markers, its load, its path and a millimetre grid.
 
-World frame as in `core`: +z along the straight tubes, gravity along +x, so that x points down on
-the screen. The scene's unit is the decimetre, which suits viser's shadows and camera.
+World frame as in `core`: +z along the straight tubes, gravity along +x, so that x points down on the
+screen. The scene's unit is the decimetre, a size for which viser's shadows and camera work well.
 """
 
 import numpy as np
@@ -98,7 +98,7 @@ class Scene:
         self._path_points = NO_POINTS
 
     def update(self, status: StationStatus, history: TipTrace, side_load: SideLoad | None = None) -> None:
-        """Draw one frame; do not send unchanged objects again, and do not draw stale values as current.
+        """Draw one frame. Stale values are not drawn as current, and an unchanged path is not sent again.
 
         `side_load` is a load that acts on the shaft instead of the tip.
         """
@@ -138,7 +138,7 @@ class Scene:
             self._trace.points = np.stack((ends[:-1], ends[1:]), axis=1).astype(np.float32)
 
     def _draw_robot(self, status: StationStatus, force: Array, side_load: SideLoad | None, now: Validity) -> None:
-        """Draw the tubes by the loaded model, and the load at the point where it acts."""
+        """Draw the tubes as the loaded model predicts them, and the load at the point where the load acts."""
         joints = status.values["joints"]
         _, beta = self._supervisor.robot.tube_poses(joints)
         length = float(beta[0]) + self._supervisor.robot.tubes[0].length
@@ -146,7 +146,7 @@ class Scene:
         try:
             self._near = self._statics.solve(joints, np.concatenate((force, np.zeros(3))), self._near, contact)
         except CtrError:
-            # The model has no solution: the drawing stays as it is, and the control loop reports the cause.
+            # The model has no solution: the drawn tubes stay unchanged, and the control loop reports the cause.
             self._near = None
             self._put(self._estimated, None)
             self._hide_load()

@@ -14,7 +14,7 @@ _GLYPHS: dict[str, tuple[str, ...]] = {
     "6": ("baefdc",), "7": ("abf",), "8": ("abfea", "cd"), "9": ("dcabfe",), "-": ("cd",),
     "x": ("cf", "de"), "y": ("cg", "de"), "z": ("cdef",), "m": ("ecdf", "hi"), " ": (),
 }  # fmt: skip
-#: Distance between the starts of two characters, each of width 1.
+#: Distance between the left edges of two neighbouring characters, in character widths.
 _STEP = 1.6
 
 

@@ -13,13 +13,13 @@ from core.robot.limits import Limits
 from core.robot.robot import Array
 from station.config.motions import WaypointsMotion, directions_of
 
-#: Mean speed of the tip on its way to a target [m/s], and the shortest duration of that motion [s].
+#: Mean speed of the tip during a motion to a target [m/s], and the shortest duration of such a motion [s].
 MEAN_SPEED_M_S, MIN_DURATION_S = 0.008, 2.0
 #: Mean turning speed of the tip's direction during the motion [rad/s].
 MEAN_TURN_RAD_S = 0.1
-#: Factors on the duration of the motion, tried in turn until the joints are fast enough.
+#: Factors on the duration of the motion. They are tried in this order until the robot can follow the motion.
 SLOWER_FACTORS = (1.0, 2.0, 4.0)
-#: Largest distance of a target from the tip [m]; it bounds the time of the check on the model.
+#: Largest distance of a target from the tip [m]; the bound limits the computing time of the check on the model.
 MAX_DISTANCE_M = 0.35
 #: Time for which the tip stays at the target after the motion [s].
 HOLD_TIME_S = 3.0

@@ -1,6 +1,6 @@
-"""Detection whether the tracker measures a moving target now.
+"""Detection of whether the tracker measures a moving target now.
 
-The target's telemetry channels alone do not show that: they keep their last values after a loss.
+The values of the target's telemetry channels do not show a loss of the target, because they keep their last values.
 """
 
 import numpy as np
@@ -25,5 +25,5 @@ class TargetVisibility:
         if new.any():
             self._seen = float(times[new][-1])
         elif self._seen > now:
-            self._seen = -np.inf  # the control process has restarted, because the rows' time ran backward
+            self._seen = -np.inf  # the control process has restarted, because the time of the rows decreased
         return now - self._seen <= TARGET_LOST_S

@@ -25,7 +25,7 @@ def centre_line(shape: Array, at: Array) -> tuple[Array, Array]:
     Returns:
         Positions (k, 3) [m] and right-handed frames (k, 3, 3) whose last column is the tangent.
     """
-    # One of two rows with the same arc length is dropped; the model has such pairs at ends of tubes and sections.
+    # The model has two rows with the same arc length at the ends of tubes and sections; one of the two is dropped.
     rows = shape[np.append(True, np.diff(shape[:, 0]) > 1e-9)]
     arc, frames, points = rows[:, 0], rows[:, 1:10].reshape(-1, 3, 3), rows[:, 10:13]
     at = np.minimum(at, arc[-1])
@@ -60,8 +60,8 @@ class TubeMesh:
     def vertices(self, shape: Array, beta: float) -> Array:
         """Return the vertices (v, 3) [m] of the tube for a `shape` of the model.
 
-        The rings come first, from the proximal end on, then rim and centre of each end. The rims are repeated so that
-        the ends are shaded flat. `beta` is the position of the tube's proximal end [m].
+        The vertices of the rings come first, from the proximal end, then rim and centre of each end. The rims are
+        repeated so that the ends are shaded flat. `beta` is the position of the tube's proximal end [m].
         """
         position, frame = centre_line(shape, np.linspace(beta, beta + self._tube.length, self._rings))
         rings = position[:, None, :] + np.einsum("kij,aj->kai", frame[:, :, :2], self._circle)

@@ -1,4 +1,4 @@
-"""Validity of the newest telemetry, whose rows continue although the values of a silent device are stale."""
+"""Validity of the newest telemetry row: a row has all channels, but the values of a silent device are stale."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ MAX_TIP_AGE_S = 0.25
 class Validity(NamedTuple):
     """Which values of the newest telemetry row are current."""
 
-    row: bool  #: whether telemetry arrives
+    row: bool  #: whether the control loop writes telemetry
     joints: bool  #: whether the stages answer
     tip: bool  #: whether the tracker measures the tip
     force: bool  #: whether the force sensors measure and the force estimate is updated

@@ -29,7 +29,8 @@ from web.scene.scene import ARROW_SCALE_M_PER_N, UNITS_PER_M, Scene
 from web.scene.target import DirectionTarget, TargetMotion, plan_target_motion
 from web.scene.workspace import WorkspaceMesh
 
-#: Number of pictures a second. Trace and target are updated with every third picture, the contact with every tenth.
+#: Number of pictures a second. Trace and target are updated with every third picture, and the contact
+#: with every tenth.
 FRAME_RATE_HZ = 30.0
 TRACE_EVERY, CONTACT_EVERY = 3, 10
 #: Only every sixth picture is drawn while no client is connected. The number is a multiple of `TRACE_EVERY`, so that
@@ -40,7 +41,7 @@ log = logging.getLogger(__name__)
 
 
 class SceneView:
-    """Updater of the scene on a viser server, which belongs to the caller; it runs until closed."""
+    """Thread that updates the scene on a viser server until `close` is called; the caller owns the server."""
 
     def __init__(self, server: viser.ViserServer, service: StationService) -> None:
         self._server = server
@@ -87,7 +88,7 @@ class SceneView:
         return self._contact_monitor.side_load
 
     def show(self, shown: ViewOptions) -> None:
-        """Set the view options; a target that is switched on starts at the tip."""
+        """Set the view options. When the target is switched on, it appears at the tip."""
         values = self._supervisor.status().values
         if shown.target and not self._shown.target and "tip_observed" in values:
             self.set_target(values["tip_observed"], self._heading(values))
@@ -126,7 +127,7 @@ class SceneView:
         )  # fmt: skip
 
     def _heading(self, values: Mapping[str, Array]) -> Array | None:
-        """Return the observed direction of the tip (3,), or the model's direction while no controller observes it."""
+        """Return the observed direction of the tip (3,), or the model's direction if there is no observed one."""
         if self.pointing is None:
             return None
         observed = values["direction_observed"]

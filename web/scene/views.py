@@ -12,10 +12,10 @@ FIELD_OF_VIEW_RAD = np.deg2rad(35.0)
 DEFAULT_ASPECT = 1.4
 #: Factor on the camera's distance that leaves a margin around the bounds.
 VIEW_MARGIN = 1.06
-#: Half the edge length of the cube around the tip that the view "tip" shows [m].
+#: Half the edge length of the cube around the tip that the view "Tip" shows [m].
 TIP_VIEW_HALF_EDGE_M = 0.03
 
-#: Share of the robot's lateral reach that the overview shows; the tip is seldom at the limit of its reach.
+#: Fraction of the robot's lateral reach that the overview shows, because the tip is seldom at the limit of its reach.
 LATERAL_SHARE = 0.45
 
 _DOWN = (-1.0, 0.0, 0.0)  # upward direction of the screen, against gravity (+x)
@@ -62,7 +62,7 @@ class Camera(NamedTuple):
 
 
 def camera(view: str, robot: ViewBounds, tip: Array, aspect: float) -> Camera:
-    """Return the camera that is as near as possible while the view shows its whole bounds.
+    """Return the camera as near as possible to the robot such that the picture contains all bounds of the view.
 
     Args:
         view: one of `VIEWS`.

@@ -1,4 +1,4 @@
-"""Workspace of the tip without a load: a hull around the tips of poses that cover the joints' travel."""
+"""Workspace of the tip without a load: a surface around the tips of random poses within the joints' travel."""
 
 import threading
 
@@ -18,7 +18,7 @@ AXIAL_CUTS, RING_CORNERS = 28, 48
 def reachable_tips(
     statics: Statics, limits: Limits, poses: int = POSE_COUNT, ending: threading.Event | None = None
 ) -> Array:
-    """Return the tips (k, 3) [m] of unloaded poses over the joints' travel; poses without a solution are omitted."""
+    """Return the tips (k, 3) [m] of random unloaded poses within the joints' travel; unsolved poses are omitted."""
     lower = np.array([limit.lower for limit in limits.joints])
     upper = np.array([limit.upper for limit in limits.joints])
     joints = lower + np.random.default_rng(0).random((poses, len(lower))) * (upper - lower)
@@ -57,7 +57,7 @@ def hull(tips: Array) -> tuple[Array, Indices]:
 def workspace_surface(tips: Array, cuts: int = AXIAL_CUTS, corners: int = RING_CORNERS) -> tuple[Array, Indices]:
     """Return a surface of revolution about the z axis that encloses tips (k, 3) [m].
 
-    Every cut across the axis extends from the smallest to the largest distance of its tips from the axis.
+    In each cut across the axis, the surface extends from the smallest to the largest distance of a tip from the axis.
 
     Returns:
         Corners (v, 3) [m] and triangles (f, 3).
@@ -88,7 +88,7 @@ def workspace_surface(tips: Array, cuts: int = AXIAL_CUTS, corners: int = RING_C
 
 
 class WorkspaceMesh:
-    """Workspace surface of one robot, which a separate thread computes at the first request."""
+    """Workspace surface of one robot; a separate thread computes the surface after the first request."""
 
     def __init__(self, statics: Statics, limits: Limits) -> None:
         self._statics, self._limits = statics, limits

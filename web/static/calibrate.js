@@ -37,7 +37,7 @@ async function sendAction(action) {
   if (answer !== null) { course = answer.course; show(); }
 }
 
-/** Set a text only if it changes, because the user may be selecting it. */
+/** Set the text of `element` only if the text changes, because setting it would clear the user's selection. */
 const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
 
 function show() {
@@ -54,7 +54,7 @@ function show() {
   bar.value = course.done;
   setText(message, course.message);
   const needsAction = course.instruction !== "";
-  if (needsAction && instructionBox.hidden) { // the user must act now
+  if (needsAction && instructionBox.hidden) { // a manual step is required from now on
     if (isOpen("calibrate")) queueMicrotask(() => done.focus());
     else note(`Calibrate: ${course.instruction}`, true);
   }
@@ -211,10 +211,10 @@ async function refresh() {
     course = (await request("GET", "/api/calibration", undefined, 2000)).course;
     show();
   } catch {
-    return; // the header reports the missing answer
+    return; // the page's header reports that the station does not answer
   }
 }
-// Poll less often while the tab is closed, so that a note can still report when the user must act.
+// While the tab is closed, poll less often. Polling continues, because a note must report when the user must act.
 let count = 0;
 setInterval(() => { if (isOpen("calibrate") || count++ % 4 === 0) refresh(); }, 500);
 onTab("calibrate", (open) => { if (open) { refresh(); enable(); } });

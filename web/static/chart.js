@@ -18,9 +18,9 @@ function shown(value) {
 
 export class Chart {
   /**
-   * `traces`: [{name, colour, dash, value(sample) -> number or NaN, raw: unfiltered values, drawn pale,
-   * spread: half the height of a band around it}]; `least`: span of the
-   * value axis at least; `onPoint(time)`: time under the pointer, null when it leaves.
+   * `traces`: [{name, colour, dash, value(sample) -> number or NaN, raw: unfiltered values, drawn pale, spread: half the
+   * height of a band around the trace}]; `minimumSpan`: smallest span of the value axis; `onPoint(time)`: called with the
+   * time under the pointer, or null when the pointer leaves the chart.
    */
   constructor(title, unitText, traces, minimumSpan, onZoom, onPoint) {
     this.traces = traces.map((trace) => ({ ...trace, on: trace.on ?? true }));
@@ -38,7 +38,7 @@ export class Chart {
       make("div", { className: "chart-head" }, make("b", {}, `${title} [${unitText}]`), ...this.keys), this.canvas);
     this.samples = [];
     this.range = [0, 1];
-    this.cursor = this.drag = null; // cursor: a time [s]; drag: two horizontal positions [pixels]
+    this.cursor = this.drag = null; // cursor: marked time [s]; drag: horizontal start and end of a drag [pixels]
     this.listen(onZoom, onPoint);
   }
 
@@ -65,7 +65,7 @@ export class Chart {
     return this.range[0] + ((x - LEFT) / width) * (this.range[1] - this.range[0]);
   }
 
-  /** Mark a time in the chart and show the values at it; null: show the newest values. */
+  /** Mark a time in the chart and show the values at this time; null: show the newest values. */
   point(time) {
     this.cursor = time;
     this.draw();
@@ -74,7 +74,7 @@ export class Chart {
   show(samples, range, zero) {
     this.samples = samples;
     this.range = range;
-    this.zero = zero; // time at 0 of the axis
+    this.zero = zero; // telemetry time at which the time axis shows 0
     this.draw();
   }
 
@@ -107,7 +107,7 @@ export class Chart {
     this.pointer(pen, within, { width, height, x, y, ink });
   }
 
-  /** Draw the uncertainty of a trace as a band where it is known. */
+  /** Draw the uncertainty of a trace as a band, for samples whose uncertainty is known. */
   band(pen, trace, samples, x, y) {
     const drawn = samples.filter((sample) => Number.isFinite(trace.value(sample)) && Number.isFinite(trace.spread(sample)));
     if (drawn.length < 2) return;

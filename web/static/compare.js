@@ -6,7 +6,7 @@ const text = (value) => make("td", { className: "any", style: "text-align:right"
 
 const signed = (value) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(2)}`;
 
-/** Match the cases of two runs: those with the same name, else the first of each. */
+/** Return pairs of cases of two runs: cases with the same name, or the first case of each run if no names match. */
 function pairs(a, b) {
   const [x, y] = [Object.keys(a), Object.keys(b)], both = x.filter((name) => y.includes(name)).map((name) => [name, name]);
   return both.length || !x.length || !y.length ? both : [[x[0], y[0]]];
@@ -29,7 +29,7 @@ function numbers(runs) {
   return rows.map(([title, ...values]) => make("tr", {}, make("td", {}, title), ...values.map(number)));
 }
 
-/** Return a row for each entry in which the summaries differ. */
+/** Return a table row for each entry in which the summaries of two runs differ. */
 function differences(runs) {
   const [a, b] = runs.map((run) => new Map(flat({ ...run.summary, label: run.label })));
   return [...new Set([...a.keys(), ...b.keys()])].filter((key) => a.get(key) !== b.get(key)).map((key) => {

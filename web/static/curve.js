@@ -28,8 +28,8 @@ function at(line, time) {
 }
 
 /**
- * Return a chart of `lines`: [{name, time: [s], value: []}], values from 0. The time before `from` [s] is not
- * evaluated, and shaded.
+ * Return a chart of `lines`: [{name, time: [s], value: []}]. The value axis starts at 0. The time before `from` [s] is
+ * shaded, because the errors before that time do not count.
  */
 export function curve(title, unit, lines, from = 0) {
   const drawn = lines.filter((line) => line.time.length > 0);

@@ -24,8 +24,8 @@ $("devices").append(make("div", { className: "acts", style: "margin:0 0 8px" }, 
 
 // ---- axis signs
 
-/** Speed of an axis during the check of its sign [rad/s, m/s]: slow enough to stop in time, faster than noise. */
-const CHECK_SPEED = { rad: 0.06, m: 0.002 }, MIN_MOTION_M = 0.8e-3; // required motion of the model's tip
+/** Speed of an axis while its sign is checked [rad/s, m/s]: slow enough to stop in time, but clearly above the noise. */
+const CHECK_SPEED = { rad: 0.06, m: 0.002 }, MIN_MOTION_M = 0.8e-3; // smallest motion of the model's tip that the check needs
 
 function addAxisCheck(joint, index) {
   const button = make("button", { type: "button", className: "hold" }, `${joint.name.replaceAll("_", " ")} +`);
@@ -33,7 +33,7 @@ function addAxisCheck(joint, index) {
   let startStatus = null; // status at the start of the check; a check that was too short continues from it
   for (const type of ["pointerdown", "keydown"]) button.addEventListener(type, () => { startStatus ??= latest(); });
   jogWhileHeld(button, "joints", () => rig.joints.map((_, i) => (i === index ? CHECK_SPEED[joint.unit] : 0)), async () => {
-    await new Promise((resolve) => setTimeout(resolve, 400)); // delay of the tracker
+    await new Promise((resolve) => setTimeout(resolve, 400)); // wait until the tracker, which has a delay, has measured the final position
     const start = startStatus, end = latest();
     if (start === null || end === null) return;
     if ([start, end].some((one) => one.tip_measured === null || one.tip_estimated === null)) {
@@ -76,7 +76,7 @@ async function refresh() {
     list.replaceChildren(...all.devices.map(device));
     raw.replaceChildren(...Object.entries(all.raw).map(([name, value]) => make("tr", {}, make("td", { className: "any" }, name), make("td", { className: "number" }, value.toFixed(6)))));
   } catch {
-    return; // the header reports the missing answer
+    return; // the page's header reports that the station does not answer
   }
 }
 setInterval(refresh, 500);

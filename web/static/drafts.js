@@ -1,7 +1,10 @@
 // Unsaved text is kept in this browser and restored later.
 import { make } from "./station.js";
 
-/** Keep the text of `area` under a name: {element: shows unsaved text, saved(text): the station has stored it}. */
+/**
+ * Keep the text of `area` under a name. Return {element: shows whether text is unsaved, saved(text): to be called when
+ * the station has stored the text}.
+ */
 export function draft(area, name) {
   const key = `draft ${name}`, element = make("span", { className: "small mind", role: "status" });
   let stored = area.value;

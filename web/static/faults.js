@@ -41,7 +41,7 @@ lab.addEventListener("submit", async (event) => {
 });
 clearFaults.addEventListener("click", () => sendCommand("DELETE", "/api/faults"));
 
-// A contact on the shaft: the controller assumes a load at the tip, and the station reports the true contact position.
+// Simulated contact on the shaft. The controller assumes a load at the tip; the station detects and locates the contact.
 const contact = form(variants(await schemas(), (await schemas()).LoadIn.properties.load).contact,
   { values: { magnitude: 0.3, place: 0.1, direction: [0, 1, 0] } });
 const removeContact = make("button", { type: "button" }, "Remove contact");
@@ -79,7 +79,7 @@ async function refresh() {
     log.replaceChildren(make("tr", {}, ...["time", "who", "what", "outcome"].map((entry) => make("th", {}, entry))),
       ...entries.map((entry) => make("tr", {}, make("td", { className: "time" }, new Date(entry.time).toLocaleTimeString()), make("td", { title: entry.where }, entry.who), make("td", { className: "any" }, entry.what), make("td", { className: "any" }, entry.outcome))));
   } catch {
-    return; // the header reports the missing answer
+    return; // the page's header reports that the station does not answer
   }
 }
 setInterval(refresh, 1000);

@@ -45,7 +45,7 @@ function numberInput(field, value, scale, required, label) {
 const range = ({ low, high, open }) => low === null && high === null ? ""
   : high === null ? (open ? ` > ${tidy(low)}` : ` ≥ ${tidy(low)}`) : ` ${low === null ? "≤" : `${tidy(low)} …`} ${tidy(high)}`;
 
-/** Build one field: {elements for the grid, read() in SI}; `undefined` omits the field. */
+/** Build one field: {elements for the grid, read() in SI}. If read() returns undefined, the request omits the field. */
 function build(key, field, value, required, choices) {
   const optional = (field.anyOf ?? []).some((one) => one.type === "null");
   const core = optional ? { ...field.anyOf.find((one) => one.type !== "null"), description: field.description } : field;
@@ -66,7 +66,7 @@ function build(key, field, value, required, choices) {
   }
   if (core.type === "number" || core.type === "integer") {
     const input = numberInput(core, value, scale, required && !optional, label);
-    if (optional) input.placeholder = "automatic"; // an omitted value is chosen by the station
+    if (optional) input.placeholder = "automatic"; // the station chooses an omitted value
     const readValue = () => (input.value === "" ? undefined : Number(input.value) / scale);
     return { elements: row(input, shown + range(bounds(core, scale))), read: readValue };
   }
@@ -80,8 +80,8 @@ function build(key, field, value, required, choices) {
 }
 
 /**
- * Return a form for an object schema: {element, read()}. `more` names folded fields; `choices` the options of a text
- * field.
+ * Return a form for an object schema: {element, read()}. `more` lists the fields that are folded; `choices` contains the
+ * options of text fields.
  */
 export function form(schema, { values = {}, more = [], choices = {}, skip = [] } = {}) {
   const grid = make("div", { className: "rows" }), rest = make("div", { className: "rows" }), readers = {};

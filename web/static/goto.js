@@ -1,7 +1,7 @@
 // Motion to a joint pose by numbers: the working pose of the robot's file, or any other. Part of the tab Jog.
 import { $, request, confirm, ensureFresh, latest, make, mayCommand, onStatus, sendCommand } from "./station.js";
 import { poseText, tidy, unit } from "./form.js";
-import "./jog.js"; // its fields come first
+import "./jog.js"; // imported first, because the fields of jog.js come first in the tab
 
 const rig = await request("GET", "/api/rig");
 
@@ -16,7 +16,7 @@ const fields = rig.joints.map((joint) => {
 const fillFields = (pose) => { for (const { joint, input, scale } of fields) if (pose?.[joint.name] !== undefined) input.value = tidy(Number((pose[joint.name] * scale).toFixed(2))); };
 const readPose = () => Object.fromEntries(fields.map(({ joint, input, scale }) => [joint.name, Number(input.value) / scale]));
 
-/** Return the motion's duration [s]: all joints move together, the slowest at half of its top speed. */
+/** Return the motion's duration [s]: the joints move together, and the slowest one moves at half of its top speed. */
 const seconds = (pose, current) => Math.max(...rig.joints.map((joint) => Math.abs(pose[joint.name] - current[joint.name]) / (0.5 * joint.speed)));
 
 /** Go to `pose` [rad, m] after a confirmation; `body` is the request to the station. */

@@ -12,7 +12,7 @@ $("reset").addEventListener("click", reset);
 function showAction(status) {
   const action = status.action === "reset" ? "" : status.action === "start" && isOpen("start") ? "home" : status.action;
   const shown = JSON.stringify([action, action === status.action, mayCommand(status)]);
-  if ($("act").dataset.shown === shown) return; // a button must not vanish under the pointer
+  if ($("act").dataset.shown === shown) return; // replacing an unchanged button would interrupt a click on it
   $("act").dataset.shown = shown;
   const button = actionButton(status, action);
   $("act").replaceChildren(...(button === null ? [] : [button]));
@@ -44,7 +44,7 @@ function showLights(devices, stale) {
   }));
 }
 
-/** Count the warnings, which stop nothing. The tab Faults shows their texts. */
+/** Show the number of warnings, which do not stop the robot. The tab Faults shows their texts. */
 function showWarnings(status) {
   const count = status.warnings.length, contact = status.contact !== null;
   $("mind").hidden = count === 0;
@@ -71,7 +71,7 @@ onStatus((status, stale) => {
   $("reset").disabled = !mayCommand(status);
   showRun(status);
   const shown = JSON.stringify([status.devices, stale]);
-  if (shown !== lights) showLights(status.devices, stale); // a tooltip must not vanish under the pointer
+  if (shown !== lights) showLights(status.devices, stale); // replacing unchanged lights would close an open tooltip
   lights = shown;
   showWarnings(status);
   const { late_us: late, tick_us: work, missed, ticks, scheduler } = status.loop;

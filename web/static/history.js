@@ -15,7 +15,7 @@ export function gap() {
 
 window.addEventListener("pagehide", () => {
   const text = (recent) => JSON.stringify(recent, (_, value) => (typeof value === "number" ? Number(value.toFixed(7)) : value));
-  // A browser stores a few million characters. If the samples do not fit, the newest half is stored.
+  // A browser stores a few million characters. If the samples do not fit, only the newest half is stored, and so on.
   for (let recent = samples; recent.length > 0; recent = recent.slice(Math.ceil(recent.length / 2))) {
     try { sessionStorage.setItem(KEY, text(recent)); return; } catch { continue; }
   }

@@ -1,17 +1,20 @@
-// Jog: the robot moves only while a button is held. Each command expires after 0.3 s, also when the page is lost.
+// Jog: the robot moves only while a button is held. Each command expires after 0.3 s, so the robot also stops when the page is lost.
 import { $, request, make, mayCommand, note, onStatus, Refused } from "./station.js";
 import { showReason } from "./next_action.js";
 import { onTab } from "./tabs.js";
 import { tidy, unit } from "./form.js";
 
-const REPEAT_MS = 100; // ms
+const REPEAT_MS = 100; // interval between two jog commands [ms]
 let active = null;
 
 /** Return whether a jog may start or continue. */
 export const mayJog = (status, stale) => status !== null && !stale && mayCommand(status)
   && (status.state === "READY" || status.phase === "jogging");
 
-/** Jog until `release()` and mark `shown` as active; `velocity()` in SI. No effect while another jog is active. */
+/**
+ * Jog until `release()` is called, and mark the element `shown` as active; `velocity()` returns the velocity in SI. No
+ * effect while another jog is active.
+ */
 export function startJogging(shown, space, velocity, ended = () => {}) {
   if (active !== null) return;
   const jog = active = { shown, space, running: true, zero: velocity().map(() => 0), ended };
@@ -20,7 +23,7 @@ export function startJogging(shown, space, velocity, ended = () => {}) {
 }
 export const isHeld = (shown) => active?.shown === shown;
 
-/** Jog while `button` is held; `velocity()` in SI. The axis check uses it, too. */
+/** Jog while `button` is held; `velocity()` returns the velocity in SI. The check of the axes' signs also calls this. */
 export function jogWhileHeld(button, space, velocity, ended = () => {}) {
   const startJog = (event) => {
     if (active !== null || button.disabled) return;
@@ -69,7 +72,7 @@ window.addEventListener("pagehide", release);
 document.addEventListener("visibilitychange", () => { if (document.hidden) release(); });
 document.addEventListener("keydown", (event) => { if (event.key === "Escape") release(); });
 
-/** Return a slider up to `maximum` [si]: {elements, value() in SI}. */
+/** Return a slider for a speed up to `maximum`, in the SI unit `si`: {elements, value() in SI}. */
 export function speed(label, si, maximum, initial) {
   const [shown, scale] = unit(si), output = make("output");
   const slider = make("input", { type: "range", min: 0.02, max: 1, step: 0.02, value: initial, "aria-label": label });

@@ -3,7 +3,7 @@ import { make, onStatus } from "./station.js";
 import { startJogging, isHeld, mayJog, release } from "./jog.js";
 import { bounded, hands, velocity } from "./pad.js";
 
-/** Direction (x, y, z) in which each key moves the tip, as seen from the side. */
+/** Direction (x, y, z), world frame, in which each key moves the tip; the keys match the view from the side. */
 const KEY_DIRECTIONS = {
   ArrowRight: [0, 0, 1], ArrowLeft: [0, 0, -1], ArrowDown: [1, 0, 0], ArrowUp: [-1, 0, 0], PageUp: [0, 1, 0], PageDown: [0, -1, 0],
 };
@@ -21,7 +21,7 @@ const keyVelocity = () => velocity(bounded([...down].reduce((sum, key) => sum.ma
 
 field.addEventListener("keydown", (event) => {
   if (!(event.key in KEY_DIRECTIONS) || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
-  event.preventDefault(); // the panel would scroll
+  event.preventDefault(); // otherwise the key would scroll the panel
   if (event.repeat || !ready) return;
   if (!isHeld(field)) down.clear(); // after the end of a jog, keys that are still down must be pressed again
   down.add(event.key);

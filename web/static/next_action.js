@@ -38,15 +38,15 @@ export function actionButton(status, action = status.action) {
 }
 
 /**
- * Show in `element` why no motion can start now, with the button of the next action; empty while the station is
- * `ready`.
+ * Show in `element` why no motion can start now, and a button for the next action. `element` is empty while a motion can
+ * start.
  */
 export function showReason(element, status, ready = status.action === "start") {
   const may = mayCommand(status);
   const reason = status.operator.role === "viewer" ? "viewers cannot start anything" : !may ? `'${status.operator.name}' is operator`
     : ready ? "" : status.state === "READY" ? status.message : `not while ${status.state}; ${status.next || "wait for the end or press STOP"}`;
   const shown = JSON.stringify([reason, status.action, may]);
-  if (element.dataset.shown === shown) return; // a button must not vanish under the pointer
+  if (element.dataset.shown === shown) return; // replacing an unchanged button would interrupt a click on it
   element.dataset.shown = shown;
   const button = reason === "" || !may ? null : actionButton(status);
   element.replaceChildren(reason, ...(button === null ? [] : [" ", button]));

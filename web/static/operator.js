@@ -1,7 +1,7 @@
 // The operator: take and release control, and report its loss.
 import { $, confirm, latest, make, name, note, onStatus, sendCommand } from "./station.js";
 
-let mine = false, leaving = false; // this page is operator; it releases control on purpose
+let mine = false, leaving = false; // whether this page is operator; whether this page is releasing control on purpose
 
 export async function changeOperator() {
   const { you, name: current } = latest().operator;

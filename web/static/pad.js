@@ -4,7 +4,7 @@ import { showReason } from "./next_action.js";
 import { startJogging, isHeld, mayJog, release, speed } from "./jog.js";
 import { isOpen } from "./tabs.js";
 
-/** Interval between two polls of the pad [ms]; deflection that a stick at rest may report. */
+/** Interval between two polls of the pad [ms]; largest deflection that counts as rest, as a fraction of the full one. */
 const POLL_INTERVAL_MS = 25, DEAD_ZONE = 0.12;
 
 /**
@@ -20,7 +20,7 @@ const LAYOUTS = [
 ];
 const layout = (pad) => LAYOUTS.find((one) => one.fits(pad));
 
-/** Limit the input (x, y, z) to length 1: a corner of a stick's square is not faster than its side. */
+/** Limit the input (x, y, z) to length 1, so that a stick in a corner of its range gives no higher speed. */
 export const bounded = (input) => input.map((component) => component / Math.max(1, Math.hypot(...input)));
 const beyondDeadZone = (component) => Math.sign(component) * Math.max(0, (Math.abs(component) - DEAD_ZONE) / (1 - DEAD_ZONE));
 
@@ -36,12 +36,12 @@ export const velocity = (input) => input.map((component) => component * maxSpeed
 const hint = make("p", { role: "status", className: "small", style: "margin:8px 0 0" });
 const rows = ["x", "y", "z"].map((name) => ({ name, label: make("span", { className: "dim" }), bar: make("i"), output: make("output") }));
 const axes = make("div", { className: "axes" }, ...rows.flatMap(({ name, label, bar, output }) => [make("b", {}, name), label, make("div", { className: "deflection" }, bar), output]));
-/** Fields of all devices that move the tip without a button of the page. */
+/** Fields for gamepad, 3D mouse and keys, which move the tip without a button of the page. */
 export const hands = make("fieldset", {}, make("legend", {}, "Tip, by gamepad or keys"), make("div", { className: "rows" }, ...maxSpeed.elements), hint, axes);
 $("hands").append(hands);
 
-const released = new Set(); // indices of pads whose button was up: an earlier press starts no jog
-let activePad = null, ready = false; // index of the current or last moving pad; whether a jog may start
+const released = new Set(); // indices of pads whose dead man's button was seen released; only these pads may start a jog
+let activePad = null, ready = false; // index of the pad that moves the tip or moved it last; whether a jog may start
 
 /** Return the velocity of the active pad [m/s]; a released or missing pad ends the jog. */
 function padVelocity() {

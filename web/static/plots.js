@@ -6,7 +6,7 @@ import { unit } from "./form.js";
 import { gap, samples } from "./history.js";
 import { error, valueOf, onOpen, onSample, directionError } from "./telemetry.js";
 
-const HISTORY_S = 300; // s
+const HISTORY_S = 300; // duration of the kept telemetry [s]
 const DARK = matchMedia("(prefers-color-scheme: dark)").matches; // dark blue lines need a light background
 const COLOURS = ["#d55e00", "#009e73", DARK ? "#56b4e9" : "#0072b2", "#cc79a7", DARK ? "#e69f00" : "#56b4e9"], DASHES = [[], [6, 3], [2, 2], [9, 2, 2, 2], []];
 const rig = await request("GET", "/api/rig");
@@ -106,7 +106,7 @@ function draw() {
 
 onOpen(gap);
 onSample((sample) => {
-  if (samples.length && sample.time < samples.at(-1).time) samples.length = 0; // the control process restarted
+  if (samples.length && sample.time < samples.at(-1).time) samples.length = 0; // the time has decreased, so the control process has restarted
   samples.push(sample);
   while (samples.length && samples[0].time < sample.time - HISTORY_S) samples.shift();
 });

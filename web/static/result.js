@@ -18,7 +18,7 @@ const range = (values) => {
   return low === high ? high : `${low} … ${high}`;
 };
 
-/** Return the largest and the RMS distance from the desired tip [mm] over all cases; dashes without cases. */
+/** Return the largest and the RMS distance from the desired tip [mm] over all cases, as texts; dashes without cases. */
 export function errorSummary(run) {
   const cases = Object.values(run.outcomes);
   return cases.length === 0 ? ["–", "–"] : [range(cases.map((one) => one.largest_distance)), range(cases.map((one) => one.rms_distance))];

@@ -19,7 +19,7 @@ const FOLDED_FIELDS = ["task", "direction_weight", "deflection_rate", "tip_veloc
 const STREAM_DESCRIPTION = "An external program controls the tip over OpenIGTLink: transforms named Target, in the world frame.";
 /** Time for which the tip stays at the last waypoint [s]. */
 const FINAL_PAUSE_S = 3;
-/** Largest joint distance to a start pose that needs no confirmation [rad, m]. */
+/** If each joint is at most this far from its start position, the start needs no confirmation [rad, m]. */
 const NEAR_START = { rad: 0.02, m: 0.001 };
 
 let loaded = null, starting = false, blockedReason = "", rig = null, submitButton = null, refusal = null;
@@ -45,12 +45,12 @@ function starter(label, onStart) {
   return { frame, onSubmit: (element) => element.addEventListener("submit", async (event) => {
     event.preventDefault();
     submitButton.disabled = starting = true;
-    if (await ensureFresh()) await onStart(); // the station checks the path on the model first, which takes a moment
+    if (await ensureFresh()) await onStart(); // disabled meanwhile, because the station first checks the path on the model
     starting = false;
   }) };
 }
 
-/** Start a run and show its warnings, except those shown before. */
+/** Start a run and show its warnings, except warnings that were already shown. */
 async function startRun(body, shownWarnings = []) {
   const answer = await sendCommand("POST", "/api/start", body);
   for (const text of answer?.warnings ?? []) if (!shownWarnings.includes(text)) note(`started, but ${text}`);
@@ -65,12 +65,12 @@ async function overview() {
     make("h3", {}, "Your own motion, from the current pose"),
     make("div", { className: "cards" }, ...motions.map(([kind, schema]) =>
       card(kind.replaceAll("_", " "), sentence(schema), null, () => motion(kind, schema, all))),
-    // The schema is present only if the gateway accepts targets.
+    // The API description contains StreamAgreement only if the gateway accepts targets.
     all.StreamAgreement && card("external target", STREAM_DESCRIPTION, null, () => streamForm(all))),
   );
   if (loaded !== null) showExperiments(experiments, loaded);
   try {
-    const now = await request("GET", "/api/experiments"); // custom experiments may have been edited meanwhile
+    const now = await request("GET", "/api/experiments"); // a user may have edited experiment files meanwhile
     if (JSON.stringify(now) !== JSON.stringify(loaded)) showExperiments(experiments, loaded = now);
   } catch (error) {
     const again = make("button", { type: "button" }, "Try again");
@@ -79,7 +79,7 @@ async function overview() {
   }
 }
 
-/** Return why no case can start here: an invalid file, or all cases are for another robot; else empty. */
+/** Return why no case can start here: the file is invalid, or all cases are refused; empty if a case can start. */
 const refusalOf = (one) => one.error || (one.cases.every((each) => each.refused !== "") ? one.cases[0].refused : "");
 
 function showExperiments(list, all) {
@@ -179,8 +179,8 @@ async function streamForm(all) {
 }
 
 /**
- * Return the table of waypoints of a motion's form. It is checked with the form's other fields; the duration covers
- * all waypoints.
+ * Return the table of waypoints of a motion's form. The check of the waypoints uses the form's other fields. The duration
+ * in the form is set such that all waypoints are reached.
  */
 function waypointTable(path, control, time) {
   const table = waypoints(() => ({ ...limits(path.read()), controller: control.read() }), go);
@@ -197,7 +197,7 @@ function waypointTable(path, control, time) {
 }
 const limits = ({ max_speed, max_acceleration }) => ({ max_speed, max_acceleration });
 
-/** Show a saved motion in its form; it starts at its saved start pose. */
+/** Show a saved motion in its form. The start pose of the motion is the saved one. */
 function restoreMotion(stored, schema, all) {
   change({ rows: stored.trajectory.points, origin: { tip: null, joints: stored.start } });
   motion("waypoints", schema, all, stored);

@@ -58,7 +58,7 @@ const back = () => {
   return button;
 };
 
-/** The button that deletes the shown run. */
+/** The button that deletes the shown run; null if no run is shown. */
 let removal = null;
 onStatus(() => { if (removal !== null) removal.disabled = !mayCommand(); });
 

@@ -2,8 +2,8 @@
 import { request, confirm, make, note, Refused } from "./station.js";
 
 /**
- * Return the fields for saving and loading: `motionOf()` returns the motion of the form, `restore(motion)` fills the
- * form; `kind` of motion.
+ * Return the fields for saving and loading a motion. `motionOf()` returns the motion of the form, `restore(motion)` fills
+ * the form with a loaded motion, and `kind` is the kind of motion.
  */
 export function saved(kind, motionOf, restore) {
   const name = make("input", { type: "text", maxLength: 60, pattern: "[A-Za-z0-9_][A-Za-z0-9_\\-]*", placeholder: "name", title: "letters, digits, _ and -", "aria-label": "name to save it under" });

@@ -1,13 +1,13 @@
-// The scene in its frame: loaded under this page's identity, kept connected; and the switches below it.
+// The scene in its frame, which is loaded under this page's identity and reconnects; and the switches below the scene.
 import { $, request, client, latest, mayCommand, note, onStatus, sendCommand } from "./station.js";
 
 const frame = $("scene"), boxes = [...document.querySelectorAll("#switches input")];
 
 frame.addEventListener("load", () => {
-  if (frame.contentDocument === null) return; // no scene: the browser shows an error page
+  if (frame.contentDocument === null) return; // the scene was not loaded, and the browser shows an error page
   // viser reconnects only while its document has the focus, which a frame seldom has.
   frame.contentDocument.hasFocus = () => !document.hidden;
-  // viser's control panel is empty: this page has all controls.
+  // viser's control panel is hidden, because it is empty: this page has all controls.
   const style = frame.contentDocument.createElement("style");
   style.textContent = "[data-testid=floating-panel], #root .mantine-Paper-root, #webgl-software-rendering { display: none !important; }"
     + ` canvas[data-engine] { background: ${getComputedStyle(document.body).backgroundColor}; }`;
@@ -25,7 +25,7 @@ setInterval(() => { if (frame.contentDocument !== null) frame.contentWindow.disp
 // Views and close-up are imported separately, so that the scene does not wait for the answers that they need.
 import("./views.js").catch((error) => note(`the views and the close-up of the tip could not be loaded (${error.message}); reload the page`));
 
-let userChanges = 0, pending = 0; // changes by the user; an older answer must not undo them
+let userChanges = 0, pending = 0; // changes by the user, and unanswered requests; an older answer must not undo a change
 
 for (const box of boxes) {
   box.addEventListener("change", async () => {
@@ -40,7 +40,7 @@ $("go").addEventListener("click", () => sendCommand("POST", "/api/scene/target/g
 
 let disconnectedPolls = 0; // consecutive polls without a connected scene
 
-/** Report a stale or disconnected scene; numbers and STOP are called live only while they are. */
+/** Show a message if the scene is stale or disconnected; only with a current status it calls numbers and STOP live. */
 function showConnection(stale) {
   $("scene-cut").hidden = !stale && disconnectedPolls < 3;
   $("scene-cut").textContent = stale ? "Nothing here is live: the page receives no data from the station." : "The scene is disconnected: the picture is not live. Numbers and STOP are live.";
@@ -63,7 +63,7 @@ async function refresh() {
     const status = latest();
     $("go").disabled = !target.reachable || status === null || status.state !== "READY" || !mayCommand(status);
   } catch {
-    return; // the header reports the missing answer
+    return; // the page's header reports that the station does not answer
   }
 }
 setInterval(refresh, 600);

@@ -34,13 +34,13 @@ export class Refused extends Error {
 }
 
 let polls = new AbortController();
-/** Cancel all polling requests: a browser opens six connections, and a command needs a free one now. */
+/** Cancel all polling requests, because a browser opens at most six connections and a command needs a free one now. */
 export function abortPolls() {
   polls.abort();
   polls = new AbortController();
 }
 
-/** Return the station's answer; throw Refused with its reason, or an Error without an answer in `patience` [ms]. */
+/** Return the station's answer; throw Refused with the reason of a refusal, or an Error if there is no answer within `timeout` [ms]. */
 export async function request(method, path, body, timeout) {
   const headers = { "x-ctr-client": client, "x-ctr-name": encodeURIComponent(name.get()) };
   if (method !== "GET") headers["content-type"] = "application/json";
@@ -56,10 +56,10 @@ export async function request(method, path, body, timeout) {
 }
 
 let remedyButton = () => null;
-/** Set `make(status)`: returns the button shown with a refusal caused by the state or by another operator, or null. */
+/** Set the function `make(status)`, which returns a button (or null) to show with a refusal of status 409. */
 export const onRefusal = (make) => { remedyButton = make; };
 
-/** Send a command of the user and show a refusal. Return the answer, or null. */
+/** Send a command of the user. Return the answer; if the command failed, show the reason and return null. */
 export async function sendCommand(method, path, body) {
   try {
     const answer = await request(method, path, body);
@@ -75,12 +75,12 @@ export async function sendCommand(method, path, body) {
   }
 }
 
-const lasting = new Map(); // notes, and the conditions for keeping them
+const lasting = new Map(); // notes that stay while a condition is true, with their conditions
 
-/** Show a note in the corner, optionally with a button, for a while or as long as `isCurrent(status)` is true. */
+/** Show a note in the corner, optionally with a button, for 12 s or as long as `isCurrent(status)` is true. */
 export function note(message, good = false, button = null, isCurrent = null) {
   const text = inPageUnits(message);
-  for (const old of $("notes").children) if (old.firstChild.textContent === text) old.remove(); // no duplicates
+  for (const old of $("notes").children) if (old.firstChild.textContent === text) old.remove(); // an older note with the same text is replaced
   const close = make("button", { type: "button", "aria-label": "close" }, "×");
   const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), button, close);
   for (const one of [button, close]) one?.addEventListener("click", () => box.remove());
@@ -89,11 +89,11 @@ export function note(message, good = false, button = null, isCurrent = null) {
   if (isCurrent === null) setTimeout(() => box.remove(), 12000); else lasting.set(box, isCurrent);
 }
 
-let closeQuestion = () => {}; // closes the open question
+let closeQuestion = () => {}; // function that closes the open question
 
 /**
  * Ask the user to confirm; resolves to true or false. Every checkbox in `content` must be ticked first.
- * The header stays usable: no question covers STOP and the state. A newer question cancels an older one.
+ * The header stays usable, because no question covers STOP and the state. A newer question cancels an older one.
  */
 export function confirm(title, action, ...content) {
   closeQuestion();
@@ -122,14 +122,14 @@ export function confirm(title, action, ...content) {
   });
 }
 
-// ---- status: polled several times a second; marked as stale when it is too old
+// ---- status of the station: polled several times a second, and marked as stale if it is too old
 
-// The timeout is long, because a late answer is better than none. Meanwhile the page marks its data as stale.
+// The timeout is long, because a late answer is useful, too. While the page waits, it marks its data as stale.
 const POLL_INTERVAL_MS = 150, TIMEOUT_MS = 10000, STALE_AFTER_MS = 480; // ms
 const listeners = [];
 let status = null, receivedAt = -Infinity, pending = null, wasStale = null;
 
-/** Call `listener(status, stale)` with each status, and when it becomes stale. */
+/** Call `listener(status, stale)` with each new status, and when the status becomes stale. */
 export const onStatus = (listener) => { listeners.push(listener); };
 export const latest = () => status;
 
@@ -156,8 +156,8 @@ async function fetchStatus() {
 }
 
 /**
- * Return whether the status is current, after one more request if it is stale. If it stays stale, show that nothing
- * was started.
+ * Return whether the status is current. A stale status is requested once more; if it stays stale, a note reports that
+ * nothing was started.
  */
 export async function ensureFresh() {
   if (wasStale) await pollStatus();

@@ -1,7 +1,7 @@
-// STOP: sent at the press and repeated until the station acknowledges it; by the button, and by keys with any focus.
+// STOP: sent by the button, or by keys wherever the focus is, and sent again until the station acknowledges it.
 import { $, request, latest, pollStatus, make, abortPolls, Refused } from "./station.js";
 
-const RETRY_MS = 700, TIMEOUT_MS = 3000; // ms
+const RETRY_MS = 700, TIMEOUT_MS = 3000; // interval between two STOPs, and time limit for an answer [ms]
 const MOVING = ["RUNNING", "HOMING"];
 let unacknowledged = null; // the STOP that the station has not acknowledged yet
 
@@ -53,7 +53,7 @@ export function alarm(text, button = "Close") {
   $("alarm").hidden = text === "";
 }
 
-// STOP acts at the first touch, not when the finger is lifted. A click without a pointer comes from the keyboard.
+// STOP is sent when the pointer goes down, not when it is lifted. A click without a pointer comes from the keyboard.
 $("stop").addEventListener("pointerdown", stop);
 $("stop").addEventListener("click", (event) => { if (event.detail === 0) stop(); });
 
@@ -69,7 +69,8 @@ function pressed(event) {
   if (!event.repeat) stop();
 }
 document.addEventListener("keydown", pressed, true);
-// Frames (scene, report, replay) receive their key events themselves. All of them come from this station.
+// The page receives no key events of its frames (scene, report, replay), so each frame gets a listener. All frames are
+// pages of this station.
 document.addEventListener("load", (event) => {
   if (event.target.contentDocument) event.target.contentWindow.addEventListener("keydown", pressed, true);
 }, true);

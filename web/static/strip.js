@@ -8,7 +8,7 @@ const length = (vector, scale = 1) => (vector === null ? null : scale * Math.hyp
 const BEFORE = { approaching: "to start", settling: "at rest" };
 let status = null, stale = true;
 
-let truth = false; // whether the newest sample had a true tip
+let truth = false; // whether the newest sample contained the true tip
 const reference = (sample) => {
   if (sample !== null) truth = Boolean(sample.truth_known);
   return truth ? "true" : "measured";
@@ -23,7 +23,7 @@ function timeLeft() {
 
 const errorName = (sample) => (follows(sample) ? (sample.target_visible ? "off target" : "target not seen") : "error");
 const fixed = (digits) => (value) => value.toFixed(digits);
-/** Name, unit, value of the newest sample (or null), format, reason for a dash, and whether the cell may be hidden. */
+/** Name, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
 const CELLS = [
   { name: (sample) => `${errorName(sample)}, ${reference(sample) === "true" ? "true" : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer" },
   { name: () => "direction", unit: "°", value: (s) => s && directionError(s, `direction_${reference(s)}`), text: fixed(1), none: "", optional: true },
@@ -38,7 +38,7 @@ function show() {
   const sample = stale ? null : latestSample();
   for (const { name, unit, value, text, none, optional, element, label, shown } of CELLS) {
     const now = value(sample) ?? null;
-    if (optional) element.hidden = now === null; // no desired direction
+    if (optional) element.hidden = now === null; // no direction is desired
     const shownText = now === null ? "–" : `${text(now)}${unit && ` ${unit}`}`;
     label.textContent = name(sample);
     if (shown.textContent !== shownText) shown.textContent = shownText;
@@ -48,7 +48,7 @@ function show() {
 
 // ---- the end of a run
 
-let reported = null; // the run whose end was reported, or must not be reported
+let reported = null; // id of the run whose end was reported or must not be reported
 
 async function reportEnd(run) {
   reported = run.id;
@@ -56,7 +56,7 @@ async function reportEnd(run) {
   try {
     result = await request("GET", `/api/runs/${encodeURIComponent(run.id)}`, undefined, 5000);
   } catch (error) {
-    if (!(error instanceof Refused)) reported = null; // no answer: request it again
+    if (!(error instanceof Refused)) reported = null; // the station did not answer, so the result is requested again
     return;
   }
   if (reported !== run.id) return;

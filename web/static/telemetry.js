@@ -1,5 +1,5 @@
-// The live telemetry: one socket for the whole page. Only current, valid values are returned.
-const RATE_HZ = 20, STALE_AFTER_MS = 500; // Hz, ms
+// The live telemetry: one socket for the whole page. Stale and invalid values are returned as null.
+const RATE_HZ = 20, STALE_AFTER_MS = 500; // requested samples [Hz]; age from which the newest sample is stale [ms]
 const listeners = [], openers = [];
 let newestSample = null, receivedAt = -Infinity;
 
@@ -16,14 +16,14 @@ export const valueOf = (sample, group) => sample[group] ?? null;
 /** Return whether the run follows a moving target. */
 export const follows = (sample) => sample !== null && sample.phase === "moving" && sample.target_followed > 0;
 
-/** Desired position of the tip [m]: the setpoint, or the offset from a followed target; null when unknown. */
+/** Return the desired position of the tip [m]: the setpoint, or a followed target plus its offset; null if unknown. */
 function desiredTip(sample, group) {
   if (!follows(sample)) return sample.tip_desired;
   const target = sample.target_visible ? valueOf(sample, group.replace("tip", "target")) : null, offset = valueOf(sample, "target_offset");
   return target && offset && target.map((x, i) => x + offset[i]);
 }
 
-/** Vector from `tip_true` or `tip_measured` to the desired tip [mm] during a motion; else null. */
+/** Return the vector from `tip_true` or `tip_measured` to the desired tip [mm] during a motion; otherwise null. */
 export function error(sample, group) {
   const tip = sample.phase === "moving" ? valueOf(sample, group) : null, desired = tip && desiredTip(sample, group);
   return desired && desired.map((x, i) => 1e3 * (x - tip[i]));

@@ -2,12 +2,12 @@
 import { $, request, client, make } from "./station.js";
 import { draw, PLANES, bestPlane } from "./tip_drawing.js";
 
-const RATE_HZ = 8, SILENT_AFTER_MS = 1500; // Hz, ms
-const FIELDS_MM = [3, 6, 12, 25, 50, 100]; // length of the shorter side
+const RATE_HZ = 8, SILENT_AFTER_MS = 1500; // requested rate [Hz]; time without a message that counts as silence [ms]
+const FIELDS_MM = [3, 6, 12, 25, 50, 100]; // selectable lengths of the picture's shorter side [mm]
 const DEFAULT_FIELD_MM = 25;
 
 let picture = null, receivedAt = -Infinity, socket = null, frameRequested = false;
-let plane = null, field = null; // chosen by the user; null: chosen by the path
+let plane = null, field = null; // plane and field that the user has chosen; null: chosen to fit the path
 const legend = await request("GET", "/api/scene/legend");
 
 const canvas = make("canvas", { role: "img", "aria-label": "the tip, enlarged" }), caption = make("p");
@@ -31,7 +31,7 @@ fold.addEventListener("click", () => {
   show();
 });
 
-/** Return the smallest field that contains the path [mm], or the default without a path. */
+/** Return the smallest field that contains the path [mm]; without a path, the default field. */
 function fittingField() {
   const path = picture?.path ?? [];
   if (path.length < 2) return DEFAULT_FIELD_MM;

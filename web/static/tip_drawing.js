@@ -1,15 +1,15 @@
 // Draws the surroundings of the tip on a canvas: millimetre grid, tubes, path, trace, tips, force, scale.
 
-/** Directions of the picture as [axis, sign]; the same as in the scene's views of these names. */
+/** World axes to the right and upward in the picture, as [axis, sign], as in the scene's views of these names. */
 export const PLANES = {
   side: { right: [2, 1], up: [0, -1] },
   front: { right: [1, 1], up: [0, -1] },
   above: { right: [2, 1], up: [1, 1] },
 };
 const AXES = ["x", "y", "z"];
-const GRID = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50]; // mm
-const LONGEST_ARROW = 0.42; // fraction of the shorter side, at FULL_FORCE and more
-const FULL_FORCE = 0.5; // N
+const GRID = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50]; // possible distances of the grid's lines [mm]
+const LONGEST_ARROW = 0.42; // length of the arrow from FULL_FORCE on, as a fraction of the picture's shorter side
+const FULL_FORCE = 0.5; // force at which the arrow has its largest length [N]
 
 /** Return the plane in which the path covers the largest area. */
 export function bestPlane(path) {
@@ -22,7 +22,7 @@ export function bestPlane(path) {
 const middle = (points, axis) => (Math.max(...points.map((p) => p[axis])) + Math.min(...points.map((p) => p[axis]))) / 2;
 const spans = (points, axis) => Math.max(...points.map((p) => p[axis])) - Math.min(...points.map((p) => p[axis]));
 
-/** Return the centre of the picture: the path if it fits, else the tip. */
+/** Return the centre of the picture: the middle of the path if the path fits, otherwise the tip. */
 function pictureCentre(picture, plane, field) {
   const { path } = picture, axes = [plane.right[0], plane.up[0]];
   const tip = picture.estimated ?? picture.measured ?? picture.tubes[0]?.at(-1) ?? [0, 0, 0];
@@ -30,7 +30,7 @@ function pictureCentre(picture, plane, field) {
   return AXES.map((_, axis) => middle(path, axis));
 }
 
-/** Draw one picture; `field` is the length of the shorter side [mm], `stale` that none of it is current. */
+/** Draw one picture. `field` is the length of the shorter side [mm]; `stale` means that no value is current. */
 export function draw(canvas, picture, legend, plane, field, stale) {
   const ratio = devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
   if (w === 0 || h === 0) return;
@@ -54,7 +54,7 @@ export function draw(canvas, picture, legend, plane, field, stale) {
   const step = GRID.find((one) => one * scale >= 18) ?? 50;
   paper();
   pen.globalAlpha = stale ? 0.3 : 1;
-  // The innermost first: a wider tube hides it.
+  // The innermost tube is drawn first, so that a wider tube hides it.
   picture.tubes.forEach((line, k) => stroke(line.map(at), legend.tubes[k].colour, 1e3 * legend.tubes[k].diameter * scale, "butt"));
   stroke(picture.path.map(at), sign("reference"), 2);
   trace();

@@ -1,4 +1,4 @@
-// Overlays of the scene: buttons for views, and a foldable legend.
+// Controls that are shown over the scene: buttons for the views, and a foldable legend.
 import { $, request, make } from "./station.js";
 import { setView } from "./tip.js";
 

@@ -4,7 +4,7 @@ import { tidy } from "./units.js";
 export const UNITS = { mm: 1e-3, m: 1 };
 const NAMES = ["time", "x", "y", "z"];
 
-/** Return {rows} in SI, or {wrong}: the error of the first invalid line; `unit` applies to a file without units. */
+/** Return {rows} in SI, or {wrong}: the error of the first invalid line; `unit` is the unit of positions in a file that names no unit. */
 export function parseCsv(text, unit) {
   const rows = [], scale = UNITS[unitOf(text) ?? unit];
   for (const [number, line] of text.split("\n").map((one) => one.trim()).entries()) {
@@ -21,6 +21,6 @@ export function parseCsv(text, unit) {
 /** Return the unit in a file's first line ("time [s], x [mm], ..." or "x_mm"), or null. */
 const unitOf = (text) => /^\W*(?:time|t)\b.*?[\s,[(_]x[\s,[(_]*(mm|m)\b/i.exec(text.split("\n").find((line) => line.trim() !== "" && !line.startsWith("#")) ?? "")?.[1].toLowerCase() ?? null;
 
-/** Return the CSV text of these rows. */
+/** Return the CSV text of `rows` (SI). */
 export const csvOf = (rows) => ["time [s], x [mm], y [mm], z [mm]",
   ...rows.map(([time, ...position]) => [time, ...position.map((part) => part / UNITS.mm)].map(tidy).join(", "))].join("\n") + "\n";

@@ -15,8 +15,8 @@ function svg(tag, fields, ...children) {
 }
 
 /**
- * Draw `positions` (offsets from the start [m]) and the `path` through them; `bad` is the index of an unreachable
- * one, or null.
+ * Draw `positions` (offsets of the waypoints from the start [m]) and the `path` through the waypoints. `bad` is the index
+ * of an unreachable waypoint, or null.
  */
 export function drawing(positions, path, bad) {
   const all = [[0, 0, 0], ...positions, ...path];
@@ -34,7 +34,7 @@ export function drawing(positions, path, bad) {
     positions.forEach((position, k) => {
       const [x, y] = at(position);
       part.append(svg("circle", { cx: x, cy: y, r: k === bad ? 5 : 3, class: k === bad ? "bad" : "" }));
-      // Numbers must not overlap; the marked waypoint always has its number.
+      // The numbers of waypoints must not overlap. The unreachable waypoint always has its number.
       if (k !== bad && labelled.some(([u, v]) => Math.hypot(x - u, y - v) < 12)) return;
       labelled.push([x, y]);
       const label = svg("text", { x: x + 6, y: y - 5, class: k === bad ? "bad" : "" });

@@ -2,9 +2,8 @@
 const KEY = "places";
 
 /**
- * `rows`: [time [s], x, y, z [m]]; `origin`: {tip [m], joints} of the start, set when a waypoint is added at the
- * robot's
- * pose, or null. Its tip is null until the robot is at the start of a loaded motion.
+ * `rows`: [time [s], x, y, z [m]]; `origin`: {tip [m], joints} at the start, or null. `origin` is set when a waypoint is
+ * added at the robot's pose. For a loaded motion `origin.tip` is null until the robot is at the start.
  */
 let list = stored() ?? { rows: [], origin: null };
 const history = [], listeners = [];
@@ -31,7 +30,7 @@ export function change(next) {
   replaceList({ ...list, ...next });
 }
 
-/** Set the tip's position at the start [m]; the robot is there now. */
+/** Set the tip's position at the start [m], called when the robot is at the start. */
 export function setStartTip(tip) {
   list = { ...list, origin: { ...list.origin, tip } };
   sessionStorage.setItem(KEY, JSON.stringify(list));
@@ -42,18 +41,18 @@ export function undo() {
 }
 
 const distance = (a, b) => Math.hypot(...a.map((part, i) => part - b[i]));
-/** Shortest duration between two waypoints [s]. */
+/** Shortest time between two waypoints [s]. */
 const MIN_DURATION_S = 0.5;
 const duration = (from, target, speed) => Math.max(MIN_DURATION_S, distance(from, target) / speed);
 const tidyTime = (time) => Number(time.toFixed(2));
 
-/** Add a waypoint at `tip` [m] with these `joints`, reached at `speed` [m/s]. The first one sets the origin. */
+/** Add a waypoint at `tip` [m] with these `joints`, reached at `speed` [m/s]. The first waypoint sets the origin. */
 export function add(tip, joints, speed) {
   const from = list.origin ?? { tip, joints }, position = tip.map((part, i) => Number((part - from.tip[i]).toFixed(6)));
   change({ rows: [...list.rows, [timeOf(position, speed), ...position]], origin: from });
 }
 
-/** Add a row to fill in, at the last waypoint's position. */
+/** Add a row at the last waypoint's position, which the user then edits. */
 export function addRow(speed) {
   const position = list.rows.at(-1)?.slice(1) ?? [0, 0, 0];
   change({ rows: [...list.rows, [timeOf(position, speed), ...position]] });
@@ -87,7 +86,7 @@ export function setTimes(speed) {
   }) });
 }
 
-/** Return the first invalid row and its error: {row, text}; null if all are valid. */
+/** Return the first invalid row and its error: {row, text}; null if all rows are valid. */
 export function firstError() {
   for (const [i, [time, ...position]] of list.rows.entries()) {
     if (![time, ...position].every(Number.isFinite)) return { row: i, text: "a number is missing" };

@@ -5,9 +5,9 @@ import { add, addRow, canUndo, change, edit, setStartTip, move, onChange, origin
 import { csvOf, parseCsv, UNITS } from "./waypoint_csv.js";
 import { drawing } from "./waypoint_drawing.js";
 
-const CHECK_DELAY_MS = 300; // without a change, before the path is checked [ms]
+const CHECK_DELAY_MS = 300; // time without a change after which the path is checked [ms]
 const MM = 1e-3;
-/** Largest joint distance from the start pose that counts as at the start [rad, m]. */
+/** The robot counts as at the start pose if each joint is at most this far from its start position [rad, m]. */
 const NEAR_START = { rad: 0.01, m: 5e-4 };
 const COLUMN_TITLES = ["time s", "x mm", "y mm", "z mm"];
 
@@ -24,10 +24,9 @@ const rig = await request("GET", "/api/rig");
 let table = null; // the table shown on the page
 
 /**
- * Return a form field: {element, read() in SI, blockedReason(), recheck()}. The element sends an event `places` for
- * each change.
- * `rest()` returns the motion's other fields and its controller; `goThere(title, pose, body)` confirms and goes to a
- * pose.
+ * Return a form field: {element, read() in SI, blockedReason(), recheck()}. The element sends an event `places` at each
+ * change. `rest()` returns the motion's other fields and its controller. `goThere(title, pose, body)` moves the robot to a
+ * pose after the user's confirmation.
  */
 export function waypoints(rest, goThere) {
   const body = make("tbody"), message = make("p", { className: "small", role: "status" }), picture = make("div");
@@ -54,7 +53,7 @@ export function waypoints(rest, goThere) {
   file.addEventListener("change", async () => {
     if (file.files.length === 0) return;
     const result = parseCsv(await file.files[0].text(), unit.value);
-    file.value = ""; // the same file can be loaded again
+    file.value = ""; // needed so that the user can load the same file again
     if (result.wrong) showMessage(result.wrong, true); else change({ rows: result.rows, origin: null });
   });
 
@@ -81,7 +80,7 @@ export function waypoints(rest, goThere) {
     return make("tr", { className: "place" }, make("td", { className: "dim" }, String(i + 1)), ...cells, make("td", { className: "order" }, up, down, drop));
   }
 
-  /** Update the table. If the number of rows is unchanged, the rows and the focus stay. */
+  /** Update the table. If the number of rows is unchanged, the row elements are kept, so that the focus stays. */
   function fill() {
     const oldRows = [...body.querySelectorAll("tr.place")];
     if (oldRows.length !== rows().length) body.replaceChildren(...rows().map(line));
@@ -94,7 +93,7 @@ export function waypoints(rest, goThere) {
     element.dispatchEvent(new Event("places"));
   }
 
-  /** Show the error of a row below it, and draw the path. */
+  /** Show the error of a row below this row, and draw the path. */
   function showCheck() {
     const fault = firstError(), bad = fault?.row ?? (checkResult?.possible === false ? checkResult.place : null), text = fault?.text ?? checkResult?.reason ?? "";
     for (const oldReason of body.querySelectorAll(".why")) oldReason.remove();
@@ -132,7 +131,7 @@ export function waypoints(rest, goThere) {
     URL.revokeObjectURL(link.href);
   }
 
-  /** Check whether the robot is at the pose of the first waypoint, where the motion must start. */
+  /** Compare the robot's pose with the start pose to which the waypoints are relative, and warn if the robot is elsewhere. */
   function compareWithStart(status) {
     const start = origin(), tip = status?.tip_measured ?? null, isReady = status?.state === "READY";
     const atStart = start === null || status === null || rig.joints.every(({ name, unit: si }) => Math.abs(status.joints[name] - start.joints[name]) < NEAR_START[si]);
@@ -151,7 +150,7 @@ export function waypoints(rest, goThere) {
   table = { fill, compare: compareWithStart };
   fill();
   compareWithStart(latest());
-  /** Return why the motion cannot start; empty if it can. */
+  /** Return why the motion cannot start; empty if the motion can start. */
   const blockedReason = () => (rows().length === 0 ? "add a waypoint first" : firstError() === null ? "" : `waypoint ${firstError().row + 1} is incomplete`);
   return { element, blockedReason, read: rows, recheck: checkPath };
 }

@@ -1,7 +1,7 @@
 """Scripted communication with an Aurora: steps of a script, commands to the port, and requests with repetitions.
 
-A script is a generator. It yields what to send or to wait for, and receives the replies. So the code has the order
-of the communication. The caller that runs a script provides the time and the port.
+A script is a generator. It yields steps (send a request, wait, change the port) and receives the replies. The order of
+its code is therefore the order of the communication. The caller that runs a script provides the time and the port.
 """
 
 from collections.abc import Callable, Generator
@@ -16,7 +16,7 @@ RETRY_ERRORS = (0x01, 0x02, 0x03, 0x04, 0x05)
 
 
 class RateChange(NamedTuple):
-    """Command to the port: use this rate from now on [bit/s]."""
+    """Command to the port: change the baud rate."""
 
     baud: int
 
@@ -34,11 +34,11 @@ class Pause(NamedTuple):
 
 
 class AuroraRequest(NamedTuple):
-    """Step of the script: send a command, unless it is empty, and wait for its answer."""
+    """Step of the script: send a command, unless it is empty, and wait for its reply."""
 
     command: str
-    answers: Callable[[str], bool] | None  #: whether a text is the answer; None: the answer is a frame
-    timeout: float
+    answers: Callable[[str], bool] | None  #: returns whether a text is the reply; None: the reply is a frame
+    timeout: float  #: longest wait for the reply [s]
 
 
 Reply = str | FrameReply | None
@@ -60,12 +60,12 @@ class Dialogue:
         self.tx = settings.always_tx  #: whether frames are requested by TX
         self.trouble = ""  #: human-readable reason why the unit does not track; empty if it can track
         self.firmware = ""  #: the unit's freeze tag
-        self.tools: dict[int, ToolIdentity] = {}  #: by handle
+        self.tools: dict[int, ToolIdentity] = {}  #: identities of the tools, by handle
         self.handle: int | None = None  #: handle of the coil at the tip
         self.target: int | None = None  #: handle of the target's coil; None while it is unplugged
 
     def query(self, command: str, answers: Callable[[str], bool], timeout: float, tries: int = 3) -> Script:
-        """Send a request, repeat it if it fails, and return the text of the answer, perhaps an ERROR."""
+        """Send a request, repeat it if it fails, and return the text of the reply, which may be an ERROR."""
         reply: Reply = None
         for attempt in range(tries):
             reply = yield AuroraRequest(command, answers, timeout)
@@ -82,7 +82,7 @@ class Dialogue:
         """Send a command and return its OKAY.
 
         Raises:
-            AuroraError: it was refused.
+            AuroraError: the unit refused the command.
         """
         reply = yield from self.query(command, is_okay, timeout)
         code = error_code(str(reply))

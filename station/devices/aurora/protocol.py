@@ -1,10 +1,10 @@
-"""Framing of NDI's Combined API for an Aurora: commands and replies as bytes, without port and clock.
+"""Framing of NDI's Combined API for an Aurora tracker: commands and replies as bytes, without port and clock.
 
-A command is text, its CRC and CR. A reply is either text of the same form, or, to BX, a binary
-frame: C4 A5, body length, CRC of the header, body, CRC of the body, all little-endian. Bytes
-without a correct CRC are dropped and counted. `replies.py` parses the replies.
-Formats and numbers follow the manufacturer's Combined API as public clients implement it; an
-unconfirmed value is marked as such.
+A command consists of text, the CRC of the text and a carriage return. Most replies have the same form. The reply to the
+command BX is binary: C4 A5, body length, CRC of the header, body, CRC of the body, all little-endian. The reader drops
+and counts bytes without a correct CRC. `replies.py` parses the replies.
+Formats and numbers follow the manufacturer's Combined API as public clients implement it. Values that were not
+confirmed on a real tracker are marked as unconfirmed.
 """
 
 import re
@@ -27,8 +27,8 @@ BAUD_CODES = {
 }
 POWER_UP_BAUD = 9600
 START_SEQUENCE = b"\xc4\xa5"  #: first bytes of a binary reply
-MAX_TEXT_BYTES = 4096  #: longest text reply; a longer one is noise
-MAX_BODY_BYTES = 1 + 255 * 42 + 2  #: longest BX reply: one entry for each possible handle
+MAX_TEXT_BYTES = 4096  #: longest text reply; longer text counts as noise [bytes]
+MAX_BODY_BYTES = 1 + 255 * 42 + 2  #: longest body of a BX reply, with one entry for each possible handle [bytes]
 
 
 class AuroraError(CtrError):
@@ -37,7 +37,7 @@ class AuroraError(CtrError):
 
 @compiled
 def crc16(data: bytes) -> int:
-    """Return the CRC-16/ARC: x^16 + x^15 + x^2 + 1 reflected, from 0, no final XOR."""
+    """Return the CRC-16/ARC: polynomial x^16 + x^15 + x^2 + 1, reflected, initial value 0, no final XOR."""
     crc = 0
     for k in range(len(data)):
         crc ^= data[k]
@@ -63,7 +63,7 @@ _PERHAPS_A_START = re.compile(rb"[\x00-\x7f\xc4]")
 
 
 class ReplyReader:
-    """Splits a byte stream into replies, however it was divided; without I/O."""
+    """Splits a byte stream into replies, however the stream was divided into reads; without I/O."""
 
     def __init__(self) -> None:
         self.noise = 0  #: bytes that belonged to no reply
@@ -123,7 +123,7 @@ class ReplyReader:
             replies.append(body)
             del self._buffer[: length + 8]
             return True
-        # Skip only to the next possible start: if bytes were lost, the next reply starts within this one.
+        # Skip only to the next possible start: if bytes were lost, the next reply starts within these bytes.
         self.crc_errors += 1
         return self._skip_to_a_start()
 

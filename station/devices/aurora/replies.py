@@ -1,7 +1,7 @@
 """Parsers of an Aurora's replies: frames (BX, TX), port handles (PHSR), tools (PHINF), errors, status bits.
 
-The CRC of a reply has been checked, but one error in 65536 passes it. Replies of a wrong form and numbers outside the
-tracker's range are refused by name.
+The CRC of a reply has been checked, but one corrupted reply in 65536 passes this check. Therefore the parsers raise for
+replies of a wrong form and for numbers outside the tracker's range, and name the wrong part.
 """
 
 import math
@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from station.devices.aurora.protocol import AuroraError
 
-LARGEST_COORDINATE = 9999.99  #: limit of a coordinate in TX, both signs; also applied to BX [mm]
-LARGEST_ERROR = 9.9999  #: the same limit of the error indicator [mm]
+LARGEST_COORDINATE = 9999.99  #: largest coordinate that a TX reply can contain; also applied to BX replies [mm]
+LARGEST_ERROR = 9.9999  #: largest error indicator that a TX reply can contain; also applied to BX replies [mm]
 NORM_TOLERANCE = 0.01  #: largest deviation of a quaternion's norm from 1; TX prints four decimals
 
 #: Port status bits of a handle.
@@ -89,7 +89,7 @@ class Transform(NamedTuple):
 
 
 class ToolFrame(NamedTuple):
-    """One handle in one frame."""
+    """State and pose of one handle's tool in one frame."""
 
     handle: int
     state: ToolState
@@ -106,7 +106,7 @@ class FrameReply(NamedTuple):
 
 
 def _transform(values: tuple[float, ...], handle: int) -> Transform:
-    """Return the transform, or refuse numbers outside the tracker's range: one error in 65536 passes the CRC."""
+    """Return the transform; raise for numbers outside the tracker's range, as one error in 65536 passes the CRC."""
     if not all(map(math.isfinite, values)):
         raise AuroraError(f"handle {handle:02X}: the transform is not finite")
     norm = math.hypot(*values[:4])

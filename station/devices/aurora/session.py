@@ -1,7 +1,8 @@
-"""The host's side of an Aurora: runs the script, requests frames, and determines their times and quality.
+"""The host's side of an Aurora: runs the communication script, requests frames, and determines their times and quality.
 
-Without I/O: bytes and time go in, measurements and commands to the port come out. The communication is a script
-(`dialogue.py`). Any failure ends the script and sets the dialogue's `trouble`; then the script starts again.
+The session does no I/O: it receives bytes and the time, and returns measurements and commands for the port. The
+communication is a script (`dialogue.py`). Any failure ends the script and sets the dialogue's `trouble` to the reason;
+then the script starts again.
 """
 
 import math
@@ -44,7 +45,7 @@ USUAL_REPLY_S = 10.0 * 53 / 115200
 
 
 class AuroraSession:
-    """One unit, from the first byte to frames; sans-I/O."""
+    """The complete communication with one Aurora unit, from the first byte to frames; without I/O."""
 
     def __init__(self, settings: AuroraSettings) -> None:
         self.dialogue = Dialogue(settings)  #: state of the unit: identity, tools, fault
@@ -79,7 +80,7 @@ class AuroraSession:
         return measurements
 
     def due(self, now: float) -> list[bytes | RateChange | SerialBreak]:
-        """Return the commands that the port must execute by `now` [s], in this order."""
+        """Return the commands that the port must execute at `now` [s], in their order."""
         self.dialogue.now = now
         while not self._orders:
             if isinstance(self._step, Pause):
@@ -101,7 +102,7 @@ class AuroraSession:
     # -- replies ------------------------------------------------------------------------------
 
     def _text(self, text: str) -> None:
-        """Process a text reply: the answer to the present request, or stray."""
+        """Process a text reply: the reply to the present request, or a stray text."""
         step = self._step
         if isinstance(step, AuroraRequest) and (error_code(text) is not None or (step.answers and step.answers(text))):
             self._advance(text)
@@ -109,7 +110,7 @@ class AuroraSession:
             self.counts.stray += 1
 
     def _frame(self, raw: str | bytes) -> list[TrackerFrame]:
-        """Process a BX or TX reply, even a late one: it contains its frame number."""
+        """Process a BX or TX reply; a late reply is valid, too, because the reply contains the frame's number."""
         try:
             reply = parse_tx(raw) if isinstance(raw, str) else parse_bx(raw)
         except AuroraError:
@@ -132,7 +133,7 @@ class AuroraSession:
         return measurements
 
     def _measure(self, tool: ToolFrame, frame: int, size: int) -> list[TrackerFrame]:
-        """Determine time and quality of one entry of the tip's coil, from a reply of `size` bytes."""
+        """Determine time and quality of a frame of the tip's coil, from its entry in a reply of `size` bytes."""
         if frame == self._newest:
             self.counts.repeated += 1
             return []
@@ -153,7 +154,7 @@ class AuroraSession:
         return [TrackerFrame(frame, time, self.quality, tip, transform.error, axis=transform.axis)]
 
     def _target(self, reply: FrameReply, time: float) -> tuple[float, ...] | None:
-        """Return the position of the target's coil at `time` [s]; None if it is unknown."""
+        """Return the position of the target's coil in the frame measured at `time` [s]; None if it is not valid."""
         tool = next((tool for tool in reply.tools if tool.handle == self.dialogue.target), None)
         self.target_quality = FrameQuality.DISABLED if tool is None else self._judge(tool, time, self._target_gate)
         if tool is None or tool.transform is None or self.target_quality is not FrameQuality.GOOD:
@@ -180,7 +181,7 @@ class AuroraSession:
     # -- the engine of the script ---------------------------------------------------------------
 
     def _advance(self, reply: Reply) -> None:
-        """Run the script to its next wait."""
+        """Run the script up to the next step that waits."""
         while True:
             try:
                 step = self._script.send(reply)
@@ -225,10 +226,10 @@ class AuroraSession:
             yield from self.dialogue.query("TSTOP:", is_okay, self.dialogue.settings.reply_timeout)
 
     def _track(self) -> Script:
-        """Request frames; return when the tool has to be set up again."""
+        """Request frames; return when a tool has to be set up again."""
         settings = self.dialogue.settings
         reply = yield from self.dialogue.query("TSTART:", is_okay, settings.tool_timeout)
-        if error_code(str(reply)) == NOT_IN_THIS_MODE:  # it tracks already
+        if error_code(str(reply)) == NOT_IN_THIS_MODE:  # the unit tracks already
             yield from self.dialogue.command("TSTOP:", settings.reply_timeout)
             yield from self.dialogue.command("TSTART:", settings.tool_timeout)
         elif (code := error_code(str(reply))) is not None:
@@ -258,8 +259,8 @@ class AuroraSession:
                 if reply.system_status & PORT_OCCUPIED and settings.target_serial and self._unplugged_target(reply):
                     self.tracking, self.dialogue.trouble = False, "the target is plugged in and not set up yet"
                     return None
-                # Each request is slightly earlier, until a frame is requested before it exists. So every
-                # frame is fetched early, with only a few more requests than frames.
+                # Each request is sent slightly earlier, until a frame is requested before it is measured. So the
+                # driver receives every frame early, with only a few more requests than frames.
                 if self._newest != before or gone:
                     due = max(due + period - 5e-4, self.dialogue.now - period)
                     if due > self.dialogue.now:

@@ -7,28 +7,29 @@ from station.devices.aurora.protocol import BAUD_CODES, AuroraError
 
 @dataclass(frozen=True)
 class AuroraSettings:
-    """Settings of one unit. Times in seconds."""
+    """Settings of one Aurora unit. Times are in seconds."""
 
-    tool_serial: str = ""  #: of the coil at the tip, as PHINF reports it; empty: the lowest handle
-    target_serial: str = ""  #: of a second coil, on the target; empty: no second coil
-    baud: int = 115200  #: rate to switch to; 9600 is too slow for 40 frames/s
-    frame_rate: float = 40.0  #: [1/s]
-    latency: float = 0.024  #: shortest time from measurement to arrival of its BX reply, 115200 baud (unconfirmed)
-    always_tx: bool = False  #: never use BX
-    reply_timeout: float = 0.5
-    tool_timeout: float = 5.0  #: of PINIT, PENA and TSTART, which access the tool
-    frame_timeout: float = 0.1  #: of BX and TX, plus their time on the line
-    misses: int = 5  #: failed BX replies in a row until the session restarts
-    reset_wait: float = 3.0  #: wait for RESET after a break (unconfirmed)
-    switch_wait: float = 0.1  #: from COMM to the use of the new rate
-    quiet: float = 0.1  #: after a failed reply, so that a late one cannot answer the next command
-    retry_wait: float = 1.0  #: from a failure to the next attempt
-    fastest: float = 500.0  #: largest speed of a coil; more is a jump [mm/s]
-    jitter: float = 2.0  #: additional tolerance of a position [mm]
-    confirm_jump: int = 10  #: consistent frames after a jump until it is accepted
-    measures_axis: bool = True  #: the coil's axis is that of the tip; False: the axis is ignored
-    coil_to_tip: float = 0.0  #: from the coil to the robot's tip along the coil's axis [mm]
-    fault_bits: int = 0  #: port status bits that invalidate a measurement, plus those of the volume (8.. unconfirmed)
+    tool_serial: str = ""  #: serial number of the tip's coil, as PHINF reports it; empty: the tool with lowest handle
+    target_serial: str = ""  #: serial number of a second coil, on the target; empty: no second coil
+    baud: int = 115200  #: rate to which the driver switches; 9600 is too slow for 40 frames/s [bit/s]
+    frame_rate: float = 40.0  #: frames that the unit measures per second [1/s]
+    latency: float = 0.024  #: shortest time from measurement to arrival of the BX reply, 115200 baud (unconfirmed)
+    always_tx: bool = False  #: request frames by TX (text) only, never by BX (binary)
+    reply_timeout: float = 0.5  #: longest wait for the reply to most commands
+    tool_timeout: float = 5.0  #: longest wait for the reply to PINIT, PENA and TSTART, which access the tool
+    frame_timeout: float = 0.1  #: longest wait for the reply to BX and TX, plus the transmission time of the reply
+    misses: int = 5  #: number of failed frame requests in a row after which the session restarts
+    reset_wait: float = 3.0  #: longest wait for the text RESET after a break (unconfirmed)
+    switch_wait: float = 0.1  #: wait after the reply to COMM until the new baud rate is used
+    quiet: float = 0.1  #: wait after a failed reply, so that a late reply is not taken for the next command's reply
+    retry_wait: float = 1.0  #: wait from a failure to the next attempt
+    fastest: float = 500.0  #: largest speed of a coil; a faster motion counts as a jump [mm/s]
+    jitter: float = 2.0  #: distance that a position may change in addition to the motion at `fastest` [mm]
+    confirm_jump: int = 10  #: number of consistent frames after which a position beyond a jump is accepted
+    measures_axis: bool = True  #: whether the tip's direction is measured by the coil's axis; False: axis is ignored
+    coil_to_tip: float = 0.0  #: distance from the coil to the robot's tip along the coil's axis [mm]
+    #: Port status bits that invalidate a measurement, besides the out-of-volume bits (bits from 8 on are unconfirmed).
+    fault_bits: int = 0
 
     def __post_init__(self) -> None:
         if self.target_serial and self.target_serial == self.tool_serial:

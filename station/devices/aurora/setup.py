@@ -1,4 +1,4 @@
-"""Set-up of an Aurora: finds its rate, reads its identity, and enables its tools."""
+"""Set-up of an Aurora: finds the unit's baud rate, reads the unit's identity, and enables the tools."""
 
 import re
 from collections.abc import Generator
@@ -17,12 +17,12 @@ from station.devices.aurora.protocol import BAUD_CODES, POWER_UP_BAUD, AuroraErr
 from station.devices.aurora.replies import NOT_IN_THIS_MODE, error_code, error_words, parse_phinf, parse_phsr
 
 BREAK_S = 0.25  #: duration of the break, with the line low [s]
-#: Firmware without a usable BX (list of a public Aurora client).
+#: Firmware versions whose command BX is unusable (list of a public Aurora client).
 TX_ONLY_FIRMWARE = ("AURORA Rev 007", "AURORA Rev 008")
 
 
 def find_unit(dialogue: Dialogue) -> Script:
-    """Find the unit at 9600 baud or at the rate of an earlier session, and switch to the configured rate."""
+    """Find the unit at 9600 baud or at the rate that an earlier session set, and switch to the configured rate."""
     settings = dialogue.settings
     while True:
         for baud in dict.fromkeys((POWER_UP_BAUD, settings.baud)):
@@ -49,7 +49,7 @@ def find_unit(dialogue: Dialogue) -> Script:
 
 def _change_rate(dialogue: Dialogue) -> Script:
     command = f"COMM:{BAUD_CODES[dialogue.settings.baud]}0000"
-    # Sent once: without an answer its rate is unknown, and `find_unit` tries both rates.
+    # Sent only once: without a reply the unit's baud rate is unknown, and `find_unit` tries both rates again.
     reply = yield AuroraRequest(command, is_okay, dialogue.settings.reply_timeout)
     code = error_code(str(reply))
     if reply is None or code is not None:
@@ -69,7 +69,7 @@ def identify(dialogue: Dialogue) -> Script:
 
 
 def prepare_tools(dialogue: Dialogue) -> Script:
-    """Initialise and enable the connected tools, until the tip's coil is one of them."""
+    """Initialise and enable the connected tools; repeat this until the tip's coil is one of the tools."""
     settings = dialogue.settings
     while True:
         refused = ""

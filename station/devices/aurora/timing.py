@@ -1,25 +1,25 @@
-"""Measurement times of frames from their numbers, and detection of impossible jumps of a coil."""
+"""Measurement times of frames from the frame numbers, and detection of impossible jumps of a coil."""
 
 import math
 
-#: Longest time over which a coil's motion since its last good position is assumed: two frames [s].
+#: Longest time for which a coil may have moved since its last good position, in the test for jumps: two frames [s].
 MAX_MOTION_TIME_S = 0.05
 
 
 class FrameClock:
-    """Host time from frame numbers: the lower envelope of arrival times.
+    """Converts frame numbers to host time, by the lower envelope of the arrival times.
 
-    A reply can be late but never early, so the smallest difference between arrival and frame number
-    is the best estimate. It may rise slowly, because the two clocks drift apart.
+    A reply can be late but never early. Therefore the smallest difference between the arrival of a reply and the time
+    since frame 0 is the best estimate. This estimate may rise slowly, because the two clocks drift apart.
     """
 
     def __init__(self, rate: float, drift: float = 5e-4, tolerance: float = 1.5, confirm: int = 5) -> None:
-        """Frame rate [1/s], drift between the clocks [s/s], tolerance [frames], outliers until a restart."""
+        """Set frame rate [1/s], clock drift [s/s], tolerance [frames], and consistent outliers until a restart."""
         self._rate, self._drift, self._tolerance, self._confirm = rate, drift, tolerance / rate, confirm
         self.restart()
 
     def restart(self) -> None:
-        """Discard the estimate: the unit may restart its count."""
+        """Discard the estimate, because the unit may restart its frame count."""
         self._frame, self._arrival, self._offset, self._time = -1, 0.0, math.nan, -math.inf
         self._doubts, self._doubted = 0, (0, 0.0)
 
@@ -46,7 +46,7 @@ class FrameClock:
         """Count frames that are consistent with one another but not with the clock: the unit restarted its count."""
         frames, time = frame - self._doubted[0], arrival - self._doubted[1]
         if self._doubts and frames == 0:
-            return None  # requested again before the next frame
+            return None  # a repetition: the frame was requested again before the next frame was measured
         agrees = frames > 0 and abs(time - frames / self._rate) <= self._tolerance
         self._doubts = self._doubts + 1 if self._doubts and agrees else 1
         self._doubted = (frame, arrival)
@@ -54,7 +54,7 @@ class FrameClock:
 
 
 class JumpGate:
-    """Rejects positions that a coil cannot have reached since the last good one."""
+    """Rejects positions that a coil cannot have reached since its last good position."""
 
     def __init__(self, fastest: float, jitter: float, confirm: int) -> None:
         self._fastest, self._jitter, self._confirm = fastest, jitter, confirm
@@ -76,6 +76,6 @@ class JumpGate:
     def _near(self, before: tuple[float, tuple[float, ...]] | None, here: tuple[float, tuple[float, ...]]) -> bool:
         if before is None:
             return True
-        # Even after a long gap a distant position is not accepted at once.
+        # The limited time prevents that a distant position is accepted at once after a long gap.
         reach = self._jitter + self._fastest * min(max(0.0, here[0] - before[0]), MAX_MOTION_TIME_S)
         return math.dist(before[1], here[1]) <= reach

@@ -1,4 +1,4 @@
-"""Driver of an Aurora for the control loop: a session on a link, polled once per tick."""
+"""Driver of an Aurora tracker for the control loop: a session on a link, polled once per tick."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -16,9 +16,9 @@ from station.devices.aurora.settings import AuroraSettings
 from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
 from station.devices.links.link import Link, LinkError
 
-#: Without a new frame for this long the tracker is silent: four frames [s].
+#: The tracker counts as silent after this time without a new frame, which is four frames [s].
 SILENCE_TIMEOUT_S = 0.1
-#: Without a good position for this long a motion ends in HOLD [s].
+#: A motion ends in the state HOLD after this time without a good position [s].
 BLIND_TIMEOUT_S = 0.25
 
 
@@ -35,11 +35,11 @@ class TrackerMounting:
 
 
 class TrackerReport(NamedTuple):
-    """State of the tracker, on which HOLD is decided."""
+    """State of the tracker, from which the driver determines its fault."""
 
     quality: FrameQuality
-    good_age: float  #: since the last good position was measured; infinite before the first [s]
-    trouble: str  #: human-readable; empty if there is none
+    good_age: float  #: time since the last good position was measured; infinite before the first one [s]
+    trouble: str  #: human-readable reason of a problem; empty if there is none
     firmware: str  #: the unit's freeze tag
     tool: ToolIdentity | None  #: the coil at the tip
     counts: FrameCounts
@@ -48,7 +48,7 @@ class TrackerReport(NamedTuple):
 
 
 class AuroraTracker:
-    """Driver of one Aurora; implements `Tracker`. `poll` raises nothing, whatever bytes arrive."""
+    """Driver of one Aurora; implements `Tracker`. `poll` never raises, whatever bytes arrive."""
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class AuroraTracker:
                 self._lost = str(error)
 
     def trouble(self, now: float) -> DeviceFault | None:
-        """Return a warning without a good position, and after 0.25 s a HOLD, with the reason."""
+        """Return a WARN after 0.1 s without a good position, and a HOLD after 0.25 s or if the port is lost."""
         if now - self._good_time <= SILENCE_TIMEOUT_S and not self._lost:
             return self._target_trouble(now)
         report = self.report(now)
@@ -108,7 +108,7 @@ class AuroraTracker:
         return DeviceFault(Severity.WARN, f"tracker ({self._link.name}): target {serial}: {what}{since}")
 
     def details(self) -> Mapping[str, Any]:
-        """Return identity and counters."""
+        """Return identity and counters of the tracker."""
         report = self.report(self._session.dialogue.now)
         return {
             "port": self._link.name,
@@ -167,7 +167,7 @@ class AuroraTracker:
         )
 
     def attach(self, link: Link) -> None:
-        """Start a new session on another link after the first was lost; only the same coil is accepted."""
+        """Start a new session on another link after a loss; the session accepts only the same coil at the tip."""
         report = self.report(0.0)
         if report.tool is not None:
             self._settings = replace(self._settings, tool_serial=report.tool.serial)
@@ -185,7 +185,7 @@ class AuroraTracker:
         self._link.close()
 
     def _carry_out(self, order: bytes | RateChange | SerialBreak) -> None:
-        """Execute a command; links without rate or break ignore it."""
+        """Execute a command to the port; a link without baud rate or break ignores such a command."""
         if isinstance(order, bytes):
             self._link.write(order)
         elif isinstance(order, RateChange):

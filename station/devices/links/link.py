@@ -1,7 +1,7 @@
 """Links that carry a device's bytes: serial ports, sockets and datagrams.
 
-A link is polled and never waited for. The device's protocol interprets the bytes. A link has exclusive access to its
-device. A link whose device was lost can be opened again.
+A driver polls its link and never waits for data. The device's protocol interprets the bytes. A link has exclusive
+access to its device. A link whose device was lost can be opened again.
 """
 
 import contextlib
@@ -18,11 +18,11 @@ from station.devices.links.rediscover import describe, find, usb_ports
 
 
 class LinkError(CtrError):
-    """A link cannot be opened or has been lost; names the link and what to do."""
+    """A link cannot be opened or has been lost; the text names the link and what to do."""
 
 
 class Link(Protocol):
-    """Bytes to and from a device."""
+    """Interface of a link, which carries bytes to and from a device."""
 
     name: str  #: for messages
 
@@ -64,18 +64,18 @@ class SerialLink:
     """A port that pyserial opens by name or URL: /dev/ttyUSB0, COM3, a pty, socket://host:port."""
 
     def __init__(self, url: str, baud: int) -> None:
-        """Raises LinkError when it cannot be opened or another program uses it."""
+        """Open the port; raises LinkError if the port cannot be opened or another program uses it."""
         self.name, self._baud = url, baud
         self._lock, self._port = _open(url, baud)
         self._is_port = "://" not in url
-        #: USB adapter by which the port is found again; None if it is not on USB.
+        #: USB adapter by which the port is found again after a loss; None if the port is not on USB.
         self._adapter = describe(url, usb_ports()) if self._is_port else None
 
     def read(self) -> bytes:
         """Return the bytes that the port has received."""
         try:
-            # A read of an empty port waits for the kernel thread that transfers its bytes. That thread has normal
-            # priority: the control loop would be late while other programs keep the thread from a processor.
+            # A read of an empty port waits for the kernel thread that transfers the port's bytes. The thread has normal
+            # priority, so on a busy computer it waits for a processor, and the control loop would be late.
             if self._is_port and not self._port.in_waiting:
                 return b""
             return bytes(self._port.read(65536))
@@ -94,7 +94,7 @@ class SerialLink:
             raise LinkError(f"{self.name} accepts no data: its buffer is full; does the device read?")
 
     def _sent(self, data: bytes) -> int:
-        """Write without pyserial where it would block: it repeats a write to a full buffer endlessly."""
+        """Write without pyserial where possible, because pyserial repeats a write to a full buffer endlessly."""
         if self.name.startswith("socket://") and (inner := _socket_of(self._port)) is not None:
             return inner.send(data)
         if self._is_port and os.name == "posix":
@@ -109,18 +109,18 @@ class SerialLink:
             raise LinkError(f"{self.name} cannot run at {baud} baud: {error}") from None
 
     def set_break(self, low: bool) -> None:
-        """Set the line low, or release it: a break lasts until the caller releases it.
+        """Set the transmit line low (a break) or release it; the break lasts until the caller releases the line.
 
-        A pty and a socket carry no break: nothing happens.
+        On a pty or a socket, which cannot carry a break, the call has no effect.
         """
         with contextlib.suppress(serial.SerialException, OSError, NotImplementedError):
             self._port.break_condition = low
 
     def reopen(self) -> None:
-        """Open the port again at its first rate: the same USB adapter, under the present name of its port.
+        """Open the port of the same USB adapter again, under the port's present name and at its initial baud rate.
 
         Raises:
-            LinkError: it is not plugged in, or another program uses it.
+            LinkError: the adapter is not plugged in, or another program uses the port.
         """
         self.close()
         url = self.name
@@ -159,7 +159,7 @@ def _open(url: str, baud: int) -> tuple[PortLock, Any]:
         )
         inner = _socket_of(port)
         if inner is not None:
-            # Otherwise a message waits up to 40 ms until the other side has confirmed the previous one.
+            # Without this option a message waits up to 40 ms until the peer has acknowledged the previous message.
             inner.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return lock, port
     except (serial.SerialException, OSError, ValueError) as error:
@@ -171,7 +171,7 @@ class DatagramLink:
     """Datagrams to and from one UDP peer."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Raises LinkError when the address is unknown or another link uses it."""
+        """Open the socket; raises LinkError if the address is unknown or another link uses it."""
         self.name = f"udp://{host}:{port}"
         try:
             self._lock = PortLock(self.name)
@@ -195,7 +195,7 @@ class DatagramLink:
             except BlockingIOError:
                 return datagrams
             except ConnectionRefusedError:
-                return datagrams  # no receiver yet; the driver's deadline detects the silence
+                return datagrams  # the peer's port is closed; the driver detects the silence by its timeout
             except OSError as error:
                 raise LinkError(f"{self.name} is gone: {error}") from None
 

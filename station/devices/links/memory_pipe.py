@@ -4,7 +4,7 @@ from collections import deque
 
 from station.devices.links.link import LinkError
 
-MAX_PENDING_BYTES = 4096  #: unread bytes; the oldest are discarded
+MAX_PENDING_BYTES = 4096  #: largest number of unread writes in each direction; the oldest are discarded
 
 
 class Cable:
@@ -20,7 +20,7 @@ class Cable:
         self.pulls += 1
 
     def plug(self) -> None:
-        """Plug it in again."""
+        """Plug the cable in again."""
         self.plugged = True
 
 
@@ -50,7 +50,7 @@ class MemoryLink:
             self._outgoing.append(data)
 
     def reopen(self) -> None:
-        """Open again and discard all data in transit; raises LinkError while it is unplugged."""
+        """Open the port again and discard all data in transit; raises LinkError while the cable is unplugged."""
         if not self._cable.plugged:
             raise LinkError(f"{self.name} cannot be opened: it is not plugged in")
         self._incoming.clear()
@@ -58,7 +58,7 @@ class MemoryLink:
         self._open, self._pulls = True, self._cable.pulls
 
     def close(self) -> None:
-        """Close this end."""
+        """Close the host's end."""
         self._open = False
 
     def _gone(self) -> str:
@@ -66,7 +66,7 @@ class MemoryLink:
 
 
 class MemoryEnd:
-    """The device's end of such a pipe: it never fails; while the cable is unplugged all data are lost."""
+    """The device's end of a pipe in memory. It never fails; while the cable is unplugged all data are lost."""
 
     def __init__(self, name: str, incoming: deque[bytes], outgoing: deque[bytes], cable: Cable) -> None:
         self.name = name
@@ -90,7 +90,7 @@ class MemoryEnd:
         self._cable.unplug()
 
     def plug(self) -> None:
-        """Plug it in again: the host can open its port again."""
+        """Plug the cable in again: the host can open its port again."""
         self._cable.plug()
 
     def close(self) -> None:

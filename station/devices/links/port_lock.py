@@ -1,8 +1,8 @@
 """Exclusive access to a device: a lock on a file that is named after the device, kept while its link is open.
 
-An operating system lets two programs open one serial port, and a Net F/T box serves the latest client. The system
-releases the lock when its process ends, however that happens. On Windows, which opens a serial port only once,
-nothing is locked.
+The lock is necessary because Unix systems let two programs open one serial port, and because a Net F/T box serves only
+the latest client. The operating system releases the lock when the process ends for any reason. On Windows this module
+locks nothing, because Windows opens a serial port only once.
 """
 
 import contextlib
@@ -20,11 +20,11 @@ if sys.platform != "win32":
 
 
 class PortInUse(CtrError):
-    """Another station uses the device; names the device and that station's process."""
+    """Another station uses the device; the text names the device and the process of that station."""
 
 
 def device_name(url: str) -> str:
-    """Return a unique name of the device: the file behind a symbolic link, the address of a host."""
+    """Return a unique name of the device: its file with symbolic links resolved, or its URL with the host's address."""
     if "://" not in url:
         return os.path.realpath(url)
     parts = urlsplit(url)
@@ -32,19 +32,19 @@ def device_name(url: str) -> str:
     try:
         host = str(socket.getaddrinfo(host, parts.port)[0][4][0])
     except (OSError, ValueError):
-        return url  # it cannot be opened either, or has no host
+        return url  # the host is unknown, so the device cannot be opened either, or the URL has no host
     return f"{parts.scheme}://{host}:{parts.port}"
 
 
 def lock_file(url: str) -> Path:
-    """Return the path of the file that is locked for a device."""
+    """Return the path of the lock file of a device."""
     return Path(tempfile.gettempdir()) / f"ctr-station-{quote(device_name(url), safe='')}.lock"
 
 
 def clear_left_behind() -> None:
-    """Remove the lock files that killed stations of this user have left: those without a lock."""
+    """Remove lock files that killed stations of this user have left, which are the files without a lock."""
     for path in Path(tempfile.gettempdir()).glob("ctr-station-*.lock"):
-        with contextlib.suppress(OSError):  # locked, another user's, or just gone
+        with contextlib.suppress(OSError):  # the file is locked, belongs to another user, or was just removed
             if sys.platform != "win32" and path.lstat().st_uid == os.getuid():
                 file = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
                 try:
@@ -62,7 +62,7 @@ class PortLock:
         """Lock the device.
 
         Raises:
-            PortInUse: another link uses it, in this process or another, or the lock file cannot be opened.
+            PortInUse: a link of this or another process uses the device, or the lock file cannot be opened.
         """
         self._file: int | None = None
         if sys.platform == "win32":
@@ -84,20 +84,21 @@ class PortLock:
     def release(self) -> None:
         """Unlock the device."""
         if self._file is not None and sys.platform != "win32":
-            # Removed while still locked: afterwards it could be another station's. Another user's file stays.
+            # Remove the file while it is locked, because afterwards another station may lock it. A file of another
+            # user cannot be removed and stays.
             with contextlib.suppress(OSError):
                 self._path.unlink()
-            # Unlocked and not only closed: a child process may have inherited the open file.
+            # Unlock explicitly, because a child process may have inherited the open file and keep the lock.
             fcntl.flock(self._file, fcntl.LOCK_UN)
             os.close(self._file)
             self._file = None
 
 
 def _locked(path: Path) -> int:
-    """Return the locked file with this process's number in it.
+    """Lock the file, write this process's number into it, and return its descriptor.
 
     Raises:
-        BlockingIOError: it is locked; carries the number of the other process.
+        BlockingIOError: another link has locked the file; the text is the number of the locking process.
     """
     while True:
         file = _open(path)
@@ -109,7 +110,7 @@ def _locked(path: Path) -> int:
                 return file
             os.close(file)
         except FileNotFoundError:
-            os.close(file)  # its last owner has just removed it
+            os.close(file)  # the previous owner has just removed the file
         except BlockingIOError:
             holder = os.pread(file, 20, 0).decode("ascii", "replace").strip()
             os.close(file)
@@ -117,7 +118,7 @@ def _locked(path: Path) -> int:
 
 
 def _open(path: Path) -> int:
-    """Open the file, which any user may lock: a station of another account uses the same device."""
+    """Open the file so that any user may lock it, because a station of another account may use the same device."""
     flags = os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW
     while True:
         try:

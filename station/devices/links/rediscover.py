@@ -14,11 +14,11 @@ from serial.tools import list_ports
 class UsbPort(NamedTuple):
     """A serial port on USB, as the system describes it."""
 
-    device: str  #: /dev/ttyUSB0, COM3
+    device: str  #: name of the port: /dev/ttyUSB0, COM3
     vendor: int
     product: int
-    serial: str  #: of the adapter; "" if it has none
-    location: str  #: bus, chain of sockets, and the interface on an adapter with several ports: 1-1.2:1.0
+    serial: str  #: serial number of the adapter; "" if it has none
+    location: str  #: USB bus, chain of sockets, and interface on an adapter with several ports: 1-1.2:1.0
 
     def __str__(self) -> str:
         return f"USB adapter {self.vendor:04x}:{self.product:04x} " + (
@@ -36,7 +36,7 @@ def usb_ports() -> list[UsbPort]:
 
 
 def describe(device: str, ports: Sequence[UsbPort]) -> UsbPort | None:
-    """Return the port that `device` names, directly or by a symbolic link; None if it is no USB port."""
+    """Return the USB port that `device` names, directly or by a symbolic link; None if `device` is no USB port."""
     real = os.path.realpath(device)
     return next((port for port in ports if os.path.realpath(port.device) == real), None)
 
@@ -45,10 +45,10 @@ def find(known: UsbPort, ports: Sequence[UsbPort]) -> str | None:
     """Return the present name of a known adapter among `ports`; None if it is absent or ambiguous."""
     similar = [p for p in ports if (p.vendor, p.product, p.serial) == (known.vendor, known.product, known.serial)]
     if known.serial:
-        # Ports of one adapter differ in the interface only, whatever socket it uses.
+        # All ports of one adapter have the same serial number; they differ in the interface only.
         same = [p for p in similar if _interface(p) == _interface(known)]
     else:
-        # The same socket; or another socket, if no second adapter of this kind is present.
+        # Accept the same USB socket, or another socket if no second adapter of this kind is present.
         same = [p for p in similar if p.location == known.location] or similar
     return same[0].device if len(same) == 1 else None
 

@@ -1,22 +1,22 @@
-"""Measurement time of an ATI Net F/T's samples, from its internal counter and the host's clock."""
+"""Measurement times of the samples of an ATI Net F/T box, from the box's internal counter and the host's clock."""
 
 import numpy as np
 
 from core.compiled import compiled
 from core.robot.robot import Array
 
-SAMPLE_RATE_HZ = 7000.0  #: of the box's internal counter, +-0.5 % [1/s]
-LATENCY_S = 288e-6  #: time from the measurement to the Ethernet [s]
-#: Drift of the estimated offset: slightly faster than the box's clock, which may drift by +-0.5 %.
+SAMPLE_RATE_HZ = 7000.0  #: rate of the box's internal counter, +-0.5 % [1/s]
+LATENCY_S = 288e-6  #: time from a measurement until the box sends its record on the Ethernet [s]
+#: Rate at which the estimated offset rises between records [s/s]: above the box's largest clock error of 0.5 %.
 MAX_CLOCK_DRIFT = 0.006
-OFFSET, SEEN, CONFIRMED, LATE = range(4)  #: indices in the state of a clock
+OFFSET, SEEN, CONFIRMED, LATE = range(4)  #: indices in `SampleClock.state`
 
 
 class SampleClock:
-    """Host time of the box's internal samples.
+    """Converts the box's internal sample count to host time.
 
-    Records are delayed by varying times, never early: the least delayed ones give the offset between the counter
-    and the host's clock. The remaining error is at most the time between two polls of the socket.
+    Records arrive with varying delays but never early. Therefore the least delayed records give the offset between the
+    counter and the host's clock. The remaining error is at most the time between two polls of the socket.
     """
 
     def __init__(self, latency: float = LATENCY_S) -> None:
@@ -30,11 +30,11 @@ class SampleClock:
         return bool(self.state[OFFSET] < np.inf)
 
     def observe(self, count: int, now: float) -> float:
-        """Note that sample `count` was received at `now` [s], and return the time of its measurement [s]."""
+        """Record that sample `count` was received at `now` [s], and return the time of its measurement [s]."""
         return observe(self.state, count, now)
 
     def doubt(self, now: float) -> float:
-        """Return the largest error of the offset at `now` [s]."""
+        """Return the largest possible error of the offset at `now` [s]."""
         return 2.0 * MAX_CLOCK_DRIFT * (now - float(self.state[CONFIRMED]))
 
     def latest(self, now: float) -> float:
@@ -44,7 +44,7 @@ class SampleClock:
 
 @compiled
 def observe(clock: Array, count: int, now: float) -> float:
-    """`SampleClock.observe` on its state."""
+    """Compiled code of `SampleClock.observe`, with the clock's state as first argument."""
     offset = now - count / SAMPLE_RATE_HZ
     drifted = clock[OFFSET] + MAX_CLOCK_DRIFT * (now - clock[SEEN])
     if offset <= drifted:
@@ -57,5 +57,5 @@ def observe(clock: Array, count: int, now: float) -> float:
 
 @compiled
 def latest(clock: Array, now: float) -> float:
-    """`SampleClock.latest` on its state."""
+    """Compiled code of `SampleClock.latest`, with the clock's state as first argument."""
     return (now - clock[OFFSET] + 2.0 * MAX_CLOCK_DRIFT * (now - clock[CONFIRMED])) * SAMPLE_RATE_HZ

@@ -1,4 +1,4 @@
-"""The last samples of every force sensor in counts, in one array, for interpolation at one time."""
+"""The last samples of every force sensor, in counts, from which the wrenches at a common time are interpolated."""
 
 import math
 
@@ -7,12 +7,12 @@ import numpy as np
 from core.compiled import compiled, copy
 from core.robot.robot import Array, Indices
 
-#: Samples stored per sensor: several ticks at the highest rate.
+#: Samples stored per sensor: those of several ticks at the highest record rate.
 HISTORY_SAMPLES = 64
 
 
 class SampleHistory:
-    """A ring of samples for each sensor."""
+    """A ring buffer of samples for each sensor."""
 
     def __init__(self, scale: Array) -> None:
         """`scale` (q, 6) is the force or moment per count [N, N m]."""
@@ -21,24 +21,24 @@ class SampleHistory:
         self._ends = np.zeros((len(scale), 2), dtype=np.int64)  # index of the newest row, number of rows
 
     def ring(self, sensor: int) -> "SampleRing":
-        """The ring of one sensor."""
+        """Return the ring buffer of one sensor."""
         return SampleRing(self.rows[sensor], self._ends[sensor])
 
     def at(self, time: float) -> Array:
-        """Return wrenches (q, 6) at `time` [s], linearly interpolated; every ring needs at least one sample."""
+        """Return wrenches (q, 6) at `time` [s], linearly interpolated; every sensor needs at least one sample."""
         return _at(self.rows, self._ends, time, self._scale)
 
 
 class SampleRing:
-    """The samples of one sensor, with times that never decrease."""
+    """The ring buffer of one sensor, with times that never decrease."""
 
     def __init__(self, rows: Array, ends: Indices) -> None:
-        self.row = np.zeros(7)  #: for the next sample: time [s] and six counts
+        self.row = np.zeros(7)  #: the sample that `push` appends next: time [s] and six counts
         self.time = -math.inf  #: time of the newest sample; minus infinity: no sample [s]
         self.rows, self.ends = rows, ends
 
     def push(self) -> None:
-        """Append `row`; a less delayed record may have corrected the clock to an earlier time."""
+        """Append `row`. Its time is raised to the newest one if a correction of the clock has made it earlier."""
         self.time = push(self.rows, self.ends, self.row, self.time)
 
     def clear(self) -> None:
@@ -48,7 +48,7 @@ class SampleRing:
 
 @compiled
 def push(rows: Array, ends: Indices, row: Array, time: float) -> float:
-    """`SampleRing.push` on its arrays; return the time of the newest sample."""
+    """Compiled code of `SampleRing.push`: append `row` to the ring's arrays, and return the newest sample's time."""
     ends[0], ends[1] = (ends[0] + 1) % HISTORY_SAMPLES, min(ends[1] + 1, HISTORY_SAMPLES)
     time = max(time, row[0])
     copy(row, rows[ends[0]])

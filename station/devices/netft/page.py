@@ -1,8 +1,8 @@
 """Parser of an ATI Net F/T's configuration page, `netftapi2.xml`: force and torque per count.
 
-It is strict, because a wrong scale gives a wrong force: the five elements once each, text only, positive
-finite numbers, units with a known name; well-formed, no DOCTYPE. Other elements of a real page are
-ignored. The calibration's serial number and range are optional.
+The parser is strict, because a wrong scale gives a wrong force. The page must be well-formed XML without a DOCTYPE.
+Each of the five required elements must occur once and contain only text: positive finite numbers and known unit names.
+The calibration's serial number and ranges are optional. The parser ignores all other elements.
 """
 
 import math
@@ -12,7 +12,7 @@ from xml.parsers import expat
 
 from core.errors import CtrError
 
-#: [N]
+#: Force units of a page [N].
 FORCE_UNITS = {
     "N": 1.0,
     "kN": 1e3,
@@ -20,7 +20,7 @@ FORCE_UNITS = {
     "klbf": 4448.2216152605,
     "kgf": 9.80665,
 }
-#: [N m]
+#: Torque units of a page [N m].
 TORQUE_UNITS = {
     "N-m": 1.0,
     "Nm": 1.0,
@@ -34,32 +34,32 @@ TORQUE_UNITS = {
 }
 REQUIRED_FIELDS = ("prodname", "cfgcpf", "cfgcpt", "scfgfu", "scfgtu")
 OPTIONAL_FIELDS = ("cfgcalsn", "cfgmr")
-MAX_PAGE_BYTES = 1 << 18  #: [bytes]; a real page has a few thousand
-#: Bounds of the counts per unit; values outside are an error and could make a force infinite.
+MAX_PAGE_BYTES = 1 << 18  #: largest page that is read [bytes]; a real page has a few thousand bytes
+#: Bounds of the counts per unit of force or torque; values outside are an error and could make a force infinite.
 MIN_COUNTS, MAX_COUNTS = 1e-6, 1e15
 _NUMBER = re.compile(r"\d{1,20}(\.\d{0,20})?([eE][+-]?\d{1,3})?", re.ASCII)
 
 
 class PageError(CtrError):
-    """An invalid configuration page; names the element, its text and what was expected."""
+    """An invalid configuration page; the message names the element, its text and what was expected."""
 
 
 @dataclass(frozen=True)
 class NetftPage:
-    """Content of the page."""
+    """Content of a box's configuration page."""
 
     product: str
-    serial: str  #: of the calibration, which identifies a sensor; "" if the page has none
-    force_count: float  #: [N]
-    torque_count: float  #: [N m]
-    ranges: tuple[float, ...] | None  #: six, of the calibration [N, N m]; None if the page has none
+    serial: str  #: serial number of the calibration, which identifies a sensor; "" if the page has none
+    force_count: float  #: force per count [N]
+    torque_count: float  #: torque per count [N m]
+    ranges: tuple[float, ...] | None  #: the calibration's six ranges [N, N m]; None if the page has none
 
 
 def read_page(page: bytes) -> NetftPage:
     """Read `netftapi2.xml`.
 
     Raises:
-        PageError: names the element, its text and what was expected.
+        PageError: the page is invalid; the message names the element, its text and what was expected.
     """
     texts = _texts(page)
     for name in REQUIRED_FIELDS:
@@ -84,7 +84,7 @@ def _texts(page: bytes) -> dict[str, str]:
         raise PageError(f"netftapi2.xml has {len(page)} bytes; at most {MAX_PAGE_BYTES} are read")
     found: dict[str, str] = {}
     known_fields = {*REQUIRED_FIELDS, *OPTIONAL_FIELDS}
-    inside: list[str] = []  # the known element that is open
+    inside: list[str] = []  # name of the required or optional element that the parser is inside of
 
     def start(name: str, _: dict[str, str]) -> None:
         if inside:
@@ -112,7 +112,7 @@ def _texts(page: bytes) -> dict[str, str]:
     parser.StartDoctypeDeclHandler = doctype
     try:
         parser.Parse(page, True)
-    except (expat.ExpatError, ValueError, LookupError) as error:  # the others: an unknown encoding
+    except (expat.ExpatError, ValueError, LookupError) as error:  # ValueError, LookupError: an unknown encoding
         raise PageError(f"netftapi2.xml is not well-formed: {error}") from None
     return {name: value.strip() for name, value in found.items()}
 

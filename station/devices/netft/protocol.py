@@ -1,8 +1,8 @@
-"""ATI Net F/T, raw data transfer (RDT) over UDP port 49152: requests, records, sequence and status; without I/O.
+"""Protocol of ATI Net F/T boxes, raw data transfer (RDT) by UDP: requests, records, sequence and status; without I/O.
 
-A record has no checksum (UDP has one). A wrong record is detected by the length of its datagram, by its two counters,
-which increase together, and by the clock. All numbers on the wire are big-endian.
-Layouts and rates: Net F/T manual 9620-05; status bits: from public clients.
+A record has no checksum except that of UDP. A wrong record is detected by the length of its datagram, by its two
+counters, which increase together, and by the clock. All numbers in datagrams are big-endian.
+Sources: Net F/T manual 9620-05 for layouts and rates; public clients for the status bits.
 """
 
 import struct
@@ -15,14 +15,14 @@ from core.compiled import compiled
 from core.robot.robot import Array, Indices
 from station.devices.netft.clock import LATENCY_S, SAMPLE_RATE_HZ, SampleClock, latest, observe
 
-RDT_PORT = 49152
+RDT_PORT = 49152  #: UDP port of a box
 
 HEADER = 0x1234
 REQUEST = struct.Struct(">HHI")
 RECORD = struct.Struct(">IIIiiiiii")
 SEQUENCE_WRAP = 1 << 32
 
-#: Status words: no fault, and only a latched monitor condition.
+#: Status words of a box without a fault, and of a box with only a latched monitor condition.
 HEALTHY = 0x00000000
 THRESHOLD_LATCHED = 0x80010000
 ERROR_SUMMARY = 1 << 31
@@ -60,18 +60,18 @@ STATUS_BITS = {
     1: "HTTP",
 }
 
-#: Largest number of internal samples between two records: the slowest stream has 50 records/s.
+#: Largest number of internal samples between two records, because the slowest stream has 50 records/s.
 MAX_STEP_SAMPLES = 140
-#: A record may appear early by this many samples because of the jitter of its transport.
+#: Largest number of samples by which a record's counter may be ahead of the clock's estimate (jitter of the transport).
 MAX_AHEAD_SAMPLES = 140
-#: Number of consistent, evenly spaced records that start a stream, and that replace a stream with another sequence.
+#: Numbers of consistent records that start a stream (evenly spaced), and that replace a stream by another sequence.
 RECORDS_TO_START, RECORDS_TO_REPLACE = 3, 10
-#: A counter that is off by more than this after a pause was restarted: another box, or the same after a reset [s].
+#: If a counter differs from the expected one by more than this time, the box was restarted or replaced [s].
 RESET_AFTER_S = 0.5
 
 
 class RdtCommand(IntEnum):
-    """Commands to the box; a new stream request replaces the last one, from any client."""
+    """Commands to the box; a new stream request replaces the last stream, even that of another client."""
 
     STOP = 0x0000
     STREAM = 0x0002  #: one record per datagram
@@ -83,9 +83,9 @@ class RdtCommand(IntEnum):
 class Record(NamedTuple):
     """One record as received."""
 
-    rdt_sequence: int  #: from 1 in each stream request
+    rdt_sequence: int  #: number of the record, from 1 after each stream request
     ft_sequence: int  #: the box's internal sample counter
-    status: int
+    status: int  #: status word
     counts: tuple[int, ...]  #: Fx Fy Fz Tx Ty Tz
 
 
@@ -100,14 +100,14 @@ class RdtSample(NamedTuple):
 class Counters(NamedTuple):
     """Counters of a stream since its creation."""
 
-    accepted: int = 0
-    lost: int = 0  #: missing in the sequence
-    duplicates: int = 0
-    late: int = 0  #: received after a newer record, dropped
+    accepted: int = 0  #: records accepted
+    lost: int = 0  #: records missing in the sequence
+    duplicates: int = 0  #: records received again
+    late: int = 0  #: records that arrived after a newer record and were dropped
     malformed: int = 0  #: datagrams of a wrong length
-    implausible: int = 0  #: impossible counters, dropped
-    resyncs: int = 0  #: how many times another sequence was accepted
-    resets: int = 0  #: restarts of the sample counter: the box has lost its bias, or is another one
+    implausible: int = 0  #: records with an impossible counter that were dropped
+    resyncs: int = 0  #: how many times another sequence replaced the present one
+    resets: int = 0  #: restarts of the sample counter: the box has lost its bias, or was replaced
 
 
 def request(command: RdtCommand, samples: int = 0) -> bytes:
@@ -116,14 +116,14 @@ def request(command: RdtCommand, samples: int = 0) -> bytes:
 
 
 def records(datagram: bytes) -> list[Record] | None:
-    """Return the records of a datagram; None if its length is not that of whole records."""
+    """Return the records of a datagram; None if the datagram does not consist of whole records."""
     if not datagram or len(datagram) % RECORD.size:
         return None
     return [Record(fields[0], fields[1], fields[2], fields[3:]) for fields in RECORD.iter_unpack(datagram)]
 
 
 def is_usable(status: int) -> bool:
-    """Return whether a status has no fault, except a latched monitor condition, which is only a warning."""
+    """Return whether a status has no fault; a latched monitor condition is only a warning."""
     return status in (HEALTHY, THRESHOLD_LATCHED)
 
 
@@ -135,14 +135,15 @@ def describe(status: int) -> str:
     return ", ".join(named) or "error summary alone"
 
 
-RDT, FT, COUNT, STEP, ACCEPTED, CONSISTENT, STARTED = range(7)  #: indices in the state of a stream
+RDT, FT, COUNT, STEP, ACCEPTED, CONSISTENT, STARTED = range(7)  #: indices in the state array of a stream
 
 
 @compiled
 def follow(stream: Indices, clock: Array, datagram: bytes, now: float, limits: Array, row: Array) -> bool:
-    """Process the normal datagram: one record, the next in sequence, healthy and inside `limits` (6,) [counts].
+    """Process a normal datagram: one record, next in sequence, healthy, and inside `limits` (6,) [counts].
 
-    `row` (7,) receives its time [s] and counts. False: any other datagram; nothing was changed.
+    Write the record's time [s] and counts to `row` (7,). For any other datagram return False, without a change of the
+    stream; `row` may be overwritten.
     """
     step = stream[STEP]
     if not stream[STARTED] or not step or len(datagram) != 36:
@@ -174,14 +175,14 @@ def word(data: bytes, at: int) -> int:
 
 
 class Stream:
-    """The records of one box, in order; inconsistent records are counted and dropped."""
+    """The records of one box in order; the stream counts and drops inconsistent records."""
 
     def __init__(self, latency: float = LATENCY_S) -> None:
         self._latency = latency
         self._clock = SampleClock(latency)
-        #: For compiled code: both sequences of the last record; the second unwrapped; internal samples between records,
-        #: if the first ones are evenly spaced, or 0; records accepted; number of mutually consistent records outside
-        #: the sequence; whether a record was accepted.
+        #: State for compiled code: RDT and FT sequence number of the last record; FT number without wrap-around;
+        #: internal samples per record, 0 if not evenly spaced; number of accepted records; number of mutually
+        #: consistent records outside the sequence; whether a record was accepted since the last request.
         self._state = np.zeros(7, dtype=np.int64)
         self._out_of_order: tuple[int, ...] | None = None  # the last record outside the sequence
         self._candidate = 0.0
@@ -204,13 +205,13 @@ class Stream:
         )
 
     def restart(self) -> None:
-        """Prepare for a new request, whose sequence starts at 1."""
+        """Prepare for a new stream request, after which the records are numbered from 1 again."""
         self._state[STARTED] = self._state[CONSISTENT] = 0
         self._out_of_order = None
 
     @property
     def state(self) -> tuple[Indices, Array]:
-        """State of the stream and of its clock, for `follow`; a reset replaces the clock."""
+        """State arrays of the stream and of its clock, for `follow`; a reset of the box replaces the clock's array."""
         return self._state, self._clock.state
 
     def feed(self, datagram: bytes, now: float) -> list[RdtSample]:

@@ -1,7 +1,6 @@
-"""Driver of base sensors with ATI Net F/T boxes, one per sensor, synchronised to one time; without threads.
+"""Driver of base sensors with ATI Net F/T boxes, one per sensor, interpolated to a common time; without threads.
 
-An invalid sample never replaces the last good one: the
-reading stays, and `quality` reports what is wrong with the sample.
+An invalid sample never replaces the last valid wrench of its sensor. `quality` reports the faults of the samples.
 """
 
 import contextlib
@@ -39,7 +38,7 @@ from station.devices.netft.protocol import (
 
 
 class SensorError(CtrError):
-    """A force sensor cannot be reached or is not the expected one; names it and what to do."""
+    """A force sensor cannot be reached or is not the expected one; the text names the sensor and what to do."""
 
 
 class WrenchQuality(IntFlag):
@@ -51,7 +50,7 @@ class WrenchQuality(IntFlag):
     STALE = 4  #: no usable sample for too long, or none yet
     SATURATED = 8  #: the transducer or its converter is saturated
     STATUS = 16  #: the box reports another fault
-    RANGE = 32  #: outside the calibration's range, although the box reports no fault
+    RANGE = 32  #: the wrench is outside the calibration's range, although the box reports no fault
     RESET = 64  #: the box has restarted since the stream started: its bias and identity are unknown
     GONE = 128  #: the link is gone
 
@@ -65,10 +64,11 @@ class WrenchQuality(IntFlag):
 class NetftSettings:
     """Settings of the driver."""
 
-    stale_after: float = 0.05  #: time without a usable record until a sensor is stale [s]
-    retry_after: float = 0.5  #: silence after which the stream is requested again [s]
-    latency: float = LATENCY_S  #: time from the measurement to the Ethernet [s]
-    ranges: tuple[float, ...] = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)  #: Nano43 SI-18-0.25, if the page has none
+    stale_after: float = 0.05  #: time without a usable record after which a sensor counts as stale [s]
+    retry_after: float = 0.5  #: silence after which the driver requests the stream again [s]
+    latency: float = LATENCY_S  #: time from a measurement until the box sends its record on the Ethernet [s]
+    #: Ranges if the box's page has none: those of a Nano43 SI-18-0.25 [N, N m].
+    ranges: tuple[float, ...] = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)
 
 
 class Datagrams(Protocol):
@@ -89,7 +89,7 @@ class Datagrams(Protocol):
         ...
 
 
-# Flags as plain numbers: operations on `IntFlag` are slow, and these run at every tick.
+# Flags as plain integers, because operations on `IntFlag` are slow and every tick uses the flags.
 _LATCHED, _GAP, _STALE, _SATURATED, _STATUS, _RANGE, _RESET, _GONE = (int(flag) for flag in WrenchQuality)
 
 
@@ -109,11 +109,11 @@ class _Sensor:
         self._limits = np.array(page.ranges or settings.ranges) / scale
         self._last_received = self._last_usable = 0.0
         self._streaming = False
-        self._latched_flags = 0  # until the operator starts the stream again
+        self._latched_flags = 0  # flags that stay until the operator starts the stream again
         self._newest = 0  # flags of the newest records
 
     def warm_up(self) -> None:
-        """Load the compiled code: the first call takes longer than a tick."""
+        """Load the compiled code now, because the first call takes longer than a tick."""
         SampleClock().observe(0, SampleClock().latest(0.0))
         good = self.good
         _kept(*self.stream.state, b"", 0.0, self._limits, good.row, good.rows, good.ends, good.time)
@@ -195,14 +195,17 @@ def _kept(
     stream: Indices, clock: Array, datagram: bytes, now: float, limits: Array,
     row: Array, rows: Array, ends: Indices, time: float,
 ) -> tuple[bool, float]:  # fmt: skip
-    """Store a normal datagram; return whether it was one (else use `Stream.feed`) and the newest sample's time."""
+    """Store the sample of a normal datagram; return whether the datagram was normal, and the newest sample's time.
+
+    Any other datagram must be passed to `Stream.feed`.
+    """
     if not follow(stream, clock, datagram, now, limits, row):
         return False, time
     return True, push(rows, ends, row, time)
 
 
 class NetftSensors:
-    """Sensors in the order of the tubes, each with a separate box."""
+    """Base sensors in the order of the tubes, each with a separate box."""
 
     def __init__(
         self, links: Sequence[Datagrams], pages: Sequence[NetftPage], settings: NetftSettings | None = None
@@ -234,7 +237,7 @@ class NetftSensors:
 
     @property
     def pages(self) -> tuple[NetftPage, ...]:
-        """Configuration page of each box at connect."""
+        """Configuration page that each box sent when it was opened."""
         return tuple(sensor.page for sensor in self._sensors)
 
     @property
@@ -274,7 +277,7 @@ class NetftSensors:
         with contextlib.suppress(LinkError):
             self.start(now)
 
-    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - it is as at the last poll
+    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - the state is that of the last poll
         """Return a HOLD with the box's status if a sensor has no valid sample."""
         return None if self.is_usable else DeviceFault(Severity.HOLD, self.complaint())
 
@@ -291,7 +294,7 @@ class NetftSensors:
         }
 
     def start(self, now: float) -> None:
-        """Request the streams; also used by the operator after a box has restarted.
+        """Request the streams; the operator also does this after a box has restarted.
 
         Raises:
             LinkError: a port is gone.
@@ -311,9 +314,10 @@ class NetftSensors:
             sensor.send(RdtCommand.RESET_LATCH)
 
     def poll(self, now: float) -> WrenchReading:
-        """Return the wrenches at the newest time that every sensor has reached.
+        """Return the wrenches at the newest time for which every sensor that is not stale has a sample.
 
-        A sensor whose `quality` is not usable keeps its last good wrench; before its first, all are zero.
+        A sensor whose `quality` is not usable keeps its last valid wrench. Until every sensor has had a valid sample,
+        all wrenches are zero.
         """
         received, complete, flags, time = False, True, 0, math.inf
         for sensor in self._sensors:
@@ -351,13 +355,13 @@ def fetch_page(host: str, port: int = 80, timeout: float = 2.0) -> NetftPage:
     """Fetch the configuration page of a box.
 
     Raises:
-        SensorError: it does not answer.
+        SensorError: the box does not answer.
         PageError: the page is invalid.
     """
     url = f"http://{host}:{port}/netftapi2.xml"
     page = b""
     try:
-        # No proxy from the environment and no redirection: only the box itself may answer.
+        # Without proxies from the environment and without redirections, so that only the box itself answers.
         with httpx.Client(timeout=timeout, trust_env=False) as client, client.stream("GET", url) as answer:
             if answer.status_code != 200:
                 raise SensorError(f"{url} answers {answer.status_code}; is this an ATI Net F/T?")
@@ -376,16 +380,16 @@ class BoxAddress(NamedTuple):
     host: str  #: name or address
     rdt_port: int = RDT_PORT
     http_port: int = 80
-    serial: str | None = None  #: of its calibration; None: any
+    serial: str | None = None  #: expected serial number of the calibration; None: any
 
 
 def connect(boxes: Sequence[BoxAddress], settings: NetftSettings | None = None) -> NetftSensors:
-    """Open the boxes of the tubes' sensors, in the order of the tubes, without `start`; blocks.
+    """Open the boxes of the tubes' sensors, in the order of the tubes; blocks, and does not start the streams.
 
     Raises:
-        SensorError: a box does not answer or is another one.
-        PageError: its page is invalid.
-        LinkError: its address is unknown, or another station uses it.
+        SensorError: a box does not answer or is not the expected one.
+        PageError: the page of a box is invalid.
+        LinkError: the address of a box is unknown, or another station uses the box.
     """
     pages = [fetch_page(box.host, box.http_port) for box in boxes]
     for box, page in zip(boxes, pages, strict=True):

@@ -1,8 +1,8 @@
 """Calibration of ATI force sensors on an analog card: the .cal file and the conversion to wrenches.
 
-A 6x6 matrix converts six gauge voltages into a wrench. The file has one row per axis, to be divided by its
-scale, at the transducer's origin, and a translation to the tool's origin. Newer files (version 1.1) also
-contain the resulting rows.
+A 6x6 matrix converts six gauge voltages into a wrench. The file has one row of the matrix per axis, about the
+transducer's origin, and a scale by which the row must be divided. It also has a translation to the tool's origin.
+Newer files (version 1.1) also contain the resulting rows about the tool's origin.
 """
 
 import math
@@ -18,16 +18,16 @@ from core.robot.robot import Array
 from station.devices.netft.page import FORCE_UNITS, TORQUE_UNITS
 
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-#: [m]
+#: Length units of a file [m].
 LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
-#: Largest relative difference between resulting rows, printed with five decimals, and computed rows.
+#: Largest relative difference between the resulting rows in the file, which have five decimals, and the computed rows.
 ROW_TOLERANCE = 1e-3
-MAX_FILE_BYTES = 1 << 20  #: [bytes]
+MAX_FILE_BYTES = 1 << 20  #: largest file that is read [bytes]
 _NUMBER = re.compile(r"[+-]?(\d{1,30}(\.\d{0,30})?|\.\d{1,30})([eE][+-]?\d{1,3})?", re.ASCII)
 
 
 class CalibrationError(CtrError):
-    """An invalid calibration file; names the file, the part and what was expected."""
+    """An invalid calibration file; the text names the file, the part of it and what was expected."""
 
 
 @dataclass(frozen=True)
@@ -35,17 +35,17 @@ class GaugeCalibration:
     """Conversion of gauge voltages into a wrench."""
 
     serial: str
-    part: str  #: such as SI-18-0.25
-    matrix: Array  #: (6, 6) [N/V, N m/V]
-    ranges: Array  #: (6,) of the calibration [N, N m]
-    volts: float  #: saturation of the converter, both signs [V]
+    part: str  #: part number of the calibration, such as SI-18-0.25
+    matrix: Array  #: (6, 6) conversion of voltages into a wrench [N/V, N m/V]
+    ranges: Array  #: (6,) calibrated range of each axis [N, N m]
+    volts: float  #: voltage, of either sign, at which the converter saturates [V]
 
     def wrench(self, voltages: Array, bias: Array) -> Array:
-        """Return the wrench (6,) in the sensor's axes [N, N m] from voltages and those without load (6,) [V]."""
+        """Return the wrench (6,) [N, N m] of `voltages` (6,), with the voltages `bias` (6,) without load [V]."""
         return self.matrix @ (voltages - bias)
 
     def is_saturated(self, voltages: Array) -> bool:
-        """Return whether a gauge is saturated or not a number; then its wrench is invalid."""
+        """Return whether a voltage is saturated or not a number, which makes the wrench invalid."""
         return not bool((np.abs(voltages) < self.volts).all())
 
 
@@ -53,7 +53,7 @@ def read_calibration(path: Path) -> GaugeCalibration:
     """Read a .cal file.
 
     Raises:
-        CalibrationError: names the file, the part and what was expected.
+        CalibrationError: the file is invalid; the message names the file, the part of it and what was expected.
     """
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
@@ -98,7 +98,7 @@ def parse_calibration(text: bytes) -> GaugeCalibration:
 
 
 def _elements(text: bytes) -> dict[str, list[dict[str, str]]]:
-    """Attributes of the elements that matter, in the order of the file."""
+    """Return the attributes of the elements that describe the calibration, in the order of the file."""
     found: dict[str, list[dict[str, str]]] = {
         name: [] for name in ("FTSensor", "Calibration", "Axis", "BasicTransform", "UserAxis")
     }
@@ -125,7 +125,7 @@ def _elements(text: bytes) -> dict[str, list[dict[str, str]]]:
 
 
 def _rows(rows: list[dict[str, str]], kind: str) -> dict[str, dict[str, str]]:
-    """Return the rows by axis: all six, or none."""
+    """Return the rows by axis: six rows, or none if the file has no rows of this kind."""
     names = [row.get("Name", "") for row in rows]
     if rows and sorted(names) != sorted(AXES):
         raise CalibrationError(f"{kind} rows are {', '.join(names)}; expected {', '.join(AXES)}, each once")
@@ -144,7 +144,7 @@ def _values(rows: dict[str, dict[str, str]]) -> Array:
 
 
 def _number(attributes: dict[str, str], name: str) -> float:
-    """Return a positive finite number."""
+    """Return the attribute `name` as a number, which must be positive and finite."""
     text = attributes.get(name, "")
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
     if not 0.0 < value < math.inf:
@@ -162,7 +162,7 @@ def _unit(attributes: dict[str, str], name: str, units: dict[str, float]) -> flo
 
 
 def _shift(transforms: list[dict[str, str]], head: dict[str, str]) -> Array:
-    """[[I, 0], [-[p]x, I]]: matrix (6, 6) to the wrench about a point at p from the transducer's origin."""
+    """Return the matrix [[I, 0], [-[p]x, I]] (6, 6) that moves a wrench's reference point from the origin to p."""
     shift = np.eye(6)
     if not transforms:
         return shift
@@ -181,7 +181,7 @@ def _shift(transforms: list[dict[str, str]], head: dict[str, str]) -> Array:
 
 
 def _compare(computed: Array, given: Array) -> None:
-    """Refuse a file whose resulting rows differ from the rows computed from its other numbers."""
+    """Raise if the resulting rows in a file differ from the rows computed from the file's other numbers."""
     off = np.abs(given - computed).max(axis=1) / np.abs(computed).max(axis=1)
     worst = int(np.argmax(off))
     if not off[worst] <= ROW_TOLERANCE:

@@ -10,29 +10,30 @@ from core.robot.robot import Array
 from station.devices.links.link import LinkError
 from station.devices.links.port_lock import PortInUse, PortLock
 
-#: Capacity of the driver's buffer: a loop that pauses for longer loses samples [s].
+#: Capacity of NI's buffer: if the control loop does not read for longer, samples are lost [s].
 BUFFER_S = 10.0
 INSTALL_HINT = "install it with: pip install 'ctr-station[nidaq]', and NI's driver NI-DAQmx from ni.com"
 
 
 def device_of(inputs: str) -> str:
-    """Return the card of some inputs: `Dev1` of `Dev1/ai0:5`."""
+    """Return the name of the card of some inputs: `Dev1` for `Dev1/ai0:5`."""
     return inputs.partition("/")[0]
 
 
 class NiCard:
-    """One card. One task samples all its inputs, because a card has one converter."""
+    """One card. One NI-DAQmx task samples all inputs of the card, because the card has one converter."""
 
     def __init__(self, sensors: Sequence[tuple[str, float]], rate: float) -> None:
         """Start to sample.
 
         Args:
-            sensors: six differential inputs of each sensor, in NI's notation (`Dev1/ai0:5`), and their range,
-                both signs [V].
+            sensors: for each sensor its six differential inputs, in NI's notation (`Dev1/ai0:5`), and the largest
+                voltage of either sign [V].
             rate: sampling rate of each input [1/s].
 
         Raises:
-            LinkError: no package, no driver, no such card or channel, an unsupported rate, or the card is in use.
+            LinkError: package or driver is not installed, card or channel does not exist, the rate is not supported,
+                or another program uses the card.
         """
         self.name = device_of(sensors[0][0])
         try:
@@ -75,10 +76,10 @@ class NiCard:
         self._task, self._channels = task, 6 * len(sensors)
 
     def read(self) -> Array:
-        """Return voltages (channels, k) since the last read [V], without waiting.
+        """Return the voltages (channels, k) sampled since the last read [V], without waiting.
 
         Raises:
-            LinkError: the card is gone, or samples were lost because the last read was too long ago.
+            LinkError: the card is lost, or samples were lost because the last read was too long ago.
         """
         try:
             there = int(self._task.in_stream.avail_samp_per_chan)

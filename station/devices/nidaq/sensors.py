@@ -1,7 +1,7 @@
 """Driver of base sensors on analog cards: the mean voltages since the last poll give one wrench per sensor.
 
-The mean over a tick has less noise than the last sample, and the time of the tick's middle. A card samples with its
-internal clock, so the number of a sample gives its time.
+The mean over a tick has less noise than the last sample; its time is the middle of the tick. A card samples by its
+internal clock, so the driver computes the time of a sample from the number of the sample.
 """
 
 import math
@@ -21,10 +21,10 @@ MAX_CLOCK_DRIFT = 2e-4
 
 
 class Card(Protocol):
-    """Inputs that are sampled at a fixed rate."""
+    """Interface of an analog card whose inputs are sampled at a fixed rate."""
 
     name: str  #: for messages
-    rate: float  #: of each input [1/s]
+    rate: float  #: sampling rate of each input [1/s]
 
     def read(self) -> Array:
         """Return voltages (channels, k) since the last read [V], without waiting; raises LinkError."""
@@ -53,11 +53,11 @@ class CardQuality(IntFlag):
 
 
 class CardClock:
-    """Host time of a card's samples: reads may be delayed, but a sample is never newer than its read."""
+    """Host time of a card's samples, from their numbers and the least delayed read, because no read is early."""
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
-        self._count = 0  # samples so far
+        self._count = 0  # number of samples so far
         self._offset, self._last_read = math.inf, 0.0  # host time of sample 0, from the least delayed read
 
     def middle(self, samples: int, now: float) -> float:
@@ -69,9 +69,9 @@ class CardClock:
 
 
 def mean_wrench(calibration: GaugeCalibration, voltages: Array) -> Array | None:
-    """Return the untared wrench (6,) [N, N m] of gauge voltages (6, k) [V].
+    """Return the untared wrench (6,) [N, N m] of the mean of k samples of gauge voltages (6, k) [V].
 
-    None if any sample is saturated: a mean would hide it.
+    The result is None if any sample is saturated, because the mean would hide the saturation.
     """
     if calibration.is_saturated(voltages):
         return None
@@ -79,7 +79,7 @@ def mean_wrench(calibration: GaugeCalibration, voltages: Array) -> Array | None:
 
 
 class CardSensors:
-    """Sensors in the order of the tubes."""
+    """Base sensors on analog cards, in the order of the tubes."""
 
     def __init__(
         self,
@@ -118,7 +118,7 @@ class CardSensors:
         return tuple(CardQuality(flags) for flags in self._flags)
 
     def connect(self, now: float) -> None:  # noqa: ARG002 - the cards sample since they were opened
-        """Start, and open lost cards again."""
+        """Start to use the sensors; if a card is lost, open all cards again."""
         self._started = True
         if any(self._lost):
             for card in self._cards:
@@ -129,7 +129,7 @@ class CardSensors:
                 self._lost = [str(error)] * len(self._cards)
 
     def poll(self, now: float) -> WrenchReading:
-        """Return the mean since the last poll; an unusable sensor keeps its last good wrench."""
+        """Return the mean wrenches since the last poll; an unusable sensor keeps its last valid wrench."""
         wrenches = self._reading.wrenches
         for index, (card, clock) in enumerate(zip(self._cards, self._clocks, strict=True)):
             if self._lost[index]:
@@ -149,7 +149,7 @@ class CardSensors:
         self._reading = WrenchReading(time if math.isfinite(time) else now, wrenches, not any(self._flags))
         return self._reading
 
-    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - it is as at the last poll
+    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - the state is that of the last poll
         """Return a HOLD with the reason if a sensor has no valid sample."""
         texts = [
             f"force sensor {number} ({self._cards[wiring.card].name}): "
@@ -179,7 +179,7 @@ class CardSensors:
             card.close()
 
     def _take(self, card: int, voltages: Array, time: float, now: float, wrenches: Array) -> Array:
-        """Return the wrenches (q, 6), updated by one card's samples."""
+        """Return the wrenches (q, 6) of all sensors, updated by one card's samples."""
         wrenches = wrenches.copy()
         for i, wiring in enumerate(self._wirings):
             if wiring.card != card:

@@ -1,21 +1,22 @@
-"""Estimates the backlog of a line from the delays of its replies. Without I/O.
+"""Estimates the backlog of a serial line from the delays of its replies. Without I/O.
 
-While the controller moves the robot, the host uses the full capacity of the line. Whatever delays a message (the
-operating system, an adapter, a slightly slower clock) also delays all following messages, and this delay does not
-decrease. An idle line has no backlog, so its replies give the smallest delay.
+The backlog is the time that sent bytes wait for transmission. While the controller moves the robot, the host uses the
+full capacity of the line. If the operating system, an adapter or a slightly slower clock delays a message, all
+following messages are delayed as well, and this delay does not decrease. An idle line has no backlog, so replies on an
+idle line give the smallest delay.
 """
 
 import math
 from collections import deque
 
-#: Number of late replies in a row that indicate a backlog: an adapter may delay single ones by up to 16 ms.
+#: Number of late replies in a row that indicate a backlog; an adapter may delay single replies by up to 16 ms.
 LATE_REPLIES = 12
-#: Smallest backlog that causes a pause [s].
+#: Smallest backlog for which the host pauses [s].
 MIN_BACKLOG_S = 0.004
 
 
 class Backlog:
-    """Backlog of one line."""
+    """Backlog of one serial line."""
 
     def __init__(self) -> None:
         self._best = math.inf  # smallest delay of replies to requests on an idle line [s]
@@ -23,11 +24,11 @@ class Backlog:
         self._paused = math.inf  # duration of the last pause [s]
 
     def observe(self, late: float, idle: bool) -> float:
-        """Return the backlog [s], or 0 if it is too small for a pause.
+        """Record a reply, and return the time by which the host must pause [s]; 0: no pause.
 
         Args:
             late: delay of the reply after its expected time [s].
-            idle: whether the line was idle before its request.
+            idle: whether the line was idle before the reply's request.
         """
         if idle:
             self._best = min(self._best, late)
@@ -42,7 +43,7 @@ class Backlog:
             self._paused = math.inf
             return 0.0
         if behind > 0.5 * self._paused:
-            self._best += behind  # the pause had no effect: this is the normal delay of a busy line
+            self._best += behind  # the last pause had no effect, so this delay is normal for a busy line
             return 0.0
         self._paused = behind
         return behind

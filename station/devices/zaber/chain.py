@@ -1,8 +1,8 @@
 """The host's side of a Zaber daisy chain: schedules messages and estimates positions. Without I/O.
 
-The line transmits 160 messages per second. One poll follows every three velocities: 40 velocities and 13 polls
-per second for each of three axes. Each axis has one pending velocity, which newer ones replace; there is no
-queue. A stop precedes all other messages.
+The line transmits 160 messages per second. With three axes, the host sends one position query after every three
+velocities: 40 velocities and 13 queries per second for each axis. Velocities are not queued: a newer velocity
+replaces the pending velocity of its axis. A stop precedes all other messages.
 """
 
 import math
@@ -38,7 +38,7 @@ from station.devices.zaber.protocol import (
 )
 
 STATUSES = frozenset(int(status) for status in ZaberStatus)
-#: Replies without a request, or late ones.
+#: Commands of messages that a unit may send without a request, or later than expected.
 UNSOLICITED = frozenset(
     {
         *(ZaberCommand.HOME, ZaberCommand.MOVE_TRACKING, ZaberCommand.LIMIT_ACTIVE, ZaberCommand.MANUAL_MOVE),
@@ -51,30 +51,30 @@ UNSOLICITED = frozenset(
 
 @dataclass(frozen=True)
 class Axis:
-    """Parameters of a unit that the scheduler needs."""
+    """Parameters of one Zaber unit that the scheduler needs."""
 
-    device: int  #: number on the chain, 1 ... 254
-    top: int  #: largest speed that is sent [speed units]
-    acceleration: int  #: as set in the unit [acceleration units]
-    maximum: int  #: maximum position as set in the unit [microsteps]
-    alias: int | None = None  #: second number, which addresses it while positions are polled
+    device: int  #: device number on the chain, 1 ... 254
+    top: int  #: largest speed that the host sends [speed units]
+    acceleration: int  #: acceleration setting of the unit [acceleration units]
+    maximum: int  #: maximum position setting of the unit [microsteps]
+    alias: int | None = None  #: second device number, which the host uses while it polls positions
 
 
 @dataclass(frozen=True)
 class LineSettings:
-    """Times of the line. The manufacturer specifies none for unit and adapter, so they can be changed."""
+    """Timing of the serial line. Configurable, because the manufacturer specifies no times of units and adapter."""
 
     lead: float = 0.002  #: a message is passed to the port this long before the line is free [s]
-    processing: float = 0.0  #: from the last byte of a command to its effect [s]
-    deadline: float = 0.050  #: for a reply, from the start of its request [s]
+    processing: float = 0.0  #: time from the last byte of a command to the command's effect [s]
+    deadline: float = 0.050  #: longest time from the start of a request to its reply [s]
     misses: int = 2  #: missing replies in a row after which a unit counts as lost
-    #: A reply with a longer silence inside is dropped [s]. The manufacturer recommends 10 ms, but
+    #: A reply is dropped if its bytes have a longer gap between them [s]. The manufacturer recommends 10 ms, but
     #: a USB adapter may delay bytes by 16 ms.
     silence: float = 0.025
-    pause: float = 0.0  #: after each forward speed; 0.0125 or more excludes any misreading (`frame_safety.py`) [s]
+    pause: float = 0.0  #: pause after each forward speed [s]; 0.0125 or more prevents misreading (`frame_safety.py`)
     refresh: float = 0.25  #: an unchanged velocity is repeated after this time, in case it was not received [s]
-    stop_tries: int = 3  #: stops that a homing unit may ignore before it is reset
-    restart: float = 1.0  #: a unit does not answer for this long after a reset [s]
+    stop_tries: int = 3  #: number of stop commands that a homing unit may ignore before the host resets the unit
+    restart: float = 1.0  #: time after a reset in which a unit does not answer [s]
     repeat_stop: float = 0.25  #: interval of stop commands to lost units, in case they receive again [s]
 
 
@@ -82,25 +82,25 @@ class LineSettings:
 class LineCounts:
     """Message counters of an axis."""
 
-    velocities: int = 0
-    polls: int = 0
-    readings: int = 0  #: positions accepted
-    rejected: int = 0  #: positions that were not confirmed
-    missed: int = 0
+    velocities: int = 0  #: velocities sent
+    polls: int = 0  #: position and status queries sent
+    readings: int = 0  #: position readings accepted
+    rejected: int = 0  #: implausible position and status readings
+    missed: int = 0  #: replies that did not arrive in time
 
 
 class _ExpectedReply(NamedTuple):
-    """An expected reply."""
+    """A reply that the host waits for."""
 
-    deadline: float  #: [s]
+    deadline: float  #: time after which the reply counts as missing [s]
     axis: int
-    poll: bool
-    due: float = 0.0  #: when its last byte is expected [s]
-    idle: bool = True  #: whether the line was idle before its request
+    poll: bool  #: whether the request was a poll of position or status
+    due: float = 0.0  #: expected arrival time of the reply's last byte [s]
+    idle: bool = True  #: whether the line was idle before the request
 
 
 class ZaberChain:
-    """The units on one line."""
+    """The Zaber units on one serial line: sends their messages and processes their replies."""
 
     def __init__(self, axes: Sequence[Axis], line: LineSettings | None = None) -> None:
         line = line or LineSettings()
@@ -112,10 +112,10 @@ class ZaberChain:
             for axis in self.axes
         ]
         self.counts = [LineCounts() for _ in count]
-        self.sent = [0 for _ in count]  #: speeds that were sent [speed units]
-        self.lost: set[int] = set()
-        self.polling = False  #: whether positions are polled
-        self.stopping: dict[int, int] = {}  #: axes that were commanded to stop and have not confirmed it, with tries
+        self.sent = [0 for _ in count]  #: last speed sent to each axis [speed units]
+        self.lost: set[int] = set()  #: axes whose units no longer answer
+        self.polling = False  #: whether the host polls positions
+        self.stopping: dict[int, int] = {}  #: axes with an unconfirmed stop, and how often each stop was ignored
         self._index = {axis.device: i for i, axis in enumerate(self.axes)}
         self._listeners = {number for axis in self.axes for number in (axis.device, axis.alias or axis.device)}
         self._safe_speeds: dict[int, int] = {}  # cache of `safe_speed`
@@ -135,7 +135,7 @@ class ZaberChain:
     # Commands of the driver
 
     def command(self, axis: int, speed: int) -> None:
-        """Set the speed of an axis [speed units]; the latest is sent when the line is free."""
+        """Set the speed of an axis [speed units]; `due` sends the latest speed when the line is free."""
         top = self.axes[axis].top
         speed = speed if -top <= speed <= top else int(math.copysign(top, speed))
         desired = self._safe_speeds.get(speed)
@@ -144,18 +144,18 @@ class ZaberChain:
         self._desired[axis] = desired
 
     def stop(self) -> None:
-        """Stop every axis before any other message, and poll until they confirm."""
+        """Send stops to all axes before any other message, and poll each axis until it confirms its stop."""
         self._desired = [0 for _ in self.axes]
         self.cancel()
         reachable = [i for i in range(len(self.axes)) if i not in self.lost]
         if all(i in self.stopping for i in reachable) and (reachable or self._urgent):
-            return  # they have been commanded to stop and are polled
-        # One message addresses all; then each again, because nothing confirms the first one.
+            return  # all axes have been commanded to stop and are polled
+        # One message stops all units. Then each unit gets its own stop, because no unit confirms the common one.
         self._urgent = deque([(-1, ZaberCommand.STOP), *((i, ZaberCommand.STOP) for i in range(len(self.axes)))])
         self.stopping = dict.fromkeys(reachable, 0)
 
     def send_request(self, request: Request) -> None:
-        """Send one query or setting; `feed` returns its `Reply`. One at a time."""
+        """Send one query or setting; `feed` returns its `Reply`. Only one request can be pending."""
         self._request, self._requested = request, False
 
     def cancel(self) -> None:
@@ -178,7 +178,7 @@ class ZaberChain:
             self._request = None
             events.append(Reply())
         while self._pending:
-            # They are sorted by their deadlines.
+            # The pending replies are sorted by their deadlines.
             key = next(iter(self._pending))
             expected = self._pending[key]
             if expected.deadline >= now:
@@ -230,7 +230,7 @@ class ZaberChain:
                     self._pending[device, request.reply] = _ExpectedReply(
                         now + self.line.deadline, request.axis, poll=False
                     )
-                # A unit that has lost the frame may misread its data; it finds the frame again in this pause.
+                # A unit that has lost the message frame may misread this data; the pause resynchronises the unit.
                 self._quiet = max(self._free, now) + MESSAGE_TIME_S + 1.25 * RESYNC_GAP_S
                 return ZaberMessage(device, request.command, request.data)
         if self._since_poll < len(self.axes):
@@ -245,7 +245,7 @@ class ZaberChain:
     def _next_urgent(self, now: float) -> ZaberMessage:
         axis, command = self._urgent.popleft()
         if not self._urgent:
-            # Units that lost the frame find it again in this pause.
+            # This pause resynchronises units that have lost the message frame.
             self._quiet = max(self._free, now) + MESSAGE_TIME_S + 1.25 * RESYNC_GAP_S
         for i in range(len(self.axes)) if axis < 0 else (axis,):
             self._sent_at[i] = math.inf
@@ -269,7 +269,7 @@ class ZaberChain:
         return None
 
     def _address(self, axis: int) -> int:
-        """Return the number that addresses a unit."""
+        """Return the device number that addresses the unit of an axis: its alias during polling."""
         unit = self.axes[axis]
         return unit.alias if self.polling and unit.alias is not None else unit.device
 
@@ -312,7 +312,7 @@ class ZaberChain:
         expected = self._pending.get((device, command))
         if expected is None:
             if command == ZaberCommand.ERROR:
-                if request is not None and request.axis == axis:  # it may belong to the previous setting
+                if request is not None and request.axis == axis:  # the error may belong to the previous setting
                     self._pending.pop((device, request.reply or -1), None)
                     self._request = None
                     events.append(Reply(error=data))
@@ -325,7 +325,7 @@ class ZaberChain:
         del self._pending[device, command]
         self._misses[axis] = 0
         if expected.poll:
-            # The line becomes free later by the backlog.
+            # A backlog delays the time at which the line is free.
             self._free += self._backlog.observe(now - expected.due, expected.idle)
         if not expected.poll:
             self._request = None
@@ -338,7 +338,7 @@ class ZaberChain:
             self._doubt(axis, events)
 
     def _doubt(self, axis: int, events: list[Happening]) -> None:
-        """Process an implausible reading: the reading, or an earlier command, was damaged in transit."""
+        """Process an implausible position reading: the reading, or an earlier command, was damaged in transit."""
         self.counts[axis].rejected += 1
         self._poll_turn = axis
         if self._sent_at[axis] < math.inf:
@@ -348,7 +348,7 @@ class ZaberChain:
             events.append(UnexpectedMotion(axis))
 
     def _check_stop(self, axis: int, status: int, events: list[Happening]) -> None:
-        """Process the status of a stopping axis."""
+        """Process the status of a stopping axis: repeat the stop if the unit ignored it."""
         if status == ZaberStatus.IDLE:
             self.stopping.pop(axis, None)
         elif axis in self.stopping and status != ZaberStatus.STOPPING:
@@ -362,7 +362,7 @@ class ZaberChain:
 
     def _miss(self, axis: int, poll: bool, events: list[Happening], now: float) -> None:
         self.counts[axis].missed += 1
-        # The units may have lost the frame; they find it again in this pause.
+        # The units may have lost the message frame; this pause resynchronises them.
         self._quiet = max(self._quiet, max(self._free, now) + 1.25 * RESYNC_GAP_S)
         if not poll:
             self._request = None

@@ -15,30 +15,30 @@ class Request(NamedTuple):
 class Reply(NamedTuple):
     """Result of a `Request`."""
 
-    data: int | None = None  #: None: no reply in time, or no reply is expected
-    error: int | None = None
+    data: int | None = None  #: data of the reply; None: no reply came in time, or none is expected
+    error: int | None = None  #: error code; None: no error reply
 
 
 class ReplyLost(NamedTuple):
-    """An axis no longer answers."""
+    """Event: an axis no longer answers."""
 
     axis: int
 
 
 class ResetDone(NamedTuple):
-    """An axis that did not stop homing was reset: its position is unknown."""
+    """Event: the host has reset an axis that did not stop its homing; the position of the axis is unknown."""
 
     axis: int
 
 
 class UnexpectedMotion(NamedTuple):
-    """An axis does not move as commanded."""
+    """Event: an axis does not move as commanded."""
 
     axis: int
 
 
 class UnsolicitedError(NamedTuple):
-    """An error reply without a request."""
+    """Event: an axis has sent an error reply that belongs to no request."""
 
     axis: int
     code: int

@@ -1,8 +1,8 @@
-"""Emergency stop of the stages without the control process, directly through their ports.
+"""Emergency stop of Zaber stages without the control process, directly through their ports.
 
-A dying process may have a port open for some more milliseconds, and half a message may have been sent. So the port is
-opened repeatedly until it opens. The units get stop commands and status queries until each of them reports a stop.
-A homing unit ignores a stop: it is reset, as by the driver, and has to be homed again.
+A dying control process may keep a port open for some milliseconds, and may have sent half a message. So this module
+retries to open the port. Then it sends stop commands and status queries until each unit reports that it stops.
+A homing unit ignores a stop: this module resets such a unit, as the driver does, and the unit has to be homed again.
 """
 
 from collections import Counter
@@ -27,25 +27,25 @@ from station.devices.zaber.protocol import (
     encode,
 )
 
-#: Device number 0 addresses every unit of a chain. Units report their status in every mode.
+#: Messages with device number 0, which addresses every unit of a chain. Units report their status in every device mode.
 STOP_BYTES, STATUS_REQUEST_BYTES = (
     encode(ZaberMessage(0, ZaberCommand.STOP, NO_DATA)),
     encode(ZaberMessage(0, ZaberCommand.STATUS, NO_DATA)),
 )
-#: Time limit of a port, and additional time after a unit was reset [s].
+#: Time limit for the stop of one port; the same time is available again after the reset of a unit [s].
 PORT_TIMEOUT_S = 2.0
-#: Stops that a homing unit may ignore before its reset, and the time without answers after a reset [s].
+#: Number of stops that a homing unit may ignore before its reset; time after a reset in which a unit is silent [s].
 STOP_ATTEMPTS, RESTART_S = LineSettings.stop_tries, LineSettings.restart
-#: Units that lost the frame find it again in a pause; then the stop is repeated at this interval until they answer [s].
+#: Time from the first stop to the next, with a pause that resynchronises units that lost the message boundaries [s].
 REPEAT_INTERVAL_S = MESSAGE_TIME_S + 1.5 * RESYNC_GAP_S
-REPLY_TIMEOUT_S = 0.12
-#: A port is opened again after this silence of its units: another process may still have used it [s].
+REPLY_TIMEOUT_S = 0.12  #: interval at which stop and status query are then repeated [s]
+#: A port is opened again after this silence of its units, because another process may still have used the port [s].
 SILENCE_TIMEOUT_S = 0.2
 REST_STATUSES = (ZaberStatus.IDLE, ZaberStatus.STOPPING)
 STATUSES = frozenset(int(status) for status in ZaberStatus)
 
 
-#: Numbers of the units on each port.
+#: Device numbers of the units on each port, by port name.
 Units = Mapping[str, Set[int]]
 
 
@@ -53,12 +53,12 @@ def zaber_emergency_stop(options: Mapping[str, Any], robot: RobotFile) -> Emerge
     """Return the emergency stop of the chains in `[devices.stages]`."""
     units = stage_units(options, len(robot.joints))
     for port in units:
-        lock_file(port)  # determines the folder for temporary files now, which writes a file there
+        lock_file(port)  # finds the folder for temporary files now, because the search writes a test file there
     return partial(stop_stages, units)
 
 
 def stage_units(options: Mapping[str, Any], joints: int) -> Units:
-    """Return the units that `[devices.stages]` names, for this number of joints."""
+    """Return the units in the table `[devices.stages]` of a station with this number of joints."""
     found: dict[str, set[int]] = {}
     stages: Any = options.get("joints") or {number: {"device": number} for number in range(1, joints + 1)}
     for stage in stages.values():
@@ -67,9 +67,9 @@ def stage_units(options: Mapping[str, Any], joints: int) -> Units:
 
 
 def stop_stages(units: Units, clock: Clock, patience: float = PORT_TIMEOUT_S) -> str:
-    """Stop these units and return a human-readable result with the time it took.
+    """Stop these units, and return a human-readable result with the time until the first stop command.
 
-    Every port is tried, even if others fail.
+    The stop is attempted on every port, even if it fails on others. `patience` is the time limit of each port [s].
 
     Raises:
         NotStopped: a unit has not confirmed its stop.
@@ -132,7 +132,7 @@ class _Port:
             self.close()
 
     def _resets(self, now: float) -> bytes:
-        """Return resets of units that continue to home; after it they do not answer for a while."""
+        """Return reset messages for units that continue to home, and wait for these units to restart."""
         homing = [unit for unit, count in self._ignored.items() if count >= STOP_ATTEMPTS and unit in self._units]
         for unit in homing:
             del self._ignored[unit]
@@ -172,7 +172,7 @@ def _list_units(units: Set[int]) -> str:
 
 
 def _plausible(message: ZaberMessage) -> bool:
-    """Return whether a unit can send this message during the stop."""
+    """Return whether a unit can send this message while it is being stopped."""
     if message.command == ZaberCommand.STATUS:
         return message.data in STATUSES
     return message.command in (

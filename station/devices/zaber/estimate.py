@@ -1,30 +1,31 @@
-"""Estimate of a Zaber axis's position between two readings, and plausibility of readings.
+"""Estimate of a Zaber axis's position between two position readings, and plausibility of these readings.
 
-The estimate follows the unit's velocity ramps from the velocities that were sent, each from the time of its effect. A
-reading is compared with the position expected when the unit read it. Messages have no checksum. Therefore a reading
-far from the expected position is accepted only after other readings agree with it.
+The estimate integrates the unit's velocity ramps. Each velocity sent by the host counts from the time of its effect. A
+reading is compared with the position that was estimated for the moment of the reading. Messages have no checksum.
+Therefore a reading far from the estimate is accepted only after other readings agree with this reading.
 """
 
 import math
 from collections import deque
 
-#: A reading this far from the expected position needs two more that agree with it: messages have no checksum.
-READING_TOLERANCE = 16.0  # [microsteps], plus the distance in the following time at the present speed [s]:
-READING_TOLERANCE_S = 0.012
-#: After this number of implausible readings in a row the axis does not move as commanded. The same holds after three
-#: consistent readings farther away than the axis moves in `MAX_JUMP` at its top speed (a unit that was reset).
+#: A reading whose error is larger than the sum of two tolerances is accepted only when two more readings agree with it.
+READING_TOLERANCE = 16.0  # constant tolerance [microsteps]
+READING_TOLERANCE_S = 0.012  # the present speed times this duration is the second tolerance [s]
+#: An axis counts as not moving as commanded after this number of implausible readings in a row.
 MAX_UNEXPECTED_READINGS = 8
-MAX_JUMP = 0.5  # [s]
+#: The same applies after three consistent readings whose error is above the travel in this time at top speed [s]: the
+#: unit was probably reset.
+MAX_JUMP = 0.5
 
 
 class AxisEstimate:
-    """Position of an axis [microsteps], from velocities sent and positions received."""
+    """Estimated position of an axis [microsteps], from the velocities sent and the positions received."""
 
     def __init__(self, top: float, acceleration: float, maximum: float) -> None:
         self._jump = MAX_JUMP * top
         self.position = math.nan
-        self.known = False  #: False: `position` is only the last reading
-        self.adrift = False  #: it moves by itself: homing, or not as commanded
+        self.known = False  #: whether readings have confirmed the position; False: `position` is the last reading
+        self.adrift = False  #: whether the axis moves independently of commanded velocities, as during homing
         self.rejected = 0  #: rejected readings in a row
         self._acceleration, self._maximum = acceleration, maximum
         self._velocity = self._target = self._fastest = 0.0
@@ -34,14 +35,14 @@ class AxisEstimate:
         self._doubts: list[float] = []
 
     def forget(self, adrift: bool = False) -> None:
-        """Discard the position; accept the next two readings that agree, or none while the axis is adrift."""
+        """Discard the position. The next two readings that agree confirm a new one, unless the axis is adrift."""
         self.known, self.adrift, self.rejected = False, adrift, 0
         self._velocity = self._target = 0.0
         self._ahead.clear()
         self._doubts.clear()
 
     def command(self, velocity: float, when: float) -> None:
-        """Add a velocity [microsteps/s] that takes effect at `when` [s]."""
+        """Add a commanded velocity [microsteps/s] that takes effect at `when` [s]."""
         self._ahead.append((when, velocity))
 
     def expect(self, when: float) -> None:

@@ -1,4 +1,4 @@
-"""Progress of homing: the present axis, its distance, and the remaining time."""
+"""Progress of homing: the axis that moves, the distance of its motion, and the remaining time."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,15 +12,16 @@ class HomingStep(NamedTuple):
 
     joint: str
     unit: str
-    way: float  #: distance [unit]
-    exact: bool  #: the start position is known; otherwise `way` is the longest possible distance
-    speed: float  #: [unit/s]
+    way: float  #: distance of the motion [unit]
+    exact: bool  #: whether the start position is known; if not, `way` is the longest possible distance
+    speed: float  #: speed of the motion [unit/s]
 
 
 def homing_step(setup: StageSetup, count: float | None) -> HomingStep:
-    """Return the motion of a stage from `count` [microsteps]; None: its position is unknown.
+    """Return the homing motion of a stage from `count` [microsteps]; None: the position is unknown.
 
-    Units home downwards. A rotation passes its sensor once per turn; one that starts below its zero turns back up.
+    Units home towards lower counts. A rotation stage passes its sensor once per turn; a rotation stage that starts
+    below its zero turns back up by one turn after it has found the sensor.
     """
     turns, step, joint = setup.joint.motion == "rotation", setup.joint.microstep, setup.joint
     turn = 2.0 * math.pi
@@ -33,18 +34,18 @@ def homing_step(setup: StageSetup, count: float | None) -> HomingStep:
 
 
 class Homing:
-    """The motions of all axes, one after the other."""
+    """Progress of the homing motions of all axes, which home one after the other."""
 
     def __init__(self, steps: Sequence[HomingStep]) -> None:
         self._steps = tuple(steps)
         self._at, self._since = 0, 0.0
 
     def start(self, number: int, now: float) -> None:
-        """Note that the step `number` starts at `now` [s]."""
+        """Record that the homing motion with the index `number` starts at `now` [s]."""
         self._at, self._since = number, now
 
     def progress(self, now: float) -> Mapping[str, Any]:
-        """Return the axis, its number and the number of axes, distance `gone` of `way` [unit], remaining time [s]."""
+        """Return the moving axis, its number `of` all, distance `gone` of `way` [unit], and remaining time [s]."""
         step = self._steps[self._at]
         gone = min(step.way, (now - self._since) * step.speed)
         left = (step.way - gone) / step.speed + sum(each.way / each.speed for each in self._steps[self._at + 1 :])

@@ -1,7 +1,8 @@
-"""Zaber T-series, Binary protocol of firmware 5.xx: messages, units, command numbers, error texts.
+"""Binary protocol of Zaber T-series stages with firmware 5.xx: messages, units, command numbers, error texts.
 
-A message has six bytes in both directions and no checksum, so that a lost byte shifts all following ones. The
-frame is recovered by a silence of more than 10 ms, as in the units, and by the plausibility of the messages.
+A message has six bytes in both directions and no checksum, so a lost byte shifts the boundaries of all following
+messages. The parser finds the boundaries again after a silence of more than 10 ms, as the units do, and by the
+plausibility of the messages.
 Sources: the manufacturer's Binary Protocol Manual, and the T-Series pages of the manufacturer's wiki.
 """
 
@@ -13,26 +14,26 @@ from typing import NamedTuple
 
 from core.errors import CtrError
 
-BAUD = 9600  #: 8N1, no handshake; fixed in the T-series [bit/s]
-BYTE_TIME_S = 10.0 / BAUD  #: [s]
-MESSAGE_BYTES = 6  #: bytes of a message
-MESSAGE_TIME_S = MESSAGE_BYTES * BYTE_TIME_S  #: 6.25 ms: 160 messages per second in each direction
-RESYNC_GAP_S = 0.010  #: a message with a longer pause inside is dropped [s]
+BAUD = 9600  #: baud rate, fixed in the T-series; 8N1 without handshake [bit/s]
+BYTE_TIME_S = 10.0 / BAUD  #: transmission time of a byte [s]
+MESSAGE_BYTES = 6  #: length of a message [bytes]
+MESSAGE_TIME_S = MESSAGE_BYTES * BYTE_TIME_S  #: 6.25 ms per message: 160 messages per second in each direction
+RESYNC_GAP_S = 0.010  #: a unit drops a message if the pause between two of its bytes is longer [s]
 
-SPEED_UNIT = 9.375  #: [microsteps/s]; firmware 6 and later has another one
-ACCELERATION_UNIT = 11250.0  #: [microsteps/s^2]; firmware 6 and later has another one
-MAX_POSITION = 16_777_215  #: of Set Maximum Position [microsteps]
-MICROSTEP_RESOLUTION = 64  #: microsteps a full step, from the factory
+SPEED_UNIT = 9.375  #: unit of speeds in messages [microsteps/s]; other in firmware 6 and later
+ACCELERATION_UNIT = 11250.0  #: unit of accelerations in messages [microsteps/s^2]; other in firmware 6 and later
+MAX_POSITION = 16_777_215  #: largest value that the command Set Maximum Position accepts [microsteps]
+MICROSTEP_RESOLUTION = 64  #: factory setting: microsteps per full step of the motor
 
 _FRAME = struct.Struct("<BBi")
 
 
 class ZaberError(CtrError):
-    """An invalid message, an unexpected unit, or a stage that does not execute its command."""
+    """A message is invalid, a unit is not the expected one, or a stage does not execute its command."""
 
 
 class ZaberCommand(IntEnum):
-    """Command numbers; the last ones of each block only ever come as replies."""
+    """Command numbers of messages; MOVE_TRACKING, LIMIT_ACTIVE, MANUAL_MOVE and ERROR are sent by units only."""
 
     RESET = 0
     HOME = 1
@@ -73,9 +74,9 @@ class ZaberCommand(IntEnum):
 
 
 class Mode(IntEnum):
-    """Bits of Set Device Mode (40); each write replaces all of them, the homed flag included."""
+    """Bits of the setting Set Device Mode (40); each write replaces all bits, including the homed flag."""
 
-    NO_AUTO_REPLY = 1 << 0  #: only Return, Echo, Renumber and Read are answered
+    NO_AUTO_REPLY = 1 << 0  #: the unit answers only the commands Return, Echo, Renumber and Read
     NO_KNOB = 1 << 3
     MOVE_TRACKING = 1 << 4
     NO_MANUAL_TRACKING = 1 << 5
@@ -84,7 +85,7 @@ class Mode(IntEnum):
 
 
 class ZaberStatus(IntEnum):
-    """Answers to Return Status (54) that matter here."""
+    """Replies to the command Return Status (54) that this driver uses."""
 
     IDLE = 0
     HOMING = 1
@@ -97,13 +98,13 @@ class ZaberStatus(IntEnum):
 
 
 class Code(IntEnum):
-    """Errors that are acted upon."""
+    """Error codes to which the driver or the simulated unit reacts."""
 
     UNKNOWN_COMMAND = 64
     BUSY = 255
 
 
-#: Manufacturer's wiki, "Error / T-Series Motorized Devices".
+#: Meaning of each error code. Source: manufacturer's wiki, "Error / T-Series Motorized Devices".
 ERRORS = {
     1: "cannot home: the home sensor was not found",
     2: "device number out of range",
@@ -148,9 +149,9 @@ def error_text(code: int) -> str:
 
 
 class ZaberMessage(NamedTuple):
-    """A message of six bytes, in either direction."""
+    """A message of six bytes, from the host to a unit or back."""
 
-    device: int  #: 0 addresses every unit
+    device: int  #: device number of the unit; 0 addresses every unit
     command: int
     data: int  #: signed 32 bits
 
@@ -159,7 +160,7 @@ def encode(message: ZaberMessage) -> bytes:
     """Return the bytes of a message.
 
     Raises:
-        ZaberError: a part that does not fit.
+        ZaberError: a field of the message is out of its range.
     """
     device, command, data = message
     for what, value in (("device", device), ("command", command)):
@@ -188,15 +189,15 @@ def split_id(word: int) -> tuple[int, int]:
 
 
 def top_speed(resolution: int) -> int:
-    """Return the largest speed and acceleration that the units accept at a resolution [their units]."""
+    """Return the largest speed or acceleration setting that units accept at a resolution [speed or acc. units]."""
     return 512 * resolution - 1
 
 
 def speed_data(microsteps_per_s: float) -> int:
-    """Return the nearest speed that can be sent.
+    """Return a speed, rounded to whole speed units as messages carry it.
 
     Raises:
-        ZaberError: not finite.
+        ZaberError: the speed is not finite.
     """
     if not math.isfinite(microsteps_per_s):
         raise ZaberError(f"speed {microsteps_per_s} microsteps/s is not finite")
@@ -207,12 +208,12 @@ class ZaberParser:
     """Extracts messages from a byte stream that may be split anywhere, damaged or noisy."""
 
     def __init__(self, plausible: Callable[[ZaberMessage], bool] | None = None, gap: float = RESYNC_GAP_S) -> None:
-        """`plausible` returns whether a message is valid; without it every six bytes are a message.
+        """`plausible` returns whether a message is valid; by default any six bytes form a message.
 
-        `gap` is the silence that ends a message [s].
+        `gap` is the length of a silence after which an incomplete message is dropped [s].
         """
         self.dropped = 0  #: bytes that belong to no message
-        self.resyncs = 0  #: how many times the frame was lost
+        self.resyncs = 0  #: how many times the message boundaries were lost
         self._plausible = plausible
         self._gap = gap
         self._buffer = bytearray()
@@ -220,9 +221,9 @@ class ZaberParser:
         self._lost = False
 
     def feed(self, data: bytes, now: float, since: float | None = None) -> list[ZaberMessage]:
-        """Return the messages that `data` completes, which arrived at `now`, or between `since` and `now` [s].
+        """Return the messages that `data` completes. `data` arrived at `now`, or between `since` and `now` [s].
 
-        After a long interval between reads a silence cannot be detected; then none is assumed.
+        If reads are farther apart than `gap`, a silence cannot be detected; the parser then assumes no silence.
         """
         if not data:
             return []

@@ -1,7 +1,7 @@
 """Connects and homes Zaber units by sequences of queries and settings, one at a time.
 
-The caller runs them: a sequence yields a request or a waiting time, and receives the answer.
-They rely on readings only, because the units' automatic replies are switched off: every setting is read back.
+The caller runs the sequences: a sequence yields a request or a waiting time, and receives the reply to the request.
+The sequences read every setting back, because the units' automatic replies are switched off.
 """
 
 import math
@@ -20,23 +20,23 @@ from station.devices.zaber.protocol import (
 )
 from station.devices.zaber.units import Identity, Units
 
-MAX_ATTEMPTS = 6  #: repetitions of a query until two answers agree
-STOP_TIMEOUT_S = 5.0  #: time in which a unit must confirm a stop; a unit that is reset needs 1 s of it [s]
+MAX_ATTEMPTS = 6  #: largest number of times that a query is sent until two replies agree
+STOP_TIMEOUT_S = 5.0  #: time in which a unit must confirm a stop; a reset of the unit takes 1 s of this time [s]
 
 Script = Generator[Request | float, Reply, None]  #: yields requests, or waiting times [s]
 
 
 class Sequences:
-    """The sequences of these units; the generators raise `ZaberError` if they cannot continue."""
+    """The sequences that connect and home units; these generators raise `ZaberError` if they cannot continue."""
 
     def __init__(self, units: Units) -> None:
         self.now = -math.inf  #: time [s], set by the caller that runs a sequence
         self._units = units
-        self.homing: Homing | None = None  #: progress of the present homing
-        self._refusal: int | None = None  # the last error reply of a sequence
+        self.homing: Homing | None = None  #: progress of the latest homing
+        self._refusal: int | None = None  # error code of the last error reply
 
     def connect(self) -> Script:
-        """Identify and set up every unit, then wait for its position."""
+        """Identify and set up every unit, then wait for the positions of all homed stages."""
         units = self._units
         for i, setup in enumerate(units.setups):
             name = units.name(i)
@@ -57,8 +57,8 @@ class Sequences:
             mode = yield from self._need(i, ZaberCommand.SET_MODE)
             resolution = yield from self._need(i, ZaberCommand.SET_RESOLUTION)
             if resolution != MICROSTEP_RESOLUTION:
-                mode &= ~Mode.HOMED  # a count in other steps is invalid
-            # Unrequested positions and a turned knob would invalidate the estimate from the velocities sent.
+                mode &= ~Mode.HOMED  # a position counted with another microstep size is invalid
+            # Unrequested positions and a turned knob would invalidate the estimate, which uses the velocities sent.
             mode = (mode | Mode.NO_AUTO_REPLY | Mode.NO_KNOB) & ~(Mode.MOVE_TRACKING | Mode.MESSAGE_IDS)
             for command, data in (
                 (ZaberCommand.SET_MODE, mode),
@@ -89,7 +89,7 @@ class Sequences:
             units.homed[i] = False
             units.estimate(i).forget(adrift=True)
             mode = yield from self._need(i, ZaberCommand.SET_MODE)
-            # The flag is cleared first, so that it proves the homing afterwards.
+            # The flag is cleared before the homing, so that a set flag proves a completed homing.
             yield from self._set(i, ZaberCommand.SET_MODE, mode & ~Mode.HOMED)
             reach = max(setup.maximum * setup.joint.microstep, 2.0 * math.pi) / setup.home_speed
             give_up = self.now + 2.0 * reach + 10.0
@@ -116,15 +116,15 @@ class Sequences:
         yield from self._settle()
 
     def _count(self, i: int) -> float | None:
-        """Return the position of a stage [microsteps]; None if it is unknown."""
+        """Return the position of a stage [microsteps]; None if the position is unknown."""
         estimate = self._units.estimate(i)
         return estimate.position if self._units.homed[i] and estimate.known else None
 
     def _turn_back(self, i: int) -> Script:
-        """Turn a stage that homed one turn too low up to its zero, at the homing speed.
+        """Turn a rotation stage that homed one turn too low up by one turn to its zero, at the homing speed.
 
-        A stage passes its sensor once per turn while it moves down. If it started within half a turn of its zero and
-        moved more than half a turn to a sensor, it started below zero.
+        A rotation stage passes its home sensor once per turn while it moves down. If the stage started within half a
+        turn of its zero and moved more than half a turn to the sensor, it started below zero.
         """
         setup, name = self._units.setups[i], self._units.name(i)
         turn = round(2.0 * math.pi / setup.joint.microstep)
@@ -139,7 +139,7 @@ class Sequences:
             raise ZaberError(f"{name} is at {position} microsteps after turning back to its zero, not at {turn}")
 
     def _confirm_stops(self) -> Script:
-        """Wait until every unit has confirmed the last stop; a chain would also stop what starts before that."""
+        """Wait until every unit has confirmed its last stop: until then a repeated stop could end a new motion."""
         units = self._units
         give_up = self.now + STOP_TIMEOUT_S
         while moving := [i for i, (chain, axis) in enumerate(units.where) if axis in chain.stopping]:
@@ -148,7 +148,7 @@ class Sequences:
             yield 0.02
 
     def _rest(self, i: int, give_up: float, what: str) -> Script:
-        """Wait until a unit is idle."""
+        """Wait until a unit is idle; `give_up` is the time of the ZaberError [s], `what` describes the motion."""
         started = self.now
         yield 0.05
         while (yield from self._read_twice(i, ZaberCommand.STATUS)) not in (ZaberStatus.IDLE, None):
@@ -157,7 +157,7 @@ class Sequences:
             yield 0.1
 
     def _settle(self) -> Script:
-        """Wait for confirmed positions of all homed stages."""
+        """Wait for confirmed positions of all homed stages; a position out of range makes its stage not homed."""
         units = self._units
         give_up = self.now + 2.0
         while not all(units.estimate(i).known for i in range(len(units.setups)) if units.homed[i]):
@@ -168,16 +168,16 @@ class Sequences:
         for i, setup in enumerate(units.setups):
             count = units.estimate(i).position
             if units.homed[i] and not 0 <= count <= setup.maximum:
-                units.homed[i] = False  # homed by another program, with another count
+                units.homed[i] = False  # another program has homed the unit and set another count
 
     def _read_twice(self, i: int, command: int, data: int = 0) -> Generator[Request | float, Reply, int | None]:
-        """Return a reading that was received twice; None if the unit does not answer or lacks this value."""
+        """Return a value that the unit has sent twice; None if the unit does not answer or does not have the value."""
         reply = data if command == ZaberCommand.SETTING else command
         received: set[Reply] = set()
         for _ in range(MAX_ATTEMPTS):
             answer = yield Request(i, command, data, reply)
             if answer.error is not None:
-                self._refusal = answer.error  # it may belong to the previous setting
+                self._refusal = answer.error  # the error may belong to the previous setting
             if answer in received and (answer.data is not None or answer.error == Code.UNKNOWN_COMMAND):
                 return answer.data
             received.add(answer)
@@ -190,7 +190,7 @@ class Sequences:
         return value
 
     def _set(self, i: int, command: int, data: int) -> Script:
-        """Set a value unless it is already set, and read it back."""
+        """Write a setting, unless it has this value already, and read it back."""
         value = yield from self._need(i, command)
         for _ in range(3):
             if value == data:

@@ -1,4 +1,4 @@
-"""Configuration of a Zaber stage: its joint, its counts, and its line."""
+"""Configuration of a Zaber stage: its joint, its microstep count, and its serial line."""
 
 import math
 from dataclasses import dataclass
@@ -18,17 +18,17 @@ from station.devices.zaber.protocol import (
 
 @dataclass(frozen=True)
 class StageSetup:
-    """One stage: the joint that it moves and how its microsteps count."""
+    """One stage: the joint that the stage moves, and the conversion of its microstep count to a joint position."""
 
     joint: JointFile
-    device: int  #: number on the chain
+    device: int  #: device number on the chain
     home_at: float  #: joint position at the home sensor [rad or m]
-    home_count: int  #: the unit's count there; anything but 0 is set after homing [microsteps]
-    maximum: int  #: hardware maximum position, set in the unit [microsteps]
-    home_speed: float  #: [rad/s or m/s]
-    device_id: int | None = None  #: expected; None: any
-    serial: int | None = None  #: expected; None: any, and old units have none
-    backwards: bool = False  #: its count increases when the joint's position decreases
+    home_count: int  #: the unit's count at the home sensor; if not 0, the driver sets it after homing [microsteps]
+    maximum: int  #: hardware maximum position, which the driver sets in the unit [microsteps]
+    home_speed: float  #: speed of homing [rad/s or m/s]
+    device_id: int | None = None  #: expected device ID; None: any
+    serial: int | None = None  #: expected serial number; None: any, as for old units, which report no number
+    backwards: bool = False  #: whether the unit's count increases when the joint's position decreases
 
     def __post_init__(self) -> None:
         name = self.joint.name
@@ -50,8 +50,10 @@ class StageSetup:
 
     @classmethod
     def of(cls, joint: JointFile, device: int, home_at: float | None = None, backwards: bool = False) -> "StageSetup":
-        """Return the default setup. A rotation has its sensor at joint 0, in the middle of its travel. A translation
-        has it at the retracted end, where the unit counts 0. `home_at` is another position of the sensor [rad or m].
+        """Return the default setup, optionally with another joint position `home_at` of the home sensor [rad or m].
+
+        By default the home sensor of a rotation is at joint position 0, and that of a translation at the retracted end,
+        where the unit counts 0.
 
         Raises:
             ZaberError: the sensor of a translation is inside the travel; a stage cannot move beyond its sensor.
@@ -60,7 +62,7 @@ class StageSetup:
         turns = joint.motion == "rotation"
         if home_at is None:
             home_at = 0.0 if turns else start
-        # An endless rotation may have any count at its sensor; a translation counts from 0 there.
+        # A rotation stage without end stops may have any count at its sensor; a translation stage counts 0 there.
         count = round(abs(home_at - start) / joint.microstep) if turns else 0
         inside = (home_at - start) * (-1.0 if backwards else 1.0)
         if not turns and inside > joint.microstep:
@@ -78,27 +80,27 @@ class StageSetup:
 
     @property
     def top(self) -> int:
-        """Largest speed that is sent [speed units]."""
+        """Largest speed that the host sends [speed units]."""
         return math.floor(self.joint.speed / self.joint.microstep / SPEED_UNIT)
 
     @property
     def home_units(self) -> int:
-        """Home speed [speed units]."""
+        """Speed of homing [speed units]."""
         return speed_data(self.home_speed / self.joint.microstep)
 
     @property
     def acceleration(self) -> int:
-        """Acceleration of the unit, at least the joint's, on which braking distances rely [acceleration units]."""
+        """Acceleration setting, at least the joint's value that braking distances assume [acceleration units]."""
         return math.ceil(self.joint.acceleration / self.joint.microstep / ACCELERATION_UNIT)
 
     def position(self, microsteps: float) -> float:
-        """Return the joint position at a count [rad or m]."""
+        """Return the joint position at a count of the unit [rad or m]."""
         return self.home_at + self.step * (microsteps - self.home_count)
 
 
 @dataclass(frozen=True)
 class PortSetup:
-    """A line and the stages on it."""
+    """A serial line and the stages on this line."""
 
     link: Link
-    stages: tuple[int, ...]  #: their indices among the joints
+    stages: tuple[int, ...]  #: joint indices of the stages

@@ -1,7 +1,7 @@
-"""Driver of Zaber T-series stages for the control loop: one chain, or a port for each stage.
+"""Driver of Zaber T-series stages for the control loop: on one chain, or with a separate port for each stage.
 
-Connecting and homing are sequences, which `poll` advances. The events on the lines determine the condition of the
-stages and its human-readable cause.
+Connecting and homing are sequences of requests, which `poll` advances. Events on the serial lines determine the
+`condition` of the stages, and `problem` states the reason for a FAULT as text.
 """
 
 import math
@@ -23,7 +23,7 @@ from station.devices.zaber.units import Identity, Units
 
 
 class ZaberStages:
-    """`Stages` on Zaber units. Nothing raises out of `poll`, `command` and `stop`: see `condition` and `problem`."""
+    """`Stages` of Zaber units. `poll`, `command` and `stop` never raise: `condition` and `problem` report faults."""
 
     def __init__(
         self,
@@ -32,21 +32,21 @@ class ZaberStages:
         line: LineSettings | None = None,
         reopen: Callable[[Sequence[PortSetup]], Sequence[PortSetup]] | None = None,
     ) -> None:
-        """`reopen` opens ports with lost links again, or raises LinkError."""
+        """Use the stages on `ports`; `reopen` opens lost ports again, or raises LinkError."""
         self._reopen = reopen
         self._units = Units(setups)
         self._sequences = Sequences(self._units)
         self.setups = self._units.setups
         self.condition = Condition.CLOSED
         self.problem = ""  #: why the condition is FAULT
-        self.complaints: list[str] = []  #: errors that the units reported by themselves, the last ten
+        self.complaints: list[str] = []  #: the last ten errors that units reported without a request
         self._line = line or LineSettings()
         self._scale = [SPEED_UNIT * setup.step for setup in setups]
-        self._sent: tuple[list[int], Array] = ([], np.zeros(0))  # in speed units, and in SI units
+        self._sent: tuple[list[int], Array] = ([], np.zeros(0))  # speeds sent, in speed units and in SI units
         self._script: Script | None = None
         self._wait_until = -math.inf
         self._started = self._send_deferred = False
-        self._pending_velocities: list[float] = []  # velocities not sent yet, as no line was free [rad/s or m/s]
+        self._pending_velocities: list[float] = []  # velocities that wait for a free line [rad/s or m/s]
         self._use(ports)
 
     # The control loop's side
@@ -60,7 +60,7 @@ class ZaberStages:
         if self._script is not None and now >= self._wait_until and not self._asking:
             self._advance(Reply())
         if self._send_deferred:
-            self._send_deferred = False  # `command` follows, with newer velocities
+            self._send_deferred = False  # `command` follows in the same tick with newer velocities, and sends them
         else:
             self._send(now)
         positions = [zero + step * estimate.position for zero, step, estimate in self._counted]
@@ -70,7 +70,7 @@ class ZaberStages:
         return JointReading(np.array(positions), self._sent[1])
 
     def command(self, velocities: Array, now: float) -> None:
-        """Set joint velocities (n,) [rad/s or m/s]; the latest counts. Ignored unless `ready`; NaN stops."""
+        """Set joint velocities (n,) [rad/s or m/s]; a non-finite one stops all axes. Does nothing unless `ready`."""
         if not self.ready:
             return
         requested: list[float] = velocities.tolist()
@@ -94,29 +94,29 @@ class ZaberStages:
 
     @property
     def ready(self) -> bool:
-        """Connected, homed, and every position is known."""
+        """Whether the stages are connected and homed, and every position is known."""
         if self.condition is not Condition.CONNECTED or not all(self._units.homed):
             return False
         return all([estimate.known for _, _, estimate in self._counted])  # noqa: C419 - at every tick, twice
 
     @property
     def ports(self) -> tuple[PortSetup, ...]:
-        """The lines in use."""
+        """The serial ports in use."""
         return self._units.ports
 
     @property
     def homed(self) -> list[bool]:
-        """Which stages are homed."""
+        """Whether each stage is homed."""
         return self._units.homed
 
     @property
     def identities(self) -> list[Identity | None]:
-        """Identity that each unit has reported; None before."""
+        """Identity that each unit has reported; None before the first connection."""
         return self._units.identities
 
     @property
     def at_rest(self) -> bool:
-        """Whether every axis that was commanded to stop has confirmed it."""
+        """Whether every axis that was commanded to stop has confirmed its stop."""
         return not any(chain.stopping for chain in self._units.chains)
 
     @property
@@ -126,11 +126,11 @@ class ZaberStages:
 
     @property
     def lost_bytes(self) -> int:
-        """Received bytes that belong to no message."""
+        """Number of received bytes that belong to no message."""
         return sum(chain.parser.dropped for chain in self._units.chains)
 
     def connect(self, now: float, ports: Sequence[PortSetup] | None = None) -> None:
-        """Identify and set up every unit; on other ports after a loss. The units must be those of the first time."""
+        """Identify and set up every unit; `ports` replaces lost ports. Later calls accept only the same units."""
         if ports is None and self._broken and self._reopen is not None:
             try:
                 ports = self._reopen(self.ports)
@@ -142,7 +142,7 @@ class ZaberStages:
         self._sequences.now, self.condition, self.problem = now, Condition.CONNECTING, ""
         self._start_script(self._sequences.connect())
 
-    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - it is as at the last poll
+    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - the state is that of the last poll
         """Return a FAULT with its cause; `details` contains unsolicited errors of the units."""
         return DeviceFault(Severity.FAULT, self.problem) if self.condition is Condition.FAULT else None
 
@@ -169,10 +169,10 @@ class ZaberStages:
     def home(self, now: float) -> None:
         """Home every stage: the translations first, then one rotation after the other.
 
-        The caller is responsible for a clear path: the operator has confirmed it.
+        Before the call the operator must have confirmed that the stages can move freely.
 
         Raises:
-            ZaberError: not connected, or busy.
+            ZaberError: the stages are not connected, or a sequence is running.
         """
         if self.condition is not Condition.CONNECTED:
             raise ZaberError(f"the stages cannot be homed while they are {self.condition.value}; connect them first")
@@ -189,7 +189,7 @@ class ZaberStages:
     # Sequences and events
 
     def _use(self, ports: Sequence[PortSetup]) -> None:
-        """Start a new session on these ports."""
+        """Start a new session of all stages on these ports."""
         indices = sorted(i for port in ports for i in port.stages)
         if indices != list(range(len(self.setups))):
             raise ZaberError(f"ports have the stages {indices}; each of 0 ... {len(self.setups) - 1} is needed once")
@@ -220,7 +220,7 @@ class ZaberStages:
         self._advance(Reply())
 
     def _advance(self, answer: Reply) -> None:
-        """Pass an answer to the sequence and execute its next step."""
+        """Pass a reply to the running sequence and execute its next step."""
         if self._script is None:
             return
         self._asking = False
@@ -249,7 +249,7 @@ class ZaberStages:
         self._script, self._asking = None, False
 
     def _fail(self, why: str) -> None:
-        """Stop every axis and enter FAULT with the first cause; without a cause return to CONNECTED."""
+        """Stop every axis and enter FAULT with the first reason; an empty `why` returns to CONNECTED instead."""
         if not why:
             self.condition = Condition.CONNECTED
             for i in range(len(self.setups)):
@@ -281,7 +281,7 @@ class ZaberStages:
             self._units.estimate(i).forget()
 
     def _lose(self, stages: Sequence[int], why: str) -> None:
-        """Handle stages that cannot be reached: stop the others, and report how far these can move."""
+        """Handle lost stages: stop all others, and report how far each lost stage can still move."""
         self._end_script()
         self._units.home_again |= set(stages)
         texts = [f"{self._units.name(i)} cannot be reached ({why}); {self._units.reach(i)}" for i in stages]
@@ -309,7 +309,7 @@ class ZaberStages:
             if which in self._broken or not chain.is_free(now):
                 continue
             if self._pending_velocities:
-                # Only here: in most ticks the line is busy.
+                # Convert only when the line is free, because it is busy in most ticks.
                 for (on, axis), velocity, scale in zip(
                     self._units.where, self._pending_velocities, self._scale, strict=True
                 ):
@@ -322,7 +322,7 @@ class ZaberStages:
                     self._break(which, error)
 
     def _break(self, which: int, error: LinkError) -> None:
-        """Handle a lost link: all its stages are lost."""
+        """Handle a lost link: all stages on it are lost."""
         self._broken.add(which)
         chain = self._units.chains[which]
         chain.lost |= set(range(len(chain.axes)))

@@ -1,4 +1,4 @@
-"""The Zaber units of the stages: the chain, the identity and the homing state of each."""
+"""The Zaber units of the stages: the chain, the identity and the homing state of each unit."""
 
 import math
 from collections.abc import Sequence
@@ -13,19 +13,19 @@ class Identity(NamedTuple):
     """Identity that a unit reports."""
 
     device_id: int
-    firmware: int  #: two implied decimals: 523 is 5.23
-    serial: int | None
+    firmware: int  #: firmware version with two implied decimals: 523 is 5.23
+    serial: int | None  #: serial number; None for old units, which have none
 
 
 class Units:
-    """State of the unit of each stage; identity and homing state persist when the ports change."""
+    """State of all stages' units; identities and homing states persist when the ports change."""
 
     def __init__(self, setups: Sequence[StageSetup]) -> None:
         self.setups = tuple(setups)
         self.identities: list[Identity | None] = [None for _ in setups]
         self.homed = [False for _ in setups]
-        self.home_again: set[int] = set()  #: stages that must be homed even if their units report that they are
-        self.homing_distance = [0.0 for _ in setups]  #: distance moved by unfinished homing [rad or m]
+        self.home_again: set[int] = set()  #: stages that must be homed even if their units report to be homed
+        self.homing_distance = [0.0 for _ in setups]  #: distance moved since an unfinished homing began [rad or m]
         self.ports: tuple[PortSetup, ...] = ()
         self.chains: list[ZaberChain] = []  #: one for each port
         self.where: list[tuple[ZaberChain, int]] = []  #: chain and axis of each stage
@@ -41,12 +41,12 @@ class Units:
         return chain.axes[axis].alias or 0
 
     def name(self, i: int) -> str:
-        """Return the stage, its number and its line, for messages."""
+        """Return the name of a stage's joint, with its device number and its port, for messages."""
         link = next(port.link for port in self.ports if i in port.stages)
         return f"{self.setups[i].joint.name} (device {self.setups[i].device} on {link.name})"
 
     def reach(self, i: int) -> str:
-        """Return how far a stage that receives no commands can move, as text."""
+        """Return how far a stage that no longer receives commands can still move, as text."""
         chain, axis = self.where[i]
         setup, count, speed = self.setups[i], chain.estimates[axis].position, chain.sent[axis]
         if speed == 0 or not math.isfinite(count):

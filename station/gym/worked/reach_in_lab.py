@@ -33,15 +33,15 @@ from station.lab.config import load_lab
 from station.lab.loads import TrapezoidLoad
 from station.lab.virtual_bench import virtual_bench
 
-#: Rise time of the load, time until the motion to the goal starts, and time for this motion [s].
+#: Rise time of the load, time between its onset and the motion to the goal, and time for this motion [s].
 LOAD_RISE_S, WAIT_S, REACH_TIME_S = 1.0, 3.0, 15.0
-#: Bounds of the controller's motion to the goal.
+#: Bounds of the setpoint while the controller moves the tip to the goal.
 MOTION_BOUNDS = MotionBounds(max_speed=0.02, max_acceleration=0.1, rate=20.0, braking=0.8)
 NAMES = "policy", "controller"
 
 
 class Trial:
-    """A trial: one goal and one load, in a separate virtual lab."""
+    """Trial with one goal and one load, in a separate virtual lab."""
 
     def __init__(self, seed: int, load: float, lab: str) -> None:
         self.setting, self.task = EpisodeSettings(load=load), Reach(1, EpisodeSettings(load=load))
@@ -61,14 +61,14 @@ class Trial:
         return self._tick * PERIOD_S
 
     def advance(self, request: StreamRequest | None = None) -> None:
-        """Run one tick of lab and control loop."""
+        """Run one tick of the lab and of the control loop, which receives `request`."""
         truth = self.lab.advance(self.now)
         row = self.loop.tick(self.now, truth, request)
         self.tip, self._tick = truth.tip, self._tick + 1
         self.row = self.row if row is None else row
 
     def until(self, condition: Callable[[], bool]) -> None:
-        """Run ticks until `condition` holds, for at most one minute."""
+        """Run ticks until `condition` returns True, for at most one simulated minute."""
         end = self.now + 60.0
         while not condition():
             self.advance()
@@ -76,7 +76,7 @@ class Trial:
                 raise RuntimeError(self.loop.cause or "the bench did not become READY")
 
     def pull(self) -> None:
-        """Start the load."""
+        """Apply the load of this trial to the tip."""
         size = float(np.linalg.norm(self.force))
         direction = tuple((self.force / size).tolist())
         self.lab.apply_load(TrapezoidLoad(magnitude=size, rise=LOAD_RISE_S, direction=direction), self.now)
@@ -88,7 +88,7 @@ class Trial:
 
 
 def by_policy(trial: Trial, policy: Any) -> None:
-    """Jog the joints by the policy, renewed at every period of the environment."""
+    """Jog the joints as the policy decides; the policy decides again after each period of the environment."""
     trial.until(lambda: trial.loop.state is State.READY)
     settled = trial.now + 2.0
     trial.until(lambda: trial.now >= settled)  # wait until the sensors have been tared
@@ -108,7 +108,7 @@ def by_policy(trial: Trial, policy: Any) -> None:
 
 
 def by_controller(trial: Trial) -> None:
-    """Stream the tip's setpoint: constant while the load rises, then the goal."""
+    """Stream the setpoint of the tip: its start position while the load rises, then the goal."""
     trial.until(lambda: trial.loop.state is State.READY)
     trial.loop.start(MotionTask(trial.controller, StreamLimits(MOTION_BOUNDS), 1000.0))
     trial.until(lambda: trial.loop.phase is Phase.MOVING)
@@ -127,7 +127,7 @@ def main() -> None:
     options.add_argument("--load", type=float, default=0.2, help="largest hidden force [N]")
     options.add_argument("--lab", default="gentle")
     parsed = options.parse_args()
-    policy = SAC.load(parsed.path, gymnasium.make("station.gym:CtrReach-v0"))  # HER requires an environment
+    policy = SAC.load(parsed.path, gymnasium.make("station.gym:CtrReach-v0"))  # loading needs an environment, for HER
     found = np.full((parsed.trials, 2), np.nan)
     for number in range(parsed.trials):
         for column, carry_out in enumerate((lambda trial: by_policy(trial, policy), by_controller)):

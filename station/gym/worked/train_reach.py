@@ -1,4 +1,4 @@
-"""Example: train a policy for `CtrReach-v0` by Stable-Baselines3's SAC with HER. No part of the station imports this.
+"""Example: train a policy for `CtrReach-v0` with SAC and HER of Stable-Baselines3. The station does not import it.
 
 Needs a separate Python environment: pip install 'ctr-station[gym]' torch stable-baselines3
 
@@ -25,7 +25,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor  # pyrig
 ENVIRONMENT = "station.gym:CtrReach-v0"
 #: Scales of the vector to the goal in the observation [m], because a network cannot resolve 1 mm in 300 mm.
 SCALES = (0.1, 0.01, 0.001)
-#: Distance from the goal at which it counts as reached, and distance at which the reward is -1 [m].
+#: Distance of the tip at which the goal counts as reached, and distance at which the reward is -1 [m].
 GOAL_RADIUS_M, MAX_DISTANCE_M = 0.001, 0.1
 #: Number of parallel episodes, gradient steps after each of their steps, time between evaluations [s], and number of
 #: episodes of an evaluation.
@@ -33,7 +33,7 @@ PARALLEL_EPISODES, GRADIENT_STEPS, EVALUATION_INTERVAL_S, EVALUATION_EPISODES = 
 
 
 class GoalFeatures(BaseFeaturesExtractor):
-    """Features of an observation: joints, tip, and the vector to the goal at several scales. None are learned."""
+    """Features of an observation: joints, tip, and vector to the goal at several scales, with no learned parameters."""
 
     def __init__(self, space: gymnasium.spaces.Dict) -> None:
         super().__init__(space, len(space["observation"].sample()) + 3 * len(SCALES))
@@ -49,19 +49,19 @@ class ReachedReward(gymnasium.Wrapper):
     """Reward that distinguishes distances at every scale: the logarithm of the distance, from 0 to about -1."""
 
     def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:  # noqa: ARG002 - for learners
-        """Return the reward of tips and goals (..., 3) [m]."""
+        """Return the rewards for tips and goals (..., 3) [m]."""
         away = np.linalg.norm(np.asarray(achieved) - np.asarray(desired), axis=-1)
         return -np.log1p(away / GOAL_RADIUS_M) / np.log1p(MAX_DISTANCE_M / GOAL_RADIUS_M)
 
     def step(self, action: Any) -> Any:
-        """Step the environment and replace its reward."""
+        """Carry out a step of the environment and replace its reward by the logarithmic one."""
         observed, _, terminated, truncated, info = self.env.step(action)
         reward = float(self.compute_reward(observed["achieved_goal"], observed["desired_goal"], info))
         return observed, reward, terminated, truncated, info
 
 
 def distances(policy: Any, episodes: int, seed: int, **setting: Any) -> np.ndarray:
-    """Return distances from the goal at the end of each episode of the deterministic policy (episodes,) [m]."""
+    """Return the distance of the tip from the goal at the end of each episode, without exploration (episodes,) [m]."""
     many = gymnasium.make_vec(ENVIRONMENT, num_envs=episodes, vectorization_mode="vector_entry_point", **setting)
     observed, _ = many.reset(seed=seed)
     over = np.zeros(episodes, bool)
@@ -71,12 +71,12 @@ def distances(policy: Any, episodes: int, seed: int, **setting: Any) -> np.ndarr
 
 
 def result_line(away: np.ndarray) -> Sequence[str]:
-    """Return the fraction within 1 mm, median and 90th percentile [mm]."""
+    """Return texts: fraction of the distances within 1 mm, and their median and 90th percentile [mm]."""
     return f"{np.mean(away <= GOAL_RADIUS_M):.3f}", *(f"{1e3 * np.percentile(away, part):.3f}" for part in (50, 90))
 
 
 class LearningCurve(BaseCallback):
-    """Writes a line of the learning curve at intervals, saves the best policy, and ends training by the clock."""
+    """Writes lines of the learning curve at intervals, saves the best policy, and ends the training after its time."""
 
     def __init__(self, path: Path, minutes: float) -> None:
         super().__init__()
@@ -100,7 +100,7 @@ class LearningCurve(BaseCallback):
 
 
 def train(path: Path, minutes: float, seed: int) -> None:
-    """Train, starting from the policy at `path` if it exists."""
+    """Train a policy; if `path` exists, continue with the policy in it."""
     many = make_vec_env(ENVIRONMENT, PARALLEL_EPISODES, seed, wrapper_class=ReachedReward)
     start = 200 * PARALLEL_EPISODES  # by then every parallel episode has ended, which HER needs for learning
     if path.with_suffix(".zip").exists():
@@ -113,7 +113,7 @@ def train(path: Path, minutes: float, seed: int) -> None:
             replay_buffer_class=HerReplayBuffer,
             replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
             policy_kwargs={"features_extractor_class": GoalFeatures, "net_arch": [256, 256]},
-            gamma=0.95,  # the effect of an action shows within two seconds
+            gamma=0.95,  # discount factor: the effect of an action is visible within two seconds
             learning_rate=7e-4,
             train_freq=1,
             gradient_steps=GRADIENT_STEPS,
@@ -127,7 +127,7 @@ def train(path: Path, minutes: float, seed: int) -> None:
 
 def test(path: Path, episodes: int) -> None:
     """Test the policy with new goals: under the training load, other loads, tube errors, and on the exact rod."""
-    policy = SAC.load(path, gymnasium.make(ENVIRONMENT))  # HER requires an environment
+    policy = SAC.load(path, gymnasium.make(ENVIRONMENT))  # loading needs an environment, for HER
     for name, setting in (
         ("as learned", {}),
         ("without load", {"load": 0.0}),

@@ -84,7 +84,7 @@ class Coil:
             self.due = self._count / self._config.rate
 
     def _noisy(self, direction: Array) -> Array:
-        """Return the measured axis of the coil: with noise in the two lateral directions, not of unit length."""
+        """Return the measured axis of the coil, with noise in the two lateral directions; its length is not 1."""
         noise = self._config.direction_noise
         if self._wobble is None or not noise:
             return direction

@@ -66,7 +66,7 @@ class PortHandles:
             port.initialised = port.enabled = False
 
     def enabled(self) -> list[ToolPort]:
-        """Return the ports whose tools frames contain."""
+        """Return the handles of the enabled tools, which the frames contain."""
         return [port for port in self.ports if port.enabled]
 
     def search(self, parameters: str) -> str:

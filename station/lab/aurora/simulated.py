@@ -1,7 +1,8 @@
 """A simulated Aurora tracker at wire level: it exchanges bytes at the baud rate of its line and measures the true tip.
 
-The tracker starts at 9600 8N1, checks CRCs, accepts both forms of a command, and answers each command with a delay
-after its last byte. Content and timing of the bytes are therefore those of a serial port, over any transport.
+The tracker starts at 9600 8N1, checks CRCs, and accepts commands with and without CRC. It answers each command with a
+delay after the command's last byte. Content and timing of the bytes are therefore those of a serial port, over any
+transport.
 """
 
 import math
@@ -33,8 +34,8 @@ PORT_BUFFER = 4096  #: bytes that can wait for transmission; further bytes are l
 class AuroraFaults:
     """Faults of the simulated tracker and its line; they may change at any time."""
 
-    drop: float = 0.0  #: share of the bytes that are lost, in both directions
-    flip: float = 0.0  #: share of the bytes with a wrong bit, in both directions
+    drop: float = 0.0  #: probability that a byte is lost, in both directions
+    flip: float = 0.0  #: probability that one bit of a byte is inverted, in both directions
     mute: bool = False  #: the unit neither receives nor sends
     delay: float = 0.0  #: additional delay of each reply [s]
     tool_lost: bool = False  #: the coil is not visible

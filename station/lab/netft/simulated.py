@@ -100,7 +100,8 @@ class SimulatedNetft:
         # Gain errors and the moments' drift have separate random streams, so that the other draws do not change.
         crossed, signs = rng.spawn(2)
         drift[3:] = config.moment_drift * signs.choice([-1.0, 1.0], 3)
-        # Rows: offset, drift [1/s], deviation of the noise, step of quantisation, range, bias [N, N m]; counts of 1.
+        # Rows: offset, drift per second, standard deviation of the noise, quantisation step, range, bias [N, N m];
+        # the last row is the number of counts per N or N m.
         self._axes = np.array(
             [
                 offset,
@@ -229,7 +230,7 @@ class SimulatedNetft:
             self.faults.status &= ~(1 << 16)
 
     def _read(self, sequence: int, time: float, before: Array, after: Array, part: float) -> bytes:
-        """Return the record of the wrench interpolated between two (6,)."""
+        """Return the record of the wrench that is interpolated between `before` and `after` (6,) with weight `part`."""
         if self._drawn == NOISE_BLOCK:
             self._noise, self._drawn = self._rng.standard_normal((NOISE_BLOCK, 6)), 0
         counter = (self._first_count + self._next * self._divisor) % SEQUENCE_WRAP
@@ -293,7 +294,7 @@ def _encode_record(
     axes: Array, noise: Array, row: int, time: float, before: Array, after: Array, part: float, saturate: bool,
     sequence: int, counter: int, status: int, record: Octets,
 ) -> None:  # fmt: skip
-    """Encode the record of the wrench interpolated between two; `axes` as in the box."""
+    """Encode the record of the wrench between `before` and `after`; `axes` are the rows of `SimulatedNetft._axes`."""
     words = np.empty(9, np.int64)
     for k in range(6):
         value = before[k] + part * (after[k] - before[k]) + axes[0, k] + time * axes[1, k] + axes[2, k] * noise[row, k]

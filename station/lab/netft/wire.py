@@ -26,7 +26,7 @@ MAX_PENDING_DATAGRAMS = 4096
 
 
 class AddressInUse(CtrError):
-    """An address that is not available to the simulated box."""
+    """An address or port is not available to a simulated device."""
 
 
 class DatagramDeviceEnd(Protocol):

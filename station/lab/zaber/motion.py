@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class Segment(NamedTuple):
-    """Segment of a motion."""
+    """Segment of a motion with constant acceleration."""
 
     duration: float  #: [s]
     acceleration: float  #: [microsteps/s^2]

@@ -1,8 +1,9 @@
 """Simulated Zaber T-series units on one chain, at wire level: their serial line, addressing and faults.
 
-The line between the units and the host carries 9600 baud in both directions, which a pty or a socket does not simulate.
-Sources: the manufacturer's Binary Protocol Manual and the T-Series pages of its wiki. Times that they do not
-give are parameters.
+The line between the units and the host carries 9600 baud in both directions. This module simulates the transmission
+times, because a pty or a socket does not limit the baud rate.
+Sources: the manufacturer's Binary Protocol Manual and the T-Series pages of its wiki. Times that these sources do not
+specify are parameters.
 """
 
 import math
@@ -29,7 +30,7 @@ BUFFER_BYTES = 4096  #: size of a serial port's buffer in each direction [bytes]
 
 
 class Faults(NamedTuple):
-    """Faults of the chain; slots count from the computer, 1 is the nearest."""
+    """Faults of the chain; a slot is a unit's position on the chain, and slot 1 is nearest to the computer."""
 
     drop: float = 0.0  #: probability that a byte is lost, in both directions
     flip: float = 0.0  #: probability that one bit of a byte is inverted, in both directions
@@ -47,14 +48,14 @@ class Waiting(NamedTuple):
 
 
 class PacedLine:
-    """The line to the host, with the transmission time of each byte."""
+    """The line from the units to the host, with the transmission time of each byte."""
 
     def __init__(self) -> None:
         self._free = -math.inf
         self._waiting: deque[Waiting] = deque()
 
     def put(self, data: bytes, now: float) -> None:
-        """Send bytes at `now` [s] or as soon as the line is free; those beyond the buffer are lost."""
+        """Send bytes at `now` [s] or as soon as the line is free; bytes beyond the buffer's size are lost."""
         start = max(self._free, now)
         data = data[: free_buffer(start - now)]
         self._free = start + len(data) * BYTE_TIME_S
@@ -79,7 +80,7 @@ class PacedLine:
 
 
 class ReceivedLine:
-    """The line to the units: complete messages, each at the arrival of its last byte."""
+    """The line from the host to the units: complete messages, each with the arrival time of its last byte."""
 
     def __init__(self) -> None:
         self.messages: deque[tuple[float, ZaberMessage]] = deque()
@@ -89,7 +90,8 @@ class ReceivedLine:
     def put(self, data: bytes, now: float) -> None:
         """Receive bytes that the host sends, from `now` [s] or as soon as the line is free.
 
-        Bytes beyond the host's buffer are lost. A message with a pause of more than 10 ms is dropped, as the units do.
+        Bytes beyond the size of the host's buffer are lost. A message with a pause of more than 10 ms is dropped, as
+        real units do.
         """
         time = max(self._free, now)
         data = data[: free_buffer(time - now)]
@@ -120,7 +122,7 @@ class SimulatedChain:
     """Units on one line, the nearest to the computer first."""
 
     def __init__(self, units: Sequence[Unit], seed: int = 0, processing: float = 0.0) -> None:
-        """`processing` is the time from the last byte of a command to the first of its reply [s]."""
+        """`processing` is the time from the last byte of a command to the first byte of its reply [s]."""
         self.units = tuple(units)
         self.time = 0.0
         self._processing = processing
@@ -201,7 +203,7 @@ class SimulatedChain:
             self._out.put(self._damaged(encode(message)), now + faults.delay)
 
     def _damaged(self, data: bytes) -> bytes:
-        """Return the data after the line's faults."""
+        """Return the data with the line's faults: some bytes are lost, and some have a flipped bit."""
         drop, flip = self._faults.drop, self._faults.flip
         if drop == 0.0 and flip == 0.0:
             return data

@@ -1,7 +1,7 @@
 """One simulated Zaber unit: its motor, limits, homing, settings and errors. It receives and sends messages.
 
-Sources: the manufacturer's Binary Protocol Manual and the T-Series pages of its wiki. Times that they do not give are
-parameters.
+Sources: the manufacturer's Binary Protocol Manual and the T-Series pages of its wiki. Times that these sources do not
+specify are parameters.
 """
 
 import math
@@ -26,8 +26,8 @@ from station.lab.zaber.motion import Segment, quickest_motion
 
 RESTART_TIME_S = 0.5  #: time after Reset in which a unit ignores commands [s]
 TRACKING_INTERVAL_S = 0.25  #: time between two replies of move tracking [s]
-HOME_SENSOR = 200.0  #: distance of the home sensor behind zero [microsteps]
-STOPS = 2000.0  #: distance of the hard stops beyond the travel [microsteps]
+HOME_SENSOR = 200.0  #: distance of the home sensor below the unit's zero [microsteps]
+STOPS = 2000.0  #: distance of the hard stops from both ends of the travel [microsteps]
 _MOVES = frozenset(
     {
         ZaberCommand.MOVE_STORED,
@@ -69,14 +69,13 @@ class UnitKind:
 
 
 class Unit:
-    """One simulated stage with its controller. Positions are those that the controller counts [microsteps]."""
+    """One simulated stage with its controller. Positions not called true are the controller's counts [microsteps]."""
 
     def __init__(self, kind: UnitKind, number: int, true_position: float = 0.0, count: float | None = None) -> None:
-        """Create the unit with the stage at `true_position` from the home sensor's zero.
+        """Create the unit with the stage at `true_position` from the home sensor's zero [microsteps].
 
-        `count` is the position that the unit counts.
-
-        A unit without a count has just been switched on and is not homed.
+        `count` is the position that the unit counts [microsteps]; None: the unit has just been switched on and is not
+        homed.
         """
         self.kind, self.number = kind, number
         position = 0.0 if count is None else count
@@ -98,7 +97,7 @@ class Unit:
         self.deaf_until = -math.inf
         self.time = 0.0
         self._stored = [0] * 16
-        self._shift = true_position - position  # true position - count
+        self._shift = true_position - position  # true position minus count
         self._stuck: float | None = None
         self._lower, self._upper = (-math.inf, math.inf) if kind.travel is None else (-STOPS, kind.travel + STOPS)
         self._plan: deque[Segment] = deque()
@@ -186,7 +185,8 @@ class Unit:
             self._reset()
             return []
         replies = self._dispatch(command, data)
-        # The mode before the command determines the form of a reply; both modes determine whether the unit replies.
+        # The device mode before the command determines the form of the reply. The unit is silent only if automatic
+        # replies were off before the command and are still off after it.
         if not replies or (mode & self.settings[_MODE] & _QUIET and command not in _ANSWERED_ALWAYS):
             return []
         return [
@@ -235,7 +235,7 @@ class Unit:
             return self.kind.device_id
         if command == ZaberCommand.FIRMWARE:
             return self.kind.firmware
-        return 150 if command == ZaberCommand.VOLTAGE else data  # or Echo Data
+        return 150 if command == ZaberCommand.VOLTAGE else data  # the other command is Echo Data
 
     def _move(self, command: int, data: int) -> list[tuple[int, int]]:
         velocity = self._velocity
@@ -291,7 +291,7 @@ class Unit:
         self._goal = sensor + forward
 
     def _zero_behind(self) -> float:
-        """Return the zero whose sensor a backward motion reaches first."""
+        """Return the true position of the zero whose home sensor a backward motion reaches first [microsteps]."""
         return math.floor((self.true_position + HOME_SENSOR) / self.kind.turn) * self.kind.turn
 
     def _arrive(self) -> list[tuple[float, ZaberMessage]]:
@@ -350,7 +350,7 @@ class Unit:
         return command, self._stored[address]
 
     def _reset(self) -> None:
-        """Power up: the unit is at rest and not homed, and its count restarts at 0."""
+        """Simulate a power-up: the unit is at rest and not homed, and its count restarts at 0."""
         self._shift += self.position
         self._plan.clear()
         self._start_position = 0.0
@@ -359,6 +359,6 @@ class Unit:
         self.deaf_until = self.time + RESTART_TIME_S
 
     def _reply(self, command: int, data: int) -> ZaberMessage:
-        """Return a message sent without a command or at the end of a motion."""
+        """Return a message that the unit sends at the end of a motion or without a command."""
         identified = self.settings[ZaberCommand.SET_MODE] & Mode.MESSAGE_IDS
         return ZaberMessage(self.number, command, with_id(data, self._move_identity) if identified else data)

@@ -15,7 +15,7 @@ from station.recording.data_section import Topic
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 #: Level of a status message that reports a warning.
 WARNING_LEVEL = 1
-#: Code of the server's binary message that contains data of a subscribed channel.
+#: First byte of the server's binary message that contains data of a subscribed channel.
 _MESSAGE_DATA = 1
 
 Gains = Iterable[tuple[str, float | str | bool]]

@@ -1,4 +1,4 @@
-"""Live Foxglove server with the topics and schemas of the recordings, and the access checks of the page.
+"""Live Foxglove server with the same topics and schemas as the recordings, and the same access checks as the page.
 
 The server of Foxglove's SDK checks neither hosts nor origins nor tokens, so the protocol is implemented here. The
 message queue of a slow client is bounded; the oldest messages are dropped first.
@@ -37,14 +37,14 @@ from web.gateway.foxglove import protocol
 from web.gateway.options import ListenAddress
 from web.gateway.snapshot import Snapshot, StationInfo
 
-#: Origins that may connect in addition to the station's page: Foxglove's page, and desktop programs on this computer.
-#: These need a token, too, if the station requires one.
+#: Origins that may connect in addition to the station's page: Foxglove's page, and desktop programs. A client with one
+#: of these origins also needs a token if the station requires tokens.
 ALLOWED_ORIGINS = frozenset({"https://app.foxglove.dev", "file://"})
-#: Largest number of messages queued for one client, a third of a second of all channels.
+#: Largest number of messages queued for one client: the messages of all channels in a third of a second.
 _MAX_PENDING_MESSAGES = 256
 #: Socket send buffer of a client [bytes].
 _SEND_BUFFER_BYTES = 128 * 1024
-#: Every second snapshot is drawn: 25 pictures a second.
+#: One of this number of snapshots is drawn, that is 25 drawings a second.
 _DRAW_EVERY = 2
 #: Longest message from a client [bytes].
 _MAX_MESSAGE_BYTES = 64 * 1024
@@ -53,7 +53,7 @@ _MAX_SUBSCRIPTIONS = 64
 #: Bytes that the `websockets` library buffers for a client before sending waits.
 _WRITE_BUFFER_BYTES = 32 * 1024
 
-#: Separate logger, because the library would log a traceback for each connection that is no WebSocket (a port scan).
+#: Separate logger, because the library would log a traceback for each connection that is no WebSocket, as in a scan.
 _LOGGER = logging.getLogger(__name__)
 _LOGGER.addFilter(lambda record: record.getMessage() != "opening handshake failed")
 
@@ -154,7 +154,7 @@ class FoxgloveServer:
                 client.queue(protocol.message_data(subscription, stamp, data))
 
     async def _serve(self, connection: ServerConnection) -> None:
-        """Serve a client that has passed the access checks."""
+        """Serve a client that has passed the access checks, until the client disconnects."""
         client = _FoxgloveClient(connection)
         client.queue(protocol.server_info(self._session))
         client.queue(protocol.advertise(self._topics))

@@ -1,4 +1,4 @@
-"""OpenIGTLink messages: this module packs the robot's state and parses targets, with pyigtl where it has the type.
+"""OpenIGTLink messages: packing of the robot's state and parsing of targets, with pyigtl for the types it supports.
 
 OpenIGTLink uses millimetres and RAS (right, anterior, superior). `WORLD_TO_RAS` is the only transform from the world
 frame.
@@ -22,7 +22,7 @@ from web.gateway.snapshot import SceneState, StationInfo
 WORLD_TO_RAS: Array = np.diag([1000.0, 1000.0, 1000.0, 1.0])
 _RAS_TO_WORLD: Array = np.diag(1.0 / np.diag(WORLD_TO_RAS))
 HEADER_BYTES = MessageBase.IGTL_HEADER_SIZE
-#: Types of OpenIGTLink messages that are sent; `TRACKING` only on request.
+#: Types of OpenIGTLink messages that the server sends; messages of the type `TRACKING` are sent only on request.
 TRACKING = "TDATA"
 MESSAGE_KINDS = ("TRANSFORM", "POLYDATA", "SENSOR", "STATUS", "STRING", TRACKING)
 #: Largest body of a received OpenIGTLink message [bytes].
@@ -94,7 +94,7 @@ def sensor(values: Sequence[float], unit: int) -> bytes:
 
 
 def motion_messages(robot: Robot, scene: SceneState) -> list[PackedMessage]:
-    """Return the messages that change with every frame: tips, bases, centre lines and wrench, if they are known."""
+    """Return the messages of one frame: tips, bases, centre lines and wrench; unknown values have no message."""
     when = 1e-9 * scene.stamp
     tips = [_transform(f"Tip{name.capitalize()}", pose, when) for name, pose in scene.tips().items()]
     names = [tube.name.capitalize() for tube in robot.tubes]

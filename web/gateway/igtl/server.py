@@ -1,4 +1,4 @@
-"""OpenIGTLink server: each client gets the newest frame whenever it reads, and no client delays another.
+"""OpenIGTLink server: a client that reads gets the newest frame, and no client delays another client.
 
 For a client that does not read, the server queues only the newest frame, in addition to the socket's buffer.
 """
@@ -36,7 +36,7 @@ MAX_CLIENTS = 32
 _SEND_BUFFER_BYTES = 32 * 1024
 #: Largest number of answers queued for one client; the oldest are dropped first.
 _MAX_PENDING_REPLIES = 32
-#: Largest number of entries in a client's list of stopped messages, and in its list of requested messages.
+#: Largest number of entries in a client's sets of stopped and of requested messages together.
 _MAX_SUBSCRIPTIONS = 64
 
 
@@ -140,13 +140,13 @@ class _IgtlClient:
         self._writer = writer
         connected: socket.socket = writer.get_extra_info("socket")
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        writer.transport.set_write_buffer_limits(high=0)  # no new frame is sent before the client has read the last
+        writer.transport.set_write_buffer_limits(high=0)  # no new frame is written while this buffer has data
         self._ready = asyncio.Event()
         self._newest: _Frame | None = None
         self._sent_state: list[PackedMessage] | None = None
         self._answers: deque[bytes] = deque(maxlen=_MAX_PENDING_REPLIES)
-        self._stopped: set[tuple[str, str]] = set()  # stopped messages: prefix of the type, and name (empty: all)
-        self._once: set[tuple[str, str]] = set()
+        self._stopped: set[tuple[str, str]] = set()  # stopped by STP_: (prefix of the type, name; '': all names)
+        self._once: set[tuple[str, str]] = set()  # requested once by GET_: (prefix of the type, name)
         self._tracking: float | None = None  # shortest interval of TDATA [s]; None: not requested
         self._last_tracking = 0.0
 

@@ -102,7 +102,7 @@ TOPICS = {
 
 
 class _Cdr:
-    """Encoder of CDR, the wire format of ROS 2."""
+    """Encoder of one message in CDR, the wire format of ROS 2."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -115,7 +115,7 @@ class _Cdr:
         return self
 
     def string(self, text: str) -> "_Cdr":
-        """Append a string, with its length before it."""
+        """Append the length of a string, then the string."""
         encoded = text.encode() + b"\0"
         self.of("I", len(encoded))
         self._data += encoded
@@ -149,7 +149,7 @@ def ros_messages(robot: Robot, scene: SceneState) -> list[RosMessage]:
     named += [(f"{tube.name}_base", base) for tube, base in zip(robot.tubes, scene.bases, strict=True)]
     messages.append(RosMessage("/tf", transforms(scene.stamp, named)))
     if scene.force is not None and scene.moment is not None:
-        # The measured moment about the plate, moved to the tip, is only noise if the load acts at the tip.
+        # The measured moment, converted from the plate's origin to the tip; only noise if the load acts at the tip.
         torque = scene.moment - np.cross(np.subtract(tip[0], plate[0]), scene.force)
         messages.append(RosMessage("/tip/force", wrench(scene.stamp, scene.force.tolist(), torque.tolist())))
     return messages

@@ -30,7 +30,7 @@ class Ros2Publisher:
         self._numbers = count(1)
 
     def open(self, address: ListenAddress) -> str:
-        """Listen at the address, or join the Zenoh router that listens there; return which, as text.
+        """Listen at the address, or join the Zenoh router that listens there; return the result as text.
 
         Raises:
             GatewayError: neither listening nor joining is possible.
@@ -55,7 +55,7 @@ class Ros2Publisher:
 
     @property
     def needs_scene(self) -> bool:
-        """Whether a ROS 2 subscriber exists, so that the robot's shape is needed."""
+        """Whether the robot's shape is needed, because a ROS 2 subscriber exists."""
         # Typed as Any because the type stubs of `zenoh` wrongly declare `matching_status` as a bool.
         found: list[Any] = [publisher.matching_status for publisher in self._publishers.values()]
         return any(status.matching for status in found)
