@@ -1,4 +1,4 @@
-"""What every test shares: robot, a short experiment, the command line, and that it leaves nothing behind."""
+"""Fixtures of all tests: a robot, a short experiment, the command line, and the check for leftover processes."""
 
 import os
 import re
@@ -19,21 +19,21 @@ from station.threads import limit_to_one_thread
 from tests.harness.cases import SHORT
 from tests.harness.leftovers import nothing_left_behind
 
-# Of workers and of all processes that tests start.
+# The limit applies to pytest's workers and to all processes that tests start.
 limit_to_one_thread()
-# Processes that tests start keep what Python has compiled of this project, for those that come after them.
+# Processes that tests start write their compiled Python files to disk, so that later processes start faster.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The mathematics first, what needs none of it last."""
+    """Sort the tests so that those of devices and of the lab run last."""
     items.sort(key=lambda item: bool(re.match(r"tests/\w+/station/(devices|lab)/", item.nodeid)))
 
 
 class FromBothEnds(LoadFileScheduling):
-    """A file to each worker: the last one takes them from the last file back, the others from the first one on.
+    """Scheduler of whole files: the last worker takes files from the end of the list, all others from its start.
 
-    So in a fresh clone the model is compiled by one, and the lab by another.
+    In a fresh clone one worker then compiles the model, and another worker compiles the lab.
     """
 
     def _assign_work_unit(self, node: WorkerController) -> None:
@@ -48,7 +48,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> FromBot
 
 @pytest.fixture(scope="session")
 def paper_robot() -> Robot:
-    """The two tubes of the paper's Table I and their three motors."""
+    """Return the paper's robot: the two tubes of its Table I and three motors."""
     curved = Section(0.153, curvature=(4.0, 0.0))
     inner = Tube("inner", (Section(0.150), curved), 0.0413, 0.30, outer_diameter=2.0e-3, inner_diameter=1.2e-3)
     outer = Tube("outer", (Section(0.012), curved), 0.0480, 0.30, outer_diameter=2.45e-3, inner_diameter=2.1e-3)
@@ -67,19 +67,19 @@ def paper() -> RobotFile:
 
 @pytest.fixture
 def robot_text() -> str:
-    """The paper's robot as a file, to be spoilt."""
+    """Return the text of the paper's robot file, which tests can change to make it invalid."""
     return (PRESETS / "robots" / "paper.toml").read_text(encoding="utf-8")
 
 
 @pytest.fixture
 def short() -> str:
-    """A short experiment's file, to be changed."""
+    """Return the text of a short experiment file, which tests can change."""
     return SHORT
 
 
 @pytest.fixture
 def write(tmp_path: Path) -> Callable[..., Path]:
-    """Write a TOML file and say where it is."""
+    """Return a function that writes a TOML file and returns its path."""
 
     def write(text: str, name: str = "own") -> Path:
         path = tmp_path / f"{name}.toml"
@@ -90,7 +90,7 @@ def write(tmp_path: Path) -> Callable[..., Path]:
 
 
 class Done(NamedTuple):
-    """What a command has left."""
+    """Exit status and output of a command."""
 
     status: int
     out: str
@@ -99,7 +99,7 @@ class Done(NamedTuple):
 
 @pytest.fixture
 def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Done]:
-    """The command line in this process, in a folder of its own."""
+    """Return a function that runs a command in this process; the working folder is the test's temporary folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
 
@@ -115,12 +115,12 @@ def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tm
 
 @pytest.fixture
 def grace() -> float:
-    """Seconds in which what a test has stopped may still be going; only a test that fails takes them."""
+    """Return the time that threads and processes have to end after a test [s]; only a failing test uses all of it."""
     return 30.0
 
 
 @pytest.fixture(autouse=True)
 def nothing_is_left_behind(grace: float) -> Iterator[None]:
-    """No thread, child process or listening port outlives its test."""
+    """Check that no thread, child process or listening port outlives its test."""
     with nothing_left_behind(grace):
         yield

@@ -1,4 +1,4 @@
-"""The stages of `example_stages.py` with an emergency stop that fails as the option `manner` or its file specifies.
+"""The stages of `example_stages.py` with a failing emergency stop; the option `manner` or its file sets the failure.
 
 The author of a driver may write any of these errors: an emergency stop that waits forever, returns nothing, ends the
 interpreter, or wrongly reports success.

@@ -36,7 +36,7 @@ from station.lab.aurora.coil import GENERATOR_POSE
 from station.lab.config import LabConfig, load_lab
 
 START = np.array([0.0, math.pi / 2, -0.100])
-#: Noise of the load that is used to locate a contact: drift since the last rest without load, and error of the offsets.
+#: Noise of the load that locates a contact: sensor drift since the last rest without load, and error of the offsets.
 CONTACT_NOISE = Noise(force=3e-3, moment=0.2e-3)
 
 
@@ -48,7 +48,7 @@ def calibrated(lab: LabConfig, seed: int) -> tuple[PlanSubject, StaticLab, proce
 
 
 def against_truth(bench: StaticLab, found: procedures.TubesResult, path: np.ndarray) -> dict[str, object]:
-    """Return the errors of tubes, registration and model, the latter at the joints `path` (m, 3)."""
+    """Return the errors of tubes and registration, and the errors of the model at the joints `path` (m, 3)."""
     errors = {}
     for true, new in zip(bench.true_robot.tubes, found.calibration.robot.tubes, strict=True):
         bent, fitted = (math.hypot(*tube.sections[1].curvature) for tube in (true, new))

@@ -19,7 +19,7 @@ FLAGS = [
     "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-gpu-compositing",
 ]  # fmt: skip
-#: Script that starts Chromium with normal priority, because as root it would give itself priority over the stations.
+#: Script that starts Chromium with normal priority, because Chromium as root raises its priority above the stations'.
 GENTLY = Path(__file__).with_name("gentle_chromium")
 #: Timeout of everything for which a test waits in a page [ms].
 PATIENCE = 1e3 * NET
@@ -56,7 +56,7 @@ def chromium(*flags: str) -> Iterator[Browser]:
 
 @contextmanager
 def bare_page(browser: Browser, station: Served, query: str = "") -> Iterator[Page]:
-    """Yield the page of a separate client without the scene, because drawing the scene takes a processor."""
+    """Yield the page of a separate client without the scene, because drawing the scene occupies a processor."""
     context = browser.new_context(viewport=SIZE)
     context.set_default_timeout(PATIENCE)
     page = context.new_page()

@@ -3,7 +3,7 @@
 `python -m tests.harness.force_before_after NAME... [--seeds 31 32 ...] [--keep FOLDER] [--jobs N]`
 
 The output is one line per run with the largest and the RMS true distance of the tip, then a table. NAME is `fig8`,
-`fig10`, `ramps`, `quick`, `shaft` or `moving`; `LAB:` before it selects another lab than `realistic`. The option
+`fig10`, `ramps`, `quick`, `shaft` or `moving`; the prefix `LAB:` selects another lab than `realistic`. The option
 `--set '{"load": "forces", "filter_bandwidth": 0.7}'` selects the controller without moments. `--keep` writes the rows
 of each run (channels of joints, sensors and truth) to .npz files.
 """

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def full_disk(room: int) -> Iterator[None]:
-    """Limit each file of this process to `room` [bytes]; Python ignores the signal that the system then sends."""
+    """Limit each file of this process to `room` [bytes]; Python ignores the system's signal at this limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:

@@ -27,7 +27,7 @@ from web.gateway.process import run_gateway
 from web.gateway.snapshot import StationInfo
 
 ANY = ListenAddress("127.0.0.1", 0)
-#: Values in the rows of telemetry: measured and desired tip [m], force [N] and moment [N m].
+#: Values in the telemetry rows: measured tip [m], desired tip [m], force [N] and moment [N m].
 MEASURED, DESIRED, FORCE, MOMENT = (0.01, 0.02, 0.15), (0.011, 0.021, 0.149), (0.2, -0.1, 0.05), (0.001, 0.002, 0.003)
 PAPER = load_robot("paper")
 
@@ -88,7 +88,7 @@ def gateway(wanted: GatewayOptions, tokens: Tokens | None = None) -> Iterator[Ru
 
 
 def eventually(what: Callable[[], Any], patience: float = 30.0) -> Any:
-    """Call `what` until its result is true, and return it; fail after `patience` [s]."""
+    """Call `what` until its result is true, and return this result; fail after `patience` [s]."""
     deadline = time.monotonic() + patience
     while not (answer := what()):
         assert time.monotonic() < deadline, f"not within {patience} s"

@@ -1,7 +1,7 @@
 """Kill processes at random times and check the recordings: `python -m tests.harness.kill_recordings VICTIM 20 [SEED]`.
 
 With VICTIM `recorder`, a telemetry ring is written at 500 Hz, and a real recorder process copies it and is killed with
-SIGKILL. The recovered rows are compared bit for bit with the written ones. With `control`, `station` or `all`, one
+SIGKILL. The recovered rows are compared bit for bit with the written rows. With `control`, `station` or `all`, one
 process of a real station with a run, or all of them at once, are killed. Every recording must open. The output is the
 missing time of each recording, which should be no more than 0.3 s.
 """
@@ -70,7 +70,7 @@ class Feed:
 
 
 class Left(NamedTuple):
-    """What was recovered of a recording after its recorder was killed."""
+    """Result of recovering a recording after its recorder was killed."""
 
     lost: float  #: age of the newest recovered row at the time of the kill [s]
     rows: int

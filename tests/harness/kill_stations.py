@@ -38,7 +38,7 @@ def kill(station: LoneStation, lab: WatchedLab, whom: str, after: float) -> floa
     pid = station.process.pid if whom == "station" else station.child(whom).pid
     lab.clock.sleep(after)
     until(lab.moving)
-    # Real-time priority, so that no other program delays this process between the two lines.
+    # With real-time priority no other program delays this process between the next two lines.
     request_fifo(60)
     begin = lab.clock.now()
     os.kill(pid, signal.SIGKILL)

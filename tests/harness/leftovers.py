@@ -57,7 +57,7 @@ def _sockets() -> dict[str, int]:
 
 
 def _names(before: _Running) -> set[str]:
-    """Return the names of all that runs now and did not before."""
+    """Return the names of the threads, processes and ports that exist now and did not exist before."""
     now = _running()
     left = {f"thread {thread.name}" for thread in now.threads - before.threads}
     if now.sockets - before.sockets:
@@ -72,7 +72,7 @@ def _names(before: _Running) -> set[str]:
 
 
 def _ports(process: psutil.Process, files: set[int] | None = None) -> set[str]:
-    """Return the ports on which a process listens, only those of the file descriptors `files` if given."""
+    """Return the ports on which a process listens; if `files` is given, only the ports of these file descriptors."""
     left = set()
     for connection in process.net_connections():
         serves = connection.status == psutil.CONN_LISTEN

@@ -66,7 +66,7 @@ def lone_station(
 ) -> Iterator[LoneStation]:
     """Yield a station that is READY, on a watched lab with its clock or on its own virtual lab.
 
-    `stages` replaces `[devices.stages]` of the station file; tracker and sensors are then still the lab's.
+    `stages` replaces `[devices.stages]` of the station file; tracker and sensors still belong to the lab.
     """
     rate, endpoints = (clock.rate, None) if lab is None else (lab.clock.rate, lab.endpoints)
     setup = json.dumps({"lab": endpoints, "stages": stages})
@@ -83,7 +83,8 @@ def lone_station(
 def main() -> None:
     """Run the station's side: execute the lines of the input."""
     folder, rate, setup = sys.argv[1], float(sys.argv[2]), json.loads(sys.argv[3])
-    # HOLD follows when a fifth of the periods in 10 s are late: other programs cause fewer, and a test can cause them.
+    # A fifth of the periods in 10 s must be late to cause HOLD: other programs delay fewer, and a test can delay so
+    # many.
     calm = {"overruns": {**SETTINGS["overruns"], "hold_share": 0.2}}
     bench = load_station(None, calm if rate < 1.0 else {}).bench()
     bench = replace(bench, clock=StationClock(rate), on_operator_loss="hold")

@@ -46,7 +46,7 @@ CLIENTS = 2
 
 @contextmanager
 def page(station: Served, _: dict[str, int]) -> Iterator[None]:
-    """Keep the page open in a Chromium that draws everything."""
+    """Keep the page open in a Chromium that draws the page and its scene."""
     with chromium() as browser:
         browser.new_page(viewport=SIZE).goto(station.url)
         yield
@@ -54,7 +54,7 @@ def page(station: Served, _: dict[str, int]) -> Iterator[None]:
 
 @contextmanager
 def gateway(_: Served, ports: dict[str, int]) -> Iterator[None]:
-    """Keep clients of all protocols connected that receive everything."""
+    """Keep clients of all protocols connected, which receive all messages."""
     context = get_context("spawn")
     clients = [
         context.Process(target=client, args=(ports.get(client.__name__, 0),), daemon=True)

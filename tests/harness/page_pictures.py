@@ -1,6 +1,7 @@
 """Take the pictures of the page for the documents: `python -m tests.harness.page_pictures web/pictures [NAME ...]`.
 
-Without a name it takes all pictures of `web/README.md`; `... page_pictures web/static panel` takes the main README's.
+Without a name the program takes all pictures of `web/README.md`; `... page_pictures web/static panel` takes the
+picture of the main README.
 The pictures show stations in virtual labs, each with its scene and during an activity. On a busy computer a run may end
 in HOLD; the program then reports this, and the missing pictures must be requested by name.
 """
@@ -20,7 +21,7 @@ from tests.harness.chromium import PATIENCE, SIZE, SLOWLY, chromium
 from tests.harness.pad import LEFT, PAD
 from tests.harness.serving import Served, serving
 
-#: Number of colours of a picture: enough to look like the screen, and few enough for a small file.
+#: Number of colours of a picture: enough to appear like the screen, and few enough for a small file.
 COLOURS = 256
 #: Time for the scene to be drawn before a picture is taken [s].
 DRAWN = 5.0
@@ -43,7 +44,7 @@ class Desk(NamedTuple):
     page: Page
 
     def shot(self, clip: FloatRect | None = None) -> bytes:
-        """Return a picture of the present state in which no value is stale."""
+        """Return a picture of the current page in which no value is stale."""
         for close in self.page.locator("#notes").get_by_role("button", name="close").all():
             close.click()
         state = self.station.status()["state"]
@@ -181,7 +182,7 @@ PICTURES: dict[str, tuple[Callable[[Desk], bytes], ...]] = {
     "gentle": (jog, places, pad, run, devices, plots, runs, faults, dark, hold, contact, panel),
     "breathing": (follow,),
 }
-#: Names of the pictures that are taken without a name: all but the main README's.
+#: Names of the pictures that are taken if the command names none: all except the main README's picture.
 USUAL = {take.__name__ for pictures in PICTURES.values() for take in pictures} - {"panel"}
 
 
@@ -202,7 +203,7 @@ def at(lab: str, browser: Browser) -> Iterator[Desk]:
 
 def keep(picture: bytes, path: Path) -> None:
     """Write a picture with few colours, so that its file is small."""
-    # Colours are chosen by presence, not by area, because a tip has only a few pixels of a colour of its own.
+    # Colours are chosen by presence, not by area, because the tip's colour covers only a few pixels.
     few = Image.open(BytesIO(picture)).convert("RGB")
     few = few.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=5, dither=Image.Dither.NONE)
     few.save(path, optimize=True)

@@ -42,7 +42,8 @@ class HandClock(StationClock):
     """Clock that the test advances by hand."""
 
     passed: list[float] = field(default_factory=lambda: [0.0])
-    ticks: list[Callable[[], None]] = field(default_factory=list)  #: functions that are called while code sleeps
+    # functions to call while other code sleeps on this clock
+    ticks: list[Callable[[], None]] = field(default_factory=list)
 
     def now(self) -> float:
         return self.passed[0]

@@ -2,7 +2,7 @@
 
 `python -m tests.harness.random_orders 200 [SEED]` counts the motions that no valid command requested. Counters of the
 control process in shared memory show which run it has started last. The control process writes them before it
-acknowledges a STOP, so the check depends on no answer and on no clock.
+acknowledges a STOP, so the check does not depend on answers or clocks.
 """
 
 import itertools
@@ -52,7 +52,7 @@ class RandomOrders:
         self.unrequested: list[str] = []
 
     def one(self) -> None:
-        """Send a few commands, STOPs and resets and disconnect clients; then no old command may cause motion."""
+        """Send a few commands, STOPs and resets, disconnect clients, and check that no old command causes motion."""
         chance, sent = self._chance, list[Sent]()
         self._station.ready()
         self._marker, self._sent = f"order {self.counts['orders']}", 0

@@ -109,7 +109,7 @@ def shared_memory(process: int) -> set[Path]:
 
 
 def calm(rate: float, settings: str = "") -> str:
-    """Return the text of a station file with these settings, and with settings that tolerate a busy computer."""
+    """Return the text of a station file with the given settings, and with settings that tolerate a busy computer."""
     tables = SETTINGS | {"clock": {**SETTINGS["clock"], "rate": rate}}
     # The control loop has no reserved processor, because the other stations would then share the remaining ones.
     return (
@@ -124,9 +124,10 @@ def calm(rate: float, settings: str = "") -> str:
 
 @contextmanager
 def serving(*arguments: str, settings: str = "", rate: float | None = RATE) -> Iterator[Served]:
-    """Yield a running station with these settings in its station file.
+    """Yield a running station with the given settings in its station file.
 
-    Its clock runs at `rate`, and its settings tolerate a busy computer. None: real time, and as strict as on a bench.
+    The station's clock runs at `rate` times real time, and the settings tolerate a busy computer. If `rate` is None,
+    the clock is real time, and the settings are as strict as on a bench.
     """
     port = free_port()
     command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", str(port)]

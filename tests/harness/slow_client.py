@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from tests.harness.waiting import NET
 
-#: Request of a motion whose check on the model takes seconds of a processor.
+#: Request of a motion whose check on the model takes several seconds of processor time.
 SLOW = {
     "trajectory": {"kind": "waypoints", "points": [[0.5 * (k + 1), 0.0, 0.003 * (k % 2), 0.0] for k in range(1500)]},
     "duration": 750.0,
@@ -23,7 +23,7 @@ class Answer(NamedTuple):
 
 
 class SlowClient:
-    """A client with one open connection, which the station has used before and therefore reads at once."""
+    """A client whose connection the station has served before, so the station reads a new request at once."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=NET)

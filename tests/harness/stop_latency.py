@@ -1,7 +1,7 @@
 """Measure the time from a press of STOP to the stop bytes: `python -m tests.harness.stop_latency [PRESSES]`.
 
 STOP is pressed on a real page in Chromium during a run, while five viewers watch. Each viewer is a separate process
-with the scene's socket, the telemetry and the status, as a page has them. The station drives the devices of
+that receives the scene, the telemetry and the status, as a page does. The station drives the devices of
 `ctr-station lab` through a relay that records when the bytes of a stop pass. The latency is the time from the press, by
 the browser's clock, to the last byte of the last stop message of the three axes.
 """
@@ -38,7 +38,7 @@ from tests.harness.serving import serving
 VIEWERS = 5
 STOP = 23  #: number of the stop command in the stages' binary protocol
 AXES = 3
-#: Real-time priority of the simulated devices, if the system grants it; the control loop's priority is higher.
+#: Real-time priority of the simulated devices, if the system grants one; the control loop has a higher priority.
 PRIORITY = 40
 RUN = {"experiment": "fig10", "case": "feedforward"}
 
@@ -98,7 +98,7 @@ def lab() -> Iterator[dict[str, Any]]:
     try:
         assert process.stdout is not None
         endpoints = json.loads(process.stdout.readline())
-        # Real devices have their own processors, so the simulated ones get real-time priority.
+        # Real devices have their own processors, so the simulated devices get real-time priority.
         with contextlib.suppress(OSError, AttributeError):
             os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(PRIORITY))
         yield endpoints

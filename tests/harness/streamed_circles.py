@@ -4,7 +4,7 @@
 
 The station runs in real time. A script streams setpoints at 10 Hz with a tenth of them lost, and at 50, 100 and 500 Hz.
 For each rate the output has the distance of the true tip from its setpoint [mm], RMS and largest, and the rate that was
-really reached. The trajectory runs before and after them, to show the variation between equal runs.
+really reached. The trajectory runs before and after the streams, to show the variation between equal runs.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The view of the 3D scene on a live station, without a web server."""
+"""A view of the 3D scene on a live station, without a web server."""
 
 import logging
 from collections.abc import Iterator
@@ -64,7 +64,7 @@ def viewing() -> Iterator[Viewed]:
 
 
 class _Failures(logging.Handler):
-    """Log handler that collects pictures that could not be drawn, because the view continues after them."""
+    """Log handler that collects the errors of failed drawings, because the view continues after such an error."""
 
     def __init__(self, level: int) -> None:
         super().__init__(level)

@@ -71,7 +71,7 @@ class VirtualStation:
         self.tick(round(time / PERIOD_S))
 
     def until(self, holds: Callable[[], bool], most: float = 10.0) -> float:
-        """Tick until `holds()` is true; return the virtual time that it took [s]."""
+        """Tick until `holds()` is true; return the elapsed virtual time [s]."""
         begin = self.now
         while not holds():
             assert self.now - begin < most, (self.state, self.loop.cause, self.loop.phase)

@@ -23,7 +23,7 @@ def poses(seed: int, count: int) -> np.ndarray:
 
 
 def altered(robot: Robot) -> Robot:
-    """Return the robot with other tubes: bending stiffness, curvature, Poisson's ratio and the inner zero angle."""
+    """Return the robot with changed tubes: bending stiffness, curvature, Poisson's ratio and the inner zero angle."""
     inner, outer = robot.tubes
     turn = math.radians(1.5)
     curved = replace(inner.sections[1], curvature=(3.86 * math.cos(turn), 3.86 * math.sin(turn)))

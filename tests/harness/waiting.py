@@ -6,12 +6,12 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-#: Time after which a condition counts as a hang [s]; it is long, so that a slow computer fails no test.
+#: Time after which a condition counts as a hang [s]; the time is long, so that no test fails on a slow computer.
 NET = 300.0
 
 
 def until(what: Callable[[], T], among: object = "") -> T:
-    """Call `what` until its result is true, and return it; fail with the text of `among` after `NET` seconds."""
+    """Call `what` until its result is true; return the result, or fail with the text of `among` after `NET` seconds."""
     end = time.monotonic() + NET
     while not (answer := what()):
         if time.monotonic() > end:

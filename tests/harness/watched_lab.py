@@ -27,7 +27,7 @@ class Note(NamedTuple):
 
     @property
     def moving(self) -> bool:
-        """Whether a stage moves without a command to stop."""
+        """Whether a stage moves and has received no command to stop."""
         return any(status not in (ZaberStatus.IDLE, ZaberStatus.STOPPING) for status in self.statuses)
 
 
@@ -50,7 +50,7 @@ class WatchedLab:
         return self._pipe.recv()
 
     def moving(self) -> bool:
-        """Return whether a stage moves now without a command to stop."""
+        """Return whether a stage moves now and has received no command to stop."""
         notes = self.notes()
         return bool(notes) and notes[-1].moving
 

@@ -49,7 +49,7 @@ class Bench:
         self.order: list[int] = []  # units in the order in which they started homing
 
     def plug(self, groups: Sequence[tuple[int, ...]] = ((0, 1, 2),)) -> list[PortSetup]:
-        """Return new links, as after unplugging and plugging in a serial adapter."""
+        """Return new links, as if a serial adapter had been unplugged and plugged in again."""
         pipes = [memory_pipe(f"line {k}") for k in range(len(groups))]
         self.far: list[Link] = [device for _, device in pipes]
         self.near = [host for host, _ in pipes]

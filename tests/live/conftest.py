@@ -18,9 +18,9 @@ HERE = Path(__file__).parent
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Order the tests: live tests first, of these the browser tests, and tests that share a station together.
+    """Order the tests: browser tests first, then other live tests, then the rest; tests that share a station together.
 
-    Then one worker runs the browsers, which take a processor to draw, and the shared station ends early.
+    One worker then runs the browsers, whose drawing occupies a processor, and the shared station ends early.
     """
     pages = {item.path for item in items if "browser" in item.fixturenames}
     sharing = {item.path for item in items if _shares_the_station(item)}
@@ -50,7 +50,7 @@ _SHARED = pytest.StashKey[SharedStation]()
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None]:
-    """End the shared station before a test that does not use it, because it takes a quarter of a processor."""
+    """End the shared station before a test that does not use it; the station occupies a quarter of a processor."""
     yield
     if nextitem is None or not _shares_the_station(nextitem):
         _shared(item.session).end()

@@ -43,7 +43,8 @@ def test_readme_script_homes_runs_its_circle_and_downloads_it(near_home: Served,
     status = near_home.status()
     assert status["state"] == "READY"
     assert status["run"]["title"] == "circle, free motion"
-    assert status["joints"]["inner_rotation"] == pytest.approx(1.57, abs=0.1)  # from the working pose
+    # the circle started from the working pose
+    assert status["joints"]["inner_rotation"] == pytest.approx(1.57, abs=0.1)
 
 
 def test_readme_script_streams_setpoints(near_home: Served, tmp_path: Path):

@@ -59,7 +59,7 @@ def picture(tmp_path: Path) -> Callable[[Page, str], None]:
     folder = Path(os.environ.get("CTR_STATION_PICTURES", tmp_path))
 
     def take(page: Page, name: str) -> None:
-        # Written here, because the library would leave a thread behind.
+        # This function writes the picture itself, because the library would leave a thread behind.
         (folder / f"{name}.png").write_bytes(page.screenshot())
 
     return take

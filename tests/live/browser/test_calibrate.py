@@ -75,7 +75,7 @@ ASKS = {
 def test_calibrate_tab_requests_a_weight_and_accepts_the_confirmation_by_keyboard(
     calibrate: Page, picture: Picture
 ) -> None:
-    """Only the page, with simulated answers: a real procedure needs minutes. `tests/virtual` attaches weights."""
+    """The answers to the page are simulated; a real procedure takes minutes, and `tests/virtual` attaches weights."""
     page, confirmed = calibrate, []
 
     def asks(route: Route) -> None:
@@ -91,7 +91,7 @@ def test_calibrate_tab_requests_a_weight_and_accepts_the_confirmation_by_keyboar
     try:
         page.locator("#course .task:visible", has_text="Hang a weight of 0.5 N at the tip.").wait_for()
         picture(page, "calibrate_ask")
-        # The button has the keyboard focus, because the user's hands are at the tip.
+        # The button has the keyboard focus, because the user's hands are busy at the tip.
         page.get_by_role("button", name="Weight attached").wait_for()
         page.keyboard.press("Enter")
         page.locator("#course .task").wait_for(state="hidden")

@@ -8,7 +8,7 @@ from tests.harness.serving import Served
 
 
 def arrives(station: Served, title: str, degrees: float) -> None:
-    """Wait until a motion ends there; its start may be missed."""
+    """Wait until the inner rotation is at `degrees` and the station is READY; the start of the motion may be missed."""
     status = station.wait_for(
         lambda s: s["state"] == "READY" and abs(math.degrees(s["joints"]["inner_rotation"]) - degrees) < 0.1
     )
@@ -21,7 +21,7 @@ def test_robot_goes_to_a_pose_after_confirmation_and_back_to_the_working_pose(pa
     page.get_by_role("button", name="Go there").click()
     question = page.locator("#question")
     question.get_by_text("inner rotation 84 °").wait_for()
-    assert station.status()["state"] == "READY"  # nothing moves before it is confirmed
+    assert station.status()["state"] == "READY"  # nothing moves before the user confirms
     question.get_by_role("button", name="Go").click()
     arrives(station, "to a pose", 84.0)
 

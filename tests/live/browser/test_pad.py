@@ -26,22 +26,22 @@ def says(page: Page, text: str) -> None:
 
 
 def along(station: Served) -> float:
-    """Position of the tip along the straight tubes [m]."""
+    """Return the true position of the tip along the straight tubes [m]."""
     return station.status()["tip_true"][2]
 
 
 def moves(page: Page, station: Served) -> None:
-    """Move the tip back along the tubes: left stick to the left, button held."""
+    """Move the tip back along the tubes by the left stick (to the left) with the button pressed."""
     before = along(station)
     pad(page, LEFT, held=False)
     says(page, "Test Pad: hold a shoulder button")
-    assert station.status()["state"] == "READY"  # a stick alone moves nothing
+    assert station.status()["state"] == "READY"  # the stick without the button moves nothing
     pad(page, LEFT, held=True)
     station.wait_for(lambda status: status["tip_true"][2] < before - FAR)
 
 
 def stands(station: Served) -> None:
-    """Check that the jog has ended and no other one starts: telemetry continues, the joints rest."""
+    """Check that the jog has ended and that no other jog starts: telemetry continues and the joints rest."""
     station.wait_for(lambda status: status["state"] == "READY")
     seen: list[list[float]] = []
     station.wait_for(lambda s: seen.append(list(s["joints"].values())) or (len(seen) > 40 and seen[-1] == seen[-30]))
@@ -107,7 +107,7 @@ def test_gamepad_has_no_effect_without_control_and_the_page_shows_the_reason(pag
     pad(page, LEFT, held=True)
     stands(station)
     station.rest.delete("/api/operator")
-    says(page, "hold a shoulder button")  # a button held since before has no effect: it must be released first
+    says(page, "hold a shoulder button")  # a button that was pressed before has no effect until the user releases it
 
 
 def test_arrow_keys_move_the_tip_while_they_are_held_in_the_jog_field(page: Page, station: Served) -> None:

@@ -35,7 +35,7 @@ def test_two_browsers_share_one_operator_lease(station: Served, browser: Browser
         anna.locator(".card", has_text="Keep the tip where it is").click()
         anna.get_by_role("button", name="Start motion").click()
         ben.locator("#state", has_text="RUNNING").wait_for()
-        # Every client may stop.
+        # Every client may send STOP.
         ben.locator("#stop").click()
         anna.locator("#state", has_text="STOPPED").wait_for()
         assert ben.locator("#reset").is_disabled()

@@ -82,7 +82,7 @@ def test_replay_player_starts_paused_with_reduced_motion_and_labels_its_contents
 
 def test_replay_player_draws_the_robot_in_its_colours(at_start: Page) -> None:
     shot = picture(at_start)
-    # the inner tube's sky blue and the outer one's slate, whatever the shading
+    # sky blue of the inner tube and slate of the outer tube, whatever the shading
     blue = (shot[..., 2] > shot[..., 0] + 60) & (shot[..., 1] > shot[..., 0] + 30)
     slate = (np.abs(shot - (86, 98, 112)).max(axis=-1) < 45) & (shot[..., 2] > shot[..., 0] + 5)
     assert blue.sum() > 300
@@ -129,7 +129,7 @@ def test_space_key_plays_a_replay_to_its_end_and_stops_there(at_start: Page) -> 
     assert page.locator("#play").inner_text() == "Pause"
     page.locator("#play", has_text="Play").wait_for()
     assert clock(page) > 1.9
-    page.locator("#play").click()  # from the start again
+    page.locator("#play").click()  # the player starts again from the first frame
     page.keyboard.press("Space")
     assert page.locator("#play").inner_text() == "Play"
 
@@ -157,7 +157,7 @@ def test_replay_player_shows_the_numbers_of_the_recording(at_start: Page) -> Non
     assert float(joints["inner translation"]) == pytest.approx(-100.0, abs=0.5)
 
 
-#: Position of the measured tip in each frame, with the picture's edges at -1 and 1.
+#: JavaScript that returns the measured tip's position in each frame; the picture's edges are at -1 and 1.
 TIPS = """() => {
   choose(0);
   const m = scene.view, part = (row, p) => m[row] * p[0] + m[4 + row] * p[1] + m[8 + row] * p[2] + m[12 + row];

@@ -4,7 +4,7 @@ from playwright.sync_api import Page
 
 from tests.harness.serving import Served
 
-#: Longer than the test: it is stopped after all checks.
+#: Run that lasts longer than the test, which stops the run after all checks.
 HELD = {
     "trajectory": {"kind": "hold"},
     "load": {"kind": "trapezoid", "magnitude": 0.3, "rise": 0.5},
@@ -13,11 +13,11 @@ HELD = {
 CELL = "(nth) => document.querySelectorAll('#strip output')[nth].textContent"
 NUMBER = f"(nth) => /^[0-9.]+ m?[mN]$/.test(({CELL})(nth))"
 EMPTY = f"(nth) => !/[0-9]/.test(({CELL})(nth))"
-ERROR, _, FORCE, DEFLECTION, LEFT = range(5)  # the second is the direction, hidden without a desired one
+ERROR, _, FORCE, DEFLECTION, LEFT = range(5)  # the second value, the direction, is hidden if no direction is desired
 
 
 def test_value_strip_shows_values_during_a_motion_and_the_result_at_its_end(page: Page, station: Served) -> None:
-    assert page.evaluate(EMPTY, ERROR)  # there is no desired path
+    assert page.evaluate(EMPTY, ERROR)  # without a desired path there is no error
     page.wait_for_function(NUMBER, arg=FORCE)
     started = station.post("/api/start", HELD)
     assert started.status_code == 202, started.text

@@ -27,7 +27,7 @@ def joints(station: Served) -> list[float]:
 
 
 def hold(page: Page, station: Served, button: str, moved: Callable[[dict[str, Any]], bool]) -> None:
-    """Press with the mouse and keep pressed until it has moved.
+    """Press a button of the page with the mouse until the robot has moved; the mouse button then stays pressed.
 
     The page ends the jog when the status is older than half a second, which happens on a busy machine.
     """
@@ -259,7 +259,7 @@ def test_runs_tab_lists_annotates_replays_and_compares_runs(page: Page, station:
     picture(page, "result")
     page.locator("#numbers summary").click()
     page.locator("#numbers td", has_text="5001 numbers").first.wait_for()
-    assert page.locator("#runs tr").count() < 100  # not a row for each bin of a histogram
+    assert page.locator("#runs tr").count() < 100  # a histogram is one row, and not one row per bin
     page.get_by_label("notes").fill("a new coil")
     page.get_by_role("button", name="Save notes").click()
     page.locator(".note.good", has_text="saved").wait_for()
@@ -277,7 +277,8 @@ def test_runs_tab_lists_annotates_replays_and_compares_runs(page: Page, station:
         box.check()
     page.get_by_role("button", name="Compare two").click()
     page.locator(".result svg.curve").nth(1).wait_for()
-    assert page.locator(".result svg.curve").first.locator("polyline").count() == 2  # overlaid
+    # the curves of both runs are in one diagram
+    assert page.locator(".result svg.curve").first.locator("polyline").count() == 2
     assert page.locator("#comparison tr").count() > 5
     picture(page, "compare")
     page.get_by_role("button", name="all runs").click()
@@ -305,7 +306,7 @@ def test_injected_fault_is_shown_explained_and_reset(page: Page, station: Served
     page.locator("#faults td", has_text="lose_tool").first.wait_for()
 
 
-# ---- hands without a mouse, eyes without colours, small screens
+# ---- keyboard only, colour blindness, small screens
 
 
 def test_keyboard_reaches_every_control_of_the_page(page: Page, station: Served) -> None:

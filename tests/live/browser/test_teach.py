@@ -13,7 +13,7 @@ POINTS = [[0, 0, 0, 0], [4, 0, 0.004, 0], [8, 0, 0.004, 0.003]]
 
 @pytest.fixture
 def teach(page: Page, station: Served) -> Page:
-    """The form of waypoints with an empty table."""
+    """Open the form of waypoints with an empty table."""
     page.evaluate("() => sessionStorage.removeItem('places')")
     page.reload()
     page.locator("#state", has_text="READY").wait_for()
@@ -32,7 +32,7 @@ def cell(page: Page, place: int, name: str) -> str:
 
 
 def table(page: Page) -> list[list[float]]:
-    """Values of the table [s, mm]."""
+    """Return the values of the waypoint table [s, mm]."""
     cells = page.locator("tr.place").evaluate_all(
         "rows => rows.map(row => [...row.querySelectorAll('input')].map(one => Number(one.value)))"
     )
@@ -40,14 +40,14 @@ def table(page: Page) -> list[list[float]]:
 
 
 def take(page: Page, points: list[list[float]]) -> None:
-    """Load a file of `points` [s, m]."""
+    """Load a CSV file of `points` [s, m] into the table."""
     file = "time [s], x [m], y [m], z [m]\n" + "\n".join(", ".join(map(str, row)) for row in points)
     page.get_by_label("CSV file").set_input_files({"name": "a.csv", "mimeType": "text/csv", "buffer": file.encode()})
     page.locator("tr.place").nth(len(points) - 1).wait_for()
 
 
 def go(station: Served, pose: dict[str, float]) -> None:
-    """Move the robot as another client; afterwards there is no operator."""
+    """Move the robot by a request of another client, and release the operator's lease afterwards."""
     assert station.post("/api/goto", {"joints": pose}).status_code == 202
     station.wait_for(
         lambda s: s["state"] == "READY" and all(abs(s["joints"][name] - there) < 1e-4 for name, there in pose.items())
@@ -73,8 +73,8 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
     after = station.status()
     time, *place = table(teach)[1]
     moved = [1e3 * (b - a) for a, b in zip(before["tip_true"], after["tip_true"], strict=True)]
-    assert place == pytest.approx(moved, abs=1.5)  # measured, as the tracker's noise has it
-    assert time == pytest.approx(sum(x * x for x in place) ** 0.5 / 5.0, abs=0.02)  # at 5 mm/s
+    assert place == pytest.approx(moved, abs=1.5)  # tolerance: noise of the measured tip
+    assert time == pytest.approx(sum(x * x for x in place) ** 0.5 / 5.0, abs=0.02)  # time for the distance at 5 mm/s
     says(teach, "✓ according to the model, the tip reaches all 2")
     teach.get_by_role("button", name="Go to the start").click()
     teach.get_by_role("dialog").get_by_role("button", name="Go").click()
@@ -85,7 +85,7 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
 def test_waypoint_table_is_edited_reordered_undone_and_started_by_mouse(teach: Page, station: Served) -> None:
     take(teach, POINTS)
     says(teach, "✓ according to the model, the tip reaches all 3 in 8 s")
-    assert teach.locator("svg.way circle").count() == 6  # each waypoint, from the side and from above
+    assert teach.locator("svg.way circle").count() == 6  # three waypoints, drawn from the side and from above
     teach.get_by_label("waypoint 3 up").click()
     assert table(teach) == [[0.0, 0.0, 0.0, 0.0], [4.0, 0.0, 4.0, 3.0], [8.0, 0.0, 4.0, 0.0]]
     teach.get_by_label("delete waypoint 3").click()
@@ -130,7 +130,7 @@ def test_first_unreachable_waypoint_is_marked_with_the_reason(teach: Page) -> No
     says(teach, "✗ the tip does not reach waypoint 4")
     assert teach.locator("tr.place.bad td").first.inner_text() == "4"
     assert "waypoints cannot be followed: at" in teach.locator("tr.why").inner_text()
-    assert " m " not in teach.locator("tr.why").inner_text()  # in the page's units
+    assert " m " not in teach.locator("tr.why").inner_text()  # the message uses the page's unit mm
     teach.get_by_label("waypoint 4 time s").fill("3")
     teach.get_by_label("waypoint 4 time s").press("Tab")
     teach.locator("tr.why", has_text="time 3 s is not after 8 s").wait_for()
@@ -146,7 +146,7 @@ def test_waypoint_csv_file_is_read_in_its_unit_and_saved_again(teach: Page) -> N
         {"name": "b.csv", "mimeType": "text/csv", "buffer": b"5, 0, 10, 0\n10, 0, 0"}
     )
     says(teach, "line 2: 3 numbers; a line is time [s], x, y, z")
-    assert len(table(teach)) == 3  # as it was
+    assert len(table(teach)) == 3  # the table is unchanged
 
 
 def test_saved_motion_is_replaced_only_after_confirmation_and_can_be_loaded(teach: Page, station: Served) -> None:

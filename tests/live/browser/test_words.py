@@ -113,4 +113,4 @@ def test_page_reports_the_loss_of_control_to_another_client(station: Served, pag
     page.locator("#operator", has_text="You are operator").wait_for()
     page.get_by_role("button", name="Release").click()
     page.locator("#operator", has_text="No operator").wait_for()
-    assert page.locator(".note").count() == 0  # released on purpose
+    assert page.locator(".note").count() == 0  # no message appears if the operator has released the lease

@@ -1,6 +1,6 @@
 """Behaviour of a station whose data folder cannot be written: runs are refused or end, and everything else works.
 
-The tests put a file where the folder was. A folder without write permission would not stop root from writing.
+The tests replace the folder by a file, because root can also write to a folder without write permission.
 """
 
 from collections.abc import Iterator

@@ -23,7 +23,7 @@ from tests.harness.waiting import until
 
 def test_recording_larger_than_the_free_space_is_refused_before_the_run(paper) -> None:
     ring = Ring(ring_width(paper))
-    # A day of telemetry needs more than 60 GB. No computer has that much free memory for a file system in memory.
+    # A day of telemetry needs more than 60 GB, which is more than a file system in memory has.
     with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
         recording = LiveRecording(ring, paper, Path(folder), CLOCK)
         try:

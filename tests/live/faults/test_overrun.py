@@ -21,12 +21,12 @@ from tests.harness.waiting import until
 
 
 class Look(NamedTuple):
-    after: int  #: number of ticks before the fault
+    after: int  #: number of ticks until the fault
     severity: Severity
 
 
 def looks(skips: list[int]) -> list[Look]:
-    """Return the faults that follow from ticks that skip these numbers of periods."""
+    """Return the faults after a sequence of ticks; `skips` has the number of periods that each tick skips."""
     overruns = Overruns(OverrunLimits(), PERIOD_S)
     found, now = [], 0.0
     for tick, skipped in enumerate(skips, 1):

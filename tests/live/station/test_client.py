@@ -46,7 +46,7 @@ def test_client_error_has_the_stations_reason_for_a_refusal(station: Station, ru
         station.download("nope", tmp_path / "x.mcap")
     with pytest.raises(StationError, match="cannot be written"):
         station.download(station.runs()[0]["id"], tmp_path / "no" / "folder")
-    station.become_operator()  # a refused request did not make the client the operator
+    station.become_operator()  # the refused requests have not made the client the operator
     with Station(running.url, name="another") as another, pytest.raises(StationRefused, match="Zoë's script"):
         another.tare()
 
@@ -57,7 +57,7 @@ def test_client_goto_moves_named_joints_and_without_joints_to_the_working_pose(s
     assert joints["inner_rotation"] == pytest.approx(1.5, abs=0.002)
     assert joints["inner_translation"] == pytest.approx(
         -0.1, abs=0.02
-    )  # this joint was not named, so it keeps its position
+    )  # the request did not name this joint, so the joint keeps its position
     with pytest.raises(StationRefused, match=r"inner_translation 0.2 m is outside -0.13 ... -0.005 m"):
         station.goto({"inner_translation": 0.2})
     with pytest.raises(StationRefused, match=r"joints.elbow: robot 'paper' has no such joint; it has outer_rotation"):

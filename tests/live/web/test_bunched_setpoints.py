@@ -47,7 +47,7 @@ def station(served: Served) -> Served:
 
 @contextmanager
 def leading(station: Served, **asked: float) -> Iterator[ClientConnection]:
-    """A client with a setpoint stream; it reads answers only on request."""
+    """Yield a client with a setpoint stream; the client reads answers only when the test calls `recv`."""
     with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None, max_queue=None) as client:
         client.send(json.dumps({**WIDE, **asked}))
         assert "run_id" in json.loads(client.recv())
@@ -187,7 +187,7 @@ def test_openigtlink_refuses_a_client_beyond_the_limit_with_the_reason(station: 
     try:
         for client in clients:
             client.settimeout(60.0)
-            assert client.recv(1)  # the client is served
+            assert client.recv(1)  # the station serves the client
         with socket.create_connection(address) as late:
             late.settimeout(60.0)
             said = b""

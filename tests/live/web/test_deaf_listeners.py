@@ -19,12 +19,12 @@ FREE = {"trajectory": {"kind": "circle", "radius": 0.002, "period": 20.0}, "dura
 
 @pytest.fixture
 def served() -> Iterator[Served]:
-    with serving(rate=0.1) as served:  # a slow clock, so that a timeout of one second lasts ten
+    with serving(rate=0.1) as served:  # the clock is slow, so that a timeout of 1 s lasts 10 s of real time
         yield served
 
 
 def deaf(port: int, number: int, opened: ExitStack) -> socket.socket:
-    """Connect from one of many addresses, request a hundred rows a second and read nothing; default buffers."""
+    """Connect from one of 20 addresses with default buffers, request 100 rows per second, and read nothing."""
     listener = socket.create_connection(("127.0.0.1", port), source_address=(f"127.0.1.{1 + number % 20}", 0))
     opened.enter_context(listener)
     key = base64.b64encode(os.urandom(16)).decode()

@@ -81,7 +81,7 @@ def test_stop_and_ctrl_c_do_not_wait_for_requests_that_are_kept_open() -> None:
             )
         assert httpx.post(stop, json={}, timeout=NET, trust_env=False).json() == {"state": "STOPPED", "note": ""}
         station.process.send_signal(signal.SIGINT)
-        with suppress(httpx.TransportError):  # ends when the station has ended
+        with suppress(httpx.TransportError):  # this error occurs when the station has ended
             while "did not answer" not in httpx.post(stop, json={}, timeout=NET, trust_env=False).json()["note"]:
                 pass
             pytest.fail("it ended, and STOP was told that it hangs")

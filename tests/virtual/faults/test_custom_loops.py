@@ -1,4 +1,4 @@
-"""A custom control loop that raises, or that returns a wrong value, is refused before the motion or causes HOLD.
+"""A custom loop that raises an error or returns a wrong value is refused before the motion or causes HOLD.
 
 The error and the cause name the loop.
 """

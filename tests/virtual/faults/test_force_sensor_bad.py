@@ -1,6 +1,6 @@
 """A force sensor that is saturated, silent or reports a bad status causes HOLD.
 
-Its sample is never used by the controller, not even clamped to the sensor's range.
+The controller never uses a sample of such a sensor, not even a sample clamped to the sensor's range.
 """
 
 import numpy as np

@@ -18,7 +18,7 @@ from web.scene.views import FIELD_OF_VIEW_RAD, camera
 
 Picture = Callable[[Page, str], None]
 
-#: The part of a 1280 x 720 page where the robot is: below the views, left of the close-up of the tip.
+#: Rectangle of a 1280 x 720 page that shows the robot: below the views, left of the close-up of the tip [pixels].
 VIEW = {"x": 10, "y": 140, "width": 520, "height": 480}
 CIRCLE = {
     "trajectory": {"kind": "circle", "radius": 0.003, "period": 12.0, "normal": [0, 0, 1]},
@@ -97,7 +97,7 @@ def test_stop_in_the_page_header_stops_the_robot_and_reset_makes_it_ready(page: 
 
 
 def test_shift_space_stops_with_the_focus_on_the_page_and_in_the_scene(page: Page, station: Served) -> None:
-    for x, y in ((600, 30), (450, 600)):  # the header; the floor in the scene
+    for x, y in ((600, 30), (450, 600)):  # a position in the header and one on the floor of the scene
         station.ready()
         station.post("/api/start", CIRCLE)
         page.locator("#state", has_text="RUNNING").wait_for()
@@ -115,7 +115,7 @@ def test_view_button_moves_the_camera_of_the_scene(page: Page) -> None:
 
 
 def _chosen(response: Response) -> bool:
-    """Whether this is the answer to a changed switch; the page also polls this path."""
+    """Return whether a response answers a changed switch and not a poll; the page also polls this path."""
     return response.url.endswith("/api/scene") and response.request.method == "PUT"
 
 
@@ -158,9 +158,9 @@ def drag(page: Page, handle: np.ndarray, size: float, axis: int, way: float) -> 
     """Drag a handle at a position (3,) [m] by the arrow of one axis, `size` long [m], by a distance [m]."""
     arrow = np.zeros(3)
     arrow[axis] = 1.0
-    grip = handle + 0.75 * size * arrow  # further in are the planes' handles
+    grip = handle + 0.75 * size * arrow  # the inner part of the arrow is covered by the handles of the planes
     page.mouse.move(*on_screen(page, grip))
-    page.wait_for_timeout(500)  # software rendering: the arrow has to see the pointer
+    page.wait_for_timeout(500)  # software rendering needs time until the arrow reacts to the pointer
     page.mouse.down()
     for part in np.linspace(0.0, 1.0, 9)[1:]:
         page.mouse.move(*on_screen(page, grip + part * way * arrow))
@@ -212,11 +212,12 @@ def test_controller_compensates_a_pull_at_the_tip(page: Page, station: Served, p
     try:
         page.wait_for_timeout(1500)
         before = station.status()
-        force = np.mean([station.status()["force"] for _ in range(40)], axis=0)  # the handle is at the mean's end
+        # the handle is at the end of the mean force's arrow
+        force = np.mean([station.status()["force"] for _ in range(40)], axis=0)
         drag(page, np.array(before["tip_measured"]) + ARROW_SCALE_M_PER_N * force, FORCE_SIZE_M, 0, 0.02)
         pulled = station.wait_for(lambda s: s["force"][0] > 0.1)
         picture(page, "hand")
-        # The tip keeps its position under the pull, because the joints have moved.
+        # The tip keeps its position under the force, because the joints have moved.
         held = station.wait_for(
             lambda s: 1e3 * np.linalg.norm(np.array(s["tip_true"]) - before["tip_true"]) < 1.0 and s["force"][0] > 0.1
         )
@@ -232,7 +233,7 @@ def test_controller_compensates_a_pull_at_the_tip(page: Page, station: Served, p
 
 
 def orange(page: Page) -> int:
-    """Pixels in the hue of a contact, whatever the shading."""
+    """Return the number of pixels in the hue of a contact, whatever their shading."""
     seen, hue = pixels(page), np.array(CONTACT) / max(CONTACT)
     bright = seen.max(axis=-1, keepdims=True)
     return int(((np.abs(seen / np.maximum(bright, 1.0) - hue).max(axis=-1) < 0.12) & (bright[..., 0] > 120)).sum())

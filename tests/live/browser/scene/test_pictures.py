@@ -1,4 +1,4 @@
-"""Every tab beside the scene, as `web/README.md` shows them: the robot is visible, and the texts are present."""
+"""Every tab of the page next to the scene, as in `web/README.md`: robot visible, texts present."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from tests.harness.waiting import until
 
 Picture = Callable[[Page, str], None]
 
-DEMO = {"experiment": "demo"}  # from its start pose, wherever the robot is
+DEMO = {"experiment": "demo"}  # this run first moves the robot to its start pose
 #: A text that each tab must contain.
 SAYS = {
     "start": "Your own motion, from the current pose",
@@ -24,7 +24,7 @@ SAYS = {
 
 
 def robot(page: Page) -> int:
-    """Pixels as blue as the inner tube, whatever the shading, left of the close-up."""
+    """Return the number of pixels left of the close-up that are as blue as the inner tube, whatever their shading."""
     box = page.locator("#scene").bounding_box()
     assert box is not None
     seen = iio.imread(page.screenshot(scale="css")).astype(float)[..., :3]
@@ -37,7 +37,7 @@ def robot(page: Page) -> int:
 def test_robot_is_visible_next_to_every_tab_of_the_page_during_a_run(
     page: Page, station: Served, picture: Picture
 ) -> None:
-    # A finished run, for the list of runs.
+    # A finished run is needed for the list of runs.
     assert station.post("/api/start", {"experiment": "demo"}).status_code == 202
     station.wait_for(lambda s: s["phase"] == "moving")
     station.ready()

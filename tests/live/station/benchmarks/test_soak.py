@@ -21,4 +21,4 @@ def test_short_soak_test_detects_no_failure(tmp_path: Path, environment: dict[st
     assert sum(summary["actions"].values()) > 2
     assert set(summary["memory_mb"]) == {"station", "control", "lab", "recorder"}
     assert [what for what, _ in rows(summary)][-1] == "wrong"
-    assert list(tmp_path.iterdir()) == []  # what it records is thrown away
+    assert list(tmp_path.iterdir()) == []  # the soak test deletes its recordings

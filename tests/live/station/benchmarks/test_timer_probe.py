@@ -1,4 +1,4 @@
-"""A timer that measures the lateness of the computer, delayed on purpose."""
+"""The timer probe measures the lateness of the computer's timers; the tests delay the probe on purpose."""
 
 import os
 import signal

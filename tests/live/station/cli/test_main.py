@@ -62,7 +62,7 @@ def test_run_prints_one_json_object_and_writes_a_complete_folder(command_line, w
 def test_full_disk_ends_the_command_run_and_keeps_the_written_part(environment, write, short, tmp_path):
     path = write(
         short.replace("duration = 1.0", "duration = 8.0")
-    )  # this recording has about 2.4 MB, more than the disk limit
+    )  # the recording would have about 2.4 MB, more than the limit of 1 MiB per file
     command = f"ulimit -f 1024; exec '{sys.executable}' -m station run '{path}' --out out --json"
     done = subprocess.run(["bash", "-c", command], capture_output=True, cwd=tmp_path, env=environment, timeout=NET)
 

@@ -75,4 +75,4 @@ def test_killed_process_is_detected_as_dying_before_it_is_reaped() -> None:
         deadline = time.monotonic() + 5.0
         while not is_dying(process.pid):
             assert time.monotonic() < deadline
-    assert not is_dying(process.pid)  # no process has that pid
+    assert not is_dying(process.pid)  # no process has this process ID any more

@@ -1,4 +1,4 @@
-"""A bench from its configuration: the built-in drivers open a lab's real endpoints, or nothing stays open."""
+"""The built-in drivers open a lab's real endpoints as configured; if one cannot be opened, none stays open."""
 
 import math
 import time
@@ -98,7 +98,8 @@ def test_bench_connects_from_its_file_and_measures_the_true_tip(paper):
         finally:
             close(devices)
         assert is_free(lab)
-    # The outer sensor is rotated about its tube and 10 mm ahead of its end: the inverse gives the load.
+    # The outer sensor is rotated about its tube and 10 mm ahead of the tube's end; the inverse transform gives the
+    # load.
     c, s = math.cos(-0.5), math.sin(-0.5)
     back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     force, moment = wrenches[1][:3], wrenches[1][3:] - np.cross([0.0, 0.0, 0.01], wrenches[1][:3])
@@ -120,14 +121,14 @@ def test_device_that_returns_as_another_terminal_is_connected_again(paper, tmp_p
                 devices.tracker.poll(time.monotonic())
                 time.sleep(0.002)
             assert [device.condition for device in lost] == [Condition.FAULT] * 2
-            for device in lost:  # still out
+            for device in lost:  # the devices are still unplugged
                 device.connect(time.monotonic())
                 assert device.condition is Condition.FAULT
                 assert "cannot be opened" in device.trouble(time.monotonic()).text
             lab.lab.inject((), 0.0)
             time.sleep(0.05)
             assert len(come_up(devices)) == 20, [device.trouble(time.monotonic()) for device in lost]
-            assert not devices.stages.ready  # it has to be homed again
+            assert not devices.stages.ready  # the stages must be homed again
         finally:
             close(devices)
 

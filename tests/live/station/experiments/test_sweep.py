@@ -40,7 +40,7 @@ def test_ctrl_c_ends_the_active_runs_of_a_sweep_and_starts_no_other(own):
     on_processes(listed, 1, rows.append, lambda _: None)
     presser.join()
 
-    assert rows == []  # an interrupted run is not a finished one
+    assert rows == []  # an interrupted run is not reported as finished
     assert not any(child.is_running() for child in children)
 
 

@@ -45,7 +45,7 @@ def own(write, short):
 
 
 def busy(pid: int) -> bool:
-    """Return whether a worker computes; killing it earlier would only make the test longer."""
+    """Return whether a worker has started to compute; killing an idle worker would only make the test longer."""
     return psutil.Process(pid).cpu_times().user > 4.0
 
 
@@ -100,7 +100,7 @@ def test_ctrl_c_keeps_the_finished_runs_and_leaves_no_dask_worker(own, environme
     try:
         wait_for_rows(folder, 2, client)
         workers = psutil.Process(client.pid).children(recursive=True)
-        os.killpg(client.pid, signal.SIGINT)  # as a terminal does: every process receives it
+        os.killpg(client.pid, signal.SIGINT)  # a terminal also sends SIGINT to every process of the group
         out, errors = client.communicate()
     finally:
         client.kill()

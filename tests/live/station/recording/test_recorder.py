@@ -1,4 +1,4 @@
-"""The live recorder in a separate process, with a real ring that is written at 500 Hz."""
+"""The live recorder in a separate process, with a real telemetry ring that is written at 500 Hz."""
 
 import json
 import os

@@ -16,7 +16,7 @@ from websockets.sync.client import connect
 from tests.harness.waiting import NET, until
 from web.access.connections import Connections
 
-asked: list[str] = []  #: for the slow answer
+asked: list[str] = []  #: requests that wait for the slow answer
 
 
 async def application(scope: Scope, receive: Receive, send: Send) -> None:
@@ -105,7 +105,7 @@ def test_websockets_leave_connections_for_requests(serve: Callable[..., Doors]) 
 
 
 def _closed(connection: socket.socket) -> bool:
-    """Return whether the server has closed a connection; waits for it."""
+    """Wait until the server closes a connection; return whether it did."""
     connection.settimeout(NET)
     try:
         return connection.recv(1) == b""

@@ -69,7 +69,7 @@ def test_only_a_contact_on_the_shaft_is_a_warning_with_its_position(station: Ser
     try:
         station.post("/api/load", {"load": {"kind": "constant", "magnitude": 0.3}})
         station.wait_for(lambda s: s["force"][0] > 0.25)
-        for _ in range(25):  # longer than several evaluations of the contact
+        for _ in range(25):  # 2.5 s: longer than several evaluations of the contact
             CLOCK.sleep(0.1)
             status = station.status()
             assert status["contact"] is None
@@ -84,7 +84,7 @@ def test_only_a_contact_on_the_shaft_is_a_warning_with_its_position(station: Ser
         assert status["state"] == "RUNNING"  # the contact causes only a warning
         beyond = station.post("/api/load", {"load": contact | {"place": 0.9}})
         assert beyond.status_code == 422
-        assert "contact at 900 mm is outside 0 ... 20" in beyond.json()["error"]  # about 203 mm
+        assert "contact at 900 mm is outside 0 ... 20" in beyond.json()["error"]  # the largest position is about 203 mm
     finally:
         station.post("/api/load", {"load": {"kind": "none"}})
     station.wait_for(lambda s: s["contact"] is None and not warned(s))
@@ -99,7 +99,7 @@ def test_a_load_that_changes_too_fast_is_accepted_with_a_warning_of_time_and_lim
     assert "the joints cannot compensate load trapezoid: hold cannot be followed: at 0.2" in warning
     assert "because of speed of " in warning
     assert warning in station.wait_for(lambda s: s["run"]["phase"] == "moving")["warnings"]
-    # The warning belongs to the run and ends with it.
+    # The warning belongs to the run and disappears when the run ends.
     assert warning not in station.wait_for(lambda s: s["state"] == "READY")["warnings"]
     slow = station.post("/api/start", body | {"load": {**load, "rise": 60.0}})
     assert slow.json()["warnings"] == []

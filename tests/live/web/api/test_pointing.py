@@ -94,7 +94,7 @@ def test_the_true_direction_follows_the_streamed_direction(ready: Served, tmp_pa
         recording.of("direction_desired")[told_for],
         recording.of("direction_true")[told_for],
     )
-    # Rows are one period apart, or more where the computer delayed the control loop.
+    # Rows are one period apart, or several periods if the computer has delayed the control loop.
     rate = np.radians(angles(desired[1:], desired[:-1])) / np.diff(times)
     assert rate.max() == pytest.approx(0.2, rel=0.01)
     settled = times > first + 2.0

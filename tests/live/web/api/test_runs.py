@@ -24,7 +24,7 @@ from tests.harness.waiting import NET
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two runs of one second of fig7; the second one is stopped."""
+    """Record two runs of fig7 that last one second; the second run is stopped."""
     folder = tmp_path_factory.mktemp("runs")
     experiment = load_experiment("fig7")
     (case,) = experiment.cases

@@ -53,7 +53,7 @@ def test_invalid_setpoints_are_refused_with_the_reason_and_the_run_continues(sta
             assert math.isfinite(answer["time"])
         socket.send('{"tip": [0, 0, 0.001]}')
         assert json.loads(socket.recv())["refused"] == ""
-        # a second one of the same client, and one of another
+        # a second stream of the same client, and a stream of another client, are refused
         other = {"x-ctr-client": "other-0123456789", "x-ctr-name": "other"}
         with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", additional_headers=other, proxy=None) as second:
             second.send("{}")

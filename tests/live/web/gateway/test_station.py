@@ -54,7 +54,7 @@ def test_the_tip_follows_an_openigtlink_target_in_a_run_started_by_an_operator(
     goal = start + UP * 2.0
     while np.abs(_desired(client) - goal).max() > 0.02:
         _aim(client, goal)
-        served.status()  # a request of the operator, which renews the lease
+        served.status()  # any request of the operator renews the operator's lease
         _aim(client, start + UP * 500.0)  # a target beyond the reach has no effect
     # The operator loses the lease, so later targets have no effect and the run ends.
     other = {"x-ctr-client": "other-0123456789", "x-ctr-name": "other"}
@@ -62,7 +62,7 @@ def test_the_tip_follows_an_openigtlink_target_in_a_run_started_by_an_operator(
     try:
         while served.status()["state"] == "RUNNING":
             _aim(client, start)
-        # The tip stays where it is: at rest the desired position is the measured one.
+        # The tip keeps its position: at rest the desired position equals the measured position.
         assert np.abs(_desired(client) - goal).max() < 0.5
     finally:
         served.rest.delete("/api/operator", headers=other)

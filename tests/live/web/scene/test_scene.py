@@ -79,7 +79,7 @@ def test_a_motion_without_a_desired_path_has_no_drawn_path(motion: Motion) -> No
 
 
 def telemetry(robot: Robot, begin: float, seconds: float) -> tuple[Channels, Array]:
-    """Return rows at 500 Hz: a tip at 1, 2, 3 mm, a force of 0.1 N with noise."""
+    """Return telemetry rows at 500 Hz: a tip at (1, 2, 3) mm and a force of 0.1 N with noise."""
     channels = Channels(robot)
     time = begin + 0.002 * np.arange(round(seconds / 0.002))
     rows = np.zeros((len(time), len(channels)))
@@ -126,7 +126,7 @@ def test_a_restart_of_the_control_loop_starts_a_new_tip_trace(paper_robot: Robot
 def test_a_robot_at_rest_is_drawn_at_the_models_position(viewed: Viewed) -> None:
     viewed.make_ready()
     scene = viewed.view._scene
-    until(lambda: viewed.view.drawn.message == "")  # nothing is missing in the picture
+    until(lambda: viewed.view.drawn.message == "")  # an empty message: nothing is missing in the picture
     joints = viewed.supervisor.status().values["joints"]
     unloaded = viewed.supervisor.statics.solve(joints, np.zeros(6))
     # Noise of the force sensors moves the drawn tip by tenths of a millimetre.

@@ -62,7 +62,7 @@ def test_measurement_is_the_last_rest_with_the_arrival_direction_of_each_joint(p
 
 @pytest.mark.parametrize("weight", [0.0, 0.5])
 def test_coil_of_the_calibration_in_use_is_removed_from_measurements(paper, weight):
-    """Otherwise the next calibration would find the coil exactly at the tip and lose the coil's offset."""
+    """If the correction stayed, the next calibration would find the coil at the tip and lose the coil's offset."""
     plain = DEFAULT_CONTROLLER.controller(paper)
     known = replace(plain, corrections=Corrections(Sensors.ideal(2), np.array([2e-3, -1e-3, 3e-3])))
     step = GoToPose(START, weight, 0.0)
@@ -73,7 +73,7 @@ def test_coil_of_the_calibration_in_use_is_removed_from_measurements(paper, weig
 
     shown = [loop.channels.of(each, "tip_measured")[-1] for each in (rows, corrected)]
     assert np.linalg.norm(shown[1] - shown[0]) == pytest.approx(np.sqrt(14.0) * 1e-3, rel=0.1)
-    np.testing.assert_allclose(second.coil, first.coil, rtol=0, atol=20e-6)  # noise of a mean
+    np.testing.assert_allclose(second.coil, first.coil, rtol=0, atol=20e-6)  # tolerance: noise of the mean position
 
 
 def test_measured_coil_axis_does_not_depend_on_the_calibration_in_use(paper):

@@ -31,7 +31,7 @@ distance = 0.0001
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory) -> Callable[[str], Recording]:
-    """Return a function that runs the experiment under a load, given as TOML; each load is run once."""
+    """Return a function that runs the experiment under a load, given as TOML, once for each load."""
 
     @cache
     def recorded(load: str) -> Recording:
@@ -95,7 +95,7 @@ def test_note_about_moments_that_fit_no_contact_names_drift_as_a_cause(recorded)
         0.0,
         0.00383,
         0.00115,
-    ]  # a moment along the force, which no contact explains
+    ]  # a contact force cannot cause a moment along itself
     touch = estimate_contact(Statics(load_robot("paper").robot()), leaning.channels, rows).contact
     assert not touch.located
     assert "tare again" in touch.note

@@ -19,7 +19,7 @@ def virtual() -> VirtualStation:
 
 
 def errors(virtual: VirtualStation, since: float) -> np.ndarray:
-    """Return the distance (ticks,) [m] of the true tip from its desired position next to the true target."""
+    """Return the distance (ticks,) [m] of the true tip from its desired position, the true target plus the offset."""
     rows = virtual.rows[-round(since / virtual.case.controller.period) :]
     desired = virtual.of("target_true", rows) + virtual.of("target_offset", rows)
     return np.linalg.norm(desired - virtual.of("tip_true", rows), axis=1)

@@ -1,4 +1,4 @@
-"""Telemetry rows whose estimates the controller does not update have `estimates_frozen` 1."""
+"""In telemetry rows whose estimates the controller does not update, the channel `estimates_frozen` is 1."""
 
 import pytest
 

@@ -18,7 +18,7 @@ from station.lab.loads import ConstantLoad
 from tests.harness.cases import a_case
 from tests.harness.watched_bench import Bench
 
-#: Times of rest before a motion: the filters settle, then readings are averaged [s].
+#: Times of rest before a motion [s]: first the filters settle, then readings are averaged.
 SETTLE, AVERAGE = 0.5, 1.5
 
 

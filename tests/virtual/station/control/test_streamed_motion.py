@@ -108,7 +108,7 @@ def test_disconnect_brings_the_tip_to_rest_and_ends_the_run():
     station.request = lambda _: StreamRequest(1, None)
     start = station.now
     station.becomes(State.READY, 1.0)
-    # braking distance from 10 mm/s with 100 mm/s^2
+    # braking from 10 mm/s with 100 mm/s^2 takes 0.1 s
     assert station.now - start == pytest.approx(0.1, abs=0.02)
 
 
@@ -176,7 +176,7 @@ def _angles(ones: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _largest(station: VirtualStation, since: float) -> float:
-    """Return the largest distance of the true tip from the circle, from 3 s after the motion's start on [mm]."""
+    """Return the largest distance of the true tip from the circle later than 3 s after the motion's start [mm]."""
     rows = [row for row in station.rows if row[0] > since + 3.0]
     times = np.array([row[0] for row in rows]) - since
     first = next(row for row in station.rows if row[0] > since)

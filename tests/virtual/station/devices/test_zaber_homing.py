@@ -38,7 +38,7 @@ def bench(paper) -> Bench:
 
 
 class TestHoming:
-    """Homing in sequence, the translation first."""
+    """Stages are homed one after the other, and the translation is homed first."""
 
     def test_translation_homes_first_then_one_rotation_at_a_time(self, paper):
         bench = Bench(paper, at=(0.3, 0.6, -0.110), homed=False).connect()
@@ -64,7 +64,8 @@ class TestHoming:
         assert bench.stages.ready, bench.stages.problem
         assert bench.truth == pytest.approx([0.0, 0.0, -0.130], abs=1e-9)
         assert bench.reading.positions == pytest.approx(bench.truth, abs=1e-9)
-        assert [unit.settings[44] for unit in bench.units[:2]] == [3_072_000, 3_072_000]  # the travel is as before
+        # the travel is the same as before homing
+        assert [unit.settings[44] for unit in bench.units[:2]] == [3_072_000, 3_072_000]
 
     @pytest.mark.parametrize("pause", [0.0, 0.1, 0.4, 0.9])
     def test_stage_homes_again_while_it_restarts_after_a_stop(self, paper, pause):
@@ -140,7 +141,7 @@ class TestHoming:
         assert bench.stages.condition is Condition.FAULT
         assert "inner_translation" in bench.stages.problem
         assert "home sensor" in bench.stages.problem
-        assert bench.order == [2]  # the rotations do not turn with the tubes out
+        assert bench.order == [2]  # the rotations do not turn while the tubes are extended
 
     def test_homing_needs_a_connection(self, paper):
         with pytest.raises(ZaberError, match="closed"):

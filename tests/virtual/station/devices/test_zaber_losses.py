@@ -1,4 +1,4 @@
-"""Lost stages: stop of the others, reported range of the lost ones, and recovery."""
+"""Lost stages: the other stages are stopped, the possible travel of the lost stages is reported, and recovery."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ def bench(paper) -> Bench:
 
 
 class TestLosing:
-    """A stage at constant speed has no watchdog: stages that receive are stopped, the others are named."""
+    """A stage at constant speed has no watchdog: reachable stages are stopped, and unreachable stages are named."""
 
     def test_cut_chain_stops_reachable_stages_and_reports_the_range_of_the_others(self, bench):
         bench.run(1.0, lambda now: [0.1, 0.1, 0.010])
@@ -34,7 +34,7 @@ class TestLosing:
         assert "outer_rotation" not in problem
         assert not bench.stages.ready
         bench.run(15.0)
-        assert bench.truth[2] == pytest.approx(-0.005, abs=1e-6)  # it did
+        assert bench.truth[2] == pytest.approx(-0.005, abs=1e-6)  # the lost stage has moved to this limit
 
     def test_lost_stage_that_receives_again_is_stopped(self, bench):
         bench.run(1.0, lambda now: [0.0, 0.0, 0.010])
@@ -60,7 +60,7 @@ class TestLosing:
 
     def test_readings_of_an_unexpectedly_reset_unit_are_rejected(self, bench):
         bench.units[0].execute(ZaberMessage(1, 0, 0))
-        bench.units[0].deaf_until = 0.0  # it is back at once
+        bench.units[0].deaf_until = 0.0  # the unit answers again immediately after its reset
         bench.run(1.0, lambda now: [0.0, 0.0, 0.0])
 
         assert bench.stages.condition is Condition.FAULT
@@ -93,7 +93,7 @@ class TestLosing:
         bench.near[0].close()
         bench.run(0.1)
         assert bench.stages.condition is Condition.FAULT
-        bench.run(20.0)  # they run to their limits
+        bench.run(20.0)  # the stages continue to the limits of their travel
 
         bench.stages.connect(bench.now, bench.plug())
         bench.run(10.0, until=lambda: bench.stages.condition is not Condition.CONNECTING)

@@ -21,7 +21,7 @@ PAGE = (Path(station.__file__).parent / "docs" / "engineer.md").read_text(encodi
 
 
 def block(language: str, holding: str) -> str:
-    """Return the page's block of code that contains the text `holding`."""
+    """Return the code block of the page that contains the text `holding`."""
     (found,) = [text for text in re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL) if holding in text]
     return found
 

@@ -67,7 +67,7 @@ def test_fig6_the_model_errors_match_the_difference_between_described_and_true_t
         for name, wrench in (("loaded", pull), ("unloaded", np.zeros(6))):
             expected[name].append(1e3 * np.linalg.norm(model.solve(joints, wrench).tip - tip))
 
-    # The tolerance covers noise of the tracker (0.1 mm an axis), noise of the averaged force (0.02 N a sample, 10 ms)
+    # The tolerance covers tracker noise (0.1 mm per axis), noise of the averaged force (0.02 N per sample, 10 ms)
     # and its drift (10 mN in the two minutes, 0.3 mm at the tip).
     for name, distances in expected.items():
         assert errors[name] == pytest.approx(np.mean(distances), abs=0.4), name

@@ -46,4 +46,4 @@ def test_redundant_joints_do_not_oscillate_at_a_pose_where_the_jacobian_jumps(tm
     assert run.completed, run.cause
     tip, desired = (run.channels.of(run.rows, group) for group in ("tip_true", "tip_desired"))
     distance = np.linalg.norm(tip - desired, axis=1)
-    assert np.percentile(distance, 95) < 5e-4  # [m]; 2.4 mm when the joints oscillate
+    assert np.percentile(distance, 95) < 5e-4  # [m]; the distance is 2.4 mm if the joints oscillate

@@ -1,4 +1,4 @@
-"""Results on the disk, complete or absent, and the table on the screen."""
+"""Results on the disk are complete or absent; the table of results on the screen."""
 
 import io
 import json
@@ -27,7 +27,7 @@ def recording():
 
 
 def record(folder: ResultFolder, recording, label: RunOutcome = RunOutcome.COMPLETE, cause: str = "") -> None:
-    """Record row by row, as a run does."""
+    """Record rows one by one, as a run does."""
     writer = folder.assignment(recording.case).writer()
     writer.write(recording.rows)
     writer.close(label, cause)

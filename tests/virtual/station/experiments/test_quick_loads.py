@@ -70,7 +70,8 @@ def distance(load: str, controller: str, lab: str) -> Distance:
 def test_the_default_controller_is_never_worse_than_the_papers_or_stationary_joints(load, lab):
     default, paper, none = (distance(load, controller, lab) for controller in ("default", "paper", "none"))
     assert default.largest <= 1.05 * paper.largest
-    # Stationary joints have no error before the load starts, so the error of the default controller then is allowed.
+    # Stationary joints have no error before the load starts, so the default controller's error before the load is
+    # allowed.
     assert default.largest <= 1.05 * none.largest + default.at_onset
 
 

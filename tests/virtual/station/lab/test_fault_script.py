@@ -31,7 +31,7 @@ class Wire:
         self.zaber, self.boxes = self.lab.hosts.zaber, self.lab.hosts.netft
         self.tracker = AuroraTracker(self.lab.hosts.aurora, registration=GENERATOR_POSE)
         self.divisor = self.lab.boxes[0].settings.divisor
-        self.rate = 7000.0 / self.divisor  # records a second
+        self.rate = 7000.0 / self.divisor  # records per second
         self.parser = ZaberParser()
         self.now = 0.0
         self.messages: list[tuple[float, ZaberMessage]] = []
@@ -65,7 +65,7 @@ class Wire:
         return self
 
     def responding_units(self) -> list[int]:
-        """Return the units that report their position on a request to all."""
+        """Return the numbers of the units that answer a position request to all units."""
         self.clear().zaber.write(POSITIONS)
         self.run(0.1)
         return [m.device for _, m in self.messages if m.command == Zaber.POSITION]
@@ -77,7 +77,7 @@ class Wire:
 
 @pytest.fixture
 def wire(paper) -> Wire:
-    """A lab in which every device answers."""
+    """Return the host ends of a lab in which every device answers."""
     wire = Wire(paper).run(2.0)
     assert wire.responding_units() == [1, 2, 3]
     assert wire.clear().run(0.5).frames == pytest.approx(20, abs=1)
@@ -237,7 +237,7 @@ def test_jump_offsets_the_position_of_the_coil(wire):
     assert wire.run(0.1).quality is FrameQuality.GOOD
     wire.clear().inject("jump", "tracker", value=0.05).run(0.15)
     assert wire.quality is FrameQuality.JUMP
-    assert wire.frames <= 2  # from before
+    assert wire.frames <= 2  # frames that had been measured before the jump
     wire.inject("jump", "tracker", value=0.05, duration=0.1, at=0.1).run(0.3)
     assert wire.quality is FrameQuality.GOOD
 
@@ -324,10 +324,10 @@ def test_restarted_force_sensor_sends_no_records(wire):
     assert len(wire.records[0]) <= 1
     wire.boxes[0].send(request(RdtCommand.STREAM))
     wire.run(0.1)
-    assert wire.records[0][-1].ft_sequence < 7000  # its counter restarted
+    assert wire.records[0][-1].ft_sequence < 7000  # the box's sample counter has restarted
 
 
-# All together
+# Faults of all devices together
 
 
 def test_same_seed_gives_the_same_disturbances_on_the_wires(paper):

@@ -37,7 +37,7 @@ CLEAR = LabConfig(tracker=TrackerConfig(noise=0.0), sensors=QUIET)
 
 
 class Bench:
-    """A lab with all its wires in memory and a driver on each."""
+    """A lab whose wires are in memory, with a driver on each wire."""
 
     def __init__(
         self, robot: RobotFile, config: LabConfig = CLEAR, seed: int = 0, at: np.ndarray = PARK, homed: bool = False
@@ -86,10 +86,10 @@ class Bench:
 
 @pytest.fixture(scope="module")
 def homed() -> Bench:
-    """A lab that is connected, homed, and at a pose with room in all directions."""
+    """Return a lab that is connected and homed, at a pose from which every joint can move in both directions."""
     bench = Bench(load_robot("paper")).connect()
     assert bench.stages.condition is Condition.CONNECTED, bench.stages.problem
-    assert bench.stages.homed == [False, False, False]  # just switched on
+    assert bench.stages.homed == [False, False, False]  # no stage is homed after power-up
     bench.home()
     assert bench.stages.ready, bench.stages.problem
     bench.run(3.0, [0.10, 0.20, 0.008])
@@ -140,7 +140,7 @@ def test_robot_of_three_tubes_connects_and_homes(name, at):
 
 
 def test_tracker_driver_reports_the_true_tip_at_the_time_of_the_measurement(homed):
-    homed.run(1.0, [0.08, 0.10, 0.006])  # in motion: 24 ms are a third of a millimetre
+    homed.run(1.0, [0.08, 0.10, 0.006])  # the tip moves by a third of a millimetre during the latency of 24 ms
     seen = [frame for frame in homed.frames if frame.time > homed.now - 0.8]
     homed.stages.stop(homed.now)
     homed.run(0.5)
@@ -185,7 +185,8 @@ def test_untared_force_sensors_read_different_offsets(paper):
 def test_time_of_a_force_sample_is_accurate_to_a_few_tenths_of_a_millisecond(paper):
     bench = Bench(paper, CLEAR.model_copy(update={"plant": PlantConfig(play={})})).run(0.1)
     start, late = bench.now, []
-    bench.lab.apply_load(RampLoad(times=(0.0, 0.5), magnitudes=(0.0, 0.5)), start)  # 1 N/s: the force gives the time
+    # the force rises by 1 N/s, so its value indicates the time of measurement
+    bench.lab.apply_load(RampLoad(times=(0.0, 0.5), magnitudes=(0.0, 0.5)), start)
     for _ in range(200):
         bench.run(TICK)
         force = fuse_at(paper.robot(), bench.lab.positions, bench.wrenches.wrenches).force[0]

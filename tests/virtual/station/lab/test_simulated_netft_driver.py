@@ -61,7 +61,7 @@ def test_netft_driver_counts_lost_duplicate_and_swapped_datagrams_and_continues(
 
 def test_flipped_bits_do_not_stop_the_netft_driver(station):
     station.box.faults.flip = 0.2
-    for _ in range(1000):  # bits of the counts themselves are for UDP's checksum
+    for _ in range(1000):  # UDP's checksum, which this wire lacks, would detect flipped bits of the counts
         station.now += TICK
         station.box.advance(station.now, WRENCH)
         station.sensors.poll(station.now)

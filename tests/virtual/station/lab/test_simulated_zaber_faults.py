@@ -10,7 +10,7 @@ from tests.harness.zaber_wire import LINEAR, ROTARY, SPEED, Wire
 
 @pytest.fixture
 def wire() -> Wire:
-    """Two rotary units and a linear one, homed, at 100000."""
+    """Return a chain of two rotary units and a linear unit, homed and at position 100000 [microsteps]."""
     units = [Unit(ROTARY, 1, 1e5, 1e5), Unit(ROTARY, 2, 1e5, 1e5), Unit(LINEAR, 3, 1e5, 1e5)]
     return Wire(SimulatedChain(units))
 
@@ -53,14 +53,14 @@ class TestFaults:
         assert wire.chain.true_positions[2] == 100_000
         wire.chain.faults = Faults()
         wire.request(3, 21, -1000, seconds=2.0)
-        assert wire.chain.true_positions[2] == 99_000  # the count stays wrong until it is homed
+        assert wire.chain.true_positions[2] == 99_000  # the unit's count stays wrong until the unit is homed
 
     def test_stalled_zaber_motor_does_not_find_home(self, wire):
         wire.chain.faults = Faults(stalled=frozenset({3}))
         assert wire.request(3, 1, seconds=30.0) == [ZaberMessage(3, 255, 1)]
 
     def test_zaber_motor_loses_steps_at_a_hard_stop(self):
-        unit = Unit(LINEAR, 1, true_position=600_000.0, count=0.0)  # homed wrongly
+        unit = Unit(LINEAR, 1, true_position=600_000.0, count=0.0)  # homing has set a wrong count
         wire = Wire(SimulatedChain([unit]))
         wire.request(1, 20, 50_000, seconds=10.0)
         assert unit.position == 50_000

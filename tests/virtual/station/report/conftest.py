@@ -75,7 +75,7 @@ def preset_run(run_of: Callable[..., Path]) -> Callable[..., Path]:
 
 @pytest.fixture
 def made_up(paper_robot) -> Callable[..., RecordedCase]:
-    """Return a function that makes a case of 40 rows in 4 s; every other row has a frame that is 50 ms old."""
+    """Return a function that makes a case of 40 rows in 4 s; every second row has a tracker frame that is 50 ms old."""
 
     def make(
         name: str = "made_up", settling: float = 2.0, file: dict[str, Any] | None = None, **groups: Any

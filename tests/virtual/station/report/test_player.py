@@ -77,7 +77,7 @@ def test_the_players_tubes_are_the_models_shape_under_the_recorded_force(case):
         force = np.append(others[frame, 1:4].astype(float), np.zeros(3))
         shape = statics.shape(statics.solve(others[frame, 4:].astype(float), force))
         line = case["scale"] * positions[frame].astype(float)
-        assert line[0] == pytest.approx(0.203, abs=1e-3)  # 0.303 m of inner tube, 0.1 m behind the plate
+        assert line[0] == pytest.approx(0.203, abs=1e-3)  # 0.303 m of inner tube, which starts 0.1 m behind the plate
         assert line[1:3] == pytest.approx([-0.1, 0.0], abs=2e-3)  # proximal ends of inner and outer tube
         points = line[3 : 3 + 3 * CENTRE_LINE_POINTS].reshape(-1, 3)
         assert points[0] == pytest.approx([0.0, 0.0, 0.0], abs=2e-5)

@@ -34,7 +34,7 @@ AT_100_MM = 'kind = "contact"\nmagnitude = 0.3\nplace = 0.1\ndirection = [0.0, 1
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Recording]:
-    """Return the recording of a slowly turning joint under a load, given as a TOML table."""
+    """Return a function that records a slowly turning joint under a load, which is given as a TOML table."""
 
     @cache
     def ran(load: str) -> Recording:
@@ -102,7 +102,7 @@ def test_a_load_at_the_tip_is_never_reported_as_a_contact(
     monitor: ContactMonitor, ran: Callable[[str], Recording], load: str
 ) -> None:
     run = ran(load)
-    for end in range(WINDOW_ROWS, len(run.rows), 167):  # three looks a second
+    for end in range(WINDOW_ROWS, len(run.rows), 167):  # the contact is estimated three times per second
         monitor.update(run.rows[end - WINDOW_ROWS : end])
         assert monitor.side_load is None, end
 

@@ -57,7 +57,7 @@ def holder(environment) -> Iterator[Callable[[str], subprocess.Popen[bytes]]]:
 
 def test_port_in_use_is_refused_with_its_name_and_the_process_number(terminal, holder, tmp_path: Path):
     process = holder(terminal)
-    link = tmp_path / "stages"  # another name of the same port
+    link = tmp_path / "stages"  # the symbolic link is another name of the same port
     link.symlink_to(terminal)
     for name in (terminal, str(link)):
         with pytest.raises(LinkError, match=f"{name} is in use by process {process.pid}"):
@@ -93,7 +93,7 @@ def test_second_link_of_the_same_process_is_refused(terminal):
     with pytest.raises(LinkError, match=str(os.getpid())):
         SerialLink(terminal, 9600)
     first.close()
-    first.close()  # more than once does no harm
+    first.close()  # a second call has no effect
     SerialLink(terminal, 9600).close()
 
 
@@ -132,7 +132,7 @@ def test_child_process_does_not_keep_the_lock_that_its_parent_releases(terminal)
     child = os.fork()
     if child == 0:
         os.close(writing)
-        os.read(reading, 1)  # until the parent is done
+        os.read(reading, 1)  # wait until the parent has finished
         os._exit(0)
     try:
         lock.release()
@@ -167,7 +167,7 @@ def test_lock_file_can_be_locked_by_any_user_and_contains_the_process_number(ter
 
 
 def test_device_is_locked_by_one_of_many_threads_at_a_time(terminal, tmp_path: Path, monkeypatch):
-    """Threads open and close it as fast as they can; the file comes and goes under them."""
+    """Threads lock and unlock the device as fast as they can, so the lock file is created and removed meanwhile."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     inside: list[int] = []
     most: list[int] = []

@@ -104,12 +104,12 @@ def test_emergency_stop_resets_homing_units_that_ignore_a_stop(lab: WatchedLab) 
 
 @contextmanager
 def chain(third: float | None) -> Iterator[str]:
-    """The port of units 1 and 2, which answer at once, and of 3, which does so after `third` [s], or never."""
+    """Yield the port of a chain: units 1 and 2 answer at once, unit 3 after `third` [s], or never if None."""
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def answer() -> None:
             host, _ = server.accept()
-            with host, suppress(OSError):  # the other end closes when it has received enough
+            with host, suppress(OSError):  # the host closes the connection when it has received enough
                 while data := host.recv(MESSAGE_BYTES, socket.MSG_WAITALL):
                     if decode(data).command != ZaberCommand.STATUS:
                         continue

@@ -1,4 +1,4 @@
-"""A second coil: found by its serial number, measured in the same frame as the tip's, lost and found again."""
+"""A second coil is found by its serial number, measured in the same frame as the tip's coil, lost and found again."""
 
 import math
 
@@ -32,17 +32,18 @@ def test_positions_of_both_coils_come_from_the_same_frame(settings):
         assert reading.target is not None
         np.testing.assert_allclose(reading.position, REST, atol=1e-5)
         np.testing.assert_allclose(reading.target, swaying(reading.frame / 40.0), atol=1e-5)
-        assert 0.0 <= reading.time - reading.frame / 40.0 < 0.005  # the longer reply is no later measurement
+        # the longer reply for two coils does not delay the time of measurement
+        assert 0.0 <= reading.time - reading.frame / 40.0 < 0.005
     assert bench.tracker.trouble(bench.now) is None
 
 
 def test_reply_with_two_coils_matches_the_captured_format():
-    """The reply has two entries like the captured one of a single tool."""
+    """The reply has two entries, each in the format of the captured reply of a single tool."""
     bench = AuroraBench(WITH, target=TARGET_SERIAL)
     bench.run(1.5, target=swaying)
     bench.port.device.read()
     bench.now += 0.2
-    bench.unit.transmit(bench.now, 115200)  # what was still on the line
+    bench.unit.transmit(bench.now, 115200)  # discard the bytes that were still on the line
 
     for command, size in ((b"BX 0801\r", 8 + 1 + 2 * 42 + 2), (b"TX 0801\r", 2 + 2 * (2 + 51 + 17) + 4 + 4 + 1)):
         bench.unit.receive(command, bench.now, 115200)

@@ -1,4 +1,4 @@
-"""The driver on a line: set-up from any state, times of frames, quality, faults of the line, recovery."""
+"""The Aurora driver on a serial line: set-up from any state, times of frames, quality, line faults, recovery."""
 
 import math
 
@@ -51,11 +51,13 @@ def test_every_frame_is_received_once_early_and_with_the_true_tip():
     assert frames == list(range(frames[0], frames[0] + len(frames)))
     assert len(read) == pytest.approx(800, abs=2)
     for now, reading in read:
-        # by the frame number: frame 0 was at 0; ticks of 2 ms and the wire make it at most 5 ms late
+        # Frame n was measured at n / 40 s; ticks of 2 ms and the line delay the driver's time by at most 5 ms.
         assert 0.0 <= reading.time - reading.frame / 40.0 < 0.005
         assert 0.020 < now - reading.time < 0.040
-        assert reading.position == pytest.approx(tip(reading.frame / 40.0), abs=1e-7)  # single precision
-    assert bench.report.counts.repeated < 0.15 * len(read)  # requested only slightly more often than there are frames
+        # tolerance: positions have single precision
+        assert reading.position == pytest.approx(tip(reading.frame / 40.0), abs=1e-7)
+    # the driver polls only slightly more often than frames are measured
+    assert bench.report.counts.repeated < 0.15 * len(read)
 
 
 def test_old_firmware_is_polled_with_tx():
@@ -135,7 +137,7 @@ def test_lost_tool_is_reported_as_quality_without_a_reading():
     assert bench.report.quality is FrameQuality.GOOD
 
 
-@pytest.mark.parametrize("beyond", [0.020, 0.200])  # the coil is still seen, and no more
+@pytest.mark.parametrize("beyond", [0.020, 0.200])  # at 20 mm the coil is still measured, at 200 mm no more
 def test_no_reading_outside_the_half_metre_cube(beyond):
     bench = AuroraBench()
     bench.run(1.0)
@@ -162,7 +164,7 @@ def test_jump_gives_no_reading():
     assert all(abs(reading.position[0] - REST[0]) < 0.001 for _, reading in read)
     assert bench.report.quality is FrameQuality.JUMP
     bench.run(0.5, lambda now: REST + np.array([0.05, 0.0, 0.0]))
-    assert bench.report.quality is FrameQuality.GOOD  # it stayed there
+    assert bench.report.quality is FrameQuality.GOOD  # the driver accepts the jump, because the coil stayed there
 
 
 def test_replugged_tool_is_used_under_its_new_handle():
@@ -286,7 +288,7 @@ def test_close_stops_the_tracking():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_tip_is_ahead_of_its_coil_along_the_coils_axis(seed):
-    """Compared with column z of the quaternion's matrix."""
+    """The coil's axis is column z of the rotation matrix that belongs to the quaternion."""
     w, x, y, z = quaternion = (v := np.random.default_rng(seed).normal(size=4)) / np.linalg.norm(v)
     axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z])
     coil = Transform(tuple(quaternion.tolist()), (10.0, -20.0, 30.0), 0.1)
@@ -297,7 +299,7 @@ def test_tip_is_ahead_of_its_coil_along_the_coils_axis(seed):
 
 
 def test_driver_measures_the_tip_with_a_coil_behind_it():
-    """The simulated coil points along the generator's z, which is down."""
+    """The simulated coil points along the generator's z axis, which points down."""
     read = AuroraBench(AuroraSettings(coil_to_tip=4.0)).run(1.0)
     assert read
     for _, reading in read:

@@ -25,6 +25,6 @@ def test_homing_progress_names_each_axis_with_the_correct_time(paper: RobotFile)
     ]
     assert [one["number"] for one in reports] == sorted(one["number"] for one in reports)
     assert reports[0]["exact"]
-    # ramps, and settings that are read back, take additional time
+    # velocity ramps and the reading of settings take additional time
     assert reports[0]["left_s"] == pytest.approx(bench.now - start, abs=6.0)
     assert "homing" not in bench.stages.details()

@@ -72,9 +72,9 @@ class TestConnecting:
             assert unit.settings[44] == setup.maximum
             assert unit.settings[43] == setup.acceleration
             assert unit.settings[37] == 64
-            assert unit.settings[40] & 0b1001 == 0b1001  # no automatic replies, no knob
-            assert unit.settings[40] & 1 << 7  # still homed
-            assert unit.settings[40] & 1 << 11  # and what others have set stays
+            assert unit.settings[40] & 0b1001 == 0b1001  # automatic replies and the knob are disabled
+            assert unit.settings[40] & 1 << 7  # the unit is still homed
+            assert unit.settings[40] & 1 << 11  # settings of other programs are kept
         assert bench.stages.ready
         assert bench.reading.positions == pytest.approx(START, abs=1e-6)
 
@@ -85,7 +85,7 @@ class TestConnecting:
         assert bench.stages.homed == [False, False, False]
         assert not bench.stages.ready
         bench.run(0.5, swing)
-        assert bench.truth == pytest.approx(START, abs=1e-9)  # commands are not heeded
+        assert bench.truth == pytest.approx(START, abs=1e-9)  # stages that are not homed ignore velocity commands
 
     def test_position_is_unknown_before_the_first_answer(self, paper):
         bench = Bench(paper)
@@ -119,7 +119,7 @@ class TestConnecting:
 
     def test_setting_that_is_not_accepted_is_named(self, paper):
         bench = Bench(paper)
-        bench.units[2].settings[49] = 1  # locked
+        bench.units[2].settings[49] = 1  # 1: the unit's settings are locked
         bench.connect()
         assert bench.stages.condition is Condition.FAULT
         assert "inner_translation" in bench.stages.problem
@@ -142,7 +142,7 @@ class TestConnecting:
 
 
 class TestMoving:
-    """Velocities out, positions back."""
+    """The driver sends velocities and receives positions."""
 
     def test_positions_are_exact_to_a_microstep_between_the_polls(self, bench):
         worst = np.zeros(3)
@@ -188,7 +188,7 @@ class TestMoving:
         bench.stages.stop(bench.now)
         bench.let_go()
         bench.run(6.25e-3 * 2)
-        # 12.5 ms later all stages brake: none has its earlier speed.
+        # After 12.5 ms all stages brake: no stage still has its earlier speed.
         assert [unit.status for unit in bench.units] == [23, 23, 23]
         bench.run(0.5)
         assert bench.moving == [False, False, False]
@@ -209,7 +209,7 @@ class TestMoving:
         assert bench.reading.positions[2] == pytest.approx(-0.005, abs=1e-6)
 
     def test_noisy_line_loses_no_axis_and_gives_no_wrong_position(self, bench):
-        bench.chain.faults = Faults(flip=1e-3)  # about ten bytes
+        bench.chain.faults = Faults(flip=1e-3)  # this rate corrupts about ten bytes
         worst = np.zeros(3)
 
         def track(now: float) -> list[float]:

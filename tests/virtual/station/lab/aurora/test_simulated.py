@@ -39,7 +39,7 @@ class Host:
         return received
 
     def request(self, command: str, time: float = 0.3) -> str | bytes:
-        """Return the single reply to a command; both have CRCs."""
+        """Return the single reply to a command; command and reply have CRCs."""
         reader = ReplyReader()
         (reply,) = reader.feed(self.send(framed(command), time))
         assert (reader.noise, reader.crc_errors) == (0, 0)
@@ -219,7 +219,7 @@ def test_simulated_aurora_bounds_its_backlog_in_a_flood_of_commands():
     replies = ReplyReader().feed(host.send(framed("BX:0801") * 5000, 20.0))
 
     assert 0 < len(replies) <= 2 * MAX_PENDING_COMMANDS
-    host.send(b"\r")  # ends the command that the full buffer cut
+    host.send(b"\r")  # the CR ends the command that was cut by the full buffer
     assert host.request("TSTOP:") == "OKAY"
 
 
@@ -249,7 +249,7 @@ def test_aurora_frame_is_reported_after_its_latency():
     for _ in range(100):
         requested = host.now
         (tool,) = parse_bx(bytes(host.request("BX:0801", 0.007))).tools
-        # The latency of 24 ms includes the 4.6 ms of the reply; the request takes 1 ms.
+        # The latency of 24 ms includes 4.6 ms for the reply; the request takes 1 ms.
         assert tool.frame / 40.0 + 0.024 - 0.0046 <= requested + 0.0011
 
 

@@ -76,7 +76,7 @@ def test_long_netft_request_selects_the_receiving_host():
 
 def test_buffered_netft_stream_has_several_records_per_datagram():
     bench = Bench(buffer=10)
-    bench.request("1234000300000019")  # 25 records
+    bench.request("1234000300000019")  # request of 25 records
     lengths = []
     for _ in range(100):
         bench.now += TICK
@@ -91,7 +91,7 @@ def test_netft_bias_zeroes_the_present_reading_during_the_stream():
     bench.request(STREAM)
     bench.run(0.1)
     bench.request("1234004200000000")
-    records = bench.run(0.1)[1:]  # the first was already in transmission
+    records = bench.run(0.1)[1:]  # the first record was already in transmission
 
     assert all(r[3:] == (0,) * 6 for r in records)
     assert records[0][0] > 1
@@ -105,7 +105,7 @@ def test_netft_threshold_latch_stays_until_it_is_reset():
     bench.request(STREAM)
     assert {r[2] for r in bench.run(0.05)} == {0x80010000}
     bench.request("1234004100000000")
-    assert {r[2] for r in bench.run(0.05)[1:]} == {0}  # the first was already in transmission
+    assert {r[2] for r in bench.run(0.05)[1:]} == {0}  # the first record was already in transmission
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_first_netft_record_is_on_time_and_all_records_have_the_latency():
         arrivals += [(number * 1e-4, struct.unpack(">I", d[4:8])[0] - 6433) for d in bench.host.receive()]
 
     time, count = arrivals[0]
-    assert count == 35  # 5 ms
+    assert count == 35  # 35 samples at 7000 Hz are 5 ms
     assert time == pytest.approx(0.015, abs=2e-4)
     assert all(0.010 - 1e-9 <= t - c / 7000 <= 0.0102 for t, c in arrivals)
 
@@ -159,7 +159,7 @@ def test_simulated_force_sensor_has_the_configured_noise_quantisation_offset_and
     assert (np.abs(counts.mean(axis=0)) <= [1.0] * 3 + [10e-3] * 3).all()
     assert np.abs(counts.mean(axis=0)).min() > 0.0
     steps = counts / ([1 / 256] * 3 + [0.05e-3] * 3)
-    assert np.abs(steps - np.round(steps)).max() < 0.011  # a wire count is coarser than that
+    assert np.abs(steps - np.round(steps)).max() < 0.011  # the tolerance is the resolution of the counts on the wire
     drift = counts[-5000:].mean(axis=0) - counts[:5000].mean(axis=0)
     assert np.abs(drift[:3]) == pytest.approx([30.0 * 5e-3 / 60.0] * 3, abs=1.5e-3)
 
@@ -198,6 +198,6 @@ def test_gain_errors_and_cross_talk_are_linear_fractions_of_the_sensor_ranges():
                                 for axis, r in zip(np.eye(6), ranges, strict=True)])  # fmt: skip
     parts = response * ranges / ranges[:, None]
     assert 0.005 < np.abs(parts).max() <= 0.01 + 1e-4
-    assert np.abs(parts[:3, 3:]).max() > 0.003  # cross-talk shows a moment as a force
+    assert np.abs(parts[:3, 3:]).max() > 0.003  # by cross-talk a moment appears as a force
     assert read(WRENCH) == pytest.approx(WRENCH + response @ WRENCH, abs=5e-6)
     assert read(WRENCH, 0.0) == pytest.approx(WRENCH, abs=2e-6)

@@ -15,7 +15,7 @@ from tests.harness.zaber_wire import LINEAR, RAMP, ROTARY, SPEED, Wire
 
 @pytest.fixture
 def wire() -> Wire:
-    """Two rotary units and a linear one, homed, at 100000."""
+    """Return a chain of two rotary units and a linear unit, homed and at position 100000 [microsteps]."""
     units = [Unit(ROTARY, 1, 1e5, 1e5), Unit(ROTARY, 2, 1e5, 1e5), Unit(LINEAR, 3, 1e5, 1e5)]
     return Wire(SimulatedChain(units))
 
@@ -25,12 +25,12 @@ def test_documented_exchanges_of_the_zaber_manual():
     wire = Wire(SimulatedChain(units))
 
     assert wire.talk("00 32 00 00 00 00") == ["01 32 45 11 00 00", "02 32 45 11 00 00", "03 32 ec 10 00 00"]
-    assert wire.talk("01 35 65 00 00 00") == ["01 ff 35 00 00 00"]  # setting 101 unknown
+    assert wire.talk("01 35 65 00 00 00") == ["01 ff 35 00 00 00"]  # error 53: the setting 101 is unknown
     assert wire.talk("01 3f 00 00 00 00") == ["01 3f e9 03 00 00"]  # serial number
-    assert wire.talk("02 3f 00 00 00 00") == ["02 ff 40 00 00 00"]  # an old unit has none: error 64
+    assert wire.talk("02 3f 00 00 00 00") == ["02 ff 40 00 00 00"]  # error 64: an old unit has no serial number
     assert wire.talk("01 33 00 00 00 00") == ["01 33 0b 02 00 00"]  # firmware 5.23
     assert wire.talk("01 35 25 00 00 00") == ["01 25 40 00 00 00"]  # the reply carries the setting's number
-    assert wire.talk("01 35 42 00 00 00") == ["01 ff 35 00 00 00"]  # peripheral ID: none
+    assert wire.talk("01 35 42 00 00 00") == ["01 ff 35 00 00 00"]  # error 53: the unit has no peripheral ID
     assert wire.talk("04 32 00 00 00 00") == []  # no unit answers
 
 
@@ -97,7 +97,7 @@ def test_zaber_command_22_is_answered_at_once_and_command_20_at_the_end_of_the_m
     assert wire.request(2, 20, 150_000, seconds=0.5) == []
     wire.wait(3.0)
     assert wire.received[-1][1] == ZaberMessage(2, 20, 150_000)
-    # 50000 microsteps at 2922 units with ramps of 111 units.
+    # The unit moves by 50000 microsteps, with a speed of 2922 units and an acceleration of 111 units.
     top, ramp = 2922 * SPEED, 111 * RAMP
     assert wire.received[-1][0] == pytest.approx(0.014 + 2 * MESSAGE_TIME_S + 50_000 / top + top / ramp, abs=2e-3)
 
@@ -124,7 +124,7 @@ def test_zaber_stop_brakes_with_the_acceleration_and_replies_with_the_position(w
 
     assert [message.command for message in received] == [23]
     assert received[0].data == round(unit.position)
-    # 9102 units, 20 deg/s, are braked at 100 deg/s^2 within 0.2 s and 2 deg.
+    # A speed of 9102 units (20 deg/s) is braked with 100 deg/s^2 within 0.2 s and 2 deg.
     assert unit.position - start == pytest.approx((9102 * SPEED) ** 2 / (2 * 38 * RAMP), rel=1e-3)
     assert wire.request(1, 54) == [ZaberMessage(1, 54, 0)]
 
@@ -192,7 +192,7 @@ def test_zaber_move_with_a_speed_limit_of_zero_fails(wire):
 
 
 def test_zaber_homing_finds_the_sensor_and_replies_at_the_end():
-    unit = Unit(LINEAR, 1, true_position=300_000.0)  # just switched on, with an unknown position
+    unit = Unit(LINEAR, 1, true_position=300_000.0)  # after power-up the unit does not know its position
     wire = Wire(SimulatedChain([unit]))
     assert wire.request(1, 60) == [ZaberMessage(1, 60, 0)]
     wire.request(1, 41, 5000)
@@ -347,7 +347,7 @@ def test_zaber_motion_does_not_depend_on_the_polling_rate():
 
 
 def test_zaber_query_gets_the_same_answer_over_pipe_pty_and_socket():
-    """The same query over three kinds of link gets the same answer."""
+    """The answer to a query does not depend on the kind of link."""
     host, device = memory_pipe("chain")
     assert queried(host, device) == ZaberMessage(2, 50, 4332)
 
