@@ -16,7 +16,7 @@ STALL_TIME_S = 5.0  #: time without progress of the tip after which a motion end
 MIN_ERROR_M = 5e-4  #: smaller tip errors are ignored [m]
 PROGRESS_RATIO = 0.9  #: the tip makes progress if its error is below this fraction of its error `STALL_TIME_S` ago
 OVERLOAD_TIME_S = 0.1  #: time with a force above its bound after which the motion ends [s]; noise and a tap are shorter
-FREE_SIGMA_RATIO = 0.5  #: time without an active limit or singular pose after which the stall time restarts [s]
+UNBLOCKED_TIME_S = 0.5  #: time without an active limit or singular pose after which the stall time restarts [s]
 
 
 class ProgressMonitor:
@@ -50,7 +50,7 @@ class ProgressMonitor:
             reasons = [f"singular pose, sigma {1e3 * sigma:.2g} of {1e3 * floor:g} mm/s"] * (sigma < floor)
             active = limits.active(joints, tick.at_bound, tick.at_row) if blocked else ()
             self._reason = ", ".join((*reasons, *active))
-        if error < MIN_ERROR_M or now - self._blocked_at > FREE_SIGMA_RATIO:
+        if error < MIN_ERROR_M or now - self._blocked_at > UNBLOCKED_TIME_S:
             self._errors.clear()
             return ""
         self._errors.append((now, error))

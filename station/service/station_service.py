@@ -212,7 +212,7 @@ class StationService:
         settings = {
             "controller": agreement.controller.model_dump(mode="json"),
             "duration": agreement.duration,
-            "led": agreement.model_dump(mode="json", exclude={"controller"}),
+            "stream": agreement.model_dump(mode="json", exclude={"controller"}),
         }
         about = {"settings": settings}
         return self.supervisor.start(StartRequest(task, "streamed setpoints", load=None, about=about), permit)

@@ -4,7 +4,7 @@ from collections import deque
 
 from station.devices.links.link import LinkError
 
-MAX_PENDING_BYTES = 4096  #: largest number of unread writes in each direction; the oldest are discarded
+MAX_PENDING_WRITES = 4096  #: largest number of unread writes in each direction; the oldest are discarded
 
 
 class Cable:
@@ -100,8 +100,8 @@ class MemoryEnd:
 
 def memory_pipe(name: str) -> tuple[MemoryLink, MemoryEnd]:
     """Return two ends of a pipe: the host's and the device's."""
-    to_device: deque[bytes] = deque(maxlen=MAX_PENDING_BYTES)
-    to_host: deque[bytes] = deque(maxlen=MAX_PENDING_BYTES)
+    to_device: deque[bytes] = deque(maxlen=MAX_PENDING_WRITES)
+    to_host: deque[bytes] = deque(maxlen=MAX_PENDING_WRITES)
     cable = Cable()
     host = MemoryLink(name, to_host, to_device, cable)
     return host, MemoryEnd(f"{name} (device)", to_device, to_host, cable)

@@ -10,10 +10,10 @@ from core.control.step import Tick
 from core.control.trajectories import Setpoint
 from core.control.velocity_ik import SIGMA_FLOOR_M_S
 from station.control.progress_monitor import (
-    FREE_SIGMA_RATIO,
     MIN_ERROR_M,
     OVERLOAD_TIME_S,
     STALL_TIME_S,
+    UNBLOCKED_TIME_S,
     ProgressMonitor,
 )
 
@@ -88,7 +88,7 @@ def test_temporary_stall_does_not_end_a_motion(limits, make):
 
 
 def test_short_time_without_an_active_limit_does_not_restart_the_stall_time(limits):
-    _, text = watch(limits, 20.0, lambda time: tick(5e-3, STUCK if time % 1.0 > FREE_SIGMA_RATIO / 2 else 0.01))
+    _, text = watch(limits, 20.0, lambda time: tick(5e-3, STUCK if time % 1.0 > UNBLOCKED_TIME_S / 2 else 0.01))
 
     assert text
 

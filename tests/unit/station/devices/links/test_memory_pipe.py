@@ -3,7 +3,7 @@
 import pytest
 
 from station.devices.links.link import LinkError, reopen
-from station.devices.links.memory_pipe import MAX_PENDING_BYTES, memory_pipe
+from station.devices.links.memory_pipe import MAX_PENDING_WRITES, memory_pipe
 
 
 def test_pipe_transfers_bytes_in_both_directions_in_order():
@@ -18,12 +18,12 @@ def test_pipe_transfers_bytes_in_both_directions_in_order():
 
 def test_unread_bytes_of_a_pipe_are_limited():
     host, device = memory_pipe("line")
-    for k in range(3 * MAX_PENDING_BYTES):
+    for k in range(3 * MAX_PENDING_WRITES):
         device.write(bytes((k % 256,)))
         host.write(b"x")
 
-    assert host.read() == bytes(k % 256 for k in range(2 * MAX_PENDING_BYTES, 3 * MAX_PENDING_BYTES))
-    assert len(device.read()) == MAX_PENDING_BYTES
+    assert host.read() == bytes(k % 256 for k in range(2 * MAX_PENDING_WRITES, 3 * MAX_PENDING_WRITES))
+    assert len(device.read()) == MAX_PENDING_WRITES
 
 
 def test_unplugged_cable_raises_for_the_host_and_is_silent_for_the_device():
